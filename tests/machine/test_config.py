@@ -21,6 +21,15 @@ from hypothesis import strategies as st
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine import description as d
+from ambrose.machine.controller import (
+    CONTROLLER_COORDINATES,
+    MODES,
+    SECTIONS,
+    Channel,
+    Notch,
+    PidSettings,
+    Section,
+)
 from ambrose.machine.file import update
 from ambrose.machine.file.json_schema import machine_schema
 from ambrose.machine.file.tables import Table, machine_file, table_below
@@ -33,6 +42,17 @@ from ambrose.machine.file.toml import (
 )
 from ambrose.machine.file.update import save_machine
 from ambrose.machine.machine import Machine
+from ambrose.machine.rotor_model import BendingMode, Disc, Material, ShaftSection
+from ambrose.machine.seals import (
+    FREQUENCY_DEPENDENCE,
+    SEAL_AXES,
+    SEAL_COEFFICIENTS,
+    GasSealGeometry,
+    Seal,
+    SealTable,
+)
+from ambrose.machine.stator import CasingMode, Runout, Sensor, Support
+from ambrose.model.effects.journal_bearing import JournalBearing
 from physical_numbers import physical
 
 HERE = Path(__file__).parent
@@ -45,7 +65,7 @@ def test_every_value_of_the_small_machine():
     deg = math.pi / 180
     hz = 2 * math.pi
     rpm = math.pi / 30
-    titanium = d.Material(4430.0, 114e9, 0.34)
+    titanium = Material(4430.0, 114e9, 0.34)
     rows = (d.BiasPoint(6.0, (220.0, 220.0), (2.5e6, 2.6e6)),)
     limits = {"gap": 0.5e-3, "touchdown_gap": 250e-6, "max_current": 4.0, "max_force": 1500.0}
     iron, contact = d.MagnetIron(40.0, 1.6, 50e-6), d.Touchdown(90e6, 5e3, 0.15, 0.04, 0.02)
@@ -56,11 +76,11 @@ def test_every_value_of_the_small_machine():
         "magnetic_offset": (20e-6, 0.0),
     }
     rig["coefficients_at"] = "static-load"
-    table = d.SealTable(
+    table = SealTable(
         (("pressure", (0.0, 1e5, 2e5)), ("frequency", (0.0, 200 * hz))),
         (("k", ((0.0, 0.0), (1e6, 1.1e6), (2e6, 2.2e6))),),
     )
-    geometry = d.GasSealGeometry(
+    geometry = GasSealGeometry(
         length=0.04,
         diameter=0.08,
         inlet_clearance=0.2e-3,
@@ -93,10 +113,10 @@ def test_every_value_of_the_small_machine():
             ("seal.center.scales_with_pressure", "K is made up as well"),
         ),
         shaft=(
-            d.ShaftSection(0.0, 0.2, 0.06, 0.02, None, 4, d.Material(), "left end", 0.064, 0.024),
-            d.ShaftSection(0.2, 0.4, 0.08, 0.0, 0.1, 8, titanium),
+            ShaftSection(0.0, 0.2, 0.06, 0.02, None, 4, Material(), "left end", 0.064, 0.024),
+            ShaftSection(0.2, 0.4, 0.08, 0.0, 0.1, 8, titanium),
         ),
-        discs=(d.Disc("wheel", 0.02, 3.0, 0.02, 0.011),),
+        discs=(Disc("wheel", 0.02, 3.0, 0.02, 0.011),),
         bearings=(
             d.MagneticBearing(
                 "A",
@@ -115,7 +135,7 @@ def test_every_value_of_the_small_machine():
             ),
         ),
         sensors=(
-            d.Sensor(
+            Sensor(
                 "A",
                 0.12,
                 (1.0, 0.98),
@@ -123,18 +143,18 @@ def test_every_value_of_the_small_machine():
                 0.2e-6,
                 (5e-6, 0.0),
                 0.1e-6,
-                (d.Runout(2, 2e-6, 25 * deg),),
+                (Runout(2, 2e-6, 25 * deg),),
                 35 * deg,
                 2.0,
             ),
-            d.Sensor("B", 0.53),
+            Sensor("B", 0.53),
         ),
         amplifier=d.Amplifier(
             "twice-first", 1500 * hz, 3000 * hz, max_voltage=150.0, inductance=20e-3
         ),
         seals=(
-            d.Seal("center", 0.3, 0.4e6, 0.0, 2e3, 0.0, 0.1, 2e5, ("C",), table),
-            d.Seal(
+            Seal("center", 0.3, 0.4e6, 0.0, 2e3, 0.0, 0.1, 2e5, ("C",), table),
+            Seal(
                 "balance",
                 0.35,
                 reference_pressure=2e5,
@@ -144,21 +164,36 @@ def test_every_value_of_the_small_machine():
             ),
         ),
         couplings=(d.Coupling("coupling", 0.0, (0.40e6, 0.42e6), (10.0, 10.0), 45 * deg),),
+        effects=(
+            JournalBearing(
+                "steady",
+                0.3,
+                (40e6, 50e6),
+                (80e6, 90e6),
+                (200e3, 160e3),
+                (300e3, 200e3),
+                (0.0, 9000 * rpm),
+                (10e6, 30e6),
+                (-20e6, -40e6),
+                (-20e3, 0.0),
+                (-20e3, 0.0),
+            ),
+        ),
         supports=(
-            d.Support(
+            Support(
                 "A", (300.0, 300.0), (80e6, 120e6), (40e3, 40e3), 10 * deg, "ground", ("center",)
             ),
         ),
         casing_modes=(
-            d.CasingMode(140 * hz, 900.0, ("A", "balance"), (1.0, 0.7), (0.0, 0.1), 0.02, "ground"),
+            CasingMode(140 * hz, 900.0, ("A", "balance"), (1.0, 0.7), (0.0, 0.1), 0.02, "ground"),
         ),
-        bending_modes=(d.BendingMode(1, 630 * hz, 0.008),),
-        controller=d.PidSettings(
+        bending_modes=(BendingMode(1, 630 * hz, 0.008),),
+        controller=PidSettings(
             (18e3,),
             0.2,
             3.5e-3,
             0.1,
-            (d.Notch(550 * hz, 0.5, 0.05),),
+            (Notch(550 * hz, 0.5, 0.05),),
             (100 * hz, 500 * hz),
             2e3 * hz,
             0.7,
@@ -167,20 +202,20 @@ def test_every_value_of_the_small_machine():
             1e-4,
             1e-4,
             (
-                d.Channel(
+                Channel(
                     ("tilt_x", "tilt_y"),
                     22e3,
                     (
-                        d.Section("pid", 0.2, 3e-3, 0.1),
-                        d.Section(
+                        Section("pid", 0.2, 3e-3, 0.1),
+                        Section(
                             "notch",
                             zero_frequency=550 * hz,
                             zero_damping=0.05,
                             pole_frequency=580 * hz,
                             pole_damping=0.4,
                         ),
-                        d.Section("phase-bump", frequency=210 * hz, phase=20 * deg, damping=0.3),
-                        d.Section("sos", numerator=(1.0, 4e3), denominator=(1.0, 8e3)),
+                        Section("phase-bump", frequency=210 * hz, phase=20 * deg, damping=0.3),
+                        Section("sos", numerator=(1.0, 4e3), denominator=(1.0, 8e3)),
                     ),
                 ),
             ),
@@ -363,7 +398,7 @@ class TestRoundTrip:
 
     def test_different_materials_of_one_name_stay_apart(self):
         machine = loads_machine(SMALL)
-        a, b = d.Material(8000.0, name="x"), d.Material(7000.0, name="x")
+        a, b = Material(8000.0, name="x"), Material(7000.0, name="x")
         machine = replace(
             machine,
             shaft=tuple(replace(s, material=m) for s, m in zip(machine.shaft, (a, b), strict=True)),
@@ -373,7 +408,7 @@ class TestRoundTrip:
     def test_numbers_of_other_types(self):
         machine = loads_machine(SMALL)
         odd = replace(
-            machine, discs=(d.Disc("wheel", np.float64(0.02), 3, np.float32(0.5), -0.0 + 0.25),)
+            machine, discs=(Disc("wheel", np.float64(0.02), 3, np.float32(0.5), -0.0 + 0.25),)
         )
         again = loads_machine(dumps_machine(odd))
         assert again == odd
@@ -423,10 +458,10 @@ def shafts(draw):
         length, bore = draw(st.floats(1e-3, 10)), draw(physical(0, 1))
         outer = bore + draw(st.floats(1e-3, 1))
         mass = draw(maybe(st.just(outer + 0.1)))
-        material = d.Material(draw(positive), draw(positive), draw(physical(0, 0.49)), draw(text))
-        material = draw(st.sampled_from([d.Material(), material]))
+        material = Material(draw(positive), draw(positive), draw(physical(0, 0.49)), draw(text))
+        material = draw(st.sampled_from([Material(), material]))
         sections.append(
-            d.ShaftSection(
+            ShaftSection(
                 end, length, outer, bore, mass, draw(st.integers(1, 80)), material, draw(text)
             )
         )
@@ -462,11 +497,11 @@ def bearings(draw, name, place):
 
 @st.composite
 def sections(draw):
-    kind = draw(st.sampled_from(list(d.SECTIONS)))
+    kind = draw(st.sampled_from(list(SECTIONS)))
     if kind == "sos":
-        return d.Section(kind, numerator=draw(pair), denominator=(draw(positive), *draw(pair)))
-    values = {key: draw(positive) for key in d.SECTIONS[kind]}
-    return d.Section(
+        return Section(kind, numerator=draw(pair), denominator=(draw(positive), *draw(pair)))
+    values = {key: draw(positive) for key in SECTIONS[kind]}
+    return Section(
         kind, **{key: min(value, 3.0) if key == "phase" else value for key, value in values.items()}
     )
 
@@ -477,7 +512,7 @@ def gas_seals(draw):
     clearance = st.floats(0.001, 0.04).map(lambda part: part * diameter)
     one = {draw(st.sampled_from(["exit_pressure", "inlet_pressure"])): draw(positive)}
     wall = st.tuples(positive, physical(-1, 1))
-    return d.GasSealGeometry(
+    return GasSealGeometry(
         draw(positive),
         diameter,
         draw(clearance),
@@ -501,8 +536,8 @@ def gas_seals(draw):
 @st.composite
 def seals(draw, name, place):
     if draw(st.booleans()):
-        mode, poles = draw(st.sampled_from(d.FREQUENCY_DEPENDENCE)), draw(st.integers(1, 12))
-        return d.Seal(
+        mode, poles = draw(st.sampled_from(FREQUENCY_DEPENDENCE)), draw(st.integers(1, 12))
+        return Seal(
             name,
             draw(place),
             M=draw(signed),
@@ -511,9 +546,9 @@ def seals(draw, name, place):
             frequency_dependence=mode,
             poles=poles,
         )
-    axes = draw(st.lists(st.sampled_from(d.SEAL_AXES), max_size=3, unique=True))
+    axes = draw(st.lists(st.sampled_from(SEAL_AXES), max_size=3, unique=True))
     names = (
-        draw(st.lists(st.sampled_from(d.SEAL_COEFFICIENTS), min_size=1, unique=True))
+        draw(st.lists(st.sampled_from(SEAL_COEFFICIENTS), min_size=1, unique=True))
         if axes
         else []
     )
@@ -525,13 +560,13 @@ def seals(draw, name, place):
             return tuple(nested(sizes[1:]) for _ in range(sizes[0])) if sizes else draw(signed)
 
         sizes = [len(grid) for _, grid in grids]
-        table = d.SealTable(
-            grids, tuple((n, nested(sizes)) for n in d.SEAL_COEFFICIENTS if n in names)
+        table = SealTable(
+            grids, tuple((n, nested(sizes)) for n in SEAL_COEFFICIENTS if n in names)
         )
-    constants = {n: draw(signed) for n in d.SEAL_COEFFICIENTS if n not in names}
-    scaled = tuple(draw(st.lists(st.sampled_from(d.SEAL_COEFFICIENTS), unique=True)))
+    constants = {n: draw(signed) for n in SEAL_COEFFICIENTS if n not in names}
+    scaled = tuple(draw(st.lists(st.sampled_from(SEAL_COEFFICIENTS), unique=True)))
     scaled = tuple(n for n in scaled if not ("pressure" in axes and n in names))
-    return d.Seal(
+    return Seal(
         name,
         draw(place),
         **constants,
@@ -551,7 +586,7 @@ def machines(draw):
     )
     order = draw(st.sampled_from(sorted(d.AMPLIFIER_PARAMETERS)))
     notches = tuple(
-        d.Notch(draw(positive), draw(positive), draw(positive))
+        Notch(draw(positive), draw(positive), draw(positive))
         for _ in range(draw(st.integers(0, 2)))
     )
     points = tuple(
@@ -580,17 +615,17 @@ def machines(draw):
     ]
     sample_time = draw(maybe(positive))
     samples = None if sample_time is None else draw(maybe(st.integers(0, 5)))
-    coordinates = draw(st.sampled_from(d.CONTROLLER_COORDINATES))
+    coordinates = draw(st.sampled_from(CONTROLLER_COORDINATES))
     names = (
-        d.MODES if coordinates == "tilt-translate" else ("A_zeta", "A_eta", "B-2__zeta", "B-2__eta")
+        MODES if coordinates == "tilt-translate" else ("A_zeta", "A_eta", "B-2__zeta", "B-2__eta")
     )
     chains = draw(st.lists(st.sampled_from(names[1:]), max_size=3, unique=True))
     channels = tuple(
-        d.Channel((name,), draw(positive), draw(st.lists(sections(), max_size=3).map(tuple)))
+        Channel((name,), draw(positive), draw(st.lists(sections(), max_size=3).map(tuple)))
         for name in chains
     )
     gains = st.sampled_from([(1,)] if channels else [(1,), (4,)])
-    controller = d.PidSettings(
+    controller = PidSettings(
         tuple(draw(gains.flatmap(lambda n: st.tuples(*[positive] * n[0])))),
         draw(maybe(positive)),
         draw(maybe(positive)),
@@ -628,19 +663,19 @@ def machines(draw):
         shaft=shaft,
         bearings=(draw(bearings("A", place)), draw(bearings("B-2_", place))),
         sensors=tuple(
-            d.Sensor(name, draw(place), draw(pair), draw(maybe(positive))) for name in ("A", "B-2_")
+            Sensor(name, draw(place), draw(pair), draw(maybe(positive))) for name in ("A", "B-2_")
         ),
         amplifier=d.Amplifier(
             order, **{key: draw(positive) for key in d.AMPLIFIER_PARAMETERS[order]}
         ),
         discs=tuple(
-            d.Disc(f"disc{i}", draw(place), draw(positive), 1.5 * i, 1.0 * i)
+            Disc(f"disc{i}", draw(place), draw(positive), 1.5 * i, 1.0 * i)
             for i in range(draw(st.integers(0, 2)))
         ),
         seals=(draw(seals("seal", place)),),
         couplings=couplings,
         bending_modes=draw(
-            st.sampled_from([(), (d.BendingMode(1, 1234.5), d.BendingMode(2, None, 0.002))])
+            st.sampled_from([(), (BendingMode(1, 1234.5), BendingMode(2, None, 0.002))])
         ),
         controller=draw(maybe(st.just(controller))),
         operation=d.Operation(points, tuple(sorted(draw(pair))), "", areas, draw(maybe(positive))),
@@ -823,7 +858,7 @@ def test_every_field_of_every_noun_has_a_key():
     for table in Table.__subclasses__():
         # that have been used in this process
         of_a_machine = table.noun is not None and "record" not in table.noun.__module__
-        if of_a_machine and table.noun not in (d.SealTable, d.MachineDescription):
+        if of_a_machine and table.noun not in (SealTable, d.MachineDescription):
             keys = {field.alias or name for name, field in table.model_fields.items()}
             nouns = {
                 renamed.get(field.name, field.name) for field in fields(table.noun) if field.compare

@@ -11,7 +11,7 @@ import pytest
 from ambrose.machine.file.tables import MachineTable, Table, machine_file, table_below
 from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.machine.machine import Machine
-from ambrose.machine.parameters import QUANTITIES
+from ambrose.machine.parameters import quantities
 from ambrose.machine.units import DIMENSIONS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "machine-file.md").read_text()
@@ -108,8 +108,8 @@ def test_every_unit_and_parameter_is_listed():
         if dimension.units:
             units = ", ".join(f"`{unit}`" for unit in dimension.units)
             assert f"| {dimension.name} | `{dimension.unit}` | {units} |" in PAGE
-    for table, quantities in QUANTITIES.items():
-        for quantity, (_, components) in quantities.items():
+    for table, of in quantities().items():
+        for quantity, (_, components) in of.items():
             path = f"`{table}.{quantity}`" if table == "amplifier" else f"`{table}.NAME.{quantity}`"
             assert path in PAGE
             mark = "_" if table == "seal" else "."

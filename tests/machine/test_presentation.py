@@ -8,6 +8,7 @@ import pytest
 
 from ambrose.machine import description as d
 from ambrose.machine.file.toml import bundled_machines, dumps_machine, load_machine, loads_machine
+from ambrose.machine.rotor_model import Disc
 
 SMALL = str(Path(__file__).with_name("small.toml"))
 
@@ -31,7 +32,7 @@ def test_every_part_shows_itself_in_a_line(file):
 
 
 def test_a_part_shows_what_is_not_its_default():
-    assert repr(d.Disc("wheel", 0.1, 3.0)) == "Disc(name=wheel, position=0.1, mass=3)"
+    assert repr(Disc("wheel", 0.1, 3.0)) == "Disc(name=wheel, position=0.1, mass=3)"
     assert d.OperatingPoint(seal_pressure=2e5).to_dict() == {"seal_pressure": 2e5}
     assert d.OperatingPoint().to_dict(defaults=True) == {
         "speed": 0.0,
