@@ -219,10 +219,10 @@ def export(
 
     to: ``C`` (C99), ``Mat`` (MATLAB, Octave), ``Fmu`` (FMI 2 and 3), ``St`` (IEC 61131-3), each
     with its options, ``amb.C(arithmetic="float")``; or the name of one, "c", its options then by
-    name. machine: the one it is for; None: the bundled machine that it was made for. fallback: the fixed
-    controller that takes over from one scheduled over pressure where the reading cannot be trusted
-    (C only). Raises InvalidInput, and UnstableSystem where the sampled loop does not hold the
-    machine.
+    name. machine: the one it is for; None: the bundled machine that it was made for. fallback: the
+    fixed controller that takes over from one scheduled over pressure where the reading cannot be
+    trusted (C only). Raises InvalidInput, and UnstableSystem where the sampled loop does not hold
+    the machine.
     """
     from ambrose.code.pipeline import export as exported
     from ambrose.judge.controller_file import read_controller

@@ -20,10 +20,10 @@ def resume_or_design(plant: Plant, method: Method, path: Path, progress: Progres
     """The very Synthesis at ``path`` if the same design made it, else a new one, written there and
     read back.
 
-    The same: package version, machine, operating point, method with its options, and not a byte changed
-    since. What is taken up is certified again on the full plant, a scheduled controller at every
-    speed of its grid. A file that is not taken up is called ``earlier-<name>``, and ``progress`` is
-    told why.
+    The same: package version, machine, operating point, method with its options, and not a byte
+    changed since. What is taken up is certified again on the full plant, a scheduled controller at
+    every speed of its grid. A file that is not taken up is called ``earlier-<name>``, and
+    ``progress`` is told why.
     """
     if path.exists():
         try:

@@ -41,10 +41,10 @@ class Target(Options, ABC):
     says, ``law.timing.timing_of``; 10 kHz and one sample where nobody does); sampling, prewarp
     [rad/s]: as in ``core.sampling.c2d``. error_limit [m], current_limit [A]: one number or one per
     axis (None: the bearings' gaps, or twice their touchdown gaps, and largest currents).
-    windup_time [s], hold_samples: as in ``build_block`` (None: its own). speed_limit [rad/s], speed_rate [rad/s^2],
-    pressure_limit [Pa], pressure_rate [Pa/s]: of a controller that is scheduled over the one, as in
-    ``build_scheduled_block``. force: write a controller that is not verified, or not stable
-    everywhere. Raises InvalidInput.
+    windup_time [s], hold_samples: as in ``build_block`` (None: its own). speed_limit [rad/s],
+    speed_rate [rad/s^2], pressure_limit [Pa], pressure_rate [Pa/s]: of a controller that is
+    scheduled over the one, as in ``build_scheduled_block``. force: write a controller that is not
+    verified, or not stable everywhere. Raises InvalidInput.
     """
 
     to: ClassVar[str]

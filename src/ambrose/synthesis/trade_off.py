@@ -96,9 +96,9 @@ def trade_off(
     """The lowest sensitivity of a tuned controller against the values of one requirement, or
     against its order.
 
-    over: a key of [requirements] (``TRADED``) or "order"; values: SI; method: how each controller is
-    tuned (no bank); time_limit [s] of computing for each sensitivity
-    aimed at. Ctrl-C keeps the values that are done. Raises InvalidInput.
+    over: a key of [requirements] (``TRADED``) or "order"; values: SI; method: how each controller
+    is tuned (no bank); time_limit [s] of computing for each sensitivity aimed at. Ctrl-C keeps the
+    values that are done. Raises InvalidInput.
     """
     method = (method or Tuned()).without_bank().on(machine)
     wanted = _checked(over, values)

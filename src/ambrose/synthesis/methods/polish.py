@@ -58,7 +58,9 @@ class Polish(Weighted):
         from ambrose.synthesis.fixed_order.polish import JUDGED_ROUNDS, polish_synthesis
         from ambrose.synthesis.order_selection import sampled_sensitivity
 
-        timing, judge, delay_states = self.timing(), None, 0
+        timing = self.timing()
+        judge = None
+        delay_states = 0
         if timing is not None:
             # one bending mode more than the design model has, so that spillover counts
             judge = sampled_sensitivity(reduce(plant, (self.bending_modes or 0) + 1), timing)

@@ -86,7 +86,8 @@ class Weighted(Lowered):
         from ambrose.synthesis.pid import pid_controller
         from ambrose.synthesis.weight_tuning import direct_gain_mismatch
 
-        machine, weights, timing = plant.machine, machine_weights(plant.machine), self.timing()
+        machine, timing = plant.machine, self.timing()
+        weights = machine_weights(machine)
         model, uncertain = self.design_model(plant)
         reference = pid_controller(machine.reference, machine) if machine.reference else None
         margins = _left_out(machine, progress) if self.uncertain else {}
