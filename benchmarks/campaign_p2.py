@@ -40,12 +40,12 @@ from ambrose.model.plant import Plant
 from ambrose.model.reduce import free_mode_reduction
 from ambrose.model.static_load import operating_magnets
 from ambrose.record.record import Record
-from ambrose.report.page import Report, write
+from ambrose.report.page import Page, write
 from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import Prbs, Pulse
 from ambrose.rig.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
-from benchmarks.campaign_page import Condition, campaign_report
+from benchmarks.campaign_page import Condition, campaign_page
 from benchmarks.scatter_study import ScatterStudy, scatter_study
 
 DT = 1e-4
@@ -416,7 +416,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def page(found: Sequence[Bias], machine: Machine) -> Report:
+def page(found: Sequence[Bias], machine: Machine) -> Page:
     """The campaign as a page: figure 4 and table 2 of P2, and where the iron saturates."""
     conditions = []
     for item in found:
@@ -433,7 +433,7 @@ def page(found: Sequence[Bias], machine: Machine) -> Report:
                 item.loaded[0],
             )
         )
-    return campaign_report(
+    return campaign_page(
         machine,
         conditions,
         reference="printed",

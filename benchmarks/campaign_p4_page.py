@@ -12,16 +12,16 @@ from ambrose.machine.machine import Machine
 from ambrose.report import theme, units
 from ambrose.report.figures import seals as seal_figures
 from ambrose.report.figures.panels import Panel, panel_figure
-from ambrose.report.page import Figure, Report, Section
+from ambrose.report.page import Figure, Page, Section
 from benchmarks.campaign_p4 import BAR, HZ, NOMINAL, Impulses, Stepped, Swept, truth
 
 GREEK = {"zeta": "ζ", "eta": "η"}
 
 
-def page(machine: Machine, swept: Sequence[Swept], sines: Stepped, pulses: Impulses) -> Report:
+def page(machine: Machine, swept: Sequence[Swept], sines: Stepped, pulses: Impulses) -> Page:
     """The whole page."""
     sections = (_bearings(swept), _frequency(sines), _resonance(sines), _pressure(machine, pulses))
-    return Report(
+    return Page(
         "Identification of bearings and seal on the virtual rig (papers P4 and P5)",
         machine,
         sections,

@@ -2,7 +2,7 @@
 interval.
 
     six = Condition("6 A", 6.0, {"closed loop": repeats_6, "static load": loads_6}, truth)
-    write(campaign_report(machine, [six, eight, ten]), "campaign.html")
+    write(campaign_page(machine, [six, eight, ten]), "campaign.html")
 
 One panel per parameter over the condition (a bias current, a pressure), methods side by side with
 the intervals of their means; then the tables: mean, interval, relative scatter, what a single
@@ -22,7 +22,7 @@ from ambrose.identification.static_load.identify import StaticLoad
 from ambrose.identification.validation.repeatability import Repeats
 from ambrose.machine.machine import Machine
 from ambrose.report import theme, units
-from ambrose.report.page import Cell, Figure, Report, Section, Table, Verdict
+from ambrose.report.page import Cell, Figure, Page, Section, Table, Verdict
 
 _QUANTITIES = {
     "force_per_current": ("Force per current", "N/A"),
@@ -54,7 +54,7 @@ class Condition:
     loaded: StaticLoad | None = None
 
 
-def campaign_report(
+def campaign_page(
     machine: Machine,
     conditions: Sequence[Condition],
     *,
@@ -62,7 +62,7 @@ def campaign_report(
     reference: str = "published",
     title: str = "Identification campaign",
     date: str = "",
-) -> Report:
+) -> Page:
     """The page. axis: what ``x`` is; reference: what the reference values are. Raises InvalidInput
     without a condition.
     """
@@ -101,7 +101,7 @@ def campaign_report(
         sections.append(
             Section("Saturation", "", (Figure("Local force per current", _slopes(loaded), words),))
         )
-    return Report(title, machine, tuple(sections), _verdicts(conditions), _facts(conditions), date)
+    return Page(title, machine, tuple(sections), _verdicts(conditions), _facts(conditions), date)
 
 
 def _first(conditions: Sequence[Condition]) -> str:

@@ -21,7 +21,7 @@ from ambrose.core.checks import AmbroseError
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
 from ambrose.model.plant import top_speed
 from ambrose.report import theme
-from ambrose.report.page import Cell, Figure, Report, Section, Table, Verdict, write
+from ambrose.report.page import Cell, Figure, Page, Section, Table, Verdict, write
 from ambrose.rig.disturbances import PressureChange, PressureSensor, Pulse, SpeedChange, Unbalance
 from ambrose.rig.scenario import Scenario
 
@@ -236,7 +236,7 @@ def page(machine, names, rows, first):
     result = Verdict("", count > 0, f"{count} of {len(names)} controllers hold every scenario")
     surge = Figure("Surge: seal from nothing to twice its strength in 0.1 s", figure, "")
     section = Section("A seal that changes", "", (surge,), (table,))
-    return Report(
+    return Page(
         "Controllers and a seal that changes", machine, (section,), verdicts, (), result=result
     )
 

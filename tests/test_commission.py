@@ -28,8 +28,8 @@ from ambrose.machine.file.toml import machine_hash
 from ambrose.model.reduce import reduce
 from ambrose.record.files import read_record
 from ambrose.report import page as document
-from ambrose.report.commissioning import commissioning_section
-from ambrose.report.page import Report
+from ambrose.report.page import Page
+from ambrose.report.study import commissioning_section
 from ambrose.rig.candidate import evaluate
 from ambrose.synthesis.pid import pid_synthesis
 
@@ -251,7 +251,7 @@ def test_section_says_what_was_found(section, commissioned, machine):
         "nominal pressure: Peak output sensitivity" in code["Limits that the sampled loop misses"]
     )
     assert len(tables["Parameters"].rows) == 10
-    page = document.render(Report("Commissioning", machine, (section,)))
+    page = document.render(Page("Commissioning", machine, (section,)))
     assert "Commissioned on the rig" in page and "What the record changed" in page
     assert not re.search(r"\bnan\b", re.sub(r"<script.*?</script>", "", page, flags=re.S))
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from ambrose.identification.result import Identification
     from ambrose.judge.result import Synthesis
     from ambrose.judge.verification import Verification
+    from ambrose.law.law import Law
     from ambrose.machine.description import OperatingPoint
     from ambrose.machine.machine import Machine
     from ambrose.model.plant import Plant
@@ -181,8 +182,9 @@ def simulate(
     from ambrose.rig.trial import simulate_scenario
 
     place = machine if isinstance(machine, PlantType) else machine_of(machine)
-    if isinstance(options.get("fallback"), str | os.PathLike):
-        options["fallback"] = controller_of(options["fallback"])
+    for name in ("fallback", "second"):
+        if options.get(name) is not None:
+            options[name] = controller_of(options[name])
     return simulate_scenario(
         place, controller_of(controller), scenario, point=point, linear=linear, **options
     )
@@ -225,15 +227,16 @@ def export(
     the machine.
     """
     from ambrose.code.pipeline import export as exported
-    from ambrose.judge.controller_file import read_controller
 
-    controller, fallback = (
-        read_controller(item) if isinstance(item, str | os.PathLike) else item
-        for item in (controller, fallback)
-    )
+    other = None if fallback is None else controller_of(fallback)
     description = None if machine is None else machine_of(machine)
     return exported(
-        controller, Path(directory), to=to, machine=description, fallback=fallback, **options
+        controller_of(controller),
+        Path(directory),
+        to=to,
+        machine=description,
+        fallback=other,
+        **options,
     )
 
 
@@ -269,27 +272,13 @@ def machine_of(machine: Any) -> Machine:
     return load_machine(machine)
 
 
-def controller_of(controller: Any) -> Any:
-    """A controller with all that is known of it: a Synthesis, from its file too; else the law.
-    Raises InvalidInput.
+def controller_of(controller: Any) -> Law:
+    """What controls, as a law: of a file what it says; a system of python-control becomes one here,
+    and nowhere below. Raises InvalidInput.
     """
     from ambrose.judge.controller_file import read_controller
+    from ambrose.law.law import law_of
 
     if isinstance(controller, str | os.PathLike):
-        controller = read_controller(controller)
-    return controller if hasattr(controller, "law") else law_of(controller)
-
-
-def law_of(controller: Any) -> Any:
-    """What runs: of a Synthesis or a controller file its law, else the system itself. Raises
-    InvalidInput for anything else.
-    """
-    from ambrose.core.scheduled import ScheduledSystem
-    from ambrose.core.statespace import as_statespace
-    from ambrose.law.program import ControlProgram
-
-    if isinstance(controller, str | os.PathLike) or hasattr(controller, "law"):
-        return controller_of(controller).law
-    if isinstance(controller, ScheduledSystem | ControlProgram):
-        return controller
-    return as_statespace(controller)
+        return read_controller(controller)
+    return law_of(controller, functions=False)

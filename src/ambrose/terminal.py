@@ -21,11 +21,15 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
 from ambrose.machine.messages import one_line
+
+if TYPE_CHECKING:
+    from ambrose.judge.result import Synthesis
+    from ambrose.machine.machine import Machine
 
 ALL = click.option(
     "--all", "everything", is_flag=True, help="Show the quantities without a limit as well."
@@ -275,13 +279,13 @@ def quantity_given(text: str | None, option: str, dimension: str) -> float | Non
     return value
 
 
-def load(machine: str) -> Any:
+def load(machine: str) -> Machine:
     from ambrose.machine.file.toml import load_machine
 
     return load_machine(machine)
 
 
-def load_controller(path: Path, machine: Any) -> Any:
+def load_controller(path: Path, machine: Machine) -> Synthesis:
     """A controller file; that it was made for another machine, or before the machine file was
     changed, is noted.
     """
@@ -446,3 +450,25 @@ def kept(write: Callable[[Path], Any], path: Path) -> Exception | None:
             return InvalidInput(f"{error}; it was written to {elsewhere} instead")
         return error
     return None
+
+
+def kept_page(
+    result: Any,
+    path: Path | None,
+    *beside: Any,
+    progress: Callable[[str], None] | None = None,
+    called: str = "page",
+    **options: Any,
+) -> Exception | None:
+    """The page of a result at ``path`` (None: none is wanted), kept as by ``kept``.
+
+    beside, options: as for ``page_of``. progress is told that the page (``called`` otherwise in
+    some commands) is written. Returns what to raise in the end; None: nothing failed.
+    """
+    if path is None:
+        return None
+    from ambrose.report.page import page_of, write
+
+    if progress is not None:
+        progress(f"writing the {called}")
+    return kept(lambda place: write(page_of(result, *beside, **options), place), path)

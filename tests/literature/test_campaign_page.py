@@ -18,7 +18,7 @@ from ambrose.report.page import render
 sys.path.insert(0, str(Path(__file__).parents[2]))
 campaign_page = importlib.import_module("benchmarks.campaign_page")
 sys.path.pop(0)
-Condition, campaign_report = campaign_page.Condition, campaign_page.campaign_report
+Condition, campaign_page = campaign_page.Condition, campaign_page.campaign_page
 MACHINE = load_machine("seal-rig")
 K_I = tuple(f"bearing.{b}.force_per_current.{a}" for b in "AB" for a in ("zeta", "eta"))
 PATHS = (*K_I, "bearing.A.negative_stiffness.zeta", "tau_e")
@@ -37,7 +37,7 @@ def condition(bias, off=0.0, **more):
 
 def test_everything_is_on_the_page():
     known = {"truth": TRUTH, "reference": {PATHS[4]: 2.39e6}, "fit": 95.4}
-    report = campaign_report(
+    report = campaign_page(
         MACHINE, [condition(6.0, **known), condition(8.0, -0.01, **known)], reference="printed"
     )
     assert [section.title for section in report.sections] == [
@@ -60,7 +60,7 @@ def test_everything_is_on_the_page():
 
 
 def test_methods_that_differ_fail():
-    report = campaign_report(MACHINE, [condition(6.0), condition(10.0, -0.12)])
+    report = campaign_page(MACHINE, [condition(6.0), condition(10.0, -0.12)])
     assert [verdict.passed for verdict in report.verdicts] == [True, False] and not report.passed
 
 
@@ -68,8 +68,8 @@ def test_one_method_alone_is_no_verdict():
     alone = Condition(
         "6 A", 6.0, {"closed loop": repeats(K_I, [[1.0, 2.0, 3.0, 4.0], [1.1, 2.1, 3.1, 4.1]])}
     )
-    report = campaign_report(MACHINE, [alone])
+    report = campaign_page(MACHINE, [alone])
     assert report.passed is None and report.verdicts[0].text == "nothing to compare with"
     assert "Truth" not in report.sections[0].tables[0].columns
     with pytest.raises(InvalidInput, match="at least one condition"):
-        campaign_report(MACHINE, [])
+        campaign_page(MACHINE, [])

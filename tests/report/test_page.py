@@ -16,16 +16,18 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.checks import Check, Checks, Curve
+from ambrose.judge.verification import Verification
 from ambrose.machine.machine import Machine
+from ambrose.registry import registered, resolve
 from ambrose.report import page as document
 from ambrose.report import tables
-from ambrose.report.page import Cell, Figure, Report, Section, Table, Verdict
-from ambrose.report.verification import verification_report
+from ambrose.report.page import Cell, Figure, Page, Section, Table, Verdict
+from ambrose.report.verification import verification_page
 
 VOID = {"meta", "link", "img", "br", "hr", "input", "col"}
 
 
-class Page(HTMLParser):
+class Parsed(HTMLParser):
     """Checks that elements nest, and collects text, identifiers and references."""
 
     def __init__(self, text: str) -> None:
@@ -73,8 +75,8 @@ def report(
     verifications: list[Checks],
     responses: list[tuple[str, Curve]],
     comparison: list[tuple[str, Curve]],
-) -> Report:
-    return verification_report(
+) -> Page:
+    return verification_page(
         machine,
         verifications,
         models=[("full model", "320 states"), ("reduced model", "8 states")],
@@ -87,21 +89,21 @@ def report(
 
 
 @pytest.fixture(scope="module")
-def source(report: Report) -> str:
+def source(report: Page) -> str:
     return document.render(report)
 
 
 @pytest.fixture(scope="module")
-def page(source: str) -> Page:
-    return Page(source)
+def page(source: str) -> Parsed:
+    return Parsed(source)
 
 
-def test_elements_nest_and_identifiers_are_unique(page: Page) -> None:
+def test_elements_nest_and_identifiers_are_unique(page: Parsed) -> None:
     assert page.stack == []
     assert len(page.ids) == len(set(page.ids))
 
 
-def test_nothing_is_fetched_from_anywhere(page: Page, source: str) -> None:
+def test_nothing_is_fetched_from_anywhere(page: Parsed, source: str) -> None:
     assert all(reference.startswith("#") for reference in page.references)
     assert {reference.removeprefix("#") for reference in page.references} <= set(page.ids)
     library = document.packed(document.get_library())
@@ -111,7 +113,9 @@ def test_nothing_is_fetched_from_anywhere(page: Page, source: str) -> None:
     assert "showSendToCloud: false" in rest  # no button of the page uploads anything
 
 
-def test_head_states_machine_source_date_version_and_verdicts(page: Page, machine: Machine) -> None:
+def test_head_states_machine_source_date_version_and_verdicts(
+    page: Parsed, machine: Machine
+) -> None:
     for expected in (
         machine.name,
         machine.source,
@@ -129,7 +133,7 @@ def test_head_states_machine_source_date_version_and_verdicts(page: Page, machin
 
 
 def test_every_check_of_every_operating_point_is_listed(
-    page: Page, verifications: list[Checks]
+    page: Parsed, verifications: list[Checks]
 ) -> None:
     for checks in verifications:
         table = tables.checks_table(checks)
@@ -140,7 +144,7 @@ def test_every_check_of_every_operating_point_is_listed(
     assert page.text.count("ISO 21940-11:2016") == len(verifications)
 
 
-def test_every_figure_has_its_place_its_data_and_its_number(page: Page, report: Report) -> None:
+def test_every_figure_has_its_place_its_data_and_its_number(page: Parsed, report: Page) -> None:
     figures = [figure for section in report.sections for figure in section.figures]
     assert len(figures) == 11
     for i, figure in enumerate(figures, start=1):
@@ -150,7 +154,7 @@ def test_every_figure_has_its_place_its_data_and_its_number(page: Page, report: 
         assert len(data["data"]) == len(figure.picture.data)
 
 
-def test_assumed_parameters_and_models_are_listed(page: Page) -> None:
+def test_assumed_parameters_and_models_are_listed(page: Parsed) -> None:
     for expected in (
         "Chosen, not measured",
         "diameters chosen so that the rotor weighs 69 kg",
@@ -160,7 +164,7 @@ def test_assumed_parameters_and_models_are_listed(page: Page) -> None:
         assert expected in page.text
 
 
-def test_titles_are_escaped(source: str, page: Page) -> None:
+def test_titles_are_escaped(source: str, page: Parsed) -> None:
     rest = source.replace(document.packed(document.get_library()), "")
     assert "<b>rig</b>" not in rest
     assert "&lt;b&gt;rig&lt;/b&gt; &amp; seal" in rest
@@ -174,18 +178,16 @@ def test_a_script_in_a_label_cannot_close_the_data_element(machine: Machine) -> 
     from ambrose.report.figures import curves as plots
 
     picture = plots.figure([("</script><script>alert(1)</script>", curve)])
-    text = document.render(
-        Report("t", machine, (Section("s", "", (Figure("</script>", picture),)),))
-    )
+    text = document.render(Page("t", machine, (Section("s", "", (Figure("</script>", picture),)),)))
     assert "<script>alert" not in text
-    assert Page(text).stack == []
+    assert Parsed(text).stack == []
 
 
 def test_written_in_one_step(
     machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "report.html"
-    assert document.write(Report("first", machine, (Section("only", "one\n\ntwo"),)), path) == path
+    assert document.write(Page("first", machine, (Section("only", "one\n\ntwo"),)), path) == path
     before = path.read_text(encoding="utf-8")
     assert "<p>one</p>" in before
     assert "<p>two</p>" in before
@@ -195,7 +197,7 @@ def test_written_in_one_step(
 
     monkeypatch.setattr(os, "replace", fail)
     with pytest.raises(InvalidInput, match="disk full"):
-        document.write(Report("second", machine, ()), path)
+        document.write(Page("second", machine, ()), path)
     assert path.read_text(encoding="utf-8") == before
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
 
@@ -204,12 +206,12 @@ def test_a_missing_folder_is_refused_in_words(machine: Machine, tmp_path: Path) 
     with pytest.raises(
         InvalidInput, match=r"report .*nowhere is not a directory; .*create the folder first"
     ):
-        document.write(Report("t", machine, ()), tmp_path / "nowhere" / "report.html")
+        document.write(Page("t", machine, ()), tmp_path / "nowhere" / "report.html")
 
 
 def test_a_page_without_figures_is_small_and_has_no_script(machine: Machine) -> None:
     text = document.render(
-        Report(
+        Page(
             "t",
             machine,
             (Section("s", "words", (), (Table("x", ("a",), (("1",),)),)),),
@@ -296,3 +298,30 @@ def test_limits_that_differ_stand_beside_the_values() -> None:
         "5 µm (≤ 8 µm)",
         "5 µm (≤ 9 µm)",
     ]
+
+
+def test_every_kind_of_result_with_a_page_names_a_function_that_makes_it() -> None:
+    makers = {**document._MAKERS, **registered("page")}
+    assert {"Exploration", "Trace", "Campaign", "SealHistory", "Acceptance", "Sizing"} <= set(
+        makers
+    )
+    assert all(callable(resolve(place)) for place in makers.values())
+
+
+def test_the_page_of_a_result_is_found_by_its_type(
+    machine: Machine, verifications: list[Checks]
+) -> None:
+    box = replace(verifications[0], label="over all tolerances")
+    verification = Verification(tuple(verifications), (box,), ("standstill",), "continuous")
+    made = document.page_of(verification, machine, date="2031-02-03")
+    assert [verdict.label for verdict in made.verdicts][-1] == "over all tolerances"
+    assert "Over the tolerances" in [section.title for section in made.sections]
+    assert made.result is not None and made.result.passed is verification.passed
+    assert dict(made.facts)["Left out"] == "standstill" and made.date == "2031-02-03"
+
+
+def test_a_result_without_a_page_is_refused_with_those_that_have_one() -> None:
+    with pytest.raises(
+        InvalidInput, match=r"a dict has no page of its own; give one of Acceptance"
+    ):
+        document.page_of({})

@@ -7,7 +7,7 @@ import pytest
 
 from ambrose.machine.description import OperatingPoint
 from ambrose.record.record import Record
-from ambrose.report.run_up import run_up_section
+from ambrose.report.study import run_up_section
 from ambrose.rig.run_up import Step
 from ambrose.rig.trace import Trace
 

@@ -29,6 +29,7 @@ from ambrose.judge.controller_file import read_controller
 from ambrose.judge.plants import Progress, full_plants
 from ambrose.judge.result import Status, Synthesis
 from ambrose.law.design_problem import design_tolerances
+from ambrose.law.law import LawLike
 from ambrose.law.timing import DEFAULT, Timing, machine_timing
 from ambrose.machine.atomic_write import make_folder, write_text
 from ambrose.machine.file.update import machine_text
@@ -180,7 +181,7 @@ def commission(
     return Commissioning(identification, reference, candidate, cycle, deployment, files, apart)
 
 
-def recorded(plant: Plant, controller: Any, path: Path, progress: Progress) -> Any:
+def recorded(plant: Plant, controller: LawLike, path: Path, progress: Progress) -> Any:
     """Two seconds of the rig at an operating point, a binary sequence added to every current."""
     progress(f"recording {_RECORDED:g} s on the virtual rig at {plant.point.label}")
     scenario = replace(load_scenario(EXCITATION), duration=_RECORDED)
@@ -191,14 +192,13 @@ def recorded(plant: Plant, controller: Any, path: Path, progress: Progress) -> A
 
 
 def identified(
-    machine: Machine, record: Any, controller: Any, directory: Path, progress: Progress
+    machine: Machine, record: Any, controller: LawLike, directory: Path, progress: Progress
 ) -> LoopIdentification:
     """The identification of the recorded machine; leaves identified.toml and identified.html.
 
     Raises NumericalFailure where the fit did not converge.
     """
-    from ambrose.report.identification.page import identification_report
-    from ambrose.report.page import write
+    from ambrose.report.page import page_of, write
 
     names = Provenance(("record.h5",), "the reference controller")
     done = identify(machine, record, controller, provenance=names, progress=progress)
@@ -206,7 +206,7 @@ def identified(
     write_text(
         directory / "identified.toml", done.comment + machine_text(done.machine), "machine file"
     )
-    write(identification_report(done), directory / "identified.html")
+    write(page_of(done), directory / "identified.html")
     if not done.result.converged:
         raise NumericalFailure(
             f"{done.verdict}; no controller is designed for them, see identified.html"

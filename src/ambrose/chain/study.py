@@ -261,11 +261,10 @@ def _loops_judged(candidates: tuple[Candidate, ...]) -> str:
 
 def write_report(result: Study, path: Path) -> None:
     """report.html: one self-contained page that compares the candidates."""
-    from ambrose.report.commissioning import commissioning_section
-    from ambrose.report.comparison.page import comparison_report
+    from ambrose.report.comparison.page import comparison_page
     from ambrose.report.comparison.tables import grouped
     from ambrose.report.page import write
-    from ambrose.report.run_up import run_up_section
+    from ambrose.report.study import commissioning_section, run_up_section
 
     names, limit = (
         [candidate.name for candidate in result.candidates],
@@ -290,7 +289,7 @@ def write_report(result: Study, path: Path) -> None:
             )
         )
     full, reduced = result.plants[0], result.reduced
-    report = comparison_report(
+    report = comparison_page(
         result.machine,
         result.candidates,
         models=(

@@ -16,6 +16,7 @@ from ambrose.terminal import (
     GroupedCommand,
     claim,
     kept,
+    kept_page,
     load,
     print_table,
     progress_shown,
@@ -112,15 +113,8 @@ def identify(
         compared = None if other is None else agreement(done.result, other)
         text = done.comment + machine_text(done.machine)
         failure = kept(lambda path: write_text(path, text, "machine file"), output)
-        if report is not None:
-            from ambrose.report.identification.page import identification_report
-            from ambrose.report.identification.static_load import static_report
-            from ambrose.report.page import write
-
-            progress("writing the report")
-            make: Any = static_report if done.method == "static" else identification_report
-            unwritten = kept(lambda path: write(make(done, compared=compared), path), report)
-            failure, report = unwritten or failure, None if unwritten else report
+        unwritten = kept_page(done, report, progress=progress, called="report", compared=compared)
+        failure, report = unwritten or failure, None if unwritten else report
     if as_json:
         rows = None if compared is None else [row.to_dict() for row in compared]
         files = {"machine_file": str(output), "report": str(report) if report else None}
@@ -158,7 +152,7 @@ def _starts(texts: tuple[str, ...]) -> dict[str, float]:
 
 
 def _print(done: Any, compared: Any) -> None:
-    from ambrose.report.identification import tables
+    from ambrose.report.identification import page as tables
     from ambrose.report.identification.static_load import static_table
 
     if done.method == "static":

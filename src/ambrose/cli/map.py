@@ -13,7 +13,7 @@ from ambrose.terminal import (
     MACHINE,
     RATE,
     claim,
-    kept,
+    kept_page,
     load,
     load_controller,
     print_table,
@@ -79,7 +79,7 @@ def map_command(
 
     from ambrose.judge.exploration import explore
     from ambrose.report import units
-    from ambrose.report.exploration import family_report
+    from ambrose.report.exploration import exploration_page
 
     description = load(machine)
     law = load_controller(controller, description)
@@ -101,16 +101,11 @@ def map_command(
             delay_samples=delay_samples,
             progress=progress,
         )
-        failure = None
-        if output is not None:
-            from ambrose.report.page import write
-
-            progress("writing the page")
-            failure = kept(lambda path: write(family_report(found), path), output)
+        failure = kept_page(found, output, progress=progress)
     if as_json:
         say_json({**found.to_dict(), "page": str(output) if output else None})
     else:
-        report = family_report(found)
+        report = exploration_page(found)
         rows = [(verdict.label, verdict.text) for verdict in report.verdicts]
         for item in found.maps:
             rows.append(

@@ -12,6 +12,7 @@ from ambrose.terminal import (
     MACHINE,
     claim,
     kept,
+    kept_page,
     load,
     print_table,
     progress_shown,
@@ -85,7 +86,7 @@ def seal(
     from ambrose.identification.seal.by_frequency import identify_by_frequency
     from ambrose.machine.atomic_write import write_text
     from ambrose.machine.file.update import machine_text
-    from ambrose.report.seal import seal_report, seal_tables
+    from ambrose.report.identification.seal import frequency_tables
 
     description = load(machine)
     claim(machine_file=output, report=report)
@@ -102,12 +103,10 @@ def seal(
             progress=progress,
         )
         text = done.comment + machine_text(done.machine)
-        failures = [kept(lambda path: write_text(path, text, "machine file"), output)]
-        if report is not None:
-            from ambrose.report.page import write
-
-            progress("writing the report")
-            failures.append(kept(lambda path: write(seal_report(done), path), report))
+        failures = [
+            kept(lambda path: write_text(path, text, "machine file"), output),
+            kept_page(done, report, progress=progress, called="report"),
+        ]
     if as_json:
         say_json(
             {
@@ -117,7 +116,7 @@ def seal(
             }
         )
     else:
-        for item in list(seal_tables(done))[:-1]:
+        for item in list(frequency_tables(done))[:-1]:
             print_table(
                 item.title, item.columns, [tuple(cell.text for cell in row) for row in item.cells]
             )

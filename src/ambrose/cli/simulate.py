@@ -18,6 +18,7 @@ from ambrose.terminal import (
     GroupedCommand,
     claim,
     kept,
+    kept_page,
     load,
     load_controller,
     progress_shown,
@@ -189,12 +190,8 @@ def simulate(
         None if linear else DEFAULT
     )
     failure = None if growing else kept(lambda path: write_record(trace.record, path), output)
-    if report is not None:
-        from ambrose.report.page import write
-        from ambrose.report.record.page import record_report
-
-        unwritten = kept(lambda path: write(record_report(trace, description), path), report)
-        failure, report = unwritten or failure, None if unwritten else report
+    unwritten = kept_page(trace, report, description)
+    failure, report = unwritten or failure, None if unwritten else report
     summary = {
         "record": str(output),
         "outcome": trace.outcome,

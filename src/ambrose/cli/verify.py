@@ -96,7 +96,7 @@ def verify(
     if speed_rate is not None:
         check_positive(speed_rate, "--speed-rate", "give the fastest run-up in rad/s^2")
     motion = Motion(fastest, error or 0.0, speed_rate)
-    refuse_motion(description, controller.law, motion)
+    refuse_motion(description, controller, motion)
     with progress_shown(as_json) as progress:
         result = verify_controller(
             description,

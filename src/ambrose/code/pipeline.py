@@ -32,11 +32,11 @@ from ambrose.code.sampled import (
 from ambrose.code.targets import TARGETS, C, Fmu, Target
 from ambrose.core.checks import UnstableSystem, invalid
 from ambrose.core.presentation import Presented
-from ambrose.core.scheduled import ScheduledSystem
-from ambrose.core.statespace import StateSpace, as_statespace, rename
-from ambrose.judge.result import Synthesis
+from ambrose.core.statespace import StateSpace, rename
+from ambrose.judge.result import Synthesis, synthesis_of
+from ambrose.law.law import LawLike, law_of
 from ambrose.law.loop import match_axes
-from ambrose.law.scheduling import BOTH, scheduling_of
+from ambrose.law.scheduling import BOTH
 from ambrose.law.supervision import check_pair, supervision_limits
 from ambrose.law.timing import DEFAULT, timing_of
 from ambrose.machine.atomic_write import check_place, write_files
@@ -113,12 +113,12 @@ def _of_fallback(sentences: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def export(
-    controller: Any,
+    controller: LawLike,
     directory: str | Path,
     *,
     to: Target | str,
     machine: Machine | None = None,
-    fallback: Any = None,
+    fallback: LawLike | None = None,
     progress: Progress = lambda stage: None,
     **options: Any,
 ) -> Delivery:
@@ -172,7 +172,7 @@ def export(
 
 
 def _fallback(
-    fallback: Any, synthesis: Synthesis, target: Target, machine: Machine | None
+    fallback: LawLike | None, synthesis: Synthesis, target: Target, machine: Machine | None
 ) -> Synthesis | None:
     """What takes over, its signals in the schedule's order; None: nothing does. Raises
     InvalidInput.
@@ -187,7 +187,7 @@ def _fallback(
                     "it belongs to a fallback: name the fixed controller",
                 )
         return None
-    check_pair(synthesis.law, getattr(fallback, "law", fallback))
+    check_pair(synthesis, fallback)
     if not isinstance(target, C):
         raise invalid(
             "a fallback",
@@ -217,29 +217,15 @@ def _fallback(
     return found
 
 
-def _synthesis(controller: Any, machine: Machine | None) -> Synthesis:
+def _synthesis(controller: LawLike, machine: Machine | None) -> Synthesis:
     """``controller`` with what is known of its origin. Raises InvalidInput."""
-    if isinstance(controller, Synthesis):
-        return (
-            controller
-            if controller.provenance.date or machine is None
-            else _made_for(controller, machine)
-        )
-    schedule = controller if isinstance(controller, ScheduledSystem) else None
-    if schedule is None and not all(hasattr(controller, letter) for letter in "ABCD"):
-        kind = type(controller).__name__
-        raise invalid(
-            "the controller",
-            f"a {kind}",
-            "a Synthesis or a system with A, B, C, D",
-            "design() or read_controller()",
-        )
-    system = (
-        _on_axes(as_statespace(controller), machine)
-        if schedule is None
-        else schedule.at(schedule.range[0])
-    )
-    return _synthesis(Synthesis(system, scheduled=schedule), machine)
+    law = law_of(controller)
+    synthesis = synthesis_of(law)
+    if synthesis is not law and synthesis.scheduled is None:
+        synthesis = replace(synthesis, controller=_on_axes(synthesis.controller, machine))
+    if synthesis.provenance.date or machine is None:
+        return synthesis
+    return _made_for(synthesis, machine)
 
 
 def _made_for(synthesis: Synthesis, machine: Machine) -> Synthesis:
@@ -270,7 +256,7 @@ def _on_axes(system: StateSpace, machine: Machine | None) -> StateSpace:
 
 def _check_target(synthesis: Synthesis, target: Target) -> None:
     """What can be refused before anything is computed. Raises InvalidInput."""
-    scheduled, along = synthesis.scheduled, scheduling_of(synthesis.law)
+    scheduled, along = synthesis.scheduled, synthesis.scheduled_over
     for other in BOTH.parts:
         if (along is None or other not in along.each) and target.told(other) != ((None,), (None,)):
             what = f"{other.name}_limit or {other.name}_rate"

@@ -17,8 +17,6 @@ from typing import Any, cast
 
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_finite, invalid
-from ambrose.core.scheduled import ScheduledSystem
-from ambrose.core.statespace import as_statespace
 from ambrose.identification.loop import Progress, identify_loop, usual_unknowns
 from ambrose.identification.methods import (
     METHODS,
@@ -38,6 +36,7 @@ from ambrose.identification.result import (
 from ambrose.identification.seal.pipeline import identify_seal
 from ambrose.identification.static_load import identify as static_load
 from ambrose.identification.validation.repeatability import of_estimates
+from ambrose.law.law import LawLike, law_of
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import TIMING
 from ambrose.options import choose, either
@@ -58,7 +57,7 @@ __all__ = [
 def identify(
     machine: Machine,
     records: Record | str | Path | Sequence[Record | str | Path],
-    controller: Any = None,
+    controller: LawLike | None = None,
     *,
     method: Identifying | str = "closed-loop",
     repeats: bool = False,
@@ -104,8 +103,13 @@ def identify(
         done = _identify_static(machine, measured, repeats, progress, chosen)
     else:
         loop = cast(LoopMethod, chosen)
-        made = getattr(getattr(controller, "provenance", None), "settings", None) or {}
-        law, how = _law(controller), loop.fit_options(made.get("delay_samples"))
+        if controller is None:
+            raise InvalidInput(
+                f"the method {loop.method} needs the controller that ran; give a StateSpace or a "
+                "Synthesis"
+            )
+        law = law_of(controller, functions=False)
+        how = loop.fit_options(law.delay_samples)
         start, unknown = _start_values(loop.start), _paths(loop.unknown)
         # delays and "bending" alone: beside what is usual
         if all("." not in path or path in TIMING for path in unknown):
@@ -204,21 +208,6 @@ def _read(
         progress(f"reading {len(files)} record{'s' if len(files) > 1 else ''}")
     names = tuple(path.name for path in files) if len(files) == len(records) else ()
     return tuple(item if isinstance(item, Record) else read_record(item) for item in records), names
-
-
-def _law(controller: Any) -> Any:
-    """What ran: a synthesis' law, or a system. Raises InvalidInput for what is none."""
-    law = getattr(controller, "law", controller)
-    if isinstance(law, ScheduledSystem):
-        return law
-    if isinstance(law, str | Path):
-        raise invalid(
-            "the controller",
-            repr(str(law)),
-            "a StateSpace or a Synthesis",
-            "read its file with read_controller",
-        )
-    return as_statespace(law)
 
 
 def _paths(unknown: str | Sequence[str]) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """The page of a controller over its whole range: poles over speed and pressure, Campbell, pulse and
 unbalance families.
 
-write(family_report(explore(machine, controller)), "map.html")
+write(exploration_page(explore(machine, controller)), "map.html")
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import numpy as np
 from ambrose.judge.exploration import Exploration
 from ambrose.judge.family.poles import PoleMap
 from ambrose.judge.family.responses import BoxUnbalance, PulseFamily
-from ambrose.machine.file.toml import machine_hash
-from ambrose.report import theme, units
+from ambrose.judge.stability import Stability, describe
+from ambrose.report import tables, theme, units
 from ambrose.report.figures.axes import drawn
 from ambrose.report.figures.curves import figure
-from ambrose.report.page import Figure, Report, Row, Section, Table, Verdict, numbers
+from ambrose.report.page import Figure, Page, Row, Section, Table, Verdict, numbers
 
 _POLES = (
     "Left: poles of the closed loop, coloured by the value (circles); right of the line at zero "
@@ -44,7 +44,7 @@ _SCALE = ((0.0, "#56b4e9"), (0.5, "#009e73"), (1.0, "#d55e00"))
 _BAND, _HEIGHT = "rgba(130,89,174,0.25)", 190
 
 
-def family_report(found: Exploration, *, date: str = "") -> Report:
+def exploration_page(found: Exploration, *, date: str = "") -> Page:
     """The page of an exploration; date: ISO (today if empty)."""
     sections = []
     for item in found.maps:
@@ -82,7 +82,7 @@ def family_report(found: Exploration, *, date: str = "") -> Report:
         Verdict(
             f"Stable over {item.over}",
             None,
-            "everywhere on the map" if not item.ends else _words(item),
+            _words(item),
         )
         for item in found.maps
     ]
@@ -90,18 +90,19 @@ def family_report(found: Exploration, *, date: str = "") -> Report:
         whole = bool(found.pulses.stable.all())
         verdicts.append(Verdict("Members of the tolerances", whole, _members(found.pulses)))
     facts = (
-        ("Machine file", f"{found.machine.name}, {machine_hash(found.machine)[:12]}"),
+        tables.machine_fact(found.machine),
         ("Operating point", found.point.label),
         ("Loop", found.timing),
-        ("How", units.prose(". ".join(f"{note[:1].upper()}{note[1:]}" for note in found.notes))),
+        ("How", units.prose(tables.capitalised(found.notes, ". ", ""))),
     )
+    verdicts.insert(0, Verdict("Operating points", _all(found.standing), describe(found.standing)))
     words = (
-        "stable over the machine's own range"
+        "stable wherever it was examined"
         if found.stable
-        else "not stable everywhere in the machine's own range"
+        else "not stable everywhere that was examined"
     )
     result = Verdict("Result", found.stable, words)
-    return Report(
+    return Page(
         "The loop over its range",
         found.machine,
         tuple(sections),
@@ -116,7 +117,13 @@ def _members(family: PulseFamily) -> str:
     return f"{int(family.stable.sum())} of {len(family.stable)} members are stable"
 
 
+def _all(standing: tuple[Stability, ...]) -> bool:
+    return bool(standing) and all(item.stable for item in standing)
+
+
 def _words(item: PoleMap) -> str:
+    if not item.ends:
+        return f"{'everywhere' if item.stable.all() else 'nowhere'} on the map"
     parts = [
         f"{'gains' if above else 'loses'} stability at {units.quantity(at, item.unit, 4)}"
         for at, above in item.ends

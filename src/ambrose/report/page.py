@@ -1,18 +1,20 @@
 """One self-contained page: `report.html`, readable on a screen without any network, printable and
 signable on A4.
 
-    closed = Section("Closed loop", "What to look at ...", figures, tables)
-    report = Report("Verification", machine, sections=(closed,))
-    write(report, Path("report.html"))                     # atomic: complete or not there at all
+    write(page_of(result), "report.html")             # whatever has a page: see page_of
+    closed = Section("Closed loop", "What to look at", figures, tables)
+    page = Page("Verification", machine, (closed,))
+    write(page, "report.html")                        # atomic: complete or not there at all
 
-The nouns are generic; ``verification``, ``comparison``, ``identification`` and ``record`` fill
-them. All text is plain text: it is escaped here. jinja2 and plotly are imported inside the
+The nouns are generic; the modules beside this one and the annexes fill them, a page for each kind
+of result. All text is plain text: it is escaped here. jinja2 and plotly are imported inside the
 functions.
 """
 
 from __future__ import annotations
 
 import gzip
+import itertools
 from base64 import b64encode
 from dataclasses import dataclass
 from datetime import date as calendar
@@ -23,6 +25,7 @@ from typing import Any
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.atomic_write import write_text
 from ambrose.machine.machine import Machine
+from ambrose.registry import registered, resolve
 from ambrose.version import __version__
 
 # Grounds of the cells of a map, on white and on dark paper; blue-green against orange is told apart
@@ -196,7 +199,7 @@ class Verdict:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Report:
+class Page:
     """Everything on the page. date: ISO date, today if empty; signatures: the lines to sign at the
     end. Facts without a text are left out.
 
@@ -221,31 +224,53 @@ class Report:
         return all(known) if known else None
 
 
-def render(report: Report) -> str:
+# What makes the page of a result, by the name of its type; annexes register theirs as "page".
+_MAKERS = {
+    "Verification": "ambrose.report.verification:page_of_verification",
+    "LoopIdentification": "ambrose.report.identification.page:identification_page",
+    "StaticIdentification": "ambrose.report.identification.static_load:static_page",
+    "SealByFrequency": "ambrose.report.identification.seal:seal_page",
+    "Record": "ambrose.report.record:record_page",
+    "Trace": "ambrose.report.record:record_page",
+    "Exploration": "ambrose.report.exploration:exploration_page",
+}
+
+
+def page_of(result: Any, *beside: Any, **options: Any) -> Page:
+    """The page of any result that has one.
+
+    result: a Verification, Identification, Record, Trace, Exploration, or a result of an annex.
+    beside: what that page needs next to it (the machine of a record or trace); options: those of
+    the page's own function, such as ``date``. Raises InvalidInput for a result without a page.
+    """
+    makers = {**_MAKERS, **registered("page")}
+    for kind in type(result).__mro__:
+        if kind.__name__ in makers:
+            page: Page = resolve(makers[kind.__name__])(result, *beside, **options)
+            return page
+    raise InvalidInput(
+        f"a {type(result).__name__} has no page of its own; give one of {', '.join(sorted(makers))}"
+    )
+
+
+def render(page: Page) -> str:
     """The page as text."""
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
 
-    template = (
-        files("ambrose.report").joinpath("templates/report.html.j2").read_text(encoding="utf-8")
-    )
+    template = files("ambrose.report").joinpath("templates/page.html.j2").read_text("utf-8")
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    pictures = [figure for section in report.sections for figure in section.figures]
-    data = [Markup(packed(figure.picture.to_json())) for figure in pictures]
+    pictures = [figure for section in page.sections for figure in section.figures]
     return environment.from_string(template).render(
-        report=report,
-        date=report.date or calendar.today().isoformat(),
+        page=page,
+        date=page.date or calendar.today().isoformat(),
         version=__version__,
-        offsets=[
-            sum(len(before.figures) for before in report.sections[:i])
-            for i in range(len(report.sections))
-        ],
-        heights=[int(figure.picture.layout.height or 400) for figure in pictures],
-        widths=[_least_width(figure.picture) for figure in pictures],
+        number=itertools.count(1).__next__,
+        least_width=_least_width,
         shades=SHADES,
-        data=data,
+        data=[Markup(packed(figure.picture.to_json())) for figure in pictures],
         library=Markup(packed(get_library())) if pictures else "",
     )
 
@@ -275,7 +300,7 @@ def packed(text: str) -> str:
     return b64encode(gzip.compress(text.encode(), mtime=0)).decode("ascii")
 
 
-def write(report: Report, path: str | Path) -> Path:
+def write(report: Page, path: str | Path) -> Path:
     """Render the report and put it at ``path`` in one step: a reader sees the old page or the new
     one, never half of it.
 

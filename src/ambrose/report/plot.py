@@ -37,19 +37,19 @@ from ambrose.record.record import Record
 from ambrose.report import theme, units
 from ambrose.report.comparison.envelope import decision
 from ambrose.report.comparison.figures import loop_figures
+from ambrose.report.figures.axes import BEYOND
 from ambrose.report.figures.bode import Line, bode_figure, entries, grid_of, unit_of
 from ambrose.report.figures.curves import figure
 from ambrose.report.figures.filter_chains import filter_figure
-from ambrose.report.figures.limits import BEYOND
-from ambrose.report.figures.pole_map import pole_zero_map
-from ambrose.report.figures.residual_response import residual_figure
+from ambrose.report.figures.measured import residual_figure
+from ambrose.report.figures.poles import pole_zero_map
 from ambrose.report.figures.rotor_drawing import machine_drawing
 from ambrose.report.figures.seals import frequency_figure, response_figure
 from ambrose.report.identification.figures import change_figure
 from ambrose.report.identification.page import seal_figure
 from ambrose.report.identification.static_load import line_figure
-from ambrose.report.record.figure import record_figure
-from ambrose.report.run_up import run_up_figure
+from ambrose.report.record import record_figure
+from ambrose.report.study import run_up_figure
 from ambrose.rig.candidate import Candidate, points_of
 from ambrose.rig.trace import Trace
 from ambrose.rig.trial import RunUp

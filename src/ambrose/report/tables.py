@@ -1,16 +1,22 @@
-"""Checks and machine data as tables and sentences."""
+"""What several pages share: checks, findings and machine data as tables, verdicts and sentences."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
+from ambrose.identification.findings import ERROR, Finding
 from ambrose.judge.checks import Check, Checks
 from ambrose.judge.verification import OVER_TOLERANCES
+from ambrose.machine.attachment import attached
 from ambrose.machine.description import OperatingPoint
+from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
+from ambrose.machine.part import Part
+from ambrose.machine.validation.signs import unit_and_names
 from ambrose.report import units
-from ambrose.report.page import Cell, Row, Table, Verdict, numbers
+from ambrose.report.page import Cell, Row, Section, Table, Verdict, numbers
 
 _WIDEST = 6  # operating points side by side in one table
 RELATION = {"<=": "≤", ">=": "≥", "<": "<", ">": ">"}
@@ -112,6 +118,53 @@ def checks_table(checks: Checks) -> Table:
     return Table(
         checks.label, columns, tuple(rows), " ".join(checks.notes), (23, 11, 10, 9, 4, 16, 27)
     )
+
+
+def findings_table(findings: Sequence[Finding]) -> Table:
+    """Everything that makes the result doubtful."""
+    rows = [
+        (
+            Cell(units.prose(finding.what), "fail" if finding.severity == ERROR else "none"),
+            units.prose(finding.evidence),
+            units.prose(finding.remedy),
+        )
+        for finding in findings
+    ]
+    return Table("Findings", ("What", "Evidence", "What to do"), tuple(rows))
+
+
+def doubtful(findings: Sequence[Finding]) -> tuple[Section, ...]:
+    """The section that begins the page of a measured result: its findings; none without any."""
+    if not findings:
+        return ()
+    return (Section("What makes this doubtful", "", (), (findings_table(findings),)),)
+
+
+def without_findings(label: str, findings: Sequence[Any], good: str, *, see: str = "; ") -> Verdict:
+    """Passed without findings, in the words ``good``; else their number."""
+    count = len(findings)
+    words = f"{count} finding{'s' * (count > 1)}{see}see below"
+    return Verdict(label, not count, words if count else good)
+
+
+def believed(verb: str, findings: Sequence[Any]) -> Verdict:
+    """How a measured result turned out: "identified, and nothing speaks against it"."""
+    words = (
+        f"{verb}, but to be doubted: see the findings"
+        if findings
+        else f"{verb}, and nothing speaks against it"
+    )
+    return Verdict("Result", not findings, words)
+
+
+def machine_fact(machine: Machine) -> tuple[str, str]:
+    """The machine file in the head of a page: its name and the first digits of its hash."""
+    return "Machine file", f"{machine.name}, {machine_hash(machine)[:12]}"
+
+
+def capitalised(notes: Sequence[str], joint: str = " ", end: str = ".") -> str:
+    """Notes as sentences: each begins with a capital."""
+    return joint.join(f"{note[:1].upper()}{note[1:]}{end}" for note in notes)
 
 
 def overview_tables(verifications: Sequence[Checks]) -> tuple[Table, ...]:
@@ -249,10 +302,10 @@ def stations_table(machine: Machine) -> Table:
         rows.append(
             (seal.position, _titled("seal", seal.name), ", ".join(words) or "no coefficients")
         )
-    for coupling in machine.couplings:
-        words = _pair_of("stiffness", coupling.stiffness, "N/m")
-        words += _pair_of("damping", coupling.damping, "N s/m") if any(coupling.damping) else []
-        rows.append((coupling.position, _titled("coupling", coupling.name), ", ".join(words)))
+    for effect, part in attached(machine):
+        title = _titled(effect.table.replace("_", " "), part.name)
+        words = _figures_of(part)
+        rows += [(station.position, title, ", ".join(words)) for station in effect.stations(part)]
     for support in machine.supports:
         place = next(
             bearing.position for bearing in machine.bearings if bearing.name == support.bearing
@@ -290,6 +343,25 @@ def stations_table(machine: Machine) -> Table:
 
 def _titled(kind: str, name: str) -> str:
     return name if name.lower() == kind else f"{kind} {units.axis_name(name)}"
+
+
+def _figures_of(part: Part) -> list[str]:
+    """The numbers of a registered effect's part that are not at their default, in words; of a list
+    or a table how many there are.
+    """
+    words = []
+    for key in part.to_dict():
+        value = getattr(part, key)
+        name = key.replace("_", " ")
+        unit, _ = unit_and_names(type(part), key)  # type: ignore[arg-type]  # a class is hashable
+        pair = isinstance(value, tuple) and len(value) == 2
+        if pair and all(isinstance(number, float) for number in value):
+            words += _pair_of(name, value, unit)
+        elif isinstance(value, float) and key not in {"position", "angle"}:
+            words.append(f"{name} {units.quantity(value, unit)}")
+        elif isinstance(value, tuple):
+            words.append(f"{name} at {len(value)} points")
+    return words
 
 
 def _pair_of(name: str, values: tuple[float, float] | None, unit: str) -> list[str]:

@@ -118,3 +118,16 @@ def axis_name(name: str) -> str:
 def prose(text: str) -> str:
     """Text with the axes written as people do: "loop A_zeta" -> "loop A ζ"."""
     return re.sub(r"(?<=[A-Za-z0-9])_(zeta|eta)\b", lambda found: "\u00a0" + _GREEK[found[1]], text)
+
+
+def fixed(value: float, half: float) -> str:
+    """A number with as many digits as its half-width makes sense of: two of the half-width's."""
+    if not (math.isfinite(value) and math.isfinite(half)) or half <= 0 or value == 0:
+        return number(value, 5)
+    digits = 2 + math.floor(math.log10(abs(value))) - math.floor(math.log10(half))
+    return number(value, min(max(digits, 1), 9))
+
+
+def plus_minus(value: float, half: float, unit: str) -> str:
+    """ "3.10 ± 0.04 kN/m", all in the shown unit."""
+    return f"{fixed(value, half)} ± {number(half, 2)} {unit}"

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 import ambrose as amb
 from ambrose.annexes.site.acceptance import accept
-from ambrose.annexes.site.acceptance_page import acceptance_report
+from ambrose.annexes.site.acceptance_page import acceptance_page
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import OperatingPoint, Requirements
@@ -147,7 +147,7 @@ def test_operating_points_are_told_apart():
     both = accept(machine(), law(), [record(), record(2 * np.pi * 120)])
     assert [loop.point.speed for loop in both.points] == [0.0, 2 * np.pi * 120]
     assert both.passed == all(loop.checks.passed for loop in both.points)
-    page = render(acceptance_report(both))
+    page = render(acceptance_page(both))
     assert (
         "Acceptance of the magnetic bearing loop" in page
         and page.count("Measured over predicted,") >= 2

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 import ambrose as amb
 from ambrose.annexes.site.frf import respond
-from ambrose.annexes.site.frf_page import response_report
+from ambrose.annexes.site.frf_page import frf_page
 from ambrose.cli import main
 from ambrose.judge.controller_file import read_controller
 from ambrose.record.files import read_record, write_record
@@ -137,7 +137,7 @@ def test_terminal_and_page_without_controller_or_currents(place):
     assert done.exit_code == 0 and "no u_<axis>" in done.stdout, done.stdout
     found = respond(amb.load_machine(name), folder / "bare.h5")
     assert [item.what for item in found.points[0].responses] == ["motion"]
-    assert "not told" in render(response_report(found, date="2026-01-01"))
+    assert "not told" in render(frf_page(found, date="2026-01-01"))
 
 
 def test_refusals(place, tmp_path):

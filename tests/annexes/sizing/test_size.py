@@ -16,7 +16,7 @@ from ambrose.annexes.sizing import guarantee
 from ambrose.annexes.sizing import map as mapped
 from ambrose.annexes.sizing.least import Least, least, price
 from ambrose.annexes.sizing.magnets import Size
-from ambrose.annexes.sizing.page import sizing_report
+from ambrose.annexes.sizing.page import sizing_page
 from ambrose.cli import main
 from ambrose.report.page import render
 from ambrose.synthesis.methods.tuned import Tuned
@@ -161,7 +161,7 @@ def test_refusals(arguments, words):
 
 
 def test_the_page_and_the_command(tmp_path, monkeypatch):
-    text = render(sizing_report(sizing()))
+    text = render(sizing_page(sizing()))
     assert (
         "Size of the magnetic bearings" in text
         and "one size smaller" in text

@@ -32,7 +32,7 @@ from ambrose.model.assemble import assemble
 from ambrose.model.reduce import free_mode_reduction
 from ambrose.model.uncertainty import perturbed
 from ambrose.record.record import Record
-from ambrose.report.identification.page import identification_report
+from ambrose.report.identification.page import identification_page
 from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import Prbs, Pulse
 from ambrose.rig.scenario import Scenario
@@ -628,7 +628,7 @@ def test_an_unknown_delay_is_found_and_not_complained_about():
     whole = run(machine, [synthetic()], controller, unknown=(*NINE, "delay"), computing_delay=0)
     assert whole.result.values[-1] == pytest.approx(DT, rel=0.01)
     assert not any("follows the controller after" in item.what for item in whole.findings)
-    rows = identification_report(whole).sections[0].tables[0].cells
+    rows = identification_page(whole).sections[0].tables[0].cells
     assert rows[-1][0].text == "controller.delay" and rows[-1][2].text.endswith("ms")
     assert len(whole.outputs[0].residual[0]) == K and np.std(
         whole.outputs[0].residual

@@ -30,7 +30,7 @@ from ambrose.report.comparison.envelope import (
     shade_of,
     share,
 )
-from ambrose.report.comparison.page import comparison_report
+from ambrose.report.comparison.page import comparison_page
 from ambrose.report.page import Cell, Table
 from ambrose.rig.candidate import Candidate, points_of
 from ambrose.rig.trace import Trace
@@ -426,7 +426,7 @@ def test_the_page_of_seven_controllers_begins_with_the_decision_and_ends_with_th
     machine: Machine, candidates: list[Candidate], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(document, "get_library", lambda: "")
-    report = comparison_report(
+    report = comparison_page(
         machine, [replace(c, traces=()) for c in candidates], date="2031-02-03"
     )
     text = document.render(report)
@@ -470,7 +470,7 @@ def test_the_page_of_seven_controllers_begins_with_the_decision_and_ends_with_th
 def test_the_page_of_one_controller_begins_and_ends_alike(
     machine: Machine, candidates: list[Candidate]
 ) -> None:
-    report = comparison_report(
+    report = comparison_page(
         machine, [replace(candidates[0], traces=(), checks=candidates[0].checks[:1], boxes=())]
     )
     assert report.result is not None and report.result.text.startswith(

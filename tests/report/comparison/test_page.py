@@ -25,9 +25,9 @@ from ambrose.report import page as document
 from ambrose.report import theme, units
 from ambrose.report.comparison import figures as comparison_figures
 from ambrose.report.comparison import tables as comparison_tables
-from ambrose.report.comparison.page import comparison_report
+from ambrose.report.comparison.page import comparison_page
 from ambrose.report.figures.panels import Panel, panel_figure
-from ambrose.report.page import Cell, Report, Section, Table
+from ambrose.report.page import Cell, Page, Section, Table
 from ambrose.rig.candidate import SCENARIOS, Candidate, points_of
 from ambrose.rig.trial import simulate_linear
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
@@ -70,22 +70,22 @@ def candidates(rig: Machine) -> list[Candidate]:
 
 
 @pytest.fixture(scope="module")
-def report(rig: Machine, candidates: list[Candidate]) -> Report:
-    return comparison_report(rig, candidates, facts=[("Purpose", "test")], date="2031-02-03")
+def report(rig: Machine, candidates: list[Candidate]) -> Page:
+    return comparison_page(rig, candidates, facts=[("Purpose", "test")], date="2031-02-03")
 
 
 @pytest.fixture(scope="module")
-def page(report: Report) -> str:
+def page(report: Page) -> str:
     return document.render(report)
 
 
-def table(report: Report, title: str) -> Table:
+def table(report: Page, title: str) -> Table:
     return next(
         table for section in report.sections for table in section.tables if table.title == title
     )
 
 
-def section(report: Report, title: str) -> Section:
+def section(report: Page, title: str) -> Section:
     return next(section for section in report.sections if section.title == title)
 
 
@@ -102,7 +102,7 @@ def lines(figure: Any, label: str) -> list[Any]:
 
 
 def test_points_go_by_pressure_and_keep_their_colour_in_every_figure(
-    rig: Machine, candidates: list[Candidate], report: Report
+    rig: Machine, candidates: list[Candidate], report: Page
 ) -> None:
     assert points_of(rig, candidates) == POINTS
     style = theme.styles(POINTS)
@@ -131,7 +131,7 @@ def test_colours_of_points_controllers_and_families_differ() -> None:
 
 
 def test_verdicts_agree_with_the_checks_and_give_reasons(
-    report: Report, candidates: list[Candidate]
+    report: Page, candidates: list[Candidate]
 ) -> None:
     found = table(report, "Who passes where, and why not")
     assert found.columns == ("Controller", *POINTS, "over the tolerances")
@@ -150,7 +150,7 @@ def test_verdicts_agree_with_the_checks_and_give_reasons(
 
 
 def test_head_says_who_passes_everywhere(
-    report: Report, page: str, candidates: list[Candidate]
+    report: Page, page: str, candidates: list[Candidate]
 ) -> None:
     good = [candidate.name for candidate in candidates if candidate.passed]
     expected = (
@@ -169,7 +169,7 @@ def test_head_says_who_passes_everywhere(
 
 
 def test_the_deciding_table_holds_the_worst_of_the_points(
-    report: Report, candidates: list[Candidate]
+    report: Page, candidates: list[Candidate]
 ) -> None:
     found = table(report, "The quantities that decide")
     assert found.columns == ("Quantity", "Limit", "PID", "H-infinity", "mu")
@@ -197,7 +197,7 @@ def test_the_deciding_table_holds_the_worst_of_the_points(
 
 
 def test_the_deciding_table_holds_box_mu_and_controller(
-    report: Report, candidates: list[Candidate]
+    report: Page, candidates: list[Candidate]
 ) -> None:
     found = table(report, "The quantities that decide")
     assert any(
@@ -233,7 +233,7 @@ def test_the_deciding_table_holds_box_mu_and_controller(
 
 
 def test_columns_are_grouped_by_operating_point_and_each_has_its_best(
-    report: Report, candidates: list[Candidate]
+    report: Page, candidates: list[Candidate]
 ) -> None:
     found = table(report, "At every operating point")
     assert found.groups == (("", 2), *((point, 3) for point in POINTS))
@@ -318,7 +318,7 @@ def test_many_points_are_cut_into_tables_that_fit(candidates: list[Candidate]) -
 
 
 def test_one_panel_per_controller_with_common_axes_and_peaks_from_the_checks(
-    report: Report, candidates: list[Candidate]
+    report: Page, candidates: list[Candidate]
 ) -> None:
     figure = section(report, "Closed loop, side by side").figures[0]
     picture = figure.picture
@@ -345,7 +345,7 @@ def test_one_panel_per_controller_with_common_axes_and_peaks_from_the_checks(
 
 
 def test_families_leave_out_unstable_lines_and_say_so(
-    report: Report, candidates: list[Candidate]
+    report: Page, candidates: list[Candidate]
 ) -> None:
     figures = section(report, "Over the tolerances").figures
     assert [figure.title for figure in figures] == [
@@ -400,7 +400,7 @@ def test_single_robust_curves_are_overlaid_in_the_colours_of_the_controllers(
 
 
 def test_gains_are_those_of_the_controllers_and_absent_coupling_is_said(
-    report: Report, candidates: list[Candidate]
+    report: Page, candidates: list[Candidate]
 ) -> None:
     picture = section(report, "Controllers").figures[0].picture
     titles = [words for words in texts(picture) if words.startswith("(")]
@@ -432,7 +432,7 @@ def test_gains_are_those_of_the_controllers_and_absent_coupling_is_said(
 
 
 def test_a_diverging_response_is_named_and_does_not_squash_the_others(
-    report: Report, candidates: list[Candidate]
+    report: Page, candidates: list[Candidate]
 ) -> None:
     figure = section(report, "Time responses").figures[0]
     calm = [
@@ -465,16 +465,14 @@ def test_page_is_whole_light_and_escaped(
     assert page.count("<details>") == page.count("</details>") == 3 * 4
     assert '<th colspan="3" scope="colgroup">zero pressure</th>' in page
     named = [replace(candidates[0], name="<b>&PID"), candidates[1]]
-    made = comparison_report(rig, named)
+    made = comparison_page(rig, named)
     path = document.write(made, tmp_path / "page.html")
     text = path.read_text(encoding="utf-8")
     assert "<b>&PID" not in text
     assert "&lt;b&gt;&amp;PID" in text
 
 
-def test_all_checks_of_all_candidates_are_listed(
-    report: Report, candidates: list[Candidate]
-) -> None:
+def test_all_checks_of_all_candidates_are_listed(report: Page, candidates: list[Candidate]) -> None:
     details = section(report, "All checks in detail")
     assert details.folded
     expected = [checks for c in candidates for checks in (*c.checks, *c.boxes)]
@@ -483,7 +481,7 @@ def test_all_checks_of_all_candidates_are_listed(
     )
 
 
-def test_mu_iterations_are_listed(report: Report, candidates: list[Candidate]) -> None:
+def test_mu_iterations_are_listed(report: Page, candidates: list[Candidate]) -> None:
     found = table(report, "mu: what each iteration reached")
     assert len(found.rows) == len(candidates[2].synthesis.history)
 
@@ -491,7 +489,7 @@ def test_mu_iterations_are_listed(report: Report, candidates: list[Candidate]) -
 def test_a_single_candidate_gets_the_verification_report(
     rig: Machine, candidates: list[Candidate]
 ) -> None:
-    made = comparison_report(rig, candidates[:1], title="One")
+    made = comparison_page(rig, candidates[:1], title="One")
     titles = [part.title for part in made.sections]
     assert titles == [
         "Overview",
@@ -515,7 +513,7 @@ def test_maps_over_speed_and_models_have_their_sections(
         "campbell", "Campbell map", "speed", speed, speed[None] + 50, ("mode",), "rad/s", "rad/s"
     )
     gain = Curve("g", "Gain", "frequency", speed + 1, np.ones((1, 5)), ("max",), "rad/s", "m/A")
-    made = comparison_report(
+    made = comparison_page(
         rig,
         candidates[:2],
         comparison=[("full", gain), ("reduced", gain)],
@@ -533,9 +531,9 @@ def test_names_that_do_not_tell_apart_are_refused(
     rig: Machine, candidates: list[Candidate]
 ) -> None:
     with pytest.raises(InvalidInput, match="one name each"):
-        comparison_report(rig, [candidates[0], candidates[0]])
+        comparison_page(rig, [candidates[0], candidates[0]])
     with pytest.raises(InvalidInput, match="one name each"):
-        comparison_report(rig, [])
+        comparison_page(rig, [])
     with pytest.raises(InvalidInput, match="no checks"):
         replace(candidates[0], checks=())
     with pytest.raises(InvalidInput, match="two verifications labelled 'nominal pressure'"):

@@ -15,7 +15,7 @@ from ambrose.model.assemble import assemble
 from ambrose.model.reduce import free_mode_reduction
 from ambrose.model.uncertainty import perturbed
 from ambrose.record.record import Record
-from ambrose.report.figures.residual_response import residual_figure
+from ambrose.report.figures.measured import residual_figure
 from ambrose.synthesis.pid import pid_synthesis
 
 PATH = "bearing.A.negative_stiffness.zeta"

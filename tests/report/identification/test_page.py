@@ -30,9 +30,9 @@ from ambrose.report.identification.figures import (
     short,
     telling_records,
 )
-from ambrose.report.identification.page import identification_report
-from ambrose.report.identification.tables import fixed, parameters_table
+from ambrose.report.identification.page import identification_page, parameters_table
 from ambrose.report.page import render
+from ambrose.report.units import fixed
 from ambrose.synthesis.pid import pid_synthesis
 
 DT = 1e-4
@@ -76,7 +76,7 @@ def done():
 
 def test_the_page_carries_verdict_parameters_and_pictures(done):
     _, checked = done
-    report = identification_report(checked, date="2026-11-21")
+    report = identification_page(checked, date="2026-11-21")
     assert [section.title for section in report.sections] == [
         "Parameters",
         "Measured over model",
@@ -112,7 +112,7 @@ def test_doubts_come_first(done):
             ),
         ),
     )
-    report = identification_report(replace(checked, checks=(finding,), result=bad))
+    report = identification_page(replace(checked, checks=(finding,), result=bad))
     assert report.sections[0].title == "What makes this doubtful"
     rows = report.sections[0].tables[0].cells
     assert (
@@ -150,7 +150,7 @@ def test_without_controller_outputs_there_is_no_plant_response(done):
     seen = piece.record.select([name for name in piece.record.signals if name[0] != "u"])
     less = replace(checked, outputs=(replace(piece, record=seen),))
     assert frf_figure(machine, less) is None
-    report = identification_report(less)
+    report = identification_page(less)
     assert "Frequency response" not in " ".join(
         figure.title for section in report.sections for figure in section.figures
     )
@@ -210,7 +210,7 @@ def by_pressure(fit):
 def test_seal_coefficients_over_pressure(done):
     _, checked = done
     fit = seal_fit([0.5e5, 1e5, 2e5, 3e5])
-    report = identification_report(replace(checked, seal=by_pressure(fit)))
+    report = identification_page(replace(checked, seal=by_pressure(fit)))
     section = next(section for section in report.sections if section.title == "Seal")
     picture = section.figures[0].picture
     points = [trace for trace in picture.data if trace.mode == "markers"]
@@ -218,7 +218,7 @@ def test_seal_coefficients_over_pressure(done):
     np.testing.assert_allclose(points[1].x, [0.5, 1, 2, 3])  # bar
     assert sum(trace.fill == "toself" for trace in picture.data) == 8  # two bands each
     # too few for a line
-    two = identification_report(replace(checked, seal=by_pressure(seal_fit([1e5, 2e5]))))
+    two = identification_page(replace(checked, seal=by_pressure(seal_fit([1e5, 2e5]))))
     section = next(section for section in two.sections if section.title == "Seal")
     assert not any(trace.fill == "toself" for trace in section.figures[0].picture.data)
 
@@ -232,7 +232,7 @@ def test_seal_tables_beside_their_figure_and_warnings_among_the_doubts(done):
             Finding(Code.NOT_CONVERGED, "warning", "at 50000 Pa: not converged after 50 steps"),
         ),
     )
-    report = identification_report(replace(checked, seal=by_pressure(fit)))
+    report = identification_page(replace(checked, seal=by_pressure(fit)))
     tables = next(section for section in report.sections if section.title == "Seal").tables
     assert [table.title for table in tables] == [
         "Seal center by pressure",
@@ -251,7 +251,7 @@ def test_seal_tables_beside_their_figure_and_warnings_among_the_doubts(done):
         and "4 pressures up to 3\u00a0bar, 1 warning;" in verdict.text
         and not report.result.passed
     )
-    two = identification_report(replace(checked, seal=by_pressure(seal_fit([1e5, 2e5]))))
+    two = identification_page(replace(checked, seal=by_pressure(seal_fit([1e5, 2e5]))))
     assert len(next(section for section in two.sections if section.title == "Seal").tables) == 1
 
 
@@ -259,7 +259,7 @@ def test_seal_tables_beside_their_figure_and_warnings_among_the_doubts(done):
 def test_another_methods_values_stand_beside(done):
     machine, checked = done
     rows = compare(checked.result, machine)
-    table = identification_report(checked, compared=rows).sections[0].tables[-1]
+    table = identification_page(checked, compared=rows).sections[0].tables[-1]
     assert table.title == "Beside the other file" and len(table.cells) == len(checked.result.paths)
     assert table.cells[0][4].text == "the other states no interval"
     # of the seal's k: the file states the pressure's
@@ -274,7 +274,7 @@ def test_not_converged_is_not_sure(done):
         checked,
         result=replace(checked.result, converged=False, warnings=(warning,)),
     )
-    report = identification_report(lame)
+    report = identification_page(lame)
     verdict = next(one for one in report.verdicts if one.label == "Parameters")
     assert verdict.passed is False and "NOT converged" in verdict.text and not report.result.passed
 
@@ -288,7 +288,7 @@ def test_a_residual_that_cannot_be_drawn_says_why(done):
     residual = youla.identify(
         machine, [checked.outputs[0].record], checked.controller, ["seal.center.k"]
     )
-    report = identification_report(replace(checked, residual=residual))
+    report = identification_page(replace(checked, residual=residual))
     section = next(
         section
         for section in report.sections
@@ -302,7 +302,7 @@ def test_a_residual_that_cannot_be_drawn_says_why(done):
     same = replace(checked, residual=replace(residual, signals=(alike,)))
     section = next(
         s
-        for s in identification_report(same).sections
+        for s in identification_page(same).sections
         if s.title.startswith("How the machine differs")
     )
     assert not section.figures and "is not drawn" in section.text

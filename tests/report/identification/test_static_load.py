@@ -11,7 +11,7 @@ from ambrose.identification.findings import Code
 from ambrose.identification.pipeline import Provenance, identify
 from ambrose.identification.validation.agreement import compare
 from ambrose.record.record import Record
-from ambrose.report.identification.static_load import line_figure, static_report, static_table
+from ambrose.report.identification.static_load import line_figure, static_page, static_table
 from ambrose.report.page import render
 
 RIG = load_machine("seal-rig")
@@ -83,7 +83,7 @@ def test_values_stand_beside_the_machines(straight):
     assert float(rows[0][3].text.split()[0]) == pytest.approx(
         100 * (result.values[0] / own[0] - 1), abs=0.01
     )
-    report = static_report(straight, compared=compare(result, BARE))
+    report = static_page(straight, compared=compare(result, BARE))
     assert report.result.passed and all(verdict.passed for verdict in report.verdicts)
     assert [table.title for table in report.sections[0].tables] == [
         "Force per current",
@@ -98,7 +98,7 @@ def test_values_stand_beside_the_machines(straight):
 def test_curved_iron_is_doubted_and_drawn(bent):
     result = bent.result
     assert not bent.passed and any(finding.code == Code.CURVED for finding in bent.findings)
-    report = static_report(bent)
+    report = static_page(bent)
     assert report.sections[0].title == "What makes this doubtful" and not report.result.passed
     assert report.verdicts[0].passed is False
     part = static_table(bent).cells[0][6].text
@@ -120,7 +120,7 @@ def test_repeats_widen_what_their_scatter_asks_for(straight):
     both = identify(BARE, [held(), louder], method="static", repeats=True)
     assert both.repeats.count == 2
     assert (both.result.standard_deviations > 3 * straight.result.standard_deviations).all()
-    assert "Repeats" in render(static_report(both))
+    assert "Repeats" in render(static_page(both))
     data = both.to_dict()
     assert (
         data["repeats"]["count"] == 2 and data["method"] == "static" and data["good"] is both.passed

@@ -6,7 +6,7 @@ import numpy as np
 
 from ambrose.machine.machine import Machine
 from ambrose.record.record import Record
-from ambrose.report.record.curves import trace_curves
+from ambrose.report.record import trace_curves
 from ambrose.rig.trace import Trace
 
 

@@ -12,14 +12,24 @@ from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.file.toml import load_machine
 from ambrose.record.record import Record
-from ambrose.report.figures.orbits import orbit_figure
-from ambrose.report.figures.rotor_animation import rotor_animation
-from ambrose.report.figures.stations import Station, rotor_speed, stations, window
-from ambrose.report.figures.waterfall import spectrum, waterfall_figure
+from ambrose.report.figures.motion import (
+    Station,
+    orbit_figure,
+    rotor_animation,
+    rotor_speed,
+    spectrum,
+    stations,
+    waterfall_figure,
+    window,
+)
 from ambrose.report.page import render
-from ambrose.report.record.curves import radius_curve, signal_curves, thinned
-from ambrose.report.record.page import record_report
-from ambrose.report.record.verdicts import record_verdicts
+from ambrose.report.record import (
+    radius_curve,
+    record_page,
+    record_verdicts,
+    signal_curves,
+    thinned,
+)
 from ambrose.rig.scenario import Scenario
 from ambrose.rig.trace import Trace
 
@@ -263,7 +273,7 @@ def test_contact_fails_unless_the_rotor_starts_in_it():
 
 def test_the_page_of_a_trace():
     trace = Trace(whirling(), "run <b>", False, "touchdown", "touchdown at A_zeta")
-    report = record_report(trace, MACHINE, date="2026-01-02")
+    report = record_page(trace, MACHINE, date="2026-01-02")
     assert [section.title for section in report.sections] == [
         "Motion",
         "Currents and forces",
@@ -295,16 +305,14 @@ def test_a_pressure_that_changes_is_told_from_end_to_end():
     still, values = whirling(), np.linspace(2.04e5, 4.08e5, whirling().values.shape[1])
     signals, units = (*still.signals, "p_seal"), (*still.units, "Pa")
     moved = replace(still, signals=signals, units=units, values=np.vstack([still.values, values]))
-    told = [
-        dict(record_report(record, MACHINE).facts)["Seal pressure"] for record in (still, moved)
-    ]
+    told = [dict(record_page(record, MACHINE).facts)["Seal pressure"] for record in (still, moved)]
     assert " to " not in told[0] and told[1].startswith("2.04") and " to 4.08" in told[1]
 
 
 @pytest.mark.campaign
 def test_the_page_of_an_interrupted_measurement():
     record = whirling(kind="y", count=900)
-    report = record_report(
+    report = record_page(
         replace(record, notes=(("complete", "false"), ("operator", "J. Doe"))), MACHINE
     )
     assert (
@@ -319,4 +327,4 @@ def test_the_page_of_an_interrupted_measurement():
 @pytest.mark.campaign
 def test_a_record_too_short_or_still_has_a_page():
     for record in (whirling(20), replace(whirling(), values=np.zeros_like(whirling().values))):
-        assert "Orbits" in render(record_report(record, MACHINE))
+        assert "Orbits" in render(record_page(record, MACHINE))

@@ -3,4 +3,5 @@
 ANNEX = {
     "research command": {"campaign": "command:campaign"},
     "public": {"campaign": "front_door", "Campaign": "result"},
+    "page": {"Campaign": "page:campaign_page"},
 }

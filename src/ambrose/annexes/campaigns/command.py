@@ -53,11 +53,11 @@ def campaign(
     rows.jsonl, table.csv, results.nc (with xarray) and report.html in the folder. Exit status 1: a
     case has no values, is unstable or does not pass.
     """
-    from ambrose.annexes.campaigns.page import campaign_report, counts
+    from ambrose.annexes.campaigns.page import counts
     from ambrose.annexes.campaigns.plan import read_plan
     from ambrose.annexes.campaigns.result import read_campaign
     from ambrose.annexes.campaigns.run import executors, processors, run_plan
-    from ambrose.report.page import write
+    from ambrose.report.page import page_of, write
 
     wanted = read_plan(plan)
     folder = output or plan.with_suffix("")
@@ -68,7 +68,7 @@ def campaign(
         found = read_campaign(wanted, folder)
         files = found.write(folder)
         machine, shown = _case_pages(found, folder, pages, progress)
-        files.append(write(campaign_report(found, machine, shown), folder / "report.html"))
+        files.append(write(page_of(found, machine, shown), folder / "report.html"))
     told = counts(found)
     if as_json:
         run = {
@@ -106,7 +106,7 @@ def _case_pages(found: Any, folder: Path, most: int, progress: Any) -> tuple[Any
     case and their keys.
     """
     from ambrose.annexes.campaigns.case import subject
-    from ambrose.annexes.campaigns.page import case_report
+    from ambrose.annexes.campaigns.page import case_page
     from ambrose.annexes.campaigns.run import bases_of, fixed_of
     from ambrose.core.checks import AmbroseError
     from ambrose.machine.atomic_write import make_folder
@@ -130,7 +130,7 @@ def _case_pages(found: Any, folder: Path, most: int, progress: Any) -> tuple[Any
         bases, fixed = bases_of(plan), fixed_of(plan)
         for key in missing:
             try:
-                page = case_report(
+                page = case_page(
                     plan.task, key, cases[key].by_path, subject(cases[key], bases, fixed)
                 )
                 write(page, make_folder(folder / "cases") / f"{key}.html")

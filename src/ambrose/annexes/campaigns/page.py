@@ -1,7 +1,7 @@
 """The page of a campaign: the worst cases first, what drives them, maps, all cases side by side;
 and a page for a single case.
 
-write(campaign_report(result, machine), "campaign/report.html")
+write(campaign_page(result, machine), "campaign/report.html")
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from ambrose.core.presentation import in_words
 from ambrose.machine.machine import Machine
 from ambrose.report import theme
 from ambrose.report.figures.axes import drawn
-from ambrose.report.page import Cell, Figure, Report, Row, Section, Table, Verdict
-from ambrose.report.record.page import record_report
-from ambrose.report.verification import verification_report
+from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, Verdict
+from ambrose.report.record import record_page
+from ambrose.report.verification import verification_page
 
 _WORST = 20
 _LINES = 1500
@@ -58,9 +58,9 @@ _HOW = {
 }
 
 
-def campaign_report(
+def campaign_page(
     found: Campaign, machine: Machine, pages: Collection[str] = (), *, date: str = ""
-) -> Report:
+) -> Page:
     """The page of a campaign; machine: the one it began with; pages: the cases (keys) that have a
     page of their own.
     """
@@ -93,7 +93,7 @@ def campaign_report(
         f"{'; '.join(bad)}" if bad else f"nothing failed in {len(found.keys) - found.missing} cases"
     )
     result = Verdict("Result", not bad, words)
-    return Report("Campaign", machine, tuple(sections), tuple(verdicts), facts, date, result=result)
+    return Page("Campaign", machine, tuple(sections), tuple(verdicts), facts, date, result=result)
 
 
 def counts(found: Campaign) -> list[tuple[str, bool | None, str]]:
@@ -358,18 +358,18 @@ def _parallel(found: Campaign) -> Any:
     return picture
 
 
-def case_report(task: str, key: str, settings: Mapping[str, Any], item: Subject) -> Report:
+def case_page(task: str, key: str, settings: Mapping[str, Any], item: Subject) -> Page:
     """The page of one case, computed anew: its checks and curves, or its run."""
     facts = tuple(
         (path, in_words(value) if isinstance(value, float) else str(value))
         for path, value in settings.items()
     )
     if task in {"simulate", "identify"}:
-        return record_report(
+        return record_page(
             run(item),
             item.machine,
             title=f"Case {key[:8]}: " + ", ".join(" ".join(pair) for pair in facts),
         )
-    return verification_report(
+    return verification_page(
         item.machine, [checks_of(item)], facts=facts, title=f"Case {key[:8]} of a campaign"
     )

@@ -13,6 +13,7 @@ from ambrose.terminal import (
     MACHINE,
     claim,
     kept,
+    kept_page,
     load,
     load_controller,
     print_table,
@@ -114,7 +115,7 @@ def monitor(
     CONTROLLER is the one that ran. Exit status 1: done, but the seal changes, leaves the range of
     the machine file's tolerances, contradicts the pressure given, or nothing can be said.
     """
-    from ambrose.annexes.scheduled.monitor_page import monitor_report, monitor_table
+    from ambrose.annexes.scheduled.monitor_page import monitor_table
     from ambrose.annexes.scheduled.seal_monitor.watch import monitor as watched
     from ambrose.annexes.scheduled.seal_monitor.watch import seal_monitor
     from ambrose.machine.atomic_write import write_text
@@ -150,13 +151,7 @@ def monitor(
         failures = []
         if table is not None:
             failures.append(kept(lambda path: write_text(path, found.to_csv(), "table"), table))
-        if output is not None:
-            from ambrose.report.page import write
-
-            progress("writing the page")
-            failures.append(
-                kept(lambda path: write(monitor_report(description, found), path), output)
-            )
+        failures.append(kept_page(found, output, description, progress=progress))
     if as_json:
         say_json(
             {

@@ -1,7 +1,7 @@
 """The page of a seal monitor: each parameter against time with its interval, the width of that by
 its parts, and what it says.
 
-write(monitor_report(machine, monitor(machine, controller, record)), "page.html")
+write(monitor_page(monitor(machine, controller, record), machine), "page.html")
 """
 
 from __future__ import annotations
@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 
 from ambrose.annexes.scheduled.seal_monitor.history import SealHistory
-from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
-from ambrose.report import theme, units
-from ambrose.report.page import Cell, Figure, Report, Row, Section, Table, Verdict, numbers
+from ambrose.report import tables, theme, units
+from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, Verdict, numbers
 
 _LINE = "#0072b2"
 _BAND = "rgba(0,114,178,0.22)"
@@ -27,28 +26,21 @@ _CAPTION = (
 )
 
 
-def monitor_report(machine: Machine, found: SealHistory, *, date: str = "") -> Report:
+def monitor_page(found: SealHistory, machine: Machine, *, date: str = "") -> Page:
     """The page; date: ISO (today if empty)."""
     pictures = tuple(
         Figure(path, _figure(found, i), _CAPTION if i == 0 else "")
         for i, path in enumerate(found.paths)
         if found.known_at.any()
     )
-    notes = (
-        ". ".join(f"{note[:1].upper()}{note[1:]}" for note in (*found.findings, *found.notes)) + "."
-    )
-    said = (
-        f"{len(found.findings)} finding{'s' * (len(found.findings) > 1)}, see below"
-        if found.findings
-        else "nothing to report"
-    )
+    notes = tables.capitalised((*found.findings, *found.notes), ". ", "") + "."
     facts = (
-        ("Machine file", f"{machine.name}, {machine_hash(machine)[:12]}"),
+        tables.machine_fact(machine),
         ("Seal", found.seal),
         ("Memory", units.quantity(found.window, "s")),
         ("Changes followed", f"up to {found.rate:g} of the reference per second"),
     )
-    verdicts = (Verdict("Seal", not found.findings, said),)
+    verdicts = (tables.without_findings("Seal", found.findings, "nothing to report", see=", "),)
     section = Section(
         "The seal against time", units.prose(notes), pictures, (monitor_table(found),)
     )
@@ -57,7 +49,7 @@ def monitor_report(machine: Machine, found: SealHistory, *, date: str = "") -> R
         not found.findings,
         "the seal is within its range" if not found.findings else "look at the seal",
     )
-    return Report("Seal monitor", machine, (section,), verdicts, facts, date, result=result)
+    return Page("Seal monitor", machine, (section,), verdicts, facts, date, result=result)
 
 
 def monitor_table(found: SealHistory) -> Table:

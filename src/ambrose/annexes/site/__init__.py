@@ -14,4 +14,9 @@ ANNEX = {
         "balance": "balancing.correction",
         "calibrate": "calibration",
     },
+    "page": {
+        "Acceptance": "acceptance_page:acceptance_page",
+        "BiasCampaign": "bias_page:bias_page",
+        "Responses": "frf_page:frf_page",
+    },
 }

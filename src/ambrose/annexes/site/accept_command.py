@@ -13,7 +13,7 @@ from ambrose.terminal import (
     DELAY,
     MACHINE,
     claim,
-    kept,
+    kept_page,
     load,
     load_controller,
     print_checks,
@@ -66,13 +66,7 @@ def accept(
         result = accepted(
             description, law, records, harmonics=harmonics, delay_samples=delay_samples
         )
-        failure = None
-        if output is not None:
-            from ambrose.annexes.site.acceptance_page import acceptance_report
-            from ambrose.report.page import write
-
-            progress("writing the page")
-            failure = kept(lambda path: write(acceptance_report(result), path), output)
+        failure = kept_page(result, output, progress=progress)
     if as_json:
         say_json({**result.to_dict(), "page": str(output) if output and failure is None else None})
     else:

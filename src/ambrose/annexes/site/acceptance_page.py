@@ -1,7 +1,7 @@
 """The page that is signed on site: measured sensitivity, closed and open loop of every axis over
 what was predicted.
 
-write(acceptance_report(accept(machine, controller, records)), "acceptance.html")
+write(acceptance_page(accept(machine, controller, records)), "acceptance.html")
 """
 
 from __future__ import annotations
@@ -10,11 +10,12 @@ import numpy as np
 
 from ambrose.annexes.site.acceptance import Acceptance, MeasuredLoop
 from ambrose.judge.criteria import zone_lines
+from ambrose.law.law import law_of
 from ambrose.machine.criteria import SENSITIVITY
 from ambrose.machine.file.toml import machine_hash
 from ambrose.report import tables, units
-from ambrose.report.figures.measured_loop import nyquist, panels
-from ambrose.report.page import Cell, Figure, Report, Section, Table
+from ambrose.report.figures.measured import nyquist, panels
+from ambrose.report.page import Cell, Figure, Page, Section, Table
 
 _SENSITIVITY = (
     "Modulus of the output sensitivity of every axis with the other loops closed (ISO 14839-3), "
@@ -31,7 +32,7 @@ _OPEN = (
 )
 
 
-def acceptance_report(accepted: Acceptance, *, date: str = "") -> Report:
+def acceptance_page(accepted: Acceptance, *, date: str = "") -> Page:
     """The page of an acceptance; date: ISO (today if empty)."""
     limit = accepted.machine.requirements.sensitivity_peak
     sections = [
@@ -48,7 +49,7 @@ def acceptance_report(accepted: Acceptance, *, date: str = "") -> Report:
         )
     )
     verdicts = [tables.verdict(loop.checks) for loop in accepted.points]
-    digest = getattr(accepted.controller, "digest", "")
+    digest = law_of(accepted.controller).digest
     rows = (
         ("Machine file", accepted.machine.name, Cell("", detail=machine_hash(accepted.machine))),
         ("Controller", f"{accepted.timing}", Cell("", detail=digest)),
@@ -59,7 +60,7 @@ def acceptance_report(accepted: Acceptance, *, date: str = "") -> Report:
             "What was measured", "", (), (Table("", ("", "What", "Hash"), rows, "", (20, 40, 40)),)
         )
     )
-    return Report(
+    return Page(
         "Acceptance of the magnetic bearing loop",
         accepted.machine,
         tuple(sections),

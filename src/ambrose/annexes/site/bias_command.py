@@ -13,6 +13,7 @@ from ambrose.terminal import (
     MACHINE,
     claim,
     kept,
+    kept_page,
     load,
     print_table,
     progress_shown,
@@ -66,7 +67,7 @@ def bias(
     status 1: found and written, but something is doubtful.
     """
     from ambrose.annexes.site.bias import UNKNOWN, identify_over_bias
-    from ambrose.annexes.site.bias_page import bias_report, bias_tables
+    from ambrose.annexes.site.bias_page import bias_tables
     from ambrose.machine.atomic_write import write_text
     from ambrose.machine.file.update import machine_text
 
@@ -78,12 +79,10 @@ def bias(
             description, records, laws, loads=loads, unknown=(*UNKNOWN, *unknown), progress=progress
         )
         text = done.comment + machine_text(done.machine)
-        failures = [kept(lambda path: write_text(path, text, "machine file"), output)]
-        if report is not None:
-            from ambrose.report.page import write
-
-            progress("writing the report")
-            failures.append(kept(lambda path: write(bias_report(done), path), report))
+        failures = [
+            kept(lambda path: write_text(path, text, "machine file"), output),
+            kept_page(done, report, progress=progress, called="report"),
+        ]
     if as_json:
         say_json(
             {

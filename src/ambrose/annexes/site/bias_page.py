@@ -1,7 +1,7 @@
 """The page of a bias campaign: K_i and K_s of every axis over the bias current, by both methods
 (P2, Fig. 4 and table 2).
 
-write(bias_report(identify_over_bias(machine, records, controllers)), "bias.html")
+write(bias_page(identify_over_bias(machine, records, controllers)), "bias.html")
 """
 
 from __future__ import annotations
@@ -13,11 +13,9 @@ import numpy as np
 
 from ambrose.annexes.site.bias import BiasCampaign
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.file.toml import machine_hash
 from ambrose.model.effects import magnet
-from ambrose.report import theme, units
-from ambrose.report.identification.tables import findings_table, plus_minus
-from ambrose.report.page import Cell, Figure, Report, Row, Section, Table, Verdict, numbers
+from ambrose.report import tables, theme, units
+from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, numbers
 
 _QUANTITIES = (
     ("force_per_current", "Force per current K_i", "N/A"),
@@ -37,42 +35,25 @@ _METHODS = (
 _COLUMNS, _HEIGHT = 2, 190
 
 
-def bias_report(done: BiasCampaign, *, date: str = "") -> Report:
+def bias_page(done: BiasCampaign, *, date: str = "") -> Page:
     """The page of a bias campaign; date: ISO (today if empty)."""
-    sections = [
-        Section(
-            "K_i and K_s over bias current", "", tuple(_figures(done)), tuple(bias_tables(done))
-        )
-    ]
-    if done.findings:
-        sections.insert(
-            0, Section("What makes this doubtful", "", (), (findings_table(done.findings),))
-        )
-    count = len(done.findings)
-    said = (
-        f"{count} finding{'s' * (count > 1)}; see below"
-        if count
-        else "nothing found in records and residuals"
+    section = Section(
+        "K_i and K_s over bias current", "", tuple(_figures(done)), tuple(bias_tables(done))
     )
     facts = (
-        ("Machine file", f"{done.given.name}, {machine_hash(done.given)[:12]}"),
+        tables.machine_fact(done.given),
         ("Records", ", ".join(done.names)),
         ("Bias currents", ", ".join(f"{row.bias:g} A" for row in done.rows)),
     )
-    words = (
-        "identified, but to be doubted: see the findings"
-        if count
-        else "identified, and nothing speaks against it"
-    )
-    result, verdict = Verdict("Result", not count, words), Verdict("Records", not count, said)
-    return Report(
+    good = "nothing found in records and residuals"
+    return Page(
         "Magnets over bias current",
         done.given,
-        tuple(sections),
-        (verdict,),
+        (*tables.doubtful(done.findings), section),
+        (tables.without_findings("Records", done.findings, good),),
         facts,
         date,
-        result=result,
+        result=tables.believed("identified", done.findings),
     )
 
 
@@ -154,7 +135,7 @@ def bias_tables(done: BiasCampaign) -> Iterator[Table]:
                         cells += numbers(
                             ""
                             if np.isnan(value)
-                            else plus_minus(value * factor, half * factor, shown)
+                            else units.plus_minus(value * factor, half * factor, shown)
                         )
                 if any(not isinstance(cell, Cell) or cell.text for cell in cells):
                     rows.append((f"{row.bias:g} A, {method}", *cells))

@@ -12,6 +12,7 @@ from ambrose.terminal import (
     MACHINE,
     claim,
     kept,
+    kept_page,
     load,
     load_controller,
     print_table,
@@ -77,7 +78,7 @@ def frf(
     from math import inf, tau
 
     from ambrose.annexes.site.frf import respond
-    from ambrose.annexes.site.frf_page import response_report, response_tables
+    from ambrose.annexes.site.frf_page import response_tables
     from ambrose.machine.atomic_write import write_text
 
     description = load(machine)
@@ -98,11 +99,7 @@ def frf(
         failures = []
         if table is not None:
             failures.append(kept(lambda path: write_text(path, found.to_csv(), "table"), table))
-        if output is not None:
-            from ambrose.report.page import write
-
-            progress("writing the page")
-            failures.append(kept(lambda path: write(response_report(found), path), output))
+        failures.append(kept_page(found, output, progress=progress))
     if as_json:
         say_json(
             {

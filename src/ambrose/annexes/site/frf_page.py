@@ -1,7 +1,7 @@
 """The page of measured frequency responses: open and closed loop and plant, with bands and
 coherence, over the model's.
 
-write(response_report(respond(machine, records)), "response.html")
+write(frf_page(respond(machine, records)), "response.html")
 """
 
 from __future__ import annotations
@@ -16,12 +16,10 @@ from ambrose.identification.frf.measured import IN_WORDS
 from ambrose.identification.frf.spectral import Frf
 from ambrose.judge.criteria import zone_lines
 from ambrose.machine.criteria import SENSITIVITY
-from ambrose.machine.file.toml import machine_hash
-from ambrose.report import units
-from ambrose.report.figures.measured_loop import nyquist, panels
+from ambrose.report import tables, units
+from ambrose.report.figures.measured import nyquist, panels
 from ambrose.report.figures.seals import response_figure
-from ambrose.report.identification.tables import findings_table
-from ambrose.report.page import Figure, Report, Row, Section, Table, Verdict, numbers
+from ambrose.report.page import Figure, Page, Row, Section, Table, numbers
 
 _COLUMNS = 4  # axes of one figure
 _HARDLY = 0.1  # of the largest: entries that are no more are left to the table of numbers
@@ -48,7 +46,7 @@ _OPEN = (
 )
 
 
-def response_report(found: Responses, *, date: str = "") -> Report:
+def frf_page(found: Responses, *, date: str = "") -> Page:
     """The page of frequency responses; date: ISO (today if empty)."""
     several = len(found.points) > 1
     sections = [
@@ -56,49 +54,34 @@ def response_report(found: Responses, *, date: str = "") -> Report:
         for point in found.points
         for section in _sections(found, point, f", {point.label}" if several else "")
     ]
-    doubts = found.findings
-    if doubts:
-        sections.insert(0, Section("What makes this doubtful", "", (), (findings_table(doubts),)))
-    said = (
-        f"{len(doubts)} finding{'s' * (len(doubts) > 1)}; see below"
-        if doubts
-        else "nothing found in channels and limits"
-    )
     methods = ", ".join(dict.fromkeys(IN_WORDS[point.loop.method] for point in found.points))
     facts = (
-        ("Machine file", f"{found.machine.name}, {machine_hash(found.machine)[:12]}"),
+        tables.machine_fact(found.machine),
         ("Records", ", ".join(found.records)),
         ("Method", methods),
         ("Loop that was modelled", found.timing),
         ("Operating points", "; ".join(point.label for point in found.points)),
     )
-    verdicts = (Verdict("Records", not doubts, said),)
-    words = (
-        "measured, but to be doubted: see the findings"
-        if doubts
-        else "measured, and nothing speaks against it"
-    )
-    result = Verdict("Result", not doubts, words)
-    return Report(
+    good = "nothing found in channels and limits"
+    return Page(
         "Measured frequency responses",
         found.machine,
-        tuple(sections),
-        verdicts,
+        (*tables.doubtful(found.findings), *sections),
+        (tables.without_findings("Records", found.findings, good),),
         facts,
         date,
-        result=result,
+        result=tables.believed("measured", found.findings),
     )
 
 
 def _sections(found: Responses, point: PointResponse, where: str) -> Iterator[Section]:
-    notes = " ".join(f"{note[:1].upper()}{note[1:]}." for note in point.notes)
     pictures = [*_closed(point.of("motion")[0], where), *_loops(found, point, where)]
     for item in point.of("plant"):
         pairs = [(f"v_{axis}", f"y_{axis}") for axis in found.machine.axes]
         pictures += _bode(item, pairs, f"Plant{where}", _PLANT, "m/A", found)
     yield Section(
         f"Open and closed loop{where}",
-        units.prose(notes),
+        units.prose(tables.capitalised(point.notes)),
         tuple(pictures),
         tuple(response_tables(found, point)),
     )

@@ -5,4 +5,5 @@ asked (thesis, 7.3).
 ANNEX = {
     "design command": {"size": "command:size"},
     "public": {"size": "map", "least": "least", "price": "least"},
+    "page": {"Sizing": "page:sizing_page"},
 }

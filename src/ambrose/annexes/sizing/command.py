@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -16,12 +16,16 @@ from ambrose.terminal import (
     RATE,
     claim,
     kept,
+    kept_page,
     load,
     print_table,
     progress_shown,
     say,
     say_json,
 )
+
+if TYPE_CHECKING:
+    from ambrose.machine.machine import Machine
 
 _LEVERS = ("gain", "weight", "area", "bias", "bandwidth")
 
@@ -128,7 +132,7 @@ def size(
 
 
 def _map(
-    machine: Any,
+    machine: Machine,
     areas: list[float],
     biases: list[float],
     method: Any,
@@ -150,7 +154,7 @@ def _map(
             machine, areas or AREAS, biases or BIASES, method, reserve=reserve, progress=progress
         )
         knee = result.knee
-        if knee is not None and not unverified:
+        if knee is not None and knee.synthesis is not None and not unverified:
             progress("verifying the size that is taken")
             timing = method.timing(knee.machine)
             when = (
@@ -161,12 +165,7 @@ def _map(
             verified = verify_controller(
                 knee.machine, knee.synthesis, None, tolerances=True, progress=progress, **when
             )
-        if output is not None:
-            from ambrose.annexes.sizing.page import sizing_report
-            from ambrose.report.page import write
-
-            progress("writing the page")
-            failure = kept(lambda path: write(sizing_report(result, verified), path), output)
+        failure = kept_page(result, output, verified, progress=progress)
         if machine_out is not None and knee is not None:
             failure = kept(lambda path: save_machine(knee.machine, path), machine_out) or failure
     passed = knee is not None and (verified is None or verified.passed)
@@ -223,7 +222,7 @@ def _map(
 
 
 def _least(
-    machine: Any,
+    machine: Machine,
     lever: str,
     method: Any,
     tolerance: str | None,

@@ -1,7 +1,7 @@
 """The page of a sizing: which magnets guarantee what is asked, what binds, and what a size smaller
 lacks.
 
-write(sizing_report(size(machine)), "size.html")
+write(sizing_page(size(machine)), "size.html")
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ambrose.annexes.sizing.map import Sizing
 from ambrose.judge.verification import Verification
 from ambrose.machine.file.toml import machine_hash
 from ambrose.report import tables, theme, units
-from ambrose.report.page import Cell, Figure, Report, Row, Section, Table, Verdict, numbers
+from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, Verdict, numbers
 
 _MET, _NOT = "#009e73", "#d55e00"
 _SHADES = (
@@ -67,9 +67,7 @@ _TURNS = (
 )
 
 
-def sizing_report(
-    sizing: Sizing, verified: Verification | None = None, *, date: str = ""
-) -> Report:
+def sizing_page(sizing: Sizing, verified: Verification | None = None, *, date: str = "") -> Page:
     """The report; verified: what verification said of the knee's machine and controller; date: ISO
     (today if empty).
     """
@@ -159,7 +157,7 @@ def sizing_report(
         ("Machine file", machine_hash(sizing.machine)),
         ("Force over static load", f"{sizing.reserve:g} at least"),
     )
-    return Report(
+    return Page(
         "Size of the magnetic bearings",
         sizing.machine,
         tuple(sections),

@@ -13,12 +13,12 @@ from ambrose.core.frequency import frequency_response
 from ambrose.judge.checks import Checks, Curve
 from ambrose.machine.machine import Machine
 from ambrose.report import theme, units
-from ambrose.report.captions import caption
 from ambrose.report.comparison.envelope import NOT_EVALUATED
 from ambrose.report.figures.filter_chains import filter_figure
 from ambrose.report.figures.panels import Panel, panel_figure
 from ambrose.report.page import Figure
-from ambrose.report.record.curves import thinned, trace_curves
+from ambrose.report.record import thinned, trace_curves
+from ambrose.report.verification import caption
 from ambrose.rig.candidate import Candidate, find
 from ambrose.rig.trace import Trace
 

@@ -18,8 +18,17 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.judge.checks import Curve
 from ambrose.report import theme, units
-from ambrose.report.figures.axes import Axes, axes_of, drawn, is_map, set_ranges
-from ambrose.report.figures.limits import amount, beyond, draw_limits, limit_levels
+from ambrose.report.figures.axes import (
+    Axes,
+    amount,
+    axes_of,
+    beyond,
+    draw_limits,
+    drawn,
+    is_map,
+    limit_levels,
+    set_ranges,
+)
 from ambrose.report.figures.poles import pole_figure
 
 Labelled = Sequence[tuple[str, Curve]]

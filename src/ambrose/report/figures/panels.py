@@ -13,9 +13,16 @@ import numpy as np
 
 from ambrose.judge.checks import Curve
 from ambrose.report import theme, units
-from ambrose.report.figures.axes import Axes, axes_of, drawn, set_ranges
+from ambrose.report.figures.axes import (
+    Axes,
+    axes_of,
+    beyond,
+    draw_limits,
+    drawn,
+    limit_levels,
+    set_ranges,
+)
 from ambrose.report.figures.curves import mark_peak
-from ambrose.report.figures.limits import beyond, draw_limits, limit_levels
 
 Labelled = tuple[tuple[str, Curve], ...]
 

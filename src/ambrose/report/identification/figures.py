@@ -24,8 +24,7 @@ from ambrose.record.record import Record
 from ambrose.report import theme, units
 from ambrose.report.figures.panels import Panel, panel_figure
 from ambrose.report.figures.seals import response_figure
-from ambrose.report.identification.tables import fixed
-from ambrose.report.record.curves import thinned
+from ambrose.report.record import thinned
 
 _PERIODS = 6  # of the strongest frequency in the telling window
 _DECADES = 4.0  # of the magnitude of a frequency response that are shown
@@ -98,7 +97,7 @@ def change_figure(result: ParameterEstimate) -> Any:
     )
     figure.add_vline(x=0, line={"color": theme.INK, "width": 1})
     for name, at, width in zip(names, value, half, strict=True):
-        text = f"{fixed(float(at), float(width))} ± {units.number(float(width), 2)} %"
+        text = f"{units.fixed(float(at), float(width))} ± {units.number(float(width), 2)} %"
         figure.add_annotation(
             x=1,
             xref="x domain",

@@ -1,7 +1,7 @@
 """The page of K_i from static loads: values beside the machine's, how straight force over current
 is, the levels.
 
-write(static_report(done), "static.html")
+write(static_page(done), "static.html")
 """
 
 from __future__ import annotations
@@ -17,14 +17,12 @@ from ambrose.identification.result import StaticIdentification
 from ambrose.identification.static_load.identify import StaticLoad
 from ambrose.identification.validation.agreement import Agreement
 from ambrose.report import theme, units
-from ambrose.report.identification.tables import (
+from ambrose.report.identification.page import (
     compared_table,
-    findings_table,
-    fixed,
-    plus_minus,
     repeats_table,
 )
-from ambrose.report.page import Figure, Report, Row, Section, Table, Verdict, numbers
+from ambrose.report.page import Figure, Page, Row, Section, Table, Verdict, numbers
+from ambrose.report.tables import doubtful, without_findings
 
 _LINEAR = 0.01  # probability below which the straight line is rejected
 _FIGURE = (
@@ -38,9 +36,9 @@ _FIGURE = (
 )
 
 
-def static_report(
+def static_page(
     checked: StaticIdentification, *, compared: Sequence[Agreement] | None = None, date: str = ""
-) -> Report:
+) -> Page:
     """The report of static loads; compared: with another method's; date: ISO (today if empty)."""
     machine, result = checked.given, checked.result
     tables = [static_table(checked)]
@@ -53,10 +51,6 @@ def static_report(
         Section("Force per current", "", (picture,), tuple(tables), True),
         Section("Load levels", "", (), (levels_table(result),), folded=True),
     ]
-    if result.warnings:
-        sections.insert(
-            0, Section("What makes this doubtful", "", (), (findings_table(result.warnings),))
-        )
     count = len(result.warnings)
     verdicts = (
         Verdict(
@@ -64,13 +58,7 @@ def static_report(
             not any(finding.code == Code.CURVED for finding in result.warnings),
             units.prose(result.verdict),
         ),
-        Verdict(
-            "Loads",
-            not count,
-            f"{count} finding{'s' * (count != 1)}; see below"
-            if count
-            else "both sides, position held",
-        ),
+        without_findings("Loads", result.warnings, "both sides, position held"),
     )
     words = "to be doubted; see below" if count else "identified, and nothing speaks against it"
     facts = (
@@ -83,10 +71,10 @@ def static_report(
         ),
         ("Largest force of a magnet", units.quantity(float(np.abs(result.forces).max()), "N")),
     )
-    return Report(
+    return Page(
         "Force per current from static loads",
         machine,
-        tuple(sections),
+        (*doubtful(result.warnings), *sections),
         verdicts,
         facts,
         date,
@@ -104,9 +92,9 @@ def static_table(checked: StaticIdentification) -> Table:
         own = float(result.start[i])
         cells = numbers(
             units.quantity(own, "N/A", 4),
-            plus_minus(value, half, "N/A"),
-            f"{fixed(100 * (value / own - 1), 100 * half / own)} %",
-            plus_minus(rest, rest_half, "N/A"),
+            units.plus_minus(value, half, "N/A"),
+            f"{units.fixed(100 * (value / own - 1), 100 * half / own)} %",
+            units.plus_minus(rest, rest_half, "N/A"),
             f"{units.number(100 * float(result.stiffness_share[i]), 2)} %",
             f"{units.number(100 * (value / rest - 1), 2)} %"
             if result.linearity[i] < _LINEAR
