@@ -213,6 +213,9 @@ def _read(
 
 
 def _paths(unknown: str | Sequence[str]) -> tuple[str, ...]:
+    if not isinstance(unknown, str | Sequence):
+        remedy = "write bearing.*.negative_stiffness.*"
+        raise invalid("unknown", repr(unknown), "a path, or a list of them", remedy)
     paths = (unknown,) if isinstance(unknown, str) else tuple(unknown)
     for path in paths:
         if not isinstance(path, str):
