@@ -20,11 +20,11 @@ from ambrose.identification.frf import spectral as frf
 from ambrose.identification.frf.phasors import steps_of
 from ambrose.identification.seal import stepped_sine
 from ambrose.law.loop import closed_loop
+from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint
 from ambrose.model.assemble import assemble
 from ambrose.model.reduce import free_mode_reduction
 from ambrose.record.record import Record
-from ambrose.synthesis.pid import pid_controller
 from benchmarks import waveforms
 
 DT, HZ = 1e-4, 2 * np.pi

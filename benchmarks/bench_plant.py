@@ -21,11 +21,11 @@ from ambrose.core.statespace import poles, select
 from ambrose.judge import nominal
 from ambrose.judge.verdict import verify_controller
 from ambrose.law.loop import closed_loop
+from ambrose.law.pid import pid_controller
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.reduce import modal_reduction
 from ambrose.synthesis.design import design
-from ambrose.synthesis.pid import pid_controller
 
 
 def seconds(action: Callable[[], Any], runs: int) -> float:

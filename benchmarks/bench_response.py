@@ -20,6 +20,7 @@ from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, select
 from ambrose.identification.output_error.lifted import lift, stream
 from ambrose.law.loop import closed_loop
+from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint
 from ambrose.model.assemble import assemble
 from ambrose.model.reduce import free_mode_reduction
@@ -28,7 +29,6 @@ from ambrose.record.record import Record
 from ambrose.rig import linear
 from ambrose.rig.scenario import load_scenario
 from ambrose.rig.trace import Trace
-from ambrose.synthesis.pid import pid_controller
 
 DT, HZ = 1e-4, 2 * np.pi
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ambrose import load_machine
+from ambrose.law.pid import pid_controller
 from ambrose.model.effects import amplifier, coupling, magnet, seal
 from ambrose.record.record import Record
 from ambrose.rig import virtual_rig
@@ -25,7 +26,6 @@ from ambrose.rig.engine.equilibrium import levitated_state, measurement
 from ambrose.rig.engine.inputs import Drive, plan, stretch
 from ambrose.rig.engine.state import Rig, build, compiled
 from ambrose.rig.scenario import Scenario
-from ambrose.synthesis.pid import pid_controller
 
 DT = 1e-4
 LENGTH = 10.0  # simulated seconds

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 import ambrose as amb
+from ambrose.law.pid import pid_controller
 from ambrose.law.timing import Timing
 from ambrose.model.assemble import assemble
 from ambrose.model.reduce import reduce
@@ -27,7 +28,6 @@ from ambrose.synthesis.fixed_order.job import bending_modes_for, with_states
 from ambrose.synthesis.fixed_order.loops import loop_model
 from ambrose.synthesis.fixed_order.objective import Objective
 from ambrose.synthesis.fixed_order.structure import axis_groups, structured
-from ambrose.synthesis.pid import pid_controller
 
 COMPRESSOR = (
     Path(__file__).parent.parent

@@ -31,6 +31,7 @@ from ambrose.identification.static_load import identify as static_load
 from ambrose.identification.static_load.identify import StaticLoad
 from ambrose.identification.validation.repeatability import Repeats, of_estimates, repeats
 from ambrose.law.loop import closed_loop as loop_of
+from ambrose.law.pid import pid_controller
 from ambrose.machine.controller import Notch, PidSettings
 from ambrose.machine.description import Amplifier, OperatingPoint
 from ambrose.machine.machine import Machine
@@ -44,7 +45,6 @@ from ambrose.report.page import Page, write
 from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import Prbs, Pulse
 from ambrose.rig.scenario import Scenario
-from ambrose.synthesis.pid import pid_controller
 from benchmarks.campaign_page import Condition, campaign_page
 from benchmarks.scatter_study import ScatterStudy, scatter_study
 

@@ -34,6 +34,7 @@ from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.seal import stepped_sine, time_domain
 from ambrose.identification.seal.result import COEFFICIENTS, SealFit, averaged, line
 from ambrose.law.loop import closed_loop as loop_of
+from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
@@ -42,7 +43,6 @@ from ambrose.record.record import Record
 from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import Chirp, Prbs, Pulse, Sine, SteppedSine
 from ambrose.rig.scenario import Scenario
-from ambrose.synthesis.pid import pid_controller
 from benchmarks import campaign_p4_tables as tables
 from benchmarks.campaign_p4_page import page
 from benchmarks.campaign_p4_results import BAR, HZ, Columns, Coupled, Impulses, Stepped, Swept, rig

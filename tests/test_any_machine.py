@@ -15,10 +15,10 @@ import ambrose as amb
 from ambrose.cli import main
 from ambrose.core.frequency import frequency_response
 from ambrose.law.loop import closed_loop
+from ambrose.law.pid import pid_controller
 from ambrose.machine.file.toml import dumps_machine, loads_machine, read_machine_text
 from ambrose.machine.stator import CasingMode, Support
 from ambrose.model.assemble import assemble
-from ambrose.synthesis.pid import pid_controller
 
 NAMES = {"A": "DE", "B": "NDE", "center": "balance", "piston": "drum", "coupling": "quill"}
 SAME = 1e-9

@@ -18,8 +18,8 @@ from ambrose.core.statespace import (
     static_gain,
     transfer_function,
 )
+from ambrose.law.pid import axes_controller
 from ambrose.machine.controller import PidSettings
-from ambrose.synthesis.pid import axes_controller
 from eigenvalue_margins import loop_margins
 
 

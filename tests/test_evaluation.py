@@ -18,6 +18,7 @@ from ambrose.judge import nominal
 from ambrose.judge.checks import Check, Checks
 from ambrose.judge.result import Synthesis
 from ambrose.judge.verdict import verify_controller
+from ambrose.law.pid import pid_controller
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
 from ambrose.model.reduce import reduce
@@ -26,7 +27,7 @@ from ambrose.report.comparison.tables import verdicts_of
 from ambrose.rig.candidate import Candidate, evaluate
 from ambrose.rig.scenario import load_scenario
 from ambrose.rig.trial import simulate_linear, simulate_scenario
-from ambrose.synthesis.pid import pid_controller, pid_synthesis
+from ambrose.synthesis.pid import pid_synthesis
 from coarse import coarse
 
 LOW, HIGH = 2 * np.pi * 20.0, 2 * np.pi * 140.0

@@ -182,7 +182,7 @@ WRONG = [
     (lambda m, c: amb.study(m, 3), "directory is 3"),
     (lambda m, c: amb.study(m, progress="x"), "progress is 'x'"),
     (lambda m, c: amb.export(c, None, to="c"), "directory is None"),
-    (lambda m, c: amb.export(c, "code", to=[]), "target is '[]', but must be one of c, mat"),
+    (lambda m, c: amb.export(c, "code", to=[]), "target is [], but must be one of c, mat"),
     (lambda m, c: amb.export(c, "code", to="c", options={}), "there is no option 'options'"),
     (lambda m, c: amb.export("a\0b", "code", to="c"), "null"),
     (lambda m, c: amb.simulate(m, c, 3), "scenario"),

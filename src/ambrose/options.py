@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, asdict, dataclass, field, fields
 from typing import Any, ClassVar, TypeVar
 
-from ambrose.machine.messages import suggestion
+from ambrose.machine.messages import meant, suggestion
 
 Check = Callable[[Any, str], None]
 
@@ -103,11 +103,12 @@ def choose(
         given = {item.name: getattr(kind, item.name) for item in fields(kind)} | dict(given)
         kind = next((key for key, other in kinds.items() if other is type(kind)), repr(kind))
     if not isinstance(kind, str) or kind not in kinds:
+        close = meant(str(kind), kinds)
         raise invalid(
             spelled.get(word, word),
             repr(kind),
             f"one of {', '.join(kinds)}",
-            suggestion(str(kind).lower(), kinds),
+            f'did you mean "{close}"?' if close else "choose one of them",
         )
     refuse_foreign(kinds, word, kind, given, spelled)
     return kinds[kind](**given)

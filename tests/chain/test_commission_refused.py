@@ -15,10 +15,10 @@ from ambrose.core.statespace import select
 from ambrose.identification.output_error import closed_loop
 from ambrose.law.loop import closed_loop as loop_of
 from ambrose.law.loop import match_controller
+from ambrose.law.pid import pid_controller
 from ambrose.model.assemble import assemble
 from ambrose.model.reduce import free_mode_reduction
 from ambrose.record.record import Record
-from ambrose.synthesis.pid import pid_controller
 
 DT = 1e-4
 

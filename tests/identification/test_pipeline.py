@@ -21,11 +21,11 @@ from ambrose.identification import loop
 from ambrose.identification.findings import Code
 from ambrose.identification.pipeline import Provenance, identify
 from ambrose.law.loop import closed_loop, match_controller
+from ambrose.law.pid import pid_controller
 from ambrose.model.assemble import assemble
 from ambrose.model.reduce import free_mode_reduction
 from ambrose.record.files import write_record
 from ambrose.record.record import Record
-from ambrose.synthesis.pid import pid_controller
 
 DT = 1e-4
 FOUR = ("bearing.*.negative_stiffness.*",)

@@ -15,12 +15,12 @@ from ambrose.identification.seal.stepped_sine import _Model
 from ambrose.identification.static_load.identify import bearing_forces
 from ambrose.identification.static_load.levels import Levels
 from ambrose.law.loop import closed_loop
+from ambrose.law.pid import pid_controller
 from ambrose.machine.stator import CasingMode, Support
 from ambrose.model.assemble import assemble
 from ambrose.model.static_load import magnet_coefficients, operating_magnets
 from ambrose.rig import virtual_rig
 from ambrose.rig.scenario import load_scenario
-from ambrose.synthesis.pid import pid_controller
 
 RIG = load_machine("seal-rig")
 PAIRS = tuple(

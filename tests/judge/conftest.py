@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from ambrose.core.statespace import StateSpace
+from ambrose.law.pid import pid_controller
 from ambrose.machine.controller import PidSettings
 from ambrose.machine.description import (
     Amplifier,
@@ -25,7 +26,6 @@ from ambrose.machine.seals import Seal
 from ambrose.machine.stator import Sensor
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
-from ambrose.synthesis.pid import pid_controller
 
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
 PID = PidSettings(gain=(18250.0,), integral_time=0.2, derivative_time=3.5e-3, derivative_filter=0.1)

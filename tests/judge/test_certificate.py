@@ -22,8 +22,8 @@ from ambrose.core.statespace import (
     transfer_function,
 )
 from ambrose.judge.certificate import certify, continuous_equivalent, disk_margins, fastest_pole
+from ambrose.law.pid import axes_controller
 from ambrose.machine.controller import PidSettings
-from ambrose.synthesis.pid import axes_controller
 from eigenvalue_margins import loop_margins, opened
 
 AXES = ("A", "B")

@@ -14,12 +14,12 @@ from ambrose.judge.certificate import certify
 from ambrose.judge.sampled import check_over_box
 from ambrose.judge.sampled_box import sampled_box
 from ambrose.law.loop import match_controller
+from ambrose.law.pid import pid_controller
 from ambrose.law.timing import Timing
 from ambrose.machine.description import Tolerance
 from ambrose.machine.file.toml import load_machine
 from ambrose.model.assemble import assemble
 from ambrose.model.uncertainty import perturbed, tolerances_around
-from ambrose.synthesis.pid import pid_controller
 
 TIMING = Timing(5e-5)
 DAMPING = Tolerance("rotor.bending_5.damping", 0.6)  # of a mode that a reduced plant had cut

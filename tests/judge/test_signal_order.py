@@ -19,12 +19,12 @@ from ambrose.judge.certificate import certify, generalized_certificate
 from ambrose.judge.family.responses import loop_over_box
 from ambrose.judge.loop_response import loop_at, loop_evaluator
 from ambrose.law.loop import closed_loop
+from ambrose.law.pid import pid_controller
 from ambrose.machine.description import Tolerance
 from ambrose.model.reduce import reduce
 from ambrose.rig import linear, virtual_rig
 from ambrose.rig.disturbances import Pulse
 from ambrose.rig.scenario import Scenario
-from ambrose.synthesis.pid import pid_controller
 
 TOLERANCES = (Tolerance("seal.center.k", relative=0.5),)
 

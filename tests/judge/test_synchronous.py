@@ -20,11 +20,11 @@ from ambrose.judge.synchronous_bands import (
     worst_orbits,
 )
 from ambrose.judge.synchronous_sensitivity import sensitivity
+from ambrose.law.pid import pid_controller
 from ambrose.law.synchronous import Condition, conditions, forward_patterns, synchronous_loop
 from ambrose.law.synchronous_pencils import loop_pencils, prove_interval
 from ambrose.machine.file.toml import load_machine
 from ambrose.machine.synchronous import Synchronous
-from ambrose.synthesis.pid import pid_controller
 from ambrose.synthesis.synchronous_design import design_synchronous
 
 REST = Condition(0.0)

@@ -14,10 +14,10 @@ import ambrose as amb
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.law.filters import chain, filter_rows, section_matrix
+from ambrose.law.pid import modes, pid_controller, theta_system
 from ambrose.machine.controller import Channel, PidSettings, Section
 from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.machine.file.update import update_machine_file
-from ambrose.synthesis.pid import modes, pid_controller, theta_system
 
 RIG = amb.load_machine("seal-rig")
 COMPRESSOR = (

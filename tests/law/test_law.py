@@ -13,9 +13,9 @@ from ambrose.core.statespace import StateSpace
 from ambrose.judge.motion import Motion, moving_proofs
 from ambrose.judge.result import Provenance, Synthesis, synthesis_of
 from ambrose.law.law import law_of
+from ambrose.law.pid import pid_controller
 from ambrose.law.scheduling import PRESSURE, SPEED
 from ambrose.model.assemble import assemble
-from ambrose.synthesis.pid import pid_controller
 
 RIG = load_machine("seal-rig")
 POINT = RIG.operation.nominal

@@ -14,6 +14,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
+from ambrose.law.pid import pid_controller
 from ambrose.law.supervision import (
     Fault,
     Limits,
@@ -27,7 +28,6 @@ from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import PressureChange, PressureSensor, Pulse
 from ambrose.rig.scenario import Scenario
 from ambrose.rig.trial import simulate_scenario
-from ambrose.synthesis.pid import pid_controller
 from coarse import coarse
 
 RIG = coarse("seal-rig")

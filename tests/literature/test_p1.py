@@ -24,13 +24,13 @@ from ambrose.identification.output_error import closed_loop as whole_loop
 from ambrose.identification.youla import identify as youla
 from ambrose.identification.youla.residual_model import uncertain_residual
 from ambrose.law.loop import closed_loop
+from ambrose.law.pid import pid_controller
 from ambrose.machine.description import Tolerance
 from ambrose.machine.parameters import operating_point
 from ambrose.model.assemble import assemble
 from ambrose.model.reduce import free_mode_reduction, reduce
 from ambrose.model.uncertainty import perturbed
 from ambrose.record.record import Record
-from ambrose.synthesis.pid import pid_controller
 
 pytestmark = [pytest.mark.literature, pytest.mark.study]
 B_Y = "bearing.B.negative_stiffness.eta"  # the bearing's y axis: its angle is zero

@@ -10,12 +10,12 @@ import pytest
 from ambrose import load_machine
 from ambrose.judge.loop_response import loop_evaluator
 from ambrose.law.loop import closed_loop
+from ambrose.law.pid import pid_controller
 from ambrose.model.assemble import assemble
 from ambrose.rig import linear
 from ambrose.rig.scenario import load_scenario
 from ambrose.rig.trace import settling
 from ambrose.synthesis.design import design
-from ambrose.synthesis.pid import pid_controller
 
 pytestmark = [pytest.mark.literature, pytest.mark.study]
 HZ = 2 * np.pi

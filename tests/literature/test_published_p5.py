@@ -14,7 +14,7 @@ from ambrose.core.lft import close_uncertainty
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, connect, rename, select, spectral_abscissa
 from ambrose.judge.certificate import certify
-from ambrose.synthesis.pid import axes_controller
+from ambrose.law.pid import axes_controller
 
 pytestmark = pytest.mark.literature
 DATA = published_p5_data()

@@ -15,8 +15,8 @@ from benchmarks.published_p5 import (
 )
 
 from ambrose.judge import robust
+from ambrose.law.pid import axes_controller
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
-from ambrose.synthesis.pid import axes_controller
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch, tune_control_weight
 
 pytestmark = pytest.mark.literature

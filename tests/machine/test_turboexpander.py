@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ambrose.law.loop import closed_loop
+from ambrose.law.pid import pid_controller
 from ambrose.machine.file.toml import bundled_machines, load_machine
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.rotor import (
@@ -15,7 +16,6 @@ from ambrose.model.effects.rotor import (
     free_bending_frequencies,
     mass_properties,
 )
-from ambrose.synthesis.pid import pid_controller
 
 MACHINE = load_machine("turboexpander")
 PISTON_DIAMETER, PISTON_LENGTH = 0.11474, 0.0857  # P3, fig. 2

@@ -12,6 +12,7 @@ from ambrose.chain.check import insight, springs
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.law.loop import closed_loop
+from ambrose.law.pid import mixings, pid_controller
 from ambrose.machine.controller import PidSettings
 from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.machine.stator import Runout
@@ -22,7 +23,6 @@ from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import Pulse
 from ambrose.rig.scenario import Scenario
 from ambrose.synthesis.fixed_order.structure import axis_groups
-from ambrose.synthesis.pid import mixings, pid_controller
 
 RIG = load_machine("seal-rig")
 TURN = np.radians([20.0, -70.0])  # of the sensors of A and B from their magnets

@@ -12,6 +12,7 @@ from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.law.loop import closed_loop
+from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.machine.file.update import update_machine_file
@@ -21,7 +22,6 @@ from ambrose.model.effects import magnet
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
 from ambrose.model.reduce import free_mode_reduction, modal_reduction, reduce
 from ambrose.model.uncertainty import perturbed
-from ambrose.synthesis.pid import pid_controller
 
 RIG = load_machine("seal-rig")
 STILL = OperatingPoint()

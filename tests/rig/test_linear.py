@@ -18,6 +18,7 @@ from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, select
 from ambrose.law.loop import closed_loop
+from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint
 from ambrose.model.assemble import assemble
 from ambrose.model.reduce import free_mode_reduction
@@ -26,7 +27,6 @@ from ambrose.rig import linear
 from ambrose.rig.disturbances import Pulse, Sine, Unbalance
 from ambrose.rig.scenario import Scenario, bundled_scenarios, load_scenario
 from ambrose.rig.trace import Trace, peaks, settling
-from ambrose.synthesis.pid import pid_controller
 from physical_numbers import physical
 
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")

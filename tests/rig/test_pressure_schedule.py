@@ -14,6 +14,7 @@ from ambrose.core.sampling import c2d, delayed
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, spectral_abscissa
 from ambrose.law.loop import closed_loop
+from ambrose.law.pid import pid_controller
 from ambrose.law.timing import Timing
 from ambrose.machine.file.toml import load_machine
 from ambrose.model.assemble import assemble
@@ -24,7 +25,6 @@ from ambrose.rig.engine.state import build
 from ambrose.rig.run_up import spin_up
 from ambrose.rig.scenario import Scenario, read_scenario
 from ambrose.rig.trial import simulate_linear
-from ambrose.synthesis.pid import pid_controller
 from coarse import coarse
 
 RIG = coarse("seal-rig")

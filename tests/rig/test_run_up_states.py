@@ -22,6 +22,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.mechanical import to_statespace
 from ambrose.core.statespace import static_gain
 from ambrose.law.loop import closed_loop
+from ambrose.law.pid import pid_controller
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
 from ambrose.machine.rotor_model import ShaftSection
@@ -36,7 +37,6 @@ from ambrose.rig.disturbances import Pulse, Unbalance
 from ambrose.rig.run_up import spin_up
 from ambrose.rig.scenario import Scenario
 from ambrose.rig.trial import simulate_linear
-from ambrose.synthesis.pid import pid_controller
 
 pytestmark = pytest.mark.campaign  # minutes
 

@@ -10,6 +10,7 @@ import pytest
 from ambrose import load_machine
 from ambrose.core.sampling import c2d
 from ambrose.law.loop import closed_loop
+from ambrose.law.pid import pid_controller
 from ambrose.machine.controller import PidSettings
 from ambrose.machine.description import Amplifier, Coupling, OperatingPoint
 from ambrose.machine.stator import CasingMode, Support
@@ -24,7 +25,6 @@ from ambrose.rig.engine.inputs import plan, stretch
 from ambrose.rig.engine.propagator import propagator
 from ambrose.rig.engine.state import build, compiled
 from ambrose.rig.scenario import Scenario
-from ambrose.synthesis.pid import pid_controller
 from run_ups import RUN_UP
 
 RIG = load_machine("seal-rig")

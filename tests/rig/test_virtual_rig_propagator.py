@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ambrose import load_machine
+from ambrose.law.pid import pid_controller
 from ambrose.machine.description import Amplifier
 from ambrose.machine.stator import CasingMode, Runout, Support
 from ambrose.rig import virtual_rig
@@ -22,7 +23,6 @@ from ambrose.rig.disturbances import (
 )
 from ambrose.rig.engine import propagator
 from ambrose.rig.scenario import Scenario
-from ambrose.synthesis.pid import pid_controller
 
 RIG = load_machine("seal-rig")
 EXPANDER = load_machine("turboexpander")

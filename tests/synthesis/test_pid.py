@@ -15,6 +15,7 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, feedback, select, series, spectral_abscissa
 from ambrose.law.filters import chain, lead_lag, low_pass, notch, section_matrix
 from ambrose.law.loop import closed_loop
+from ambrose.law.pid import common_sections, modes, pid_controller, theta_system
 from ambrose.machine.controller import Channel, Notch, PidSettings
 from ambrose.machine.description import Amplifier, MagneticBearing
 from ambrose.machine.machine import Machine
@@ -23,13 +24,7 @@ from ambrose.machine.stator import Sensor
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
 from ambrose.model.reduce import reduce
-from ambrose.synthesis.pid import (
-    common_sections,
-    modes,
-    pid_controller,
-    pid_synthesis,
-    theta_system,
-)
+from ambrose.synthesis.pid import pid_synthesis
 from eigenvalue_margins import loop_margins, opened
 
 OMEGA = np.geomspace(1e-2, 1e5, 60)

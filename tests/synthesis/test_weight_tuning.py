@@ -17,7 +17,7 @@ from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import StateSpace, static_gain
 from ambrose.judge.result import Certificate, Synthesis
-from ambrose.synthesis.pid import axes_controller
+from ambrose.law.pid import axes_controller
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch, tune_control_weight
 
 AXES = tuple(published_p5_data()["axes"])

@@ -20,6 +20,7 @@ from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.judge.rotor_modes import PLANAR, whirl_measure
 from ambrose.judge.stability import judge_stability
 from ambrose.judge.unavoidable import beyond_reach, unavoidable_sensitivity, unavoidable_words
+from ambrose.law.pid import axes_mixings, channel_chains, first_settings, mixings, pid_controller
 from ambrose.law.timing import machine_timing
 from ambrose.machine.criteria import demand
 from ambrose.machine.description import MagneticBearing
@@ -42,13 +43,6 @@ from ambrose.model.reduce import free_mode_reduction
 from ambrose.model.static_load import magnet_coefficients, operating_magnets, static_sag
 from ambrose.synthesis.explanation import below_stiffness, stiffness_margin
 from ambrose.synthesis.fixed_order.job import bending_modes_for
-from ambrose.synthesis.pid import (
-    axes_mixings,
-    channel_chains,
-    first_settings,
-    mixings,
-    pid_controller,
-)
 
 HERTZ = 2 * math.pi
 # [kg], [m], [m] of rotors on magnetic bearings

@@ -83,6 +83,9 @@ def identify(
         raise invalid(
             "the machine", type(machine).__name__, "a Machine", "load it with load_machine"
         )
+    # before any record is read
+    start = _start_values(chosen.start) if isinstance(chosen, LoopMethod) else None
+    unknown = _paths(chosen.unknown) if isinstance(chosen, LoopMethod) else ()
     measured, names = _read(records, progress)
     provenance = provenance or Provenance(names)
     seal_form = chosen.seal_form if isinstance(chosen, ClosedLoop) else None
@@ -110,7 +113,6 @@ def identify(
             )
         law = law_of(controller, functions=False)
         how = loop.fit_options(law.delay_samples)
-        start, unknown = _start_values(loop.start), _paths(loop.unknown)
         # delays and "bending" alone: beside what is usual
         if all("." not in path or path in TIMING for path in unknown):
             unknown = (*usual_unknowns(machine, measured), *unknown)
@@ -211,6 +213,9 @@ def _read(
 
 
 def _paths(unknown: str | Sequence[str]) -> tuple[str, ...]:
+    if not isinstance(unknown, str | Sequence):
+        remedy = "write bearing.*.negative_stiffness.*"
+        raise invalid("unknown", repr(unknown), "a path, or a list of them", remedy)
     paths = (unknown,) if isinstance(unknown, str) else tuple(unknown)
     for path in paths:
         if not isinstance(path, str):

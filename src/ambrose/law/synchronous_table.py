@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ambrose.core.checks import invalid
+from ambrose.law.pid import modes
 from ambrose.law.synchronous import SynchronousLoop, conditions
 from ambrose.law.synchronous_block import BlockLaw, SynchronousLaw
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import listed
 from ambrose.machine.synchronous import Synchronous
 from ambrose.machine.validation.synchronous import synchronous_problems
-from ambrose.synthesis.pid import modes
 
 
 @dataclass(frozen=True, slots=True, eq=False)

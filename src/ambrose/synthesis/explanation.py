@@ -13,6 +13,7 @@ from ambrose.judge.result import Synthesis
 from ambrose.judge.unavoidable import beyond_reach, unavoidable_sensitivity
 from ambrose.law.law import law_of
 from ambrose.law.loop import closed_loop
+from ambrose.law.pid import channel_chains
 from ambrose.law.timing import DEFAULT, Timing
 from ambrose.machine.criteria import SENSITIVITY, demand
 from ambrose.machine.machine import Machine
@@ -22,7 +23,6 @@ from ambrose.model.effects.rotor import free_modes
 from ambrose.model.plant import Plant
 from ambrose.model.reduce import reduce_from
 from ambrose.model.static_load import magnet_coefficients
-from ambrose.synthesis.pid import channel_chains
 
 _ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth")
 _PEAK = "maximum singular value of a sensitivity"

@@ -14,6 +14,7 @@ import numpy as np
 from ambrose.core.frequency import frequency_response
 from ambrose.core.time_limit import TimeLimit
 from ambrose.judge.certificate import certify
+from ambrose.law.pid import first_settings, pid_controller
 from ambrose.law.timing import machine_timing
 from ambrose.machine.controller import Notch, PidSettings
 from ambrose.machine.machine import Machine
@@ -24,7 +25,6 @@ from ambrose.model.reduce import reduce_from
 from ambrose.model.static_load import magnet_coefficients
 from ambrose.synthesis.fixed_order.job import bending_modes_for
 from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, unwarped, warped
-from ambrose.synthesis.pid import first_settings, pid_controller
 
 # K_p k_i/k_s, T_d w_0, eps
 _GAINS = (1.5, 2.0, 3.0, 4.0)

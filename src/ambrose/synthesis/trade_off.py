@@ -18,6 +18,7 @@ from ambrose.core.statespace import StateSpace
 from ambrose.core.time_limit import TimeLimit
 from ambrose.judge.envelope import envelope_of
 from ambrose.judge.result import Synthesis
+from ambrose.law.pid import first_settings, pid_controller
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import suggestion
 from ambrose.machine.units import DIMENSIONS, read_quantity
@@ -26,7 +27,6 @@ from ambrose.synthesis.fixed_order.aims import aims_of
 from ambrose.synthesis.fixed_order.job import Job, Law, first_law, prepare, with_states
 from ambrose.synthesis.fixed_order.tuning import INTERRUPTED, tuned
 from ambrose.synthesis.methods.tuned import Tuned
-from ambrose.synthesis.pid import first_settings, pid_controller
 
 ORDER = "order"
 # what can be traded -> its dimension; all but the log decrement are easier to meet at larger values

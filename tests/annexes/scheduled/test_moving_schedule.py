@@ -18,11 +18,11 @@ from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, select
 from ambrose.judge.verdict import verify_controller
 from ambrose.law.loop import closed_loop
+from ambrose.law.pid import pid_controller
 from ambrose.law.timing import Timing
 from ambrose.machine.description import OperatingPoint, Requirements
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
-from ambrose.synthesis.pid import pid_controller
 from judge.conftest import PID, make_rig
 
 LOW, HIGH = 1e4, 3e4
@@ -130,7 +130,9 @@ def test_spans_end_where_the_schedule_ends_and_what_is_told_where_an_error_takes
     (span,) = scheduled_spans(rig, law)
     moving = moving_law(law, assemble(rig, span.middle))
     assert (span.low, span.high) == (1.5e4, HIGH)
-    assert told_range(span, moving, 5e3) == (1.5e4, HIGH + 5e3) and told_range(span, moving, 0.0) == (
+    assert told_range(span, moving, 5e3) == (1.5e4, HIGH + 5e3) and told_range(
+        span, moving, 0.0
+    ) == (
         1.5e4,
         HIGH,
     )

@@ -16,11 +16,11 @@ from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, select
 from ambrose.judge.verdict import verify_controller
 from ambrose.law.loop import closed_loop
+from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint, Requirements, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.uncertainty import perturbed
-from ambrose.synthesis.pid import pid_controller
 from judge.conftest import PID, make_rig
 
 TOP = 2 * np.pi * 50

@@ -23,12 +23,12 @@ from ambrose.code.sampled import deploy, deploy_scheduled
 from ambrose.core.checks import InvalidInput
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
+from ambrose.law.pid import pid_controller
 from ambrose.law.supervision import Fault, Limits, State, supervised
 from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import Prbs, PressureSensor, Pulse
 from ambrose.rig.scenario import Scenario
 from ambrose.rig.trial import simulate_scenario
-from ambrose.synthesis.pid import pid_controller
 from coarse import coarse
 
 RIG = coarse("seal-rig")

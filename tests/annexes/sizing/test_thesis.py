@@ -5,8 +5,8 @@ docs/reproduction.md states it.
 import pytest
 
 import ambrose as amb
+from ambrose.law.pid import pid_controller
 from ambrose.synthesis.methods.tuned import Tuned
-from ambrose.synthesis.pid import pid_controller
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch
 
 pytestmark = [pytest.mark.literature, pytest.mark.campaign]

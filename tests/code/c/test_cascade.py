@@ -22,11 +22,11 @@ from ambrose.code.sampled import deploy
 from ambrose.code.targets import C
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.result import Synthesis
+from ambrose.law.pid import pid_controller
 from ambrose.machine.controller import MODES, Channel, PidSettings, Section
 from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import Pulse
 from ambrose.rig.scenario import Scenario
-from ambrose.synthesis.pid import pid_controller
 
 MACHINE = load_machine("seal-rig")
 HZ = 2 * np.pi

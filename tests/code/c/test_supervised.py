@@ -26,11 +26,11 @@ from ambrose.code.pipeline import export, machine_limits
 from ambrose.code.sampled import deploy, deploy_scheduled
 from ambrose.core.checks import InvalidInput
 from ambrose.core.scheduled import ScheduledSystem
+from ambrose.law.pid import pid_controller
 from ambrose.law.supervision import Fault, Limits, State
 from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import PressureChange, PressureSensor, Pulse
 from ambrose.rig.scenario import Scenario
-from ambrose.synthesis.pid import pid_controller
 from coarse import coarse
 from schedule_driver import CURRENT, DT, ERROR, block_of, gain_schedule, pressure_schedule
 

@@ -19,6 +19,7 @@ from ambrose.identification.output_error.problem import FitOptions, build_experi
 from ambrose.identification.parameters import COVERAGE, expand, nominal_values, plant_at
 from ambrose.identification.validation.suspects import suspects
 from ambrose.law.loop import closed_loop, match_controller
+from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.machine.rotor_model import BendingMode
@@ -26,7 +27,6 @@ from ambrose.model.assemble import assemble
 from ambrose.model.effects.rotor import finite_element_rotor, free_modes
 from ambrose.model.reduce import free_mode_reduction
 from ambrose.record.record import Record
-from ambrose.synthesis.pid import pid_controller
 from whole_records import simulate_derivative
 
 DT = 1e-4

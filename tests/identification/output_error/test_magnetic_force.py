@@ -13,13 +13,13 @@ from ambrose import identify
 from ambrose.identification.output_error import closed_loop
 from ambrose.identification.output_error.magnetic_force import _further_terms, _terms
 from ambrose.identification.output_error.problem import FitOptions, build_experiment
+from ambrose.law.pid import pid_controller
 from ambrose.model.effects import magnet
 from ambrose.model.effects.loaded_magnet import slopes
 from ambrose.model.static_load import operating_magnets
 from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import Unbalance
 from ambrose.rig.scenario import load_scenario
-from ambrose.synthesis.pid import pid_controller
 from coarse import coarse
 
 UNKNOWN = ("bearing.*.force_per_current.*", "bearing.*.negative_stiffness.*")

@@ -20,6 +20,7 @@ from ambrose.identification.seal.model_updating import update_seal
 from ambrose.identification.seal.result import ENTRIES as ORDER
 from ambrose.identification.seal.result import SealFit, averaged, line
 from ambrose.law.loop import closed_loop
+from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.model.assemble import assemble
@@ -30,7 +31,6 @@ from ambrose.record.record import Record
 from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import SteppedSine
 from ambrose.rig.scenario import Scenario
-from ambrose.synthesis.pid import pid_controller
 
 pytestmark = pytest.mark.campaign  # minutes
 

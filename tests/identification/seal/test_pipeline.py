@@ -21,13 +21,13 @@ from ambrose.identification.result import Provenance
 from ambrose.identification.seal import time_domain as seal_records
 from ambrose.identification.seal.pipeline import identify_seal
 from ambrose.law.loop import closed_loop, match_controller
+from ambrose.law.pid import pid_controller
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.model.assemble import assemble
 from ambrose.model.effects import seal
 from ambrose.model.reduce import free_mode_reduction
 from ambrose.record.record import Record
-from ambrose.synthesis.pid import pid_controller
 
 DT, K = 1e-4, 8000
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")

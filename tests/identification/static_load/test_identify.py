@@ -13,6 +13,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.identification.model_updating import update_machine
 from ambrose.identification.static_load import identify as static_load
 from ambrose.identification.static_load.levels import Levels, steady_levels
+from ambrose.law.pid import pid_controller
 from ambrose.machine.controller import Notch, PidSettings
 from ambrose.machine.description import Amplifier, OperatingPoint
 from ambrose.model.effects import magnet
@@ -21,7 +22,6 @@ from ambrose.record.record import Record
 from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import Pulse
 from ambrose.rig.scenario import Scenario, load_scenario
-from ambrose.synthesis.pid import pid_controller
 
 RIG = load_machine("seal-rig")
 BARE = replace(

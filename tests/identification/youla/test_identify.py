@@ -23,6 +23,7 @@ from ambrose.identification.youla import identify as youla
 from ambrose.identification.youla.impulse_response import finite_response
 from ambrose.identification.youla.residual_model import sampled_residual
 from ambrose.law.loop import closed_loop, match_controller
+from ambrose.law.pid import pid_controller
 from ambrose.machine.description import Tolerance
 from ambrose.machine.parameters import operating_point
 from ambrose.model.assemble import assemble
@@ -32,7 +33,7 @@ from ambrose.record.record import Record
 from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import Prbs
 from ambrose.rig.scenario import Scenario
-from ambrose.synthesis.pid import pid_controller, pid_synthesis
+from ambrose.synthesis.pid import pid_synthesis
 from whole_records import simulate_derivative
 
 DT = 1e-4

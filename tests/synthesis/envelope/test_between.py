@@ -9,11 +9,11 @@ import ambrose as amb
 from ambrose.judge.certificate import certify
 from ambrose.judge.range_search import search
 from ambrose.judge.verdict import verify_controller, verify_ranges
+from ambrose.law.pid import pid_controller
 from ambrose.law.timing import Timing
 from ambrose.machine.description import OperatingPoint, OperatingRange
 from ambrose.model.assemble import assemble
 from ambrose.model.reduce import reduce
-from ambrose.synthesis.pid import pid_controller
 
 AREA = OperatingRange("running", (0.0, 600.0), (0.0, 0.5e5))
 

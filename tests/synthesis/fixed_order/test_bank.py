@@ -16,6 +16,7 @@ from click.testing import CliRunner
 import ambrose as amb
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
+from ambrose.law.pid import first_settings, pid_controller
 from ambrose.law.timing import Timing
 from ambrose.machine.controller import Channel, PidSettings, Section
 from ambrose.model.assemble import assemble
@@ -27,7 +28,6 @@ from ambrose.synthesis.fixed_order.bank import at_limits, filter_bank, first_ban
 from ambrose.synthesis.fixed_order.loops import loop_model
 from ambrose.synthesis.fixed_order.objective import Objective
 from ambrose.synthesis.fixed_order.tuning import tune_controller
-from ambrose.synthesis.pid import first_settings, pid_controller
 
 FILE = Path(__file__).parent / "flexible_compressor.toml"
 MACHINE = amb.load_machine(FILE)

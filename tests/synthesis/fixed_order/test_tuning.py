@@ -26,6 +26,7 @@ from ambrose.core.statespace import (
     static_gain,
 )
 from ambrose.judge import nominal
+from ambrose.law.pid import first_settings, pid_controller
 from ambrose.law.timing import Timing, machine_timing
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.rotor import free_modes
@@ -40,7 +41,6 @@ from ambrose.synthesis.fixed_order.members import worst_member
 from ambrose.synthesis.fixed_order.objective import Objective, Ratio, largest_gains
 from ambrose.synthesis.fixed_order.structure import axis_groups, structured
 from ambrose.synthesis.fixed_order.tuning import tune_controller
-from ambrose.synthesis.pid import first_settings, pid_controller
 
 MACHINE = amb.load_machine(Path(__file__).parent / "flexible_compressor.toml")
 RUNS = Timing(5e-5, 1)

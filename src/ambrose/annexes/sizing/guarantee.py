@@ -15,6 +15,7 @@ from ambrose.core.statespace import StateSpace
 from ambrose.judge.envelope import envelope_of
 from ambrose.judge.result import Synthesis
 from ambrose.judge.unavoidable import beyond_reach, unavoidable_sensitivity
+from ambrose.law.pid import first_settings, pid_controller
 from ambrose.machine.criteria import SENSITIVITY, demand
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
@@ -22,7 +23,6 @@ from ambrose.model.static_load import operating_magnets
 from ambrose.synthesis.fixed_order.job import Job, Law, first_law, prepare
 from ambrose.synthesis.fixed_order.tuning import INTERRUPTED, tuned
 from ambrose.synthesis.methods.tuned import Tuned
-from ambrose.synthesis.pid import first_settings, pid_controller
 
 RESERVE = 2.0  # of force over static load: two to three are usual; assumed
 

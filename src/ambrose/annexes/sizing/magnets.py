@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ambrose.core.checks import check_positive
+from ambrose.law.pid import first_settings
 from ambrose.machine.description import Amplifier, MagneticBearing
 from ambrose.machine.machine import Machine
 from ambrose.model.effects import magnet
@@ -22,7 +23,6 @@ from ambrose.model.effects.loaded_magnet import LoadedMagnet
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
 from ambrose.model.plant import top_speed
 from ambrose.model.static_load import operating_magnets, static_sag
-from ambrose.synthesis.pid import first_settings
 
 TURNS = (0.5, 0.7, 1.0, 1.4, 2.0)
 _NOTHING = 1e-6  # of the largest control current: what is left where the static load takes it all

@@ -36,9 +36,9 @@ from ambrose.core.peak_gain import peak_gains
 from ambrose.core.realisation.modal_form import modal_form
 from ambrose.core.statespace import StateSpace
 from ambrose.law.filters import bank, chain, section_matrix, section_text
+from ambrose.law.pid import axes_mixings, channel_chains, channel_names, mixings
 from ambrose.machine.controller import PidSettings, Section
 from ambrose.machine.machine import Machine
-from ambrose.synthesis.pid import axes_mixings, channel_chains, channel_names, mixings
 
 FLOOR = 0.1  # of the median gain: responses of sections are compared where there is some
 _SAME = 1e-6  # of the response, how far sections may be from the controller that was verified

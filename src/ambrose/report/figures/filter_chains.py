@@ -10,10 +10,10 @@ import numpy as np
 
 from ambrose.core.frequency import frequency_response
 from ambrose.law.filters import DERIVATIVE_FILTER, chain, section_matrix, section_text
+from ambrose.law.pid import channel_chains, channel_names, theta_system
 from ambrose.machine.controller import PidSettings, Section
 from ambrose.report import theme, units
 from ambrose.report.figures.bode import Line, bode_figure, grid_of
-from ambrose.synthesis.pid import channel_chains, channel_names, theta_system
 
 _ACROSS = 3  # blocks in a line: what a telephone shows
 # height of a block, of a line of blocks and of a channel's name [px]

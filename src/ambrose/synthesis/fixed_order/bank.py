@@ -25,17 +25,11 @@ from ambrose.law.filters import (
     section_matrix,
     section_text,
 )
+from ambrose.law.pid import channel_chains, channel_names, first_settings, mixings, theta_system
 from ambrose.machine.controller import SECTIONS, Channel, PidSettings, Section
 from ambrose.machine.machine import Machine
 from ambrose.model.effects.rotor import finite_element_rotor, free_modes
 from ambrose.model.static_load import magnet_coefficients
-from ambrose.synthesis.pid import (
-    channel_chains,
-    channel_names,
-    first_settings,
-    mixings,
-    theta_system,
-)
 
 _STEP = 1e-30  # of a complex derivative
 _FAR = 40.0  # of a logarithm: farther steps of a search stay finite

@@ -15,6 +15,7 @@ from ambrose.core.frequency import frequency_response, largest_gain
 from ambrose.core.statespace import StateSpace
 from ambrose.core.time_limit import TimeLimit
 from ambrose.judge.certificate import fastest_pole
+from ambrose.law.pid import pid_controller
 from ambrose.law.timing import Timing
 from ambrose.machine.controller import PidSettings
 from ambrose.machine.limits import STATES
@@ -27,7 +28,6 @@ from ambrose.synthesis.fixed_order.aims import Aims, aims_of, highest_verified
 from ambrose.synthesis.fixed_order.bank import BANKS, first_bank
 from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, warped
 from ambrose.synthesis.fixed_order.structure import Groups, axis_groups
-from ambrose.synthesis.pid import pid_controller
 
 _LAG = 2 * np.pi * 400  # rad/s; appended where the start is too fast for its sample rate
 _WEAK = 1e-3  # of the start's gain: states that are added to reach the order

@@ -68,8 +68,8 @@ class Tuned(Method):
     def design(self, plant: Plant, progress: Progress) -> Synthesis:
         from ambrose.judge.certificate import full_plant_margins
         from ambrose.judge.envelope import envelope_of
+        from ambrose.law.pid import first_settings, pid_controller
         from ambrose.synthesis.fixed_order.tuning import tune_controller
-        from ambrose.synthesis.pid import first_settings, pid_controller
         from ambrose.synthesis.weight_tuning import direct_gain_mismatch
 
         machine = plant.machine

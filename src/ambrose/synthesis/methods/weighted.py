@@ -81,14 +81,14 @@ class Weighted(Lowered):
         from ambrose.judge.as_it_runs import without_fast_poles
         from ambrose.judge.certificate import certify_on_full_plant
         from ambrose.law.design_problem import design_plant
+        from ambrose.law.pid import pid_controller
         from ambrose.law.weights import machine_weights
         from ambrose.model.reduce import reduce
-        from ambrose.synthesis.pid import pid_controller
         from ambrose.synthesis.weight_tuning import direct_gain_mismatch
 
         machine = plant.machine
-        weights = machine_weights(plant.machine)
         timing = self.timing()
+        weights = machine_weights(machine)
         model, uncertain = self.design_model(plant)
         reference = pid_controller(machine.reference, machine) if machine.reference else None
         margins = _left_out(machine, progress) if self.uncertain else {}
