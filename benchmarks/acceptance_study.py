@@ -18,7 +18,8 @@ from ambrose.core.statespace import select
 from ambrose.identification.validation.operating_load import machine_at_load
 from ambrose.judge.verdict import running_law
 from ambrose.law.timing import Timing, timing_of
-from ambrose.machine.description import OperatingPoint, Runout
+from ambrose.machine.description import OperatingPoint
+from ambrose.machine.stator import Runout
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import top_speed
 from ambrose.model.reduce import free_mode_reduction

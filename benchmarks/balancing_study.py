@@ -13,7 +13,7 @@ import numpy as np
 import ambrose as amb
 from ambrose.annexes.site.balancing.correction import balance
 from ambrose.annexes.site.balancing.vectors import once_per_turn, revolution
-from ambrose.machine.description import Runout
+from ambrose.machine.stator import Runout
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
 from ambrose.model.plant import top_speed
 from ambrose.rig.disturbances import Unbalance

@@ -12,7 +12,7 @@ import numpy as np
 import ambrose as amb
 from ambrose.annexes.site.calibration import calibrate
 from ambrose.core.statespace import static_gain
-from ambrose.machine.description import Runout
+from ambrose.machine.stator import Runout
 from ambrose.model.plant import top_speed
 from ambrose.rig.disturbances import Sine
 from ambrose.rig.scenario import Scenario

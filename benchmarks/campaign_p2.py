@@ -31,7 +31,8 @@ from ambrose.identification.static_load import identify as static_load
 from ambrose.identification.static_load.identify import StaticLoad
 from ambrose.identification.validation.repeatability import Repeats, of_estimates, repeats
 from ambrose.law.loop import closed_loop as loop_of
-from ambrose.machine.description import Amplifier, Notch, OperatingPoint, PidSettings
+from ambrose.machine.controller import Notch, PidSettings
+from ambrose.machine.description import Amplifier, OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.effects import magnet

@@ -16,7 +16,8 @@ from ambrose.core.lft import GeneralizedPlant, RealBlock
 from ambrose.core.statespace import StateSpace, append, rename, series, static_gain
 from ambrose.law.design_problem import design_plant
 from ambrose.law.weights import Weights, machine_weights
-from ambrose.machine.description import DesignWeights, PidSettings
+from ambrose.machine.controller import PidSettings
+from ambrose.machine.description import DesignWeights
 
 
 @cache

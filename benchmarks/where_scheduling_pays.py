@@ -138,9 +138,8 @@ class Map:
                 law = tuned(job, first, "free", again=start_from is not None).controller
             except NumericalFailure:
                 continue
-            best = min(
-                best, (self.worst(lambda *_: law, speeds, top), law), key=lambda item: item[0]
-            )  # noqa: B023
+            worst = self.worst(lambda *_, law=law: law, speeds, top)
+            best = min(best, (worst, law), key=lambda item: item[0])
         return best
 
     def scheduled(self, speeds, top):

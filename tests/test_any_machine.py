@@ -15,8 +15,8 @@ import ambrose as amb
 from ambrose.cli import main
 from ambrose.core.frequency import frequency_response
 from ambrose.law.loop import closed_loop
-from ambrose.machine.description import CasingMode, Support
 from ambrose.machine.file.toml import dumps_machine, loads_machine, read_machine_text
+from ambrose.machine.stator import CasingMode, Support
 from ambrose.model.assemble import assemble
 from ambrose.synthesis.pid import pid_controller
 

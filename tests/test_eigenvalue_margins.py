@@ -18,7 +18,7 @@ from ambrose.core.statespace import (
     static_gain,
     transfer_function,
 )
-from ambrose.machine.description import PidSettings
+from ambrose.machine.controller import PidSettings
 from ambrose.synthesis.pid import axes_controller
 from eigenvalue_margins import loop_margins
 

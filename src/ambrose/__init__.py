@@ -110,7 +110,9 @@ def __getattr__(name: str) -> Any:
         # a function: wrong types are named, and it pickles as what it is called here
         if not isinstance(item, type):
             item = import_module("ambrose.core.arguments").names_wrong_types(item)
-            item.__module__, item.__name__, item.__qualname__ = "ambrose", name, name
+            item.__module__ = "ambrose"
+            item.__name__ = name
+            item.__qualname__ = name
         globals()[name] = item
         return item
     raise AttributeError(

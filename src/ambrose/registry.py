@@ -10,10 +10,13 @@ import no annex: one that is taken off the tree takes with it what it has regist
 
 from __future__ import annotations
 
+import os
 from functools import cache
 from importlib import import_module
-from pkgutil import iter_modules
-from typing import Any
+
+TYPE_CHECKING = False  # typing itself would be most of the time that ``import ambrose`` takes
+if TYPE_CHECKING:
+    from typing import Any
 
 ANNEXES = "ambrose.annexes"
 
@@ -21,9 +24,9 @@ ANNEXES = "ambrose.annexes"
 @cache
 def annexes() -> tuple[str, ...]:
     """The names of the annexes that this installation holds, sorted."""
-    return tuple(
-        sorted(item.name for item in iter_modules(import_module(ANNEXES).__path__) if item.ispkg)
-    )
+    folders = [entry for root in import_module(ANNEXES).__path__ for entry in os.scandir(root)]
+    packages = [f.name for f in folders if os.path.exists(os.path.join(f.path, "__init__.py"))]
+    return tuple(sorted(packages))
 
 
 @cache

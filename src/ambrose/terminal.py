@@ -121,7 +121,9 @@ class _Outlet(io.RawIOBase):
     """
 
     def __init__(self, raw: io.RawIOBase, name: str) -> None:
-        self._raw, self._name, self._lost = raw, name, False
+        self._raw = raw
+        self._name = name
+        self._lost = False
 
     def writable(self) -> bool:
         return True

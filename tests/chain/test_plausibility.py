@@ -16,8 +16,9 @@ from ambrose.chain.check import critical_speeds, shares
 from ambrose.chain.plants import facts
 from ambrose.cli import main
 from ambrose.judge.unavoidable import unavoidable_sensitivity
-from ambrose.machine.description import Material, OperatingPoint, Operation, Tolerance
+from ambrose.machine.description import OperatingPoint, Operation, Tolerance
 from ambrose.machine.file.toml import read_machine_text
+from ambrose.machine.rotor_model import Material
 from ambrose.machine.units import DIMENSIONS, read_quantity
 from coarse import coarse
 

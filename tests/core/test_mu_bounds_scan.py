@@ -317,11 +317,12 @@ def test_rank_one_closed_form(blocks):
                 radius += np.linalg.norm(vi) * np.linalg.norm(ui)
             i, j = i + block.n_w, j + block.n_z
         a = np.array(terms)
+
         # support function of (segment sum + disc) in the direction (1, s); its minimum is where the
         # real axis leaves the set
-        support = lambda s, a=a, radius=radius: (
-            np.abs(a.real + s * a.imag).sum() + radius * np.hypot(1, s)
-        )  # noqa: E731
+        def support(s, a=a, radius=radius):
+            return np.abs(a.real + s * a.imag).sum() + radius * np.hypot(1, s)
+
         truth = minimize_scalar(support, bracket=(-1, 1), tol=1e-12).fun
         assert result.upper[k] == pytest.approx(truth, rel=1e-4)
         assert result.upper[k] >= truth * (1 - 1e-9)

@@ -15,7 +15,7 @@ from ambrose.identification.seal.stepped_sine import _Model
 from ambrose.identification.static_load.identify import bearing_forces
 from ambrose.identification.static_load.levels import Levels
 from ambrose.law.loop import closed_loop
-from ambrose.machine.description import CasingMode, Support
+from ambrose.machine.stator import CasingMode, Support
 from ambrose.model.assemble import assemble
 from ambrose.model.static_load import magnet_coefficients, operating_magnets
 from ambrose.rig import virtual_rig

@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 
 from ambrose.core.statespace import StateSpace
+from ambrose.machine.controller import PidSettings
 from ambrose.machine.description import (
     Amplifier,
     Coupling,
     MagneticBearing,
     OperatingPoint,
     Operation,
-    PidSettings,
     Requirements,
-    Seal,
-    Sensor,
-    ShaftSection,
 )
 from ambrose.machine.machine import Machine
+from ambrose.machine.rotor_model import ShaftSection
+from ambrose.machine.seals import Seal
+from ambrose.machine.stator import Sensor
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
 from ambrose.synthesis.pid import pid_controller

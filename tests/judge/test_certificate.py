@@ -22,7 +22,7 @@ from ambrose.core.statespace import (
     transfer_function,
 )
 from ambrose.judge.certificate import certify, continuous_equivalent, disk_margins, fastest_pole
-from ambrose.machine.description import PidSettings
+from ambrose.machine.controller import PidSettings
 from ambrose.synthesis.pid import axes_controller
 from eigenvalue_margins import loop_margins, opened
 

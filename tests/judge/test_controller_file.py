@@ -23,9 +23,11 @@ from ambrose.judge.controller_file import controller_schema, read_controller, wr
 from ambrose.judge.result import Certificate, Provenance, Status, Synthesis
 from ambrose.law.loop import match_controller
 from ambrose.law.weights import Weights, control_weight, performance_weight, scale_control
-from ambrose.machine.description import MagneticBearing, OperatingPoint, Sensor, ShaftSection
+from ambrose.machine.description import MagneticBearing, OperatingPoint
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
+from ambrose.machine.rotor_model import ShaftSection
+from ambrose.machine.stator import Sensor
 from ambrose.model.assemble import assemble
 
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")

@@ -20,7 +20,9 @@ from ambrose.machine.file.update import update_machine_file
 from ambrose.synthesis.pid import modes, pid_controller, theta_system
 
 RIG = amb.load_machine("seal-rig")
-COMPRESSOR = (Path(__file__).parent / "fixed_order" / "flexible_compressor.toml").read_text()
+COMPRESSOR = (
+    Path(__file__).parents[1] / "synthesis" / "fixed_order" / "flexible_compressor.toml"
+).read_text()
 OMEGA = np.geomspace(0.1, 1e5, 40)
 S = 1j * OMEGA
 

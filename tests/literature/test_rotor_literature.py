@@ -17,9 +17,10 @@ import scipy.linalg as sla
 
 from ambrose.core.mechanical import SecondOrder, to_statespace
 from ambrose.core.statespace import poles
-from ambrose.machine.description import Amplifier, Disc, Material, ShaftSection
+from ambrose.machine.description import Amplifier
 from ambrose.machine.file.toml import load_machine
 from ambrose.machine.machine import Machine
+from ambrose.machine.rotor_model import Disc, Material, ShaftSection
 from ambrose.model.effects.rotor import (
     displacement_row,
     finite_element_rotor,

@@ -2,8 +2,6 @@
 or the remedy.
 """
 
-# ruff: noqa: E501 (a slip is a line of a table)
-
 import re
 from pathlib import Path
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import SealTable
 from ambrose.machine.file.toml import bundled_machines, load_machine
+from ambrose.machine.seals import SealTable
 
 RIG, K_ONLY = load_machine("seal-rig"), load_machine("seal-rig-k-only")
 

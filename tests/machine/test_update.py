@@ -11,7 +11,7 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.controller import Channel, PidSettings, Section
-from ambrose.machine.description import BiasPoint, Material, SealTable, Tolerance
+from ambrose.machine.description import BiasPoint, Tolerance
 from ambrose.machine.file import update
 from ambrose.machine.file.toml import (
     bundled_machines,
@@ -21,6 +21,8 @@ from ambrose.machine.file.toml import (
     read_machine_text,
 )
 from ambrose.machine.file.update import machine_text, save_machine, update_machine_file
+from ambrose.machine.rotor_model import Material
+from ambrose.machine.seals import SealTable
 
 SMALL = str(Path(__file__).with_name("small.toml"))
 ODD = """# a rig on one page

@@ -13,9 +13,10 @@ from ambrose.chain.check import critical_speeds
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import poles
-from ambrose.machine.description import BendingMode, Tolerance
+from ambrose.machine.description import Tolerance
 from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.machine.machine import Machine
+from ambrose.machine.rotor_model import BendingMode
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.rotor import (
     finite_element_rotor,

@@ -12,8 +12,9 @@ from ambrose.chain.check import insight, springs
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.law.loop import closed_loop
-from ambrose.machine.description import PidSettings, Runout
+from ambrose.machine.controller import PidSettings
 from ambrose.machine.file.toml import dumps_machine, loads_machine
+from ambrose.machine.stator import Runout
 from ambrose.model.assemble import assemble
 from ambrose.model.effects import sensor
 from ambrose.model.ports import measured_ports, sensor_ports, sensor_turn

@@ -12,9 +12,10 @@ from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.law.loop import closed_loop
-from ambrose.machine.description import CasingMode, OperatingPoint, Support, Tolerance
+from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.machine.file.update import update_machine_file
+from ambrose.machine.stator import CasingMode, Support
 from ambrose.model.assemble import assemble
 from ambrose.model.effects import magnet
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties

@@ -10,7 +10,8 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import RealBlock, close_uncertainty
 from ambrose.core.statespace import select
-from ambrose.machine.description import Amplifier, SealTable, Tolerance
+from ambrose.machine.description import Amplifier, Tolerance
+from ambrose.machine.seals import SealTable
 from ambrose.model.assemble import assemble
 from ambrose.model.reduce import free_mode_reduction, reduce
 from ambrose.model.uncertainty import perturbed, uncertain

@@ -11,15 +11,14 @@ from ambrose.judge.checks import Check, Checks, Curve
 from ambrose.machine.description import (
     Amplifier,
     Coupling,
-    Disc,
     MagneticBearing,
     OperatingPoint,
     Operation,
-    Seal,
-    Sensor,
-    ShaftSection,
 )
 from ambrose.machine.machine import Machine
+from ambrose.machine.rotor_model import Disc, ShaftSection
+from ambrose.machine.seals import Seal
+from ambrose.machine.stator import Sensor
 
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
 ZONES = (("zone A/B", 3.0), ("zone B/C", 4.0), ("zone C/D", 5.0))

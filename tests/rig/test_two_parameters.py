@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulation.test_pressure_schedule import PID, RIG, SCHEDULE, SURGE, ZERO, Y, stiffer
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.scheduled import ScheduledSystem
@@ -18,6 +17,7 @@ from ambrose.model.assemble import assemble
 from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import PressureChange, PressureSensor, Pulse, SpeedChange
 from ambrose.rig.trial import simulate_linear
+from rig.test_pressure_schedule import PID, RIG, SCHEDULE, SURGE, ZERO, Y, stiffer
 
 KNOCK = Pulse("f_center_x", 20.0, 0.06, 0.003)  # when speed and pressure have changed
 TURNING = replace(

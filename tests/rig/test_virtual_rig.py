@@ -9,7 +9,8 @@ import pytest
 
 from ambrose import StateSpace, load_machine
 from ambrose.core.checks import InvalidInput, NumericalFailure
-from ambrose.machine.description import OperatingPoint, Runout, Touchdown
+from ambrose.machine.description import OperatingPoint, Touchdown
+from ambrose.machine.stator import Runout
 from ambrose.record.files import read_record
 from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import Failure, PressureChange, Pulse

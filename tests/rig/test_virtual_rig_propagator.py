@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from ambrose import load_machine
-from ambrose.machine.description import Amplifier, CasingMode, Runout, Support
+from ambrose.machine.description import Amplifier
+from ambrose.machine.stator import CasingMode, Runout, Support
 from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import (
     Failure,

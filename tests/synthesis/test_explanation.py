@@ -9,7 +9,7 @@ import pytest
 import ambrose as amb
 from ambrose.core.checks import NumericalFailure
 from ambrose.law.timing import Timing
-from ambrose.machine.description import ShaftSection
+from ambrose.machine.rotor_model import ShaftSection
 from ambrose.synthesis.explanation import stiffness_margin, why_none, why_unstable
 from ambrose.synthesis.pid import pid_controller, pid_synthesis
 from coarse import coarse

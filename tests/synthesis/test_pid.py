@@ -15,16 +15,11 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, feedback, select, series, spectral_abscissa
 from ambrose.law.filters import chain, lead_lag, low_pass, notch, section_matrix
 from ambrose.law.loop import closed_loop
-from ambrose.machine.controller import Channel
-from ambrose.machine.description import (
-    Amplifier,
-    MagneticBearing,
-    Notch,
-    PidSettings,
-    Sensor,
-    ShaftSection,
-)
+from ambrose.machine.controller import Channel, Notch, PidSettings
+from ambrose.machine.description import Amplifier, MagneticBearing
 from ambrose.machine.machine import Machine
+from ambrose.machine.rotor_model import ShaftSection
+from ambrose.machine.stator import Sensor
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
 from ambrose.model.reduce import reduce

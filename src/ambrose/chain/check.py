@@ -23,8 +23,9 @@ from ambrose.judge.unavoidable import beyond_reach, unavoidable_sensitivity, una
 from ambrose.law.loop import closed_loop
 from ambrose.law.timing import machine_timing
 from ambrose.machine.criteria import demand
-from ambrose.machine.description import MagneticBearing, Seal
+from ambrose.machine.description import MagneticBearing
 from ambrose.machine.machine import Machine
+from ambrose.machine.seals import Seal
 from ambrose.model.assemble import assemble, attached_rotor
 from ambrose.model.basis import bending_modes_of
 from ambrose.model.effects.rotor import (
@@ -233,7 +234,8 @@ def _sizes(machine: Machine, properties: MassProperties) -> Iterator[str]:
     remedy = "look for a length without its unit, a bare number is in metres"
     thick = max(max(item.outer_diameter, item.mass_diameter or 0.0) for item in machine.shaft)
     if _outside(properties.mass, _MASS):
-        yield f"the rotor weighs {properties.mass:,.4g} kg, unheard of on magnetic bearings; {remedy}"
+        weight = f"the rotor weighs {properties.mass:,.4g} kg"
+        yield f"{weight}, unheard of on magnetic bearings; {remedy}"
     if _outside(machine.length, _LENGTH):
         yield f"the rotor is {machine.length:,.4g} m long; {remedy}"
     if _outside(thick, _DIAMETER):
@@ -394,7 +396,8 @@ def _timing(
         )
     if timing is not None and timing.rate * HERTZ < 10 * max(top_speed(machine), pole):
         what = f"the {max(top_speed(machine), pole) / HERTZ:.4g} Hz of speed or unstable pole"
-        yield f"the controller runs at {timing.rate:.4g} Hz, less than 10 times {what}; sample faster"
+        rate = f"the controller runs at {timing.rate:.4g} Hz"
+        yield f"{rate}, less than 10 times {what}; sample faster"
 
 
 def _not_held(machine: Machine) -> Iterator[str]:
@@ -431,7 +434,9 @@ def _remarks(machine: Machine) -> Iterator[str]:
     if machine.reference is None:
         yield "no reference controller: method pid needs one, tuned starts from a first guess"
     if machine_timing(machine) is None:
-        yield "no sample_time in [controller]: loops are judged as continuous unless a rate is given"
+        yield (
+            "no sample_time in [controller]: loops are judged as continuous unless a rate is given"
+        )
     if machine.gravity_direction is None:
         yield "no gravity_direction: the rotor has no weight on the rig"
     if machine.operation.speed_range[1] == 0 and top_speed(machine) > 0:

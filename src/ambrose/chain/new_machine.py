@@ -22,20 +22,18 @@ from ambrose.machine.controller import PidSettings
 from ambrose.machine.description import (
     Amplifier,
     DesignWeights,
-    Disc,
     MachineDescription,
     MagnetGeometry,
     MagneticBearing,
     OperatingPoint,
     Operation,
     Requirements,
-    Sensor,
-    ShaftSection,
 )
 from ambrose.machine.file.annotated import annotated_machine
 from ambrose.machine.file.toml import loads_machine
 from ambrose.machine.machine import Machine
-from ambrose.machine.rotor_model import RotorModel
+from ambrose.machine.rotor_model import Disc, RotorModel, ShaftSection
+from ambrose.machine.stator import Sensor
 from ambrose.machine.units import DIMENSIONS, read_quantity
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.magnet import VACUUM_PERMEABILITY
@@ -230,8 +228,12 @@ def machine_of_rotor(rotor: RotorModel, known: Known | None = None) -> Machine:
     return loads_machine(written, rotor.name)
 
 
-_TITLE = """A machine for Ambrose: numbers have units, what was chosen and not measured is marked "assumed" and listed
-with its reason. Replace it by what you know, then: ambrose check, ambrose synthesize, ambrose simulate."""
+_TITLE = (
+    "A machine for Ambrose: numbers have units, what was chosen and not measured is marked "
+    '"assumed" and listed\n'
+    "with its reason. Replace it by what you know, then: ambrose check, ambrose synthesize, "
+    "ambrose simulate."
+)
 
 
 def _elements(length: float, diameter: float) -> int:

@@ -45,9 +45,9 @@ class AmbroseCommand(click.Group):
         two = " ".join(args[:2])
         return super().resolve_command(ctx, [two, *args[2:]] if two in self.commands else args)
 
-    def main(
+    def main(  # type: ignore[override]
         self, args: Any = None, prog_name: Any = None, *, standalone_mode: bool = True, **extra: Any
-    ) -> Any:  # type: ignore[override]
+    ) -> Any:
         # Before numpy is loaded: at these sizes (some hundred states) BLAS threads cost more than
         # they bring.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -45,8 +45,8 @@ METHODS = ("closed-loop", "youla", "static")
     help='What to identify, "*" for every name or axis: bearing.*.negative_stiffness.* '
     "(repeatable). "
     "Default: what the machine file marks as uncertain, K_i and K_s of every axis, and the "
-    "amplifier's lag; "
-    "delay, and bending (bending_2, ...) for frequency and damping of a bending mode, add to these.",
+    "amplifier's lag; delay, and bending (bending_2, ...) for frequency and damping of a bending "
+    "mode, add to these.",
 )
 @click.option(
     "--start",

@@ -32,8 +32,9 @@ from ambrose.version import __version__
 FORMAT = "ambrose-controller-mat"
 VERSION = 1
 _WORDS = """
-break case catch classdef continue else elseif end for function global if otherwise parfor persistent return spmd switch try
-while ans pi eps inf nan i j do until unwind_protect end_try_catch endfunction endif endwhile endfor
+break case catch classdef continue else elseif end for function global if otherwise parfor
+persistent return spmd switch try while ans pi eps inf nan i j do until unwind_protect end_try_catch
+endfunction endif endwhile endfor
 """  # MATLAB's keywords, Octave's, and names whose meaning everybody relies on
 _RESERVED = frozenset(_WORDS.split())
 _FIELD = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")

@@ -29,29 +29,33 @@ from ambrose.core.checks import invalid
 
 _TYPES = {"double": "LREAL", "float": "REAL"}
 _WORDS = """
-abs abstract acos action add and any any_bit any_date any_derived any_elementary any_int any_magnitude any_num
-any_real any_string array asin at atan bool by byte case char class concat configuration constant continue cos ctd ctu
-ctud date date_and_time delete dint div do dt dword else elsif en end_action end_case end_class end_configuration
-end_for end_function end_function_block end_if end_interface end_method end_namespace end_program end_repeat
-end_resource end_step end_struct end_transition end_type end_var end_while eno eq exit exp expt extends f_edge f_trig
-false final find for from function function_block ge global gt if implements initial_step insert int interface
-internal interval ldate ldt le left len limit lint ln log lreal lt ltime ltod lword max method mid min mod move mul
-mux namespace ne non_retain not null of on or override overlap pointer pou priority private program property protected
-public r_edge r_trig read_only read_write real ref ref_to reference repeat replace resource retain return right rol
-ror rs rtc sel sema shl shr sin single sint sqrt sr step string string# struct sub super tan task then this time
-time_of_day to tod tof ton tp transition true trunc type udint uint ulint until usint using var var_access var_config
-var_external var_global var_in_out var_input var_output var_temp wchar when while with word wstring xor
-"""  # keywords, types, functions and function blocks of IEC 61131-3, and extensions of the largest tools
+abs abstract acos action add and any any_bit any_date any_derived any_elementary any_int
+any_magnitude any_num any_real any_string array asin at atan bool by byte case char class concat
+configuration constant continue cos ctd ctu ctud date date_and_time delete dint div do dt dword
+else elsif en end_action end_case end_class end_configuration end_for end_function
+end_function_block end_if end_interface end_method end_namespace end_program end_repeat
+end_resource end_step end_struct end_transition end_type end_var end_while eno eq exit exp expt
+extends f_edge f_trig false final find for from function function_block ge global gt if implements
+initial_step insert int interface internal interval ldate ldt le left len limit lint ln log lreal
+lt ltime ltod lword max method mid min mod move mul mux namespace ne non_retain not null of on or
+override overlap pointer pou priority private program property protected public r_edge r_trig
+read_only read_write real ref ref_to reference repeat replace resource retain return right rol ror
+rs rtc sel sema shl shr sin single sint sqrt sr step string string# struct sub super tan task then
+this time time_of_day to tod tof ton tp transition true trunc type udint uint ulint until usint
+using var var_access var_config var_external var_global var_in_out var_input var_output var_temp
+wchar when while with word wstring xor
+"""  # keywords, types, functions and blocks of IEC 61131-3, and extensions of the largest tools
 KEYWORDS = frozenset(_WORDS.split())
 _IDENTIFIER = re.compile(r"[A-Za-z](_?[A-Za-z0-9])*")
 _OWN = """
-reset track held fault limited e u d state carry last missing error_limit current_limit ni no nx nw first i j o good
-asked given sum change check block sample samples wrong done errors valid currents status expected largest tolerance direct
-to_current from_error unwind transfer_error transfer_current
+reset track held fault limited e u d state carry last missing error_limit current_limit ni no nx nw
+first i j o good asked given sum change check block sample samples wrong done errors valid currents
+status expected largest tolerance direct to_current from_error unwind transfer_error
+transfer_current
 """  # what the function block and the test declare besides signals
 _OWN_SCHEDULED = """
-clamped behind grid told told_missing place moving target near far low pass q r w of_error of_state on_state on_current core
-steady pick speeds pressures
+clamped behind grid told told_missing place moving target near far low pass q r w of_error of_state
+on_state on_current core steady pick speeds pressures
 """
 
 

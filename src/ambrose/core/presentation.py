@@ -44,10 +44,9 @@ class Presented:
 
     def to_dict(self) -> dict[str, Any]:
         """All fields of the dataclass, ready for JSON (``to_plain``)."""
-        fields: dict[str, Any] = to_plain(
-            {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        )  # type: ignore[arg-type]
-        return fields
+        names = (field.name for field in dataclasses.fields(self))  # type: ignore[arg-type]
+        plain: dict[str, Any] = to_plain({name: getattr(self, name) for name in names})
+        return plain
 
     def __repr__(self) -> str:
         words = ", ".join(f"{name}={in_words(value)}" for name, value in self.facts().items())
@@ -86,7 +85,8 @@ def html_table(
         "<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>" for row in rows
     )
     title = f"<caption><b>{escape(caption)}</b></caption>" if caption else ""
-    return f"<table>{title}{f'<thead><tr>{head}</tr></thead>' if head else ''}<tbody>{body}</tbody></table>"
+    top = f"<thead><tr>{head}</tr></thead>" if head else ""
+    return f"<table>{title}{top}<tbody>{body}</tbody></table>"
 
 
 def data_frame(columns: Mapping[str, Any], index: str | None = None) -> Any:

@@ -291,7 +291,9 @@ def _respond(system: StateSpace, u: np.ndarray, x: np.ndarray) -> tuple[np.ndarr
     B = system.B[:, active]
     D = system.D[:, active]
     u = u[active]
-    (p, m), n, k = D.shape, len(x), u.shape[1]
+    p, m = D.shape
+    n = len(x)
+    k = u.shape[1]
     y = np.empty((p, k))
     L = _block_length(n, m, p, k)
     whole = k // L * L
@@ -331,7 +333,9 @@ def _lift(
     A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, L: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """A^L (n, n), R (n, L m), O (L p, n) and T (L p, L m) for a power of two L, by doubling."""
-    (p, m), R, Ob = D.shape, B, C
+    p, m = D.shape
+    R = B
+    Ob = C
     for _ in range(L.bit_length() - 1):
         Ob = np.vstack([Ob, Ob @ A])
         R = np.hstack([A @ R, R])
@@ -353,7 +357,9 @@ def _blocks(
     after the last block.
     """
     A, R, Ob, T = lifted
-    (p, k), m, n = y.shape, len(u), len(x)
+    p, k = y.shape
+    m = len(u)
+    n = len(x)
     batch = max(1, _CHUNK // (L * (p + m) + n))
     for first in range(0, k // L, batch):
         part = slice(first * L, min((first + batch) * L, k))

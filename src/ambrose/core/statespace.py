@@ -417,9 +417,12 @@ def _common_dt(systems: Iterable[StateSpace]) -> float | None:
     """The sample time shared by all systems that have one; static gains go with any."""
     times = {s.dt for s in systems if s.n_states or s.dt is not None}
     first = next(iter(times), None)
+    sampled = [t for t in times if t is not None]
     if len(times) > 1 and (
-        None in times or not all(np.isclose(t, first, rtol=1e-9, atol=0) for t in times)
-    ):  # type: ignore[arg-type]
+        first is None
+        or len(sampled) < len(times)
+        or not all(np.isclose(t, first, rtol=1e-9, atol=0) for t in sampled)
+    ):
         raise invalid(
             "the sample times", sorted(map(str, times)), "equal", "resample with sampling.c2d first"
         )

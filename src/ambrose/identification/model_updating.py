@@ -17,14 +17,7 @@ from ambrose.identification.parameters import (
     part_names,
     with_bending,
 )
-from ambrose.machine.description import (
-    BiasPoint,
-    MagneticBearing,
-    OperatingPoint,
-    Pair,
-    Seal,
-    Tolerance,
-)
+from ambrose.machine.description import BiasPoint, MagneticBearing, OperatingPoint, Pair, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import (
     CONTROLLER_DELAY,
@@ -33,7 +26,7 @@ from ambrose.machine.parameters import (
     find_uncertain,
     parse_parameter,
 )
-from ambrose.machine.seals import constant_under_pressure
+from ambrose.machine.seals import Seal, constant_under_pressure
 from ambrose.model.effects import magnet
 from ambrose.model.effects.seal import coefficients
 from ambrose.model.static_load import stated_at_load

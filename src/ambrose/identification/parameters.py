@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.machine.description import BendingMode, OperatingPoint, Tolerance
+from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import (
     BENDING,
@@ -21,6 +21,7 @@ from ambrose.machine.parameters import (
     find_uncertain,
     parse_parameter,
 )
+from ambrose.machine.rotor_model import BendingMode
 from ambrose.machine.units import DIMENSIONS
 from ambrose.model.assemble import assemble
 from ambrose.model.basis import bending_modes_of

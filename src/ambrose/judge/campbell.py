@@ -1,9 +1,9 @@
 """Campbell map: natural frequencies and damping against speed, each mode followed by shape;
 critical speeds.
 
-| check            | what                                                                                 | unit  |
-|------------------|--------------------------------------------------------------------------------------|-------|
-| stability.speeds | largest real part of the closed-loop poles over the speed range; must be negative    | rad/s |
+| check | what | unit |
+|---|---|---|
+| stability.speeds | largest real part of the poles over the speed range; below zero | rad/s |
 """
 
 from __future__ import annotations

@@ -5,12 +5,12 @@ L_i) (Schur complement). Disk margins: Seiler, Packard & Gahinet, "An introducti
 IEEE Control Systems 40(5), 2020, with skew 0: alpha = 1 / max |S - 1/2|, gain factor (1 +
 alpha/2)/(1 - alpha/2), phase 2 arctan(alpha/2).
 
-| check                         | what                                                                        | unit |
-|-------------------------------|-----------------------------------------------------------------------------|------|
-| margin.gain.<where>.<axis>    | smallest factor by which the gain may grow, or be divided, before instability | -    |
-| margin.phase.<where>.<axis>   | smallest phase that may be added or taken                                   | rad  |
-| margin.delay.<where>.<axis>   | smallest delay that may be added                                            | s    |
-| margin.disk.<where>           | gain factor all channels tolerate together, with any phase mix (a guarantee) | -    |
+| check | what | unit |
+|---|---|---|
+| margin.gain.<where>.<axis> | smallest factor on the gain, or its inverse, before instability | - |
+| margin.phase.<where>.<axis> | smallest phase that may be added or taken | rad |
+| margin.delay.<where>.<axis> | smallest delay that may be added | s |
+| margin.disk.<where> | gain factor all channels bear together, with any phase (a guarantee) | - |
 
 <where> is "output" (loop opened at the sensors) or "input" (at the currents). Each loop is also a
 curve: margin.loop.output.
@@ -186,7 +186,9 @@ def _solve(crossings: list[_Crossing], evaluator: Evaluator) -> None:
                 c.low, c.f_low = c.high, c.f_high
             else:
                 c.f_low *= 0.5
-            c.high, c.f_high, c.value = float(points[i]), f, value
+            c.high = float(points[i])
+            c.f_high = f
+            c.value = value
         active = [
             c
             for c in active

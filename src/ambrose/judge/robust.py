@@ -1,16 +1,16 @@
 """Robust verification of one closed loop: what holds for every value of the uncertain parameters
 within their tolerances.
 
-| check                     | what                                                                          | how             |
-|---------------------------|-------------------------------------------------------------------------------|-----------------|
-| robust.stability.box      | corners and samples of the box at which the loop is unstable                  | counted         |
-| robust.stability.margin   | smallest factor on all tolerances at which a perturbation destabilises        | found by search |
-| robust.stability.proved   | factor on all tolerances up to which the loop is stable (mixed mu)            | proved          |
-| robust.sensitivity.worst  | largest singular value of S_o over the box                                    | found by search |
-| robust.sensitivity.bound  | upper bound of the same (mixed mu)                                            | proved, or grid |
-| robust.sensitivity.input  | largest singular value of S_i over the box                                    | found by search |
-| robust.sensitivity.at...  | one parameter only: that of S_o at delta = -1, -0.5, 0, 0.5, 1                | found by search |
-| robust.performance        | mixed mu of the weighted loop (with weights): below 1 they are met all over   | on a grid       |
+| check | what | how |
+|---|---|---|
+| robust.stability.box | corners and samples of the box at which the loop is unstable | counted |
+| robust.stability.margin | smallest factor on all tolerances that destabilises | found by search |
+| robust.stability.proved | factor on all tolerances up to which it is stable (mu) | proved |
+| robust.sensitivity.worst | largest singular value of S_o over the box | found by search |
+| robust.sensitivity.bound | upper bound of the same (mixed mu) | proved, or grid |
+| robust.sensitivity.input | largest singular value of S_i over the box | found by search |
+| robust.sensitivity.at... | one parameter only: S_o at five of its values | found by search |
+| robust.performance | mixed mu of the weighted loop: below 1 the weights are met | on a grid |
 
 "Proved" is at all frequencies, on the model that the detail names; where the proof of the bound
 fails it is evaluated on a frequency grid, and its title says so. A proof that fails for numerical
@@ -222,7 +222,9 @@ def box_loops(
 
 def _sensitivity_loops(closed: StateSpace, unit: GeneralizedPlant) -> tuple[BoxLoop, BoxLoop]:
     """(w_delta, w2) -> (z_delta, -S_o w2), and (w_delta, w1) -> (z_delta, S_i w1): v = u + w1."""
-    n_w, n_z, a = unit.n_w_blocks, unit.n_z_blocks, len(unit.u)
+    n_w = unit.n_w_blocks
+    n_z = unit.n_z_blocks
+    a = len(unit.u)
     model = chords(closed)  # of both, once
 
     def part(inputs: np.ndarray, outputs: np.ndarray, direct: float) -> BoxLoop:

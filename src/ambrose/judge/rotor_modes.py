@@ -1,11 +1,11 @@
 """Closed-loop poles with damping and whirl direction.
 
-| check                        | what                                                                         | unit  |
-|------------------------------|------------------------------------------------------------------------------|-------|
-| stability.abscissa           | largest real part of the closed-loop poles; must be negative                 | rad/s |
-| poles.log_decrement.lowest   | smallest log decrement up to the first forward mode or the top speed (API 617) | -     |
-| poles.log_decrement.least    | smallest log decrement of all poles, bending modes and controller included   | -     |
-| poles.damping.least          | smallest damping ratio of all poles                                          | -     |
+| check | what | unit |
+|---|---|---|
+| stability.abscissa | largest real part of the closed-loop poles; must be negative | rad/s |
+| poles.log_decrement.lowest | smallest log dec to the first forward mode or top speed | - |
+| poles.log_decrement.least | smallest log dec of all poles, bending and controller included | - |
+| poles.damping.least | smallest damping ratio of all poles | - |
 
 The curve "poles" holds every closed-loop pole.
 """

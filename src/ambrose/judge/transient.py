@@ -1,12 +1,12 @@
 """Response to a short pulse of excitation current: settling time, peak displacements, currents and
 forces.
 
-| check                | what                                                                                  | unit |
-|----------------------|---------------------------------------------------------------------------------------|------|
-| impulse.settling     | time after the pulse until all displacements stay within the band, worst axis         | s    |
-| impulse.displacement | largest measured displacement                                                         | m    |
-| impulse.current      | largest control current of the axis nearest to its limit                              | A    |
-| impulse.force        | largest magnetic force k_i i + k_s q of the axis nearest to its limit                 | N    |
+| check | what | unit |
+|---|---|---|
+| impulse.settling | time after the pulse until all displacements stay in the band | s |
+| impulse.displacement | largest measured displacement | m |
+| impulse.current | largest control current of the axis nearest to its limit | A |
+| impulse.force | largest magnetic force k_i i + k_s q of the axis nearest to its limit | N |
 
 Curves: "impulse.displacement" and "impulse.current", the response to the pulse on the axis that
 settles last.

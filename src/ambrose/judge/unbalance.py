@@ -10,17 +10,17 @@ pulls with F = U W^2 (ISO 21940-11). How U is spread is unknown, so that three c
 * in phase, in antiphase: rotating forces in the bearing planes, shared by the lever rule about the
   centre of mass; orbits are semi-major axes.
 
-| check                | what                                                                     | unit |
-|----------------------|--------------------------------------------------------------------------|------|
-| unbalance.orbit      | largest worst-case orbit, zero to peak, up to the required speed         | m    |
-| unbalance.in_phase   | largest orbit with the unbalance in phase                                | m    |
-| unbalance.antiphase  | the same in antiphase                                                    | m    |
-| unbalance.clearance  | the worst-case orbit over the smallest touchdown (or air) gap (ISO 14839-2) | -    |
-| unbalance.current    | worst-case control current of the axis nearest to its limit              | A    |
-| unbalance.force      | worst-case magnetic force k_i i + k_s q of the axis nearest to its limit | N    |
-| unbalance.voltage    | worst-case voltage w L i of a coil, where the amplifier has a max_voltage | V    |
-| unbalance.separation | amplification factor over the allowed one near the running_speeds (API 617) | -    |
-| unbalance.assembled  | worst-case orbit with the rotor assembled anew at every speed              | m    |
+| check | what | unit |
+|---|---|---|
+| unbalance.orbit | largest worst-case orbit, zero to peak, up to the required speed | m |
+| unbalance.in_phase | largest orbit with the unbalance in phase | m |
+| unbalance.antiphase | the same in antiphase | m |
+| unbalance.clearance | worst-case orbit over the smallest touchdown or air gap (ISO 14839-2) | - |
+| unbalance.current | worst-case control current of the axis nearest to its limit | A |
+| unbalance.force | worst-case magnetic force k_i i + k_s q of the axis nearest to its limit | N |
+| unbalance.voltage | worst-case voltage w L i of a coil, with a max_voltage | V |
+| unbalance.separation | amplification factor over the allowed near running_speeds (API 617) | - |
+| unbalance.assembled | worst-case orbit with the rotor assembled anew at every speed | m |
 
 The curves are "unbalance" (frozen at the plant's speed), "unbalance.assembled" and
 "unbalance.current".

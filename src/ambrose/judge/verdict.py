@@ -1,7 +1,7 @@
 """The verdict on one controller: on the full plants point by point, and over all tolerances around
 each.
 
-verification = verify_controller(machine, controller)                    what the front door and `ambrose verify` call
+verification = verify_controller(machine, controller)     # as the front door and the command
 """
 
 from __future__ import annotations

@@ -5,13 +5,13 @@
 
                      w_delta          z_delta
                         |                ^
-               w1       v                |                         w2
-                |    +---------------------+                        |
-               D_u   |                     |                       D_e
-         u      v v  |  amplifiers, rotor, |  y                     v
-      ----+---->o--->|  seals, sensors     |----------------->o---->o----> (-1) ---+---> err [m] to the controller
-          |          +---------------------+                                       |
-          +--> 1/D_u --> W_u --> z2                                                +--> 1/D_e --> W_p --> z1
+               w1       v                |                 w2
+                |    +---------------------+                |
+               D_u   |                     |               D_e
+         u      v v  |  amplifiers, rotor, |  y             v
+      ----+---->o--->|  seals, sensors     |-------->o----->o--> (-1) --+--> err [m], to K
+          |          +---------------------+                            |
+          +--> 1/D_u --> W_u --> z2                                     +--> 1/D_e --> W_p --> z1
 
     err = -(y + D_e w2)      v = u + D_u w1      z1 = W_p err / D_e      z2 = W_u u / D_u
 

@@ -148,7 +148,8 @@ def _told(key: str, value: Any) -> str:
     """A parameter with its unit: times in ms, frequencies in Hz, phases in degrees."""
     scale, unit = next((pair for part, pair in _UNITS.items() if part in key), (1.0, ""))
     numbers = value if isinstance(value, tuple) else [value]
-    return f"{key.replace('_', ' ')} {' '.join(f'{scale * number:.4g}' for number in numbers)} {unit}".rstrip()
+    values = " ".join(f"{scale * number:.4g}" for number in numbers)
+    return f"{key.replace('_', ' ')} {values} {unit}".rstrip()
 
 
 def check_sections(sections: Sequence[Section]) -> None:

@@ -135,9 +135,10 @@ def control_weight(
 ) -> StateSpace:
     """W_u: the constant ``level`` [-], or a high-pass filter that makes the controller roll off.
 
-    With a ``crossover`` [rad/s]: W_u = level ((s/w_z + 1)/(s/w_p + 1))^order goes from ``level`` < 1 at low frequencies through
-    |W_u| = 1 at the crossover to ``limit`` > 1 far above (default: 30). A bending mode above the crossover is left alone when
-    the weight is large enough there. Raises InvalidInput.
+    With a ``crossover`` [rad/s]: W_u = level ((s/w_z + 1)/(s/w_p + 1))^order goes from ``level`` <
+    1 at low frequencies through |W_u| = 1 at the crossover to ``limit`` > 1 far above (default:
+    30). A bending mode above the crossover is left alone when the weight is large enough there.
+    Raises InvalidInput.
     """
     level = check_positive(level, "level", "0.3 lets the current reach 3 D_u for an error of D_e")
     if crossover is None:

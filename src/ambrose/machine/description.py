@@ -14,13 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 from ambrose.core.checks import invalid
-from ambrose.machine.controller import CONTROLLER_COORDINATES as CONTROLLER_COORDINATES  # noqa: PLC0414
-from ambrose.machine.controller import MODES as MODES  # noqa: PLC0414
-from ambrose.machine.controller import SECTIONS as SECTIONS  # noqa: PLC0414
-from ambrose.machine.controller import Channel as Channel  # noqa: PLC0414
-from ambrose.machine.controller import Notch as Notch  # noqa: PLC0414
-from ambrose.machine.controller import PidSettings as PidSettings  # noqa: PLC0414
-from ambrose.machine.controller import Section as Section  # noqa: PLC0414
+from ambrose.machine.controller import PidSettings
 from ambrose.machine.kinds import (
     Angle,
     Choice,
@@ -41,20 +35,9 @@ from ambrose.machine.kinds import (
     Words,
 )
 from ambrose.machine.part import Part
-from ambrose.machine.rotor_model import BendingMode as BendingMode  # noqa: PLC0414
-from ambrose.machine.rotor_model import Disc as Disc  # noqa: PLC0414
-from ambrose.machine.rotor_model import Material as Material  # noqa: PLC0414
-from ambrose.machine.rotor_model import ShaftSection as ShaftSection  # noqa: PLC0414
-from ambrose.machine.seals import FREQUENCY_DEPENDENCE as FREQUENCY_DEPENDENCE  # noqa: PLC0414
-from ambrose.machine.seals import SEAL_AXES as SEAL_AXES  # noqa: PLC0414
-from ambrose.machine.seals import SEAL_COEFFICIENTS as SEAL_COEFFICIENTS  # noqa: PLC0414
-from ambrose.machine.seals import GasSealGeometry as GasSealGeometry  # noqa: PLC0414
-from ambrose.machine.seals import Seal as Seal  # noqa: PLC0414
-from ambrose.machine.seals import SealTable as SealTable  # noqa: PLC0414
-from ambrose.machine.stator import CasingMode as CasingMode  # noqa: PLC0414
-from ambrose.machine.stator import Runout as Runout  # noqa: PLC0414
-from ambrose.machine.stator import Sensor as Sensor  # noqa: PLC0414
-from ambrose.machine.stator import Support as Support  # noqa: PLC0414
+from ambrose.machine.rotor_model import BendingMode, Disc, ShaftSection
+from ambrose.machine.seals import Seal
+from ambrose.machine.stator import CasingMode, Sensor, Support
 
 Pair = tuple[float, float]  # (zeta, eta)
 

@@ -10,13 +10,12 @@ from ambrose.core.arguments import names_wrong_types
 from ambrose.core.presentation import html_table
 from ambrose.machine.description import (
     SCHEMA_VERSION,
-    BendingMode,
     MachineDescription,
-    Material,
     OperatingPoint,
     Tolerance,
 )
 from ambrose.machine.part import Part
+from ambrose.machine.rotor_model import BendingMode, Material
 from ambrose.machine.validation.machine import check_machine
 
 # keys of [machine]

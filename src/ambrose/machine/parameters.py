@@ -1,13 +1,16 @@
 """Names in a machine: operating points by label, and single parameters as tolerances name them.
 
-seal.<name>.K | k | C | c                        one parameter for both axes (k also as -k), a repeated real block
+seal.<name>.K | k | C | c                        one parameter for both axes (k also as -k), a
+                                                 repeated real block
 seal.<name>.M                                    of both axes; it takes no tolerance
 seal.<name>.K_xx | K_yy | k_xy | k_yx | C_xx | C_yy | c_xy | c_yx     one entry of the matrix alone
-seal.<name>.pressure                             every coefficient that follows the pressure, together
+seal.<name>.pressure                             every coefficient that follows the pressure,
+                                                 together
 bearing.<name>.force_per_current | negative_stiffness [.zeta | .eta]
 coupling.<name>.stiffness | damping [.zeta | .eta]
 amplifier.bandwidth | eddy_bandwidth | natural_frequency | damping    of all axes together
-rotor.bending_1.frequency | damping              of a free bending mode, bending_2 and so on, in both planes
+rotor.bending_1.frequency | damping              of a free bending mode, bending_2 and so on, in
+                                                 both planes
 
 controller.delay and excitation.delay name the timing of a measured loop: not the machine's, but
 identified with its parameters.

@@ -20,9 +20,10 @@ from scipy.linalg import block_diag
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.mechanical import SecondOrder, to_common_statespace
 from ambrose.core.statespace import StateSpace, connect, rename, static_gain
-from ambrose.machine.description import OperatingPoint, Seal
+from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import BENDING, operating_point, uncertain_modes
+from ambrose.machine.seals import Seal
 from ambrose.model.basis import bending_modes_of, gyroscopic_of, modes_of, rows_in
 from ambrose.model.effects import amplifier, coupling, seal, seal_rational, sensor
 from ambrose.model.effects.rotor import Rotor, finite_element_rotor

@@ -6,12 +6,14 @@ Omega G + damping) q = f, all of it symmetric. q = Phi a + c, Phi the kept modes
 whose modes are Lambda = diag(w_i^2), w_i >= w_c. The model holds c = V eta, V the residual modes,
 V^T Lambda V = diag(theta^2). A force on the ports, with the model's own a, is a load
 
-    l = Lambda^-1/2 (b_c - w Omega G_ca a) = Q l_1 + l_2,    Q = Lambda^1/2 V / theta (orthonormal),    l_2 orthogonal to Q,
+    l = Lambda^-1/2 (b_c - w Omega G_ca a) = Q l_1 + l_2,    Q = Lambda^1/2 V / theta (orthonormal),
+    l_2 orthogonal to Q,
 
 on the rest, which answers Lambda^1/2 c = (I - w^2 T - N)^-1 l, T = Lambda^-1 <= I / w_c^2, with r =
 (w / w_c)^2 and
 
-    |N| <= p = 2 zeta |w| / w_c + g |w Omega| / w_c^2,    n = r + p,    g the largest eigenvalue of (G, M).
+    |N| <= p = 2 zeta |w| / w_c + g |w Omega| / w_c^2,    n = r + p,
+    g the largest eigenvalue of (G, M).
 
 Symmetry makes the error of the compliance l^T e, e that of Lambda^1/2 c, and one further term for
 what e moves the kept modes with, H_aa their own compliance in the model. In l_1 the model answers
@@ -19,13 +21,15 @@ with the same to zeroth order, and with Q^T T Q = diag(1 / theta^2) exactly. So 
 function 1 / (1 - w^2 T) no more can be missed than lies between it and its chord over 0 .. 1 /
 w_c^2 (Jensen's operator inequality), and of the modal damping, the concave sqrt(T), likewise:
 
-    E_11 = |l_1^* diag(2 zeta |w| / theta (1 - w_c / theta) + x (r - x) / ((1 - r) (1 - x))) l_1|,    x = (w / theta)^2.
+    E_11 = |l_1^* diag(2 zeta |w| / theta (1 - w_c / theta) + x (r - x) / ((1 - r) (1 - x))) l_1|,
+    x = (w / theta)^2.
 
 What N adds beyond its first order is at most s = p (1 / ((1 - r) (1 - n)) - 1), for rest and model
 each. Altogether
 
     E_11 + 2 s |l_1|^2 + (r / (1 - r) + 2 (p + s)) |l_1| |l_2| + |l_2|^2 / (1 - n)
-    + k^2 |H_aa| / (1 - 2 |H_aa| h^2 / (1 - n)),    k = h (2 n |l_1| + |l_2|) / (1 - n),    h = |w Omega Lambda^-1/2 G_ca|.
+    + k^2 |H_aa| / (1 - 2 |H_aa| h^2 / (1 - n)),    k = h (2 n |l_1| + |l_2|) / (1 - n),
+    h = |w Omega Lambda^-1/2 G_ca|.
 
 Where n is not small, damping holds |(I - w^2 T - N)^-1| <= 1 + (w^2 + g |w Omega|) / (2 zeta |w|
 w_c) instead (by its numerical range), for rest and model alike. The smaller of the two counts.

@@ -21,12 +21,12 @@ class Plant(Presented):
     """Amplifiers, rotor, attachments and sensors at ``point``.
 
     ``system`` has the inputs
-        u_<axis> [A]      current command into the amplifier, axis in machine.axes order (A_zeta, A_eta, B_zeta, B_eta)
-        f_<port> [N]      external force on the rotor at a bearing or coupling (zeta, eta), seal or disc (x, y)
+        u_<axis> [A]      current command into the amplifier, axis in machine.axes order
+        f_<port> [N]      external force at a bearing or coupling (zeta, eta), seal or disc (x, y)
     and the outputs
         y_<axis> [m]      measured displacement, along the sensors (``ports.measured_ports``)
         i_<axis> [A]      control current in the coil
-        q_<port> [m], qdot_<port> [m/s]   rotor displacement and velocity at the same ports as the forces.
+        q_<port> [m], qdot_<port> [m/s]   displacement and velocity at the ports of the forces.
     ``rotor`` is its mechanical part alone (bearing stiffness, seals and couplings closed), from
     forces f_<port> to q_<port>, qdot_<port> and the displacements s_<channel> [m] at the sensors
     (``ports.sensor_ports``). ``bending_modes`` is None for the full finite-element model, else the

@@ -17,8 +17,9 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.lft import GeneralizedPlant, RealBlock, close_uncertainty
 from ambrose.core.statespace import StateSpace, append, connect, rename, select, static_gain
-from ambrose.machine.description import Amplifier, Seal, Tolerance
+from ambrose.machine.description import Amplifier, Tolerance
 from ambrose.machine.parameters import BENDING, Parameter, find_uncertain
+from ambrose.machine.seals import Seal
 from ambrose.model.assemble import (
     force_sums,
     magnets,

@@ -73,9 +73,9 @@ def _by_suffix(path: Path, choices: Mapping[str, Callable[..., Any]]) -> Callabl
             "has one"
         )
         remedy = (
-            f"{remedy if foreign else 'export it as one of them, or as one that a column map reads'}: "
-            "see docs/records.md"
+            remedy if foreign else "export it as one of them, or as one that a column map reads"
         )
+        remedy = f"{remedy}: see docs/records.md"
         raise invalid(
             f"the suffix of {path.name}",
             repr(path.suffix),

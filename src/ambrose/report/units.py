@@ -67,7 +67,8 @@ def number(value: float, digits: int = 3) -> str:
         )
         text = text.rstrip("0").rstrip(".") if "." in text else text
     else:
-        text = f"{mantissa.rstrip('0').rstrip('.') if '.' in mantissa else mantissa}×10{str(power).translate(_SUPERSCRIPTS)}"
+        short = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
+        text = f"{short}×10{str(power).translate(_SUPERSCRIPTS)}"
     return text.replace("-", "−", 1) if text.startswith("-") else text
 
 

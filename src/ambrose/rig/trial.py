@@ -1,7 +1,8 @@
 """One controller in time: a scenario on the linear loop or on the virtual rig, and run-ups of
 several.
 
-trace = simulate_scenario(machine, controller, "levitation")          what the front door and `ambrose simulate` call
+trace = simulate_scenario(machine, controller, "levitation")
+                    what the front door and `ambrose simulate` call
 """
 
 from __future__ import annotations
@@ -75,8 +76,8 @@ def simulate_scenario(
     be trusted, pressure_rate [Pa/s]: how fast that may change (None: the machine file's),
     pressure_error [Pa]: how far off the reading may be, stuck_after [s]: how long it may be the
     very same (None: for ever); ``law.supervision``. estimate: a seal monitor runs "beside" the
-    reading, or "alone" in place of it (registered by the annex of schedules). rig: further arguments of
-    ``virtual_rig.run`` (second, bending_modes, seed, path, ...). Raises InvalidInput.
+    reading, or "alone" in place of it (registered by the annex of schedules). rig: further
+    arguments of ``virtual_rig.run`` (second, bending_modes, seed, path, ...). Raises InvalidInput.
     """
     law = getattr(controller, "law", controller)
     plant = machine if isinstance(machine, Plant) else None

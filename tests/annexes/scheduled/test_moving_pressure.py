@@ -18,13 +18,13 @@ from ambrose.core.statespace import select, spectral_abscissa
 from ambrose.judge.verdict import verify_controller
 from ambrose.law.loop import closed_loop
 from ambrose.law.timing import Timing
-from ambrose.machine.description import OperatingPoint, Requirements, SealTable
+from ambrose.machine.description import OperatingPoint, Requirements
 from ambrose.machine.machine import Machine
+from ambrose.machine.seals import SealTable
 from ambrose.model.assemble import assemble
 from ambrose.model.reduce import reduce
 from ambrose.synthesis.pid import pid_controller
-
-from .conftest import PID, make_rig
+from judge.conftest import PID, make_rig
 
 TIMING = Timing(1e-4, 1)
 

@@ -22,8 +22,7 @@ from ambrose.machine.description import OperatingPoint, Requirements
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.synthesis.pid import pid_controller
-
-from .conftest import PID, make_rig
+from judge.conftest import PID, make_rig
 
 LOW, HIGH = 1e4, 3e4
 

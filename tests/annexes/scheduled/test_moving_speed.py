@@ -21,8 +21,7 @@ from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.uncertainty import perturbed
 from ambrose.synthesis.pid import pid_controller
-
-from .conftest import PID, make_rig
+from judge.conftest import PID, make_rig
 
 TOP = 2 * np.pi * 50
 PRESSURE = 3e4

@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
-from simulation.test_two_parameters import TURNING, WEIGHTLESS, ZERO, apart, product
 
 import code_driver as driver
 from ambrose.code.block.run import BEHIND, CLAMPED, FAULT, TOLD, TOLD_SECOND, run_scheduled
@@ -24,6 +23,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.law.scheduling import BOTH
 from ambrose.rig import virtual_rig
+from rig.test_two_parameters import TURNING, WEIGHTLESS, ZERO, apart, product
 from schedule_driver import (
     DT,
     ERROR,

@@ -26,7 +26,8 @@ from ambrose.identification.output_error.closed_loop import identify
 from ambrose.identification.output_error.problem import FitOptions
 from ambrose.identification.validation.plausibility import delay_findings, diagnose_result
 from ambrose.law.loop import closed_loop, match_controller
-from ambrose.machine.description import SealTable, Tolerance
+from ambrose.machine.description import Tolerance
+from ambrose.machine.seals import SealTable
 from ambrose.model.assemble import assemble
 from ambrose.model.reduce import free_mode_reduction
 from ambrose.model.uncertainty import perturbed

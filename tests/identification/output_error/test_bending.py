@@ -19,8 +19,9 @@ from ambrose.identification.output_error.problem import FitOptions, build_experi
 from ambrose.identification.parameters import COVERAGE, expand, nominal_values, plant_at
 from ambrose.identification.validation.suspects import suspects
 from ambrose.law.loop import closed_loop, match_controller
-from ambrose.machine.description import BendingMode, OperatingPoint, Tolerance
+from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.file.toml import dumps_machine, loads_machine
+from ambrose.machine.rotor_model import BendingMode
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.rotor import finite_element_rotor, free_modes
 from ambrose.model.reduce import free_mode_reduction

@@ -13,7 +13,8 @@ from ambrose.core.checks import InvalidInput
 from ambrose.identification.model_updating import update_machine
 from ambrose.identification.static_load import identify as static_load
 from ambrose.identification.static_load.levels import Levels, steady_levels
-from ambrose.machine.description import Amplifier, Notch, OperatingPoint, PidSettings
+from ambrose.machine.controller import Notch, PidSettings
+from ambrose.machine.description import Amplifier, OperatingPoint
 from ambrose.model.effects import magnet
 from ambrose.model.static_load import operating_magnets
 from ambrose.record.record import Record

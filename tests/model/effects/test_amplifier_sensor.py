@@ -6,9 +6,9 @@ import pytest
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import poles
-from ambrose.machine.description import Amplifier, Sensor
-from ambrose.model.effects import amplifier
-from ambrose.model.effects import sensor
+from ambrose.machine.description import Amplifier
+from ambrose.machine.stator import Sensor
+from ambrose.model.effects import amplifier, sensor
 
 AXES = ("A_zeta", "A_eta", "B_zeta")
 OMEGA = np.geomspace(1.0, 1e5, 40)
@@ -62,7 +62,10 @@ def test_incomplete_amplifiers_are_refused(description, message):
 
 
 def test_sensors_have_gain_and_lag_in_the_order_of_the_axes():
-    sensors = [Sensor("B", 0.7, gain=(1.1, 0.9), bandwidth=5000.0), Sensor("A", 0.1, gain=(1.0, 1.2))]
+    sensors = [
+        Sensor("B", 0.7, gain=(1.1, 0.9), bandwidth=5000.0),
+        Sensor("A", 0.1, gain=(1.0, 1.2)),
+    ]
     axes = ("A_zeta", "A_eta", "B_zeta", "B_eta")
     system = sensor.linearised(sensors, axes)
     assert system.inputs == tuple(f"s_{axis}" for axis in axes)

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
 from ambrose.core.checks import InvalidInput, NumericalFailure
-from ambrose.machine.description import Seal
+from ambrose.machine.seals import Seal
 from ambrose.model.effects.bulkflow import (
     Friction,
     Gas,

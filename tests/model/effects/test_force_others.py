@@ -1,4 +1,6 @@
-"""Force views of seal, coupling, sensor, unbalance and weight against their linear views and first principles."""
+"""Force views of seal, coupling, sensor, unbalance and weight against their linear views and first
+principles.
+"""
 
 import math
 from dataclasses import replace
@@ -7,17 +9,23 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from ambrose.machine.description import Coupling, Runout, SealTable, Sensor
+from ambrose.machine.description import Coupling
 from ambrose.machine.file.toml import load_machine
-from ambrose.model.effects import coupling
-from ambrose.model.effects import seal
-from ambrose.model.effects import sensor
-from ambrose.model.effects import unbalance
-from ambrose.model.effects.rotor import finite_element_rotor, free_modes, gravity_load, mass_properties
+from ambrose.machine.seals import SealTable
+from ambrose.machine.stator import Runout, Sensor
+from ambrose.model.effects import coupling, seal, sensor, unbalance
+from ambrose.model.effects.rotor import (
+    finite_element_rotor,
+    free_modes,
+    gravity_load,
+    mass_properties,
+)
 from physical_numbers import physical
 
 RIG = load_machine("seal-rig")
-TABLE = SealTable((("pressure", (0.0, 1e5, 3e5)),), (("k", (0.0, 1e6, 5e6)), ("C", (100.0, 300.0, 900.0))))
+TABLE = SealTable(
+    (("pressure", (0.0, 1e5, 3e5)),), (("k", (0.0, 1e6, 5e6)), ("C", (100.0, 300.0, 900.0)))
+)
 
 
 class TestSeal:
@@ -30,7 +38,10 @@ class TestSeal:
 
     def test_cross_coupling_drives_forward_whirl(self):
         """On a circle from x to y, power k r^2 Omega comes from k and -C (r Omega)^2 from C."""
-        k, C, r, w = 3e6, 2e3, 1e-5, 250.0
+        k = 3e6
+        C = 2e3
+        r = 1e-5
+        w = 250.0
         fx, fy = seal.force(r, 0.0, 0.0, r * w, 0.0, 0.0, (0.0, k, C, 0.0, 0.0))
         assert fx * 0.0 + fy * r * w == pytest.approx(k * r**2 * w - C * (r * w) ** 2)
 
@@ -62,12 +73,22 @@ class TestUnbalance:
     def test_published_size(self):
         """P5: G2.5 of the 69 kg rotor at 500 Hz is 541 N: m e = 69 * 2.5e-3/(2 pi 500)."""
         w = 1000 * math.pi
-        assert math.hypot(*unbalance.force(0.3, w, 0.0, (69 * 2.5e-3 / w, 0.0))) == pytest.approx(541, rel=2e-3)
+        assert math.hypot(*unbalance.force(0.3, w, 0.0, (69 * 2.5e-3 / w, 0.0))) == pytest.approx(
+            541, rel=2e-3
+        )
 
 
 class TestSensor:
-    ITEM = Sensor("A", 0.1, gain=(1.02, 0.97), bandwidth=6e4, offset=(3e-6, -2e-6), noise=1e-7, resolution=0.5e-6,
-                  runout=(Runout(1, 2e-6, 0.4), Runout(3, 1e-6)))  # fmt: skip
+    ITEM = Sensor(
+        "A",
+        0.1,
+        gain=(1.02, 0.97),
+        bandwidth=6e4,
+        offset=(3e-6, -2e-6),
+        noise=1e-7,
+        resolution=0.5e-6,
+        runout=(Runout(1, 2e-6, 0.4), Runout(3, 1e-6)),
+    )
 
     @pytest.mark.parametrize("direction", ["zeta", "eta"])
     def test_small_signals_are_the_linear_view(self, direction):
@@ -83,7 +104,9 @@ class TestSensor:
         profile = sensor.harmonics(self.ITEM)
         zeta, eta = (sensor.parameters(self.ITEM, d) for d in (0, 1))
         for angle in np.linspace(0, 7, 15):
-            assert sensor.runout(angle, profile, zeta) == pytest.approx(sensor.runout(angle + np.pi / 2, profile, eta))
+            assert sensor.runout(angle, profile, zeta) == pytest.approx(
+                sensor.runout(angle + np.pi / 2, profile, eta)
+            )
         assert sensor.runout(0.0, profile, zeta) == pytest.approx(2e-6 * math.cos(0.4) + 1e-6)
 
     def test_first_harmonic_looks_like_forward_whirl(self):
@@ -112,12 +135,16 @@ class TestWeight:
 
     def test_total_and_direction(self):
         load = gravity_load(self.ROTOR, -math.pi / 2)
-        assert load[1::4].sum() == pytest.approx(-mass_properties(self.ROTOR).mass * 9.80665, rel=1e-12)
+        assert load[1::4].sum() == pytest.approx(
+            -mass_properties(self.ROTOR).mass * 9.80665, rel=1e-12
+        )
         assert np.abs(load[0::4]).max() < 1e-12
         assert not gravity_load(self.ROTOR, None).any()
 
     def test_it_lifts_no_tilting_and_no_bending(self):
-        """Uniform acceleration is a rigid translation: modes other than that see no work from it."""
+        """Uniform acceleration is a rigid translation: modes other than that see no work from
+        it.
+        """
         modal = free_modes(self.ROTOR, 3).shapes.T @ gravity_load(self.ROTOR, -math.pi / 2)
         translation = np.sqrt(mass_properties(self.ROTOR).mass) * 9.80665
         assert modal[1] == pytest.approx(-translation, rel=1e-9)
@@ -126,15 +153,18 @@ class TestWeight:
 
 @pytest.mark.campaign
 def test_every_force_function_compiles_as_it_stands():
-    """The contract with the virtual rig: scalars, tuples and arrays only; compiled and plain give the same."""
+    """The contract with the virtual rig: scalars, tuples and arrays only; compiled and plain give
+    the same.
+    """
     numba = pytest.importorskip("numba")
-    from ambrose.model.effects import amplifier
-    from ambrose.model.effects import magnet
-    from ambrose.model.effects import touchdown
+    from ambrose.model.effects import amplifier, magnet, touchdown
 
     bearing = replace(RIG.bearings[0], cross_coupling=0.02)
     item = TestSensor.ITEM
-    amp, sens = parameters_of = (amplifier.parameters(RIG.amplifier, 4.0), sensor.parameters(item, 1))
+    amp, sens = parameters_of = (
+        amplifier.parameters(RIG.amplifier, 4.0),
+        sensor.parameters(item, 1),
+    )
     assert all(isinstance(value, float) for p in parameters_of for value in p)
     cases = [
         (magnet.force, (0.3, -0.2, 1e-5, 2e-5, magnet.parameters(bearing))),
@@ -152,4 +182,6 @@ def test_every_force_function_compiles_as_it_stands():
         (touchdown.force, (3e-4, 1e-5, 0.1, 0.2, 100.0, touchdown.parameters(RIG, bearing))),
     ]
     for function, arguments in cases:
-        assert numba.njit(function)(*arguments) == pytest.approx(function(*arguments), rel=1e-12), function
+        assert numba.njit(function)(*arguments) == pytest.approx(function(*arguments), rel=1e-12), (
+            function
+        )

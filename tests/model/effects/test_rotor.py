@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import BEAM_THEORIES, Amplifier, Disc, Material, ShaftSection
+from ambrose.machine.description import BEAM_THEORIES, Amplifier
 from ambrose.machine.machine import Machine
+from ambrose.machine.rotor_model import Disc, Material, ShaftSection
 from ambrose.model.effects.rotor import (
     _strain_energy,
     displacement_row,

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import Coupling, Seal, SealTable
+from ambrose.machine.description import Coupling
+from ambrose.machine.seals import Seal, SealTable
 from ambrose.model.effects import coupling
 from ambrose.model.effects.seal import SealCoefficients, coefficients, matrices
 

@@ -12,8 +12,8 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.checks import Checks, Curve
-from ambrose.machine.description import Disc
 from ambrose.machine.machine import Machine
+from ambrose.machine.rotor_model import Disc
 from ambrose.report import theme
 from ambrose.report.figures import curves as plots
 from ambrose.report.figures.poles import pole_figure

@@ -305,9 +305,7 @@ def test_a_pressure_that_changes_is_told_from_end_to_end():
     still, values = whirling(), np.linspace(2.04e5, 4.08e5, whirling().values.shape[1])
     signals, units = (*still.signals, "p_seal"), (*still.units, "Pa")
     moved = replace(still, signals=signals, units=units, values=np.vstack([still.values, values]))
-    told = [
-        dict(record_page(record, MACHINE).facts)["Seal pressure"] for record in (still, moved)
-    ]
+    told = [dict(record_page(record, MACHINE).facts)["Seal pressure"] for record in (still, moved)]
     assert " to " not in told[0] and told[1].startswith("2.04") and " to 4.08" in told[1]
 
 

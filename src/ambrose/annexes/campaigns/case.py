@@ -1,10 +1,12 @@
 """What a case's settings make of machine, operating point, controller and scenario.
 
 machine | controller | scenario | point          another one, whole (a point by its label)
-machine.<table>[.<name|number|*>].<key>          a key of the machine file; scenario.<...> the same of a scenario file
+machine.<table>[.<name|number|*>].<key>          a key of the machine file; scenario.<...> the same
+                                                 of a scenario file
 point.speed | seal_pressure | bias_current | whirl_frequency
 controller.gain                                  a factor on the controller's output
-tolerance.<parameter>                            where in its tolerance a parameter stands, -1 to 1; "*" for every name or axis
+tolerance.<parameter>                            where in its tolerance a parameter stands, -1 to 1;
+                                                 "*" for every name or axis
 option.<name>                                    of the task: seed, rate, delay_samples, method, ...
 """
 

@@ -192,7 +192,9 @@ def _map(found: Campaign, a: str, b: str) -> Any:
 
     if not found.measure:
         return None
-    values, (x, across), (y, down) = found.values[found.measure], _axis(found, a), _axis(found, b)
+    values = found.values[found.measure]
+    x, across = _axis(found, a)
+    y, down = _axis(found, b)
     worst = np.full((len(down), len(across)), np.nan)
     there = ~np.isnan(values)
     np.fmax.at(worst, (y[there], x[there]), values[there])

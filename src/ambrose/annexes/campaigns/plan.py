@@ -317,7 +317,9 @@ def _variable(path: str, given: Any, grid: bool) -> Variable:
             "from one quantity to another of the same unit",
             "write both alike",
         )
-    (low, unit), (high, _), times = ends[0], ends[1], given.get("times", False)
+    low, unit = ends[0]
+    high, _ = ends[1]
+    times = given.get("times", False)
     if times and first not in {"machine", "scenario"}:
         raise InvalidInput(
             f'[vary] "{path}": only what stands in a machine or scenario file takes times = true; '

@@ -64,10 +64,15 @@ def compute(task: str, cases: Sequence[Case], bases: Bases, fixed: Mapping[str, 
     """
     if task == "screen":
         return _screened(cases, bases, fixed)
-    return [
-        _row(case.key, lambda case=case: _TASKS[task](subject(case, bases, fixed)))
-        for case in cases
-    ]  # type: ignore[misc]
+    perform = _TASKS[task]
+    rows = []
+    for case in cases:
+
+        def work(case: Case = case) -> Mapping[str, Any]:
+            return perform(subject(case, bases, fixed))
+
+        rows.append(_row(case.key, work))
+    return rows
 
 
 def _row(key: str, work: Callable[[], Mapping[str, Any]]) -> Row:

@@ -1,4 +1,4 @@
-"""Parameters that move: schedules over speed and pressure, proofs along motions, the seal monitor."""
+"""Parameters that move: schedules over speed and pressure, proofs along motions, the monitor."""
 
 ANNEX = {
     "command": {"monitor": "monitor_command:monitor"},

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -144,9 +145,8 @@ def monitor(
             from ambrose.annexes.scheduled.monitor_code import write_monitor
 
             progress("writing the code")
-            write_monitor(
-                code, seal_monitor(description, law, measured.point, measured.dt, **options)
-            )  # type: ignore[arg-type]
+            following: Any = seal_monitor
+            write_monitor(code, following(description, law, measured.point, measured.dt, **options))
         found = watched(description, law, measured, progress=progress, **options)
         failures = []
         if table is not None:

@@ -70,13 +70,13 @@ class WatchedProgram:
         self._begin()
 
     def _begin(self) -> None:
-        self._monitor, self._rows, self._acting, self._mean = (
-            self.begin_monitor(),
-            [],
-            None,
-            np.zeros(2),
-        )
-        self._doubted, self._now, self._count = False, (*_NOTHING, math.nan), 0
+        self._monitor = self.begin_monitor()
+        self._rows = []
+        self._acting = None
+        self._mean = np.zeros(2)
+        self._doubted = False
+        self._now = (*_NOTHING, math.nan)
+        self._count = 0
         self.seen.clear()
 
     @property
@@ -159,7 +159,9 @@ class WatchedProgram:
             self._take(item, float(rows[-1][-self._monitor.block :].mean()))
         if self._doubted:
             self._monitor.restart()
-            self._doubted, self._mean, self._now = False, np.zeros(2), (*_NOTHING, math.nan)
+            self._doubted = False
+            self._mean = np.zeros(2)
+            self._now = (*_NOTHING, math.nan)
 
     def _take(self, item: Estimate, reading: float) -> None:
         monitor = self._monitor

@@ -53,10 +53,12 @@ _WHOLE = 0.8  # coherence of a line that tells
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredLoop:
-    """The loop at one operating point. omega (w,) [rad/s]; S (w, a, a): output sensitivity; half (w, a): 95 % half-width of
-    |S_ii|; sigma, low, high (w,): its maximum singular value and the ends of its interval; predicted: (label,
-    S (w, a, a)) by the machine file and, where the records hold currents, with the magnets at their static load; coherence
-    (w, a); checks: its verdict.
+    """The loop at one operating point.
+
+    omega (w,) [rad/s]; S (w, a, a): output sensitivity; half (w, a): 95 % half-width of |S_ii|;
+    sigma, low, high (w,): its maximum singular value and the ends of its interval; predicted:
+    (label, S (w, a, a)) by the machine file and, where the records hold currents, with the magnets
+    at their static load; coherence (w, a); checks: its verdict.
     """
 
     point: OperatingPoint

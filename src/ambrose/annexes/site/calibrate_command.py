@@ -80,9 +80,9 @@ def calibrate(
         circle=circle,
         slow_roll=slow_roll,
         levitated=levitated,
-        find=find,
+        find=find,  # type: ignore[arg-type]
         harmonics=harmonics,
-        settle=settle,  # type: ignore[arg-type]
+        settle=settle,
     )
     failure = kept(
         lambda path: write_text(path, machine_text(done.machine), "machine file"), output

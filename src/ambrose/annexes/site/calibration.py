@@ -26,8 +26,9 @@ from ambrose.core.presentation import Presented
 from ambrose.identification.excitation import signal_rows
 from ambrose.identification.frf.phasors import Step
 from ambrose.identification.validation.operating_load import load_doubt, machine_at_load
-from ambrose.machine.description import Pair, Runout, Sensor
+from ambrose.machine.description import Pair
 from ambrose.machine.machine import Machine
+from ambrose.machine.stator import Runout, Sensor
 from ambrose.model.assemble import assemble
 from ambrose.model.effects import magnet
 from ambrose.model.ports import measured_ports, sensor_turn

@@ -140,7 +140,10 @@ class Responses(Presented):
 
     def to_csv(self) -> str:
         """The rows as text, a line each."""
-        head = "point,response,input,output,frequency_hz,real,imag,magnitude,phase_deg,radius_95,coherence"
+        head = (
+            "point,response,input,output,frequency_hz,real,imag,magnitude,phase_deg,radius_95,"
+            "coherence"
+        )
         lines = [
             f'"{label}",{what},{source},{target},{f:.8g},{G.real:.8g},{G.imag:.8g},{abs(G):.8g},'
             f"{np.degrees(np.angle(G)):.6g},{radius:.4g},{coherence:.6g}"

@@ -183,7 +183,9 @@ def cascade_error(block: CascadeBlock, bits: int, steps: float = HORIZON) -> np.
     at = inputs.copy()
     i = 0
     for stage, output in zip(block.stages, outputs, strict=True):
-        v, (d, b1, b2, a1, a2), x1 = at[stage.channel], np.abs(stage.coefficients), block.bound[i]
+        v = at[stage.channel]
+        d, b1, b2, a1, a2 = np.abs(stage.coefficients)
+        x1 = block.bound[i]
         signals.append(unit * (2 * d * v + output))
         rows = [
             (b1 * v, a1 * x1, block.bound[i + 1] if stage.order > 1 else 0.0),

@@ -10,10 +10,10 @@ from ambrose.core.checks import invalid
 _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _LONGEST = 24  # of C99's 31 significant characters, 7 are left for _track and the like
 _WORDS = """
-auto break case char const continue default do double else enum extern float for goto if inline int long register restrict
-return short signed sizeof static struct switch typedef union unsigned void volatile while
-asm bool catch class delete explicit export false friend main mutable namespace new NULL nullptr operator private protected
-public template this throw true try typename using virtual
+auto break case char const continue default do double else enum extern float for goto if inline int
+long register restrict return short signed sizeof static struct switch typedef union unsigned void
+volatile while asm bool catch class delete explicit export false friend main mutable namespace new
+NULL nullptr operator private protected public template this throw true try typename using virtual
 """  # C99's and, as the header is meant for C++ as well, the commonest of C++'s
 KEYWORDS = frozenset(_WORDS.split())
 # no file can be called so on Windows

@@ -1,8 +1,9 @@
 """Everything that the generated code of a scheduled controller contains, as numbers: sampled
 matrices on a grid of speeds, pressures or both.
 
-    v  = speed or pressure within the grid's range, moved by at most rate_limit * sample_time a sample
-    M  = (1 - s) M_i + s M_i+1 for every matrix, between the neighbouring grid points, s = (v - v_i) / (v_i+1 - v_i);
+    v  = speed or pressure within the grid's range, moved by at most rate_limit * sample_time
+    M  = (1 - s) M_i + s M_i+1 for every matrix, between the neighbouring grid points,
+         s = (v - v_i) / (v_i+1 - v_i);
          of both the same in each of them, between the four points around
     u  = C x + D e                         the current asked for
     us = min(max(u, -limit), limit)        the current given

@@ -2,7 +2,8 @@
 every sample, one in charge.
 
     u_i = C_i x_i + D_i e                       what either asks for
-    us  = limited(u_charge + share left)        what acts; ``left`` of the difference at the last change fades with ``share``
+    us  = limited(u_charge + share left)        what acts; ``left`` of the difference at the last
+                                                change fades with ``share``
     x_i += increment_i x_i + B_i e + L_i cut    cut = us - u_i of the one that waits,
                                                 limited(us - share left) - u_i of the one in charge:
                                                 zero within the limits

@@ -99,7 +99,9 @@ def curvature(
     """sum_l tr(E_j P_l E_k Q_l) for the variables j of ``first`` (n, n) and k of ``second`` (m, m);
     P_l (n, m), Q_l (m, n).
     """
-    (i, j), (c, d), n = first.pairs, second.pairs, first.order
+    i, j = first.pairs
+    c, d = second.pairs
+    n = first.order
     left, right = np.array(P), np.array(Q).reshape(len(Q), -1)
     place = np.full((n, n), len(i))
     place[i, j] = place[j, i] = np.arange(len(i))

@@ -125,7 +125,9 @@ def scaling_basis(structure: Structure, *, g_scaling: bool) -> Basis:
         block = place.block
         if isinstance(block, FullBlock):
             diagonal = np.zeros(N)
-            diagonal[w : w + block.n_w], diagonal[z : z + block.n_z], diagonal[x] = 1.0, -1.0, 1.0
+            diagonal[w : w + block.n_w] = 1.0
+            diagonal[z : z + block.n_z] = -1.0
+            diagonal[x] = 1.0
             full.append((len(trace), diagonal))
             trace = [*trace, 1.0]
             is_g = [*is_g, False]

@@ -103,7 +103,11 @@ class _Path:
         K = np.zeros_like(S)
         K[:, : n_w + n_z, : n_w + n_z] = V @ P @ V.conj().swapaxes(1, 2)
         K[:, n_w + n_z :, n_w + n_z :] = _inverse(X)
-        self.basis, self.S, self.V, self.P, self.kernel = basis, S, V, P, K
+        self.basis = basis
+        self.S = S
+        self.V = V
+        self.P = P
+        self.kernel = K
         self.gradient = basis.trace - basis.traces(K)
         self.hessian = basis.curvature(K)
 

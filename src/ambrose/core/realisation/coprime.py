@@ -4,7 +4,8 @@ from the plant modelled.
 Positive feedback v = K y + e, as in the literature (the controller of the loop diagram enters as
 -K)::
 
-    G = N M^-1 = M~^-1 N~        K = U V^-1 = V~^-1 U~        [V~ -U~; -N~ M~] [M U; N V] = I  (double Bezout identity)
+    G = N M^-1 = M~^-1 N~    K = U V^-1 = V~^-1 U~
+    [V~ -U~; -N~ M~] [M U; N V] = I  (double Bezout identity)
 
 Both left factors are observers that compare what they expect with what is: that of the controller
 makes alpha = V~ v - U~ y, that of the plant eps = M~ y - N~ v. In a loop alpha = V~ e holds

@@ -180,16 +180,23 @@ def widen(loop: VaryingLoop, poles: Sequence[complex] = (), rates: Sequence[floa
     A[x, x], A[xi, x] = loop.A, H @ loop.C[:r]
     A[xi, xi] = A[eta, eta] = A[zeta, zeta] = F
     B[x, w], B[x, v] = loop.B[:, :r], loop.B[:, r:]
-    B[xi, w], B[xi, v], B[eta, w] = H @ loop.D[:r, :r], H @ loop.D[:r, r:], H
+    B[xi, w] = H @ loop.D[:r, :r]
+    B[xi, v] = H @ loop.D[:r, r:]
+    B[eta, w] = H
     B[zeta, w2] = np.diag(np.tile(bound[filtered], count)) if count else np.zeros((0, 0))
     R, y = r + m, 2 * (r + 2 * m)
     C, D = np.zeros((y + len(loop.C) - r, N)), np.zeros((y + len(loop.C) - r, r + m + p))
-    C[:r, x], D[:r, w], D[:r, v] = loop.C[:r], loop.D[:r, :r], loop.D[:r, r:]  # z
+    # z
+    C[:r, x] = loop.C[:r]
+    D[:r, w] = loop.D[:r, :r]
+    D[:r, v] = loop.D[:r, r:]
     C[r:R, xi] = np.eye(m)
     D[R : R + r, w] = np.eye(r)  # w
     C[R + r : 2 * R, eta] = C[R + r : 2 * R, zeta] = np.eye(m)
     C[2 * R : 2 * R + m, xi], D[2 * R + m : y, w2] = np.eye(m), np.eye(m)
-    C[y:, x], D[y:, w], D[y:, v] = loop.C[r:], loop.D[r:, :r], loop.D[r:, r:]
+    C[y:, x] = loop.C[r:]
+    D[y:, w] = loop.D[r:, :r]
+    D[y:, v] = loop.D[r:, r:]
     slow = np.tile(loop.owner[filtered], count) if count else np.empty(0, int)
     return Widened(A, B, C, D, r, np.concatenate([loop.owner, slow]), slow, loop.controller)
 

@@ -72,7 +72,9 @@ def period(wide: Widened, multipliers: Multipliers, gamma: float) -> TwoPort:
     u = wide.B.shape[1] - q
     N = n + u + k  # between the samples: x, and u and the controller's next state, which stay
     A, B = np.zeros((N, N)), np.zeros((N, q))
-    A[:n, :n], A[:n, n : n + u], B[:n] = wide.A, wide.B[:, q:], wide.B[:, :q]
+    A[:n, :n] = wide.A
+    A[:n, n : n + u] = wide.B[:, q:]
+    B[:n] = wide.B[:, :q]
     C, D = np.hstack([C, D[:, q:], np.zeros((rows, k))]), D[:, :q]
     between = flow(A, B, C.T @ P @ C, C.T @ P @ D, D.T @ P @ D, float(K.dt or 0.0))
     keep = np.delete(np.eye(N), np.arange(n, n + u), axis=0)

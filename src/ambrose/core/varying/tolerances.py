@@ -59,7 +59,9 @@ def proved_over_tolerances(
     of the filters for parameters that stand still; None: they move as they like. degree: of X(p).
     Raises NumericalFailure where none is found.
     """
-    end, (A, B), q = time.monotonic() + time_limit, middle_of(cells), len(C)
+    end = time.monotonic() + time_limit
+    A, B = middle_of(cells)
+    q = len(C)
     T, inverse = own_coordinates(A, B[:, -q:], C)
     size = np.linalg.norm(Z @ T, axis=1)
     cells, Z = [_scaled(cell, size) for cell in cells], Z / size[:, None]

@@ -230,7 +230,9 @@ def _narrowed(
     """
     if not len(found.direction):
         return []
-    n, (low, high), (a, b) = len(loop.owner), found.omega.T.copy(), found.values.T.copy()
+    n = len(loop.owner)
+    low, high = found.omega.T.copy()
+    a, b = found.values.T.copy()
     wide = directions[found.direction][:, loop.owner]
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)

@@ -5,7 +5,8 @@ The command computed from the sample k acts from t_k + tau_u on, the excitation 
 t_k + tau_e on, each held for one sample. Within a sample the plant so sees the older value first
 and the newer one for the rest, h = tau - d dt into it:
 
-    x+ = Phi(dt) x + [Gamma(dt) - Gamma(dt - h)] v(k-d-1) + Gamma(dt - h) v(k-d),   Gamma(t) = integral of exp(A s) B over 0..t
+    x+ = Phi(dt) x + [Gamma(dt) - Gamma(dt - h)] v(k-d-1) + Gamma(dt - h) v(k-d),
+    Gamma(t) = integral of exp(A s) B over 0..t
 
 (Franklin, Powell & Workman 1998, sec. 4.3.4), and dx+/dh = Phi(dt - h) B (v(k-d-1) - v(k-d)). Older
 values are states, as many as the longest delay needs, so that the loop keeps its size while a delay

@@ -49,7 +49,10 @@ def lift(system: StateSpace, directions: Sequence[SystemDerivative], length: int
     A = system.A
     B = system.B
     C = system.C
-    (p, n), m, L, q = C.shape, B.shape[1], length, len(directions)
+    p, n = C.shape
+    m = B.shape[1]
+    L = length
+    q = len(directions)
     dA = np.stack([d.A for d in directions]) if q else np.zeros((0, n, n))
     dB = np.stack([d.B for d in directions]) if q else np.zeros((0, n, m))
     O_, dO = np.empty((L, p, n)), np.empty((L, q, p, n))

@@ -155,7 +155,8 @@ def magnetic_force(
                 )
             )
             waves[-1] /= experiment.sizes[:, None].astype(np.float32)
-    except AmbroseError:  # no magnet follows from these coefficients, or the loop with a whole delay is none that runs
+    # no magnet follows from these coefficients, or the loop with a whole delay is none that runs
+    except AmbroseError:
         return None
     step, covariance, widening, gained = _step(
         *_normal(experiment, result.values, waves), len(result.values)
@@ -409,7 +410,9 @@ def _replaced(moved: np.ndarray, plant: Plant, j: int) -> np.ndarray:
     if not all(largest):
         moved[:] = 0.0
         return moved
-    bias, (i, x), made = _bias(plant, j), moved, []
+    bias = _bias(plant, j)
+    i, x = moved
+    made = []
     p = operating_magnets(plant.machine, plant.point.bias_current)[j // 2].of_force
     for load, power in ((_LOAD * bias, 2), (0.0, 3)):
         terms, chosen = _terms(p, plant.axes[j], load, *largest), _POWERS.sum(axis=1) == power

@@ -230,7 +230,9 @@ def normal_equations(
     H, g = G[1:, 1:] - M[:, 1:].T @ M[:, 1:], G[1:, 0]
     # what is left is rounding: the nuisances explain it all
     blind = np.diag(H) <= _BLIND * np.diag(G)[1:]
-    H[blind], H[:, blind], g[blind] = 0.0, 0.0, 0.0
+    H[blind] = 0.0
+    H[:, blind] = 0.0
+    g[blind] = 0.0
     return RecordSolution(
         Linearised(float(G[0, 0]), H, g), x0, b, shift[:, :n], shift[:, n:].reshape(q, *b.shape)
     )

@@ -136,7 +136,9 @@ class Synchronous:
         none.
         """
         low, high = self._base(0, samples)[[0, -1]]
-        half, middle, (a, c) = (high - low) / 2, (low + high) / 2, change
+        half = (high - low) / 2
+        middle = (low + high) / 2
+        a, c = change
         rate, drift = self.rate + a / half - 2 * c * middle / half**2, self.drift + c / half**2
         return replace(self, rate=float(rate), drift=float(drift))
 

@@ -12,9 +12,10 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.identification.parameters import half_width
 from ambrose.identification.seal.result import COEFFICIENTS, SealFit, averaged, line
-from ambrose.machine.description import Seal, SealTable, Tolerance
+from ambrose.machine.description import Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import parse_parameter
+from ambrose.machine.seals import Seal, SealTable
 from ambrose.model.assemble import seal_coefficients
 
 _LEVEL = 0.95  # of every tolerance

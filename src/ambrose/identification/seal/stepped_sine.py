@@ -25,8 +25,9 @@ from ambrose.identification.frf.phasors import Step, find_steps, phasors
 from ambrose.identification.output_error.problem import operating_points
 from ambrose.identification.seal.broadband import Driven, at_lines
 from ambrose.identification.seal.result import SealFit
-from ambrose.machine.description import OperatingPoint, Seal
+from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
+from ambrose.machine.seals import Seal
 from ambrose.model.assemble import assemble, seal_coefficients
 from ambrose.model.effects import amplifier, sensor
 from ambrose.model.static_load import magnet_coefficients

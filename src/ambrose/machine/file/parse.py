@@ -10,10 +10,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import Material, ShaftSection
 from ambrose.machine.file.tables import MachineFile, Table, table_below
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import SHOWN, listed, shown, suggestion
+from ambrose.machine.rotor_model import Material, ShaftSection
 from ambrose.machine.validation.machine import InvalidMachine
 
 _LABELS = ("name", "label", "bearing", "parameter")

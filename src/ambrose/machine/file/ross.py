@@ -17,11 +17,10 @@ from itertools import groupby
 from typing import Any
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.machine.description import Disc, Material, ShaftSection
 from ambrose.machine.file.toml import parse_toml, written, written_key
 from ambrose.machine.limits import TOML_BYTES
 from ambrose.machine.machine import Machine
-from ambrose.machine.rotor_model import RotorModel
+from ambrose.machine.rotor_model import Disc, Material, RotorModel, ShaftSection
 
 _SOFT = 1e-3  # of the stiffest material at a node: a layer below carries mass only
 _GRADED = 1e-9  # relative difference of two diameters or lengths that is rounding

@@ -1,7 +1,7 @@
 """A rotor from a spreadsheet: a row per station, saved as CSV.
 
-    length [mm]; od [mm]; id [mm]; E [GPa]; rho [kg/m^3]; disc mass [kg]; disc Ip [kg m^2]; disc Id [kg m^2]; bearing
-    50;          40;      0;       210;     7850;         ;               ;                 ;                 x
+    length [mm]; od [mm]; id [mm]; E [GPa]; rho [kg/m^3]; disc mass [kg]; disc Ip [kg m^2]; ...
+    50;          40;      0;       210;     7850;         ;               ;
 
 Every row is a piece of shaft; what stands in its disc and bearing columns stands at its left end,
 and a row of length 0 at the shaft's right end. Columns may be missing but for length and od, in any
@@ -18,12 +18,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import Disc, Material, ShaftSection
 from ambrose.machine.file.ross import GIVE, merged, parse_ross, rotor_of_ross
 from ambrose.machine.limits import NAME, TOML_BYTES
 from ambrose.machine.messages import one_line, suggestion
 from ambrose.machine.ordinary_file import read_text
-from ambrose.machine.rotor_model import RotorModel
+from ambrose.machine.rotor_model import Disc, Material, RotorModel, ShaftSection
 from ambrose.machine.units import DIMENSIONS, read_quantity
 
 _COLUMNS = {  # name -> (dimension, other names)

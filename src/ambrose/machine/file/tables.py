@@ -17,10 +17,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, create_model,
 from pydantic_core import PydanticCustomError
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import SCHEMA_VERSION, MachineDescription, Material, Tolerance
+from ambrose.machine.description import SCHEMA_VERSION, MachineDescription, Tolerance
 from ambrose.machine.kinds import Choices, ListOf, NestedOf, Quantity, Ratio, Text, Texts, Version
 from ambrose.machine.parameters import parse_parameter
 from ambrose.machine.part import Part
+from ambrose.machine.rotor_model import Material
 from ambrose.machine.seals import SEAL_AXES, SEAL_COEFFICIENTS, SealTable
 
 

@@ -401,7 +401,8 @@ def _weights(machine: MachineDescription) -> Iterator[str]:
         )
     if weights.control_crossover is None:
         if weights.control_limit is not None:
-            yield f"{where}: control_limit needs control_crossover; without it the weight is constant"
+            why = "control_limit needs control_crossover; without it the weight is constant"
+            yield f"{where}: {why}"
         return
     if weights.control_order > 8:
         yield complaint(

@@ -12,11 +12,11 @@ from ambrose.machine.description import (
     BiasPoint,
     MachineDescription,
     MagneticBearing,
-    ShaftSection,
 )
 from ambrose.machine.limits import ELEMENTS
 from ambrose.machine.messages import complaint, number, shown, suggestion
 from ambrose.machine.parameters import bending_modes_of_mesh
+from ambrose.machine.rotor_model import ShaftSection
 from ambrose.machine.stator import SENSORS_ON, CasingMode, Support
 from ambrose.machine.validation.signs import not_positive
 

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import NumericalFailure, check_positive, check_shape, invalid
-from ambrose.machine.description import SealTable
+from ambrose.machine.seals import SealTable
 from ambrose.model.effects.bulkflow_static import StaticFlow, Walls, static_flow
 from ambrose.model.effects.bulkflow_whirl import whirl_flow
 

@@ -18,8 +18,9 @@ from numpy.typing import ArrayLike
 from ambrose.core.checks import check_finite, invalid, named_failure
 from ambrose.core.mechanical import undamped_modes
 from ambrose.core.presentation import Presented
-from ambrose.machine.description import Disc, MachineDescription, ShaftSection
+from ambrose.machine.description import MachineDescription
 from ambrose.machine.limits import FINE_MESH_MODES
+from ambrose.machine.rotor_model import Disc, ShaftSection
 from ambrose.model.effects.beam import BeamElement, beam_element, conical_element, shape
 
 STANDARD_GRAVITY = 9.80665  # [m/s2]

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import check_shape
-from ambrose.machine.description import Disc
 from ambrose.machine.machine import Machine
+from ambrose.machine.rotor_model import Disc
 from ambrose.model.effects.rotor import finite_element_rotor, free_modes
 from ambrose.report import theme, units
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from ambrose.core.checks import invalid
 from ambrose.law.scheduling import PRESSURE, SPEED, Scheduling
-from ambrose.machine.description import Seal
 from ambrose.machine.messages import meant, suggestion
+from ambrose.machine.seals import Seal
 from ambrose.model.assemble import seal_poles
 from ambrose.model.effects import seal, seal_rational
 from ambrose.rig.disturbances import sensed

@@ -57,7 +57,10 @@ def _move(rig: Any, work: Any, z: Any) -> None:
     """Displacements and velocities of the stations, relative to what they stand on."""
     p, n = rig.stiffness.shape[0], coordinates(rig)
     for s in range(work.place.shape[0]):
-        x, y, vx, vy = 0.0, 0.0, 0.0, 0.0
+        x = 0.0
+        y = 0.0
+        vx = 0.0
+        vy = 0.0
         for j in range(p):
             shape = rig.shape[s, j]
             x += shape * z[2 * j]
@@ -79,7 +82,9 @@ def _magnetise(rig: Any, work: Any, z: Any) -> None:
     amp = 2 * coordinates(rig)
     bias = amp + 2 * rig.amplifier.shape[0]
     for b in range(rig.magnet.shape[0]):
-        c, s, p = rig.direction[b, 0], rig.direction[b, 1], rig.magnet[b]
+        c = rig.direction[b, 0]
+        s = rig.direction[b, 1]
+        p = rig.magnet[b]
         x, y = work.place[b, 0], work.place[b, 1]
         i, j = 2 * b, 2 * b + 1
         first = effective_current(
@@ -102,7 +107,9 @@ def _magnetise(rig: Any, work: Any, z: Any) -> None:
 def _touch(rig: Any, work: Any, speed: float) -> None:
     """Touchdown bearings."""
     for b in range(rig.touchdown.shape[0]):
-        gap, x, y = rig.touchdown[b, 0], work.place[b, 0], work.place[b, 1]
+        gap = rig.touchdown[b, 0]
+        x = work.place[b, 0]
+        y = work.place[b, 1]
         if x * x + y * y > gap * gap:
             fx, fy, _, _ = contact_force(
                 x, y, work.velocity[b, 0], work.velocity[b, 1], speed, rig.touchdown[b]
@@ -239,7 +246,9 @@ def _amplify(rig: Any, work: Any, drive: Any, k: int, z: Any, dz: Any) -> None:
     count = rig.amplifier.shape[0]
     amp = 2 * coordinates(rig)
     for a in range(count):
-        i, j, p = amp + 2 * a, amp + 2 * count + a, rig.amplifier[a]
+        i = amp + 2 * a
+        j = amp + 2 * count + a
+        p = rig.amplifier[a]
         dz[i], dz[i + 1] = amplifier_derivative(work.command[a], z[i], z[i + 1], p)
         target = rig.magnet[a // 2, 0] * drive.powered[a, k]
         dz[j] = min(max(rig.bias_rate * (target - z[j]), -p[3]), p[3])
@@ -250,7 +259,9 @@ def _signal(rig: Any, z: Any, a: int, angle: float) -> float:
     """The signal [m] of sensor a before its lag."""
     b = a // 2
     c, s = rig.sensor_direction[b, 0], rig.sensor_direction[b, 1]
-    x, y, p = 0.0, 0.0, rig.stiffness.shape[0]
+    x = 0.0
+    y = 0.0
+    p = rig.stiffness.shape[0]
     for j in range(p):
         x += rig.sensor_shape[b, j] * z[2 * j]
         y += rig.sensor_shape[b, j] * z[2 * j + 1]
@@ -297,7 +308,10 @@ def _farthest(rig: Any, work: Any, dt: float) -> float:
     """
     farthest = 0.0
     for b in range(rig.touchdown.shape[0]):
-        x, y, vx, vy = work.place[b, 0], work.place[b, 1], work.velocity[b, 0], work.velocity[b, 1]
+        x = work.place[b, 0]
+        y = work.place[b, 1]
+        vx = work.velocity[b, 0]
+        vy = work.velocity[b, 1]
         farthest = max(
             farthest,
             (np.sqrt(x * x + y * y) + np.sqrt(vx * vx + vy * vy) * dt) / rig.touchdown[b, 0],
@@ -314,7 +328,10 @@ def _regime(rig: Any, work: Any, z: Any, depth: Any) -> int:
     _move(rig, work, z)
     amp, number = 2 * coordinates(rig), 0
     for b in range(rig.touchdown.shape[0]):
-        x, y, vx, vy = work.place[b, 0], work.place[b, 1], work.velocity[b, 0], work.velocity[b, 1]
+        x = work.place[b, 0]
+        y = work.place[b, 1]
+        vx = work.velocity[b, 0]
+        vy = work.velocity[b, 1]
         depth[b], kind = max(np.sqrt(x * x + y * y) - rig.touchdown[b, 0], 0.0), 0
         if depth[b] > 0.0:
             kind = 1 if contact_force(x, y, vx, vy, 0.0, rig.touchdown[b])[3] > 0.0 else 2
@@ -347,7 +364,9 @@ def _step(rig: Any, work: Any, drive: Any, k: int, tau: float, width: float, z: 
     on, a fraction ``width`` long, into work.slopes[1].
     """
     n, h = z.shape[0], width * drive.dt
-    dz, total, trial = work.slopes[0], work.slopes[1], work.slopes[2]
+    dz = work.slopes[0]
+    total = work.slopes[1]
+    trial = work.slopes[2]
     for i in range(n):
         trial[i] = total[i] = z[i]
     for stage in range(4):

@@ -27,7 +27,9 @@ class Recorder:
     """
 
     def __init__(self, task: Plan, every: int, seed: int, path: str | Path | None) -> None:
-        self.task, self.every, self.path = task, every, path
+        self.task = task
+        self.every = every
+        self.path = path
         self.names = _names(task)
         count = (task.samples - 1) // max(every, 1) + 1
         if every < 1 or count * len(self.names) > _LARGEST:

@@ -138,7 +138,8 @@ class Settling:
     def ratios(
         self, G: np.ndarray, Q: np.ndarray, peak: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """|y| over its band (m, t, axis, pulsed axis), y itself, the band (m, pulsed axis), and the peaks it is taken of.
+        """|y| over its band (m, t, axis, pulsed axis), y itself, the band (m, pulsed axis), and the
+        peaks it is taken of.
 
         G, Q (m, w, a, a): at the frequencies ``at``. peak (m, pulsed axis): None takes those of the
         response itself.

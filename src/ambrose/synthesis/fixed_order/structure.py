@@ -107,12 +107,10 @@ def _parts(K: StateSpace, groups: Sequence[Sequence[int]]) -> list[tuple[np.ndar
         return np.asarray(np.abs(X) > _ZERO * np.abs(X).max(initial=1e-300))
 
     graph = np.zeros((m + n, m + n), bool)
-    graph[:m, :m], graph[:m, m:], graph[m:, :m], graph[m:, m:] = (
-        linked(K.D),
-        linked(K.C),
-        linked(K.B),
-        linked(K.A),
-    )
+    graph[:m, :m] = linked(K.D)
+    graph[:m, m:] = linked(K.C)
+    graph[m:, :m] = linked(K.B)
+    graph[m:, m:] = linked(K.A)
     for group in groups:
         graph[np.ix_(list(group), list(group))] = True
     count, label = connected_components(graph, directed=False)

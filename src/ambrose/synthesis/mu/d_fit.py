@@ -149,7 +149,9 @@ class _Problem:
     __slots__ = ("data", "high", "low", "omega", "root")
 
     def __init__(self, omega: np.ndarray, data: np.ndarray, root: np.ndarray) -> None:
-        self.omega, self.data, self.root = omega, data, root
+        self.omega = omega
+        self.data = data
+        self.root = root
         self.low, self.high = np.log(omega[0]), np.log(omega[-1])
 
     def _centred(self, columns: np.ndarray) -> np.ndarray:

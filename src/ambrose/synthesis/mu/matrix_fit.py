@@ -70,7 +70,9 @@ class _Linear:
     __slots__ = ("omega", "root", "target", "weight")
 
     def __init__(self, omega: np.ndarray, root: np.ndarray, weight: np.ndarray) -> None:
-        self.omega, self.root, self.weight = omega, root, weight
+        self.omega = omega
+        self.root = root
+        self.weight = weight
         eye = np.broadcast_to(np.eye(root.shape[1]), root.shape)
         self.target = _stack(weight[:, None, None] * eye)
 

@@ -13,7 +13,7 @@ from ambrose.annexes.site.balancing.correction import balance
 from ambrose.annexes.site.balancing.vectors import revolution
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import Runout
+from ambrose.machine.stator import Runout
 from ambrose.model.effects import sensor
 from ambrose.model.static_load import stated_at_load
 from ambrose.record.record import Record

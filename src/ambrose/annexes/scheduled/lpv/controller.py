@@ -81,7 +81,8 @@ def controller(plant: ScaledPlant, point: Factors, p: np.ndarray) -> Matrices:
     With D first put into the plant (A + B2 D C2 for A, and so on) and hats for what the
     inequalities determine,
 
-        A_k = N^-1 (A_hat - S A R - B_hat C2 R - S B2 C_hat) M^-T,    B_k = N^-1 B_hat,    C_k = C_hat M^-T,
+        A_k = N^-1 (A_hat - S A R - B_hat C2 R - S B2 C_hat) M^-T,    B_k = N^-1 B_hat,
+        C_k = C_hat M^-T,
 
     where B_hat and C_hat solve the two bordered systems of linear equations and A_hat makes the
     off-diagonal block vanish (Apkarian & Adams 1998, whose X and Y are S and R here; Gahinet 1996).

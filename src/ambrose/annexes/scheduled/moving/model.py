@@ -70,10 +70,15 @@ class MovingModel:
                 "the currents reach the sensors at once; give the amplifier a bandwidth in the "
                 "machine file"
             )
-        self.A, self.B, self.C = late.A, late.B[:, r:], late.C[v:]
+        self.A = late.A
+        self.B = late.B[:, r:]
+        self.C = late.C[v:]
         self._into, self._own = late.B[:, :r], late.C[:v]
         self._ranges = [seal_range(plant, seal, span) for seal in plant.machine.seals]
-        self.plant, self.span, self.law, self.lag = plant, span, law, lag
+        self.plant = plant
+        self.span = span
+        self.law = law
+        self.lag = lag
 
     @property
     def output(self) -> np.ndarray:
@@ -90,12 +95,10 @@ class MovingModel:
         """What the controller adds to A, and B of d: u = K (-(C x + d))."""
         n, k = len(self.B), K.n_states
         A = np.zeros((n + k, n + k))
-        A[:n, :n], A[:n, n:], A[n:, :n], A[n:, n:] = (
-            -self.B @ K.D @ self.C,
-            self.B @ K.C,
-            -K.B @ self.C,
-            K.A,
-        )
+        A[:n, :n] = -self.B @ K.D @ self.C
+        A[:n, n:] = self.B @ K.C
+        A[n:, :n] = -K.B @ self.C
+        A[n:, n:] = K.A
         return A, np.vstack([-self.B @ K.D, -K.B])
 
     def _wide(self, A: np.ndarray) -> np.ndarray:

@@ -121,7 +121,9 @@ def _closed(part: StateSpace, K: StateSpace, owner: np.ndarray) -> VaryingLoop:
     to_u = np.hstack([-K.D @ C_y, K.C, -K.D @ D_yw, -K.D])  # over x, x_K, w, d
     to_e = np.hstack([-C_y, np.zeros((p, k)), -D_yw, -np.eye(p)])
     own = np.zeros((n + k, n + k + r + p))
-    own[:n, :n], own[:n, n + k : n + k + r], own[n:, n : n + k] = part.A, B_w, K.A
+    own[:n, :n] = part.A
+    own[:n, n + k : n + k + r] = B_w
+    own[n:, n : n + k] = K.A
     own[:n] += B_u @ to_u
     own[n:] += K.B @ to_e
     out = np.vstack(

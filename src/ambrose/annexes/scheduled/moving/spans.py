@@ -13,8 +13,9 @@ from ambrose.core.checks import InvalidInput
 from ambrose.judge.checks import Check
 from ambrose.judge.criteria import judge
 from ambrose.machine.criteria import TWO_PI, Demand
-from ambrose.machine.description import OperatingPoint, Seal
+from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
+from ambrose.machine.seals import Seal
 from ambrose.model.assemble import seal_coefficients
 from ambrose.model.effects.seal_rational import has_states
 from ambrose.model.plant import Plant

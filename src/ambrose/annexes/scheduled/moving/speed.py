@@ -108,14 +108,12 @@ class _Family:
         modes: int,
         tolerances: Sequence[Tolerance],
     ) -> None:
-        self.plant, self.span, self.law, self.lag, self.modes, self.tolerances = (
-            plant,
-            span,
-            law,
-            lag,
-            modes,
-            tolerances,
-        )
+        self.plant = plant
+        self.span = span
+        self.law = law
+        self.lag = lag
+        self.modes = modes
+        self.tolerances = tolerances
         model = self._open(self._middle)
         system, r = model.system, len(model.w)
         owners = np.array([block.name for block in model.blocks for _ in range(block.n_z)])

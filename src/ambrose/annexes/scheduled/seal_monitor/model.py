@@ -3,13 +3,16 @@ what the seal adds to it.
 
 Sampled, the machine with the parameters theta (what the seal is; zero: no seal) is
 
-    x+ = (A + sum theta_g D_g + sum theta_g theta_h D_gh) x + (B + sum theta_g N_g + sum theta_g theta_h N_gh) v,   y = C x,
+    x+ = (A + sum theta_g D_g + sum theta_g theta_h D_gh) x
+         + (B + sum theta_g N_g + sum theta_g theta_h N_gh) v,
+    y = C x,
 
 the squares being what sampling bends. The observer x^+ = A x^ + B v + L e, e = y - C x^, of the
 machine without it errs by x - x^ = sum theta_g phi_g + sum theta_g theta_h phi_gh + ..., each part
 of the error in A - L C,
 
-    phi_g driven by D_g x^ + N_g v,   phi_gh by D_g phi_h + D_gh x^ + N_gh v,   e = sum theta_g C phi_g + ... + noise,
+    phi_g driven by D_g x^ + N_g v,    phi_gh by D_g phi_h + D_gh x^ + N_gh v,
+    e = sum theta_g C phi_g + ... + noise,
 
 and no filter knows theta. On the seal rig the squares are 3 % at nominal pressure, and the third
 power, left out, changes theta by 6e-4 there. Adaptive observers: Zhang, IEEE Trans. Automatic
