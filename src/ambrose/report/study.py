@@ -1,5 +1,5 @@
-"""What a study adds to the page that compares its controllers: the commissioning on the rig (what was
-identified, what runs as code, how it does) and the run-up (every step on the way up).
+"""What a study adds to the page that compares its controllers: the commissioning on the rig (what
+was identified, what runs as code, how it does) and the run-up (every step on the way up).
 """
 
 from __future__ import annotations

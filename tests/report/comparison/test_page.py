@@ -489,7 +489,7 @@ def test_mu_iterations_are_listed(report: Page, candidates: list[Candidate]) -> 
 def test_a_single_candidate_gets_the_verification_report(
     rig: Machine, candidates: list[Candidate]
 ) -> None:
-    made = comparison_report(rig, candidates[:1], title="One")
+    made = comparison_page(rig, candidates[:1], title="One")
     titles = [part.title for part in made.sections]
     assert titles == [
         "Overview",
@@ -513,7 +513,7 @@ def test_maps_over_speed_and_models_have_their_sections(
         "campbell", "Campbell map", "speed", speed, speed[None] + 50, ("mode",), "rad/s", "rad/s"
     )
     gain = Curve("g", "Gain", "frequency", speed + 1, np.ones((1, 5)), ("max",), "rad/s", "m/A")
-    made = comparison_report(
+    made = comparison_page(
         rig,
         candidates[:2],
         comparison=[("full", gain), ("reduced", gain)],

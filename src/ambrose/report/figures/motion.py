@@ -1,5 +1,5 @@
-"""The rotor's motion in pictures: where a record knows it, the orbits, the spectrum of the whirl over
-time, the rotor's axis moving.
+"""The rotor's motion in pictures: where a record knows it, the orbits, the spectrum of the whirl
+over time, the rotor's axis moving.
 
 Waterfall: x + i y turns forward at positive and backward at negative frequencies (Bently & Hatch,
 Fundamentals of Rotating Machinery Diagnostics, 2002, ch. 8): a circular forward orbit of radius r
