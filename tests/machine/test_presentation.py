@@ -1,11 +1,14 @@
 """Machines and their parts show themselves in a line, in a table, and as plain data."""
 
 import json
-from dataclasses import fields, is_dataclass
+import math
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 
+from ambrose.core.presentation import Presented
 from ambrose.machine import description as d
 from ambrose.machine.file.toml import bundled_machines, dumps_machine, load_machine, loads_machine
 from ambrose.machine.rotor_model import Disc
@@ -62,3 +65,23 @@ def test_the_plain_data_are_those_of_the_file():
     whole = machine.to_dict(defaults=True)
     assert whole["bearing"][1]["angle"] == 0.0 and "angle" not in machine.to_dict()["bearing"][1]
     assert loads_machine(dumps_machine(machine)) == machine
+
+
+def test_what_a_result_names_is_what_it_tells():
+    @dataclass(frozen=True, repr=False)
+    class Outcome(Presented):
+        _FACTS: ClassVar = ("largest=peak", "half")
+        _DATA: ClassVar = ("peak", "parts=items")
+        peak: float
+        items: tuple = ()
+
+        @property
+        def half(self):
+            return self.peak / 2
+
+    inner = Outcome(math.inf)
+    assert repr(Outcome(3.0)) == "Outcome(largest=3, half=1.5)"
+    assert Outcome(3.0, (inner,)).to_dict() == {
+        "peak": 3.0,
+        "parts": [{"peak": "inf", "parts": []}],
+    }

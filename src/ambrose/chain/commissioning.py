@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.chain.control import resume_or_design
+from ambrose.chain.stages import Stage, walk
 from ambrose.code.block.fixed import build_block
 from ambrose.code.c.code import write_code
 from ambrose.code.c.compiled import CompiledBlock, read_law
@@ -157,35 +158,39 @@ def commission(
     make_folder(directory)
     if problem := compiler_problem():
         progress(f"the code will be written, but its law runs in Python: {problem}")
-    record = recorded(plants[0], reference.controller, directory / "record.h5", progress)
-    identification = identified(
-        plants[0].machine, record, reference.controller, directory, progress
+    made = walk(
+        STAGES,
+        {
+            "site": plants,
+            "machine": plants[0].machine,
+            "reference": reference,
+            "controller": reference.controller,
+            "directory": directory,
+            "progress": progress,
+        },
     )
-    machine = identification.machine
-    known = full_plants(machine)
-    progress("controller for the identified machine and its sampled loop")
-    machine_on_site, timing = plants[0].machine, machine_timing(machine) or DEFAULT
-    method = methods()[METHOD](rate=timing.rate, delay_samples=timing.delay_samples)
-    synthesis = resume_or_design(known[0], method, directory / "controller.json", progress)
-    deployment, program, files = compile_controller(known, directory, progress)
-    law, apart = read_running_law(program, deployment)
-    running = Deployed(
-        law, program, plants, Timing(timing.sample_time, deployment.delay, "its code")
+    deployment, _, files = made["code"]
+    return Commissioning(
+        made["identification"],
+        reference,
+        made["candidate"],
+        made["cycle"],
+        deployment,
+        files,
+        made["law"][1],
     )
-    tolerances = design_tolerances(known[0].machine)
-    candidate = evaluate(NAME, synthesis, known, progress, deployed=running, tolerances=tolerances)
-    progress("the code takes the rig through its operating cycle")
-    cycle = simulate_scenario(
-        machine_on_site, program, CYCLE, rate=timing.rate, delay_samples=deployment.delay
-    )
-    return Commissioning(identification, reference, candidate, cycle, deployment, files, apart)
 
 
-def recorded(plant: Plant, controller: LawLike, path: Path, progress: Progress) -> Any:
+def recorded(
+    plants: tuple[Plant, ...], controller: LawLike, directory: Path, progress: Progress
+) -> Any:
     """Two seconds of the rig at an operating point, a binary sequence added to every current."""
+    plant = plants[0]
     progress(f"recording {_RECORDED:g} s on the virtual rig at {plant.point.label}")
     scenario = replace(load_scenario(EXCITATION), duration=_RECORDED)
-    trace = virtual_rig.run(plant.machine, controller, scenario, point=plant.point, path=path)
+    trace = virtual_rig.run(
+        plant.machine, controller, scenario, point=plant.point, path=directory / "record.h5"
+    )
     if trace.outcome != "completed":
         raise InvalidInput(f"no record to identify from: {trace.text}")
     return trace.record
@@ -212,6 +217,15 @@ def identified(
             f"{done.verdict}; no controller is designed for them, see identified.html"
         )
     return done
+
+
+def designed(known: tuple[Plant, ...], directory: Path, progress: Progress) -> Synthesis:
+    """The controller for the identified machine, as its loop runs sampled; or as an earlier run
+    left it.
+    """
+    timing = machine_timing(known[0].machine) or DEFAULT
+    method = methods()[METHOD](rate=timing.rate, delay_samples=timing.delay_samples)
+    return resume_or_design(known[0], method, directory / "controller.json", progress)
 
 
 def compile_controller(
@@ -266,3 +280,55 @@ def read_running_law(
         for found, meant in pairs
         if meant.any()
     )
+
+
+Code = tuple[Deployment, CompiledBlock | StateSpace, tuple[Path, ...]]
+
+
+def evaluated(
+    site: tuple[Plant, ...],
+    known: tuple[Plant, ...],
+    synthesis: Synthesis,
+    code: Code,
+    law: tuple[StateSpace, float | None],
+    progress: Progress,
+) -> Candidate:
+    """The law that runs on the identified machine, and the running code on the rig of the site."""
+    deployment, program, _ = code
+    timing = machine_timing(known[0].machine) or DEFAULT
+    runs = Timing(timing.sample_time, deployment.delay, "its code")
+    tolerances = design_tolerances(known[0].machine)
+    deployed = Deployed(law[0], program, site, runs)
+    return evaluate(NAME, synthesis, known, progress, deployed=deployed, tolerances=tolerances)
+
+
+def operating_cycle(site: tuple[Plant, ...], known: tuple[Plant, ...], code: Code) -> Trace:
+    """From rest through run-up, top pressure and trip back to rest, run by the code."""
+    deployment, program, _ = code
+    rate = (machine_timing(known[0].machine) or DEFAULT).rate
+    machine, delay = site[0].machine, deployment.delay
+    return simulate_scenario(machine, program, CYCLE, rate=rate, delay_samples=delay)
+
+
+STAGES = (
+    Stage("record", ("site", "controller", "directory", "progress"), recorded),
+    Stage(
+        "identification", ("machine", "record", "controller", "directory", "progress"), identified
+    ),
+    Stage("known", ("identification",), lambda done: full_plants(done.machine)),
+    Stage(
+        "synthesis",
+        ("known", "directory", "progress"),
+        designed,
+        "controller for the identified machine and its sampled loop",
+    ),
+    Stage("code", ("known", "directory", "progress"), compile_controller),
+    Stage("law", ("code",), lambda code: read_running_law(code[1], code[0])),
+    Stage("candidate", ("site", "known", "synthesis", "code", "law", "progress"), evaluated),
+    Stage(
+        "cycle",
+        ("site", "known", "code"),
+        operating_cycle,
+        "the code takes the rig through its operating cycle",
+    ),
+)

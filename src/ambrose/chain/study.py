@@ -1,8 +1,8 @@
 """The whole chain, one call per stage: machine file -> plants -> controller -> verification ->
 simulation -> report.
 
-Read this first. Each stage is a plain function of the results before it (package ``stages``);
-``study`` calls them in order and leaves what they made in one directory. A second run for the same
+Read this first, ``STAGES`` above all: each stage is a plain function of the results before it;
+``study`` walks them in order and leaves what they made in one directory. A second run for the same
 machine takes the controllers up from there. The last stage commissions: it identifies the machine
 from a record of the virtual rig and runs a controller for it there as C code.
 """
@@ -16,6 +16,7 @@ from typing import Any
 
 from ambrose.chain.commissioning import NAME, Commissioning, commission
 from ambrose.chain.control import resume_or_design
+from ambrose.chain.stages import Stage, walk
 from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.core.presentation import Presented, data_frame, to_plain
 from ambrose.judge.checks import Curve, check_columns
@@ -154,33 +155,17 @@ def study(
 
 
 def _study(machine: Machine, directory: Path, progress: Progress) -> Study:
-    progress("assembling the finite-element plant at every operating point")
-    plants = full_plants(machine)
-    progress("reducing it")
-    reduced = reduce(plants[0])
-    for name in ("checks.json", "report.html", "commissioned/code"):
-        set_aside(directory / name)
-    candidates, failed = _candidates(plants, directory, progress)
-    commissioned = None
-    try:
-        commissioned = commission(
-            plants, _reference(candidates), directory / "commissioned", progress
-        )
-        candidates.append(commissioned.candidate)
-    except AmbroseError as error:
-        progress(f"not commissioned; {error}")
-        failed.append(("commissioning", str(error)))
-    speed_curves = campbell_map(plants[0], candidates[0].synthesis.controller, progress)
-    rising = run_ups(plants[0], tuple(candidates), progress)
+    made = walk(STAGES, {"machine": machine, "directory": directory, "progress": progress})
+    failed, (commissioned, refused) = made["designs"][1], made["commissioning"]
     result = Study(
         machine,
-        plants,
-        reduced,
-        tuple(candidates),
-        speed_curves,
-        tuple(failed),
+        made["plants"],
+        made["reduced"],
+        made["candidates"],
+        made["speed_curves"],
+        (*failed, *refused),
         commissioned,
-        rising,
+        made["run_ups"],
     )
     progress("writing the report")
     unwritten = []
@@ -195,14 +180,38 @@ def _study(machine: Machine, directory: Path, progress: Progress) -> Study:
     return replace(result, unwritten=tuple(unwritten))
 
 
+def _set_earlier_aside(directory: Path) -> None:
+    for name in ("checks.json", "report.html", "commissioned/code"):
+        set_aside(directory / name)
+
+
+Designs = tuple[list[Candidate], list[tuple[str, str]]]
+
+
+def _commissioning(
+    plants: tuple[Plant, ...], designs: Designs, directory: Path, progress: Progress
+) -> tuple[Commissioning | None, list[tuple[str, str]]]:
+    """What commissioning gave, or None; and ("commissioning", why) where it was refused."""
+    try:
+        return commission(plants, _reference(designs[0]), directory / "commissioned", progress), []
+    except AmbroseError as error:
+        progress(f"not commissioned; {error}")
+        return None, [("commissioning", str(error))]
+
+
+def _all_candidates(
+    designs: Designs, commissioning: tuple[Commissioning | None, Any]
+) -> tuple[Candidate, ...]:
+    done = commissioning[0]
+    return (*designs[0], *([done.candidate] if done is not None else []))
+
+
 def study_methods(plant: Plant) -> tuple[str, ...]:
     """What a study designs by: what the machine file allows, then the annexes' that suit it."""
     return (*methods_for(plant), *(n for n in registered("method") if methods()[n].suits(plant)))
 
 
-def _candidates(
-    plants: tuple[Plant, ...], directory: Path, progress: Progress
-) -> tuple[list[Candidate], list[tuple[str, str]]]:
+def _candidates(plants: tuple[Plant, ...], directory: Path, progress: Progress) -> Designs:
     """Every controller that the machine allows, evaluated; and (controller, why) of those that
     could not be designed.
     """
@@ -246,6 +255,33 @@ def _reference(candidates: Sequence[Candidate]) -> Synthesis:
 
 def _prefixed(name: str, progress: Progress) -> Progress:
     return lambda stage: progress(f"{name}: {stage}")
+
+
+STAGES = (
+    Stage(
+        "plants",
+        ("machine",),
+        full_plants,
+        "assembling the finite-element plant at every operating point",
+    ),
+    Stage("reduced", ("plants",), lambda plants: reduce(plants[0]), "reducing it"),
+    Stage("earlier", ("directory",), _set_earlier_aside),
+    Stage("designs", ("plants", "directory", "progress"), _candidates),
+    Stage("commissioning", ("plants", "designs", "directory", "progress"), _commissioning),
+    Stage("candidates", ("designs", "commissioning"), _all_candidates),
+    Stage(
+        "speed_curves",
+        ("plants", "candidates", "progress"),
+        lambda plants, candidates, progress: campbell_map(
+            plants[0], candidates[0].synthesis.controller, progress
+        ),
+    ),
+    Stage(
+        "run_ups",
+        ("plants", "candidates", "progress"),
+        lambda plants, candidates, progress: run_ups(plants[0], candidates, progress),
+    ),
+)
 
 
 def _loops_judged(candidates: tuple[Candidate, ...]) -> str:

@@ -8,7 +8,7 @@ import dataclasses
 import math
 from collections.abc import Iterable, Mapping
 from html import escape
-from typing import Any
+from typing import Any, ClassVar
 
 from ambrose.core.checks import InvalidInput
 
@@ -23,16 +23,21 @@ def with_unit(value: float, unit: str, digits: int = 4) -> str:
 class Presented:
     """A result with a one-line ``repr`` and a table for notebooks, both made from its ``facts``.
 
-    A subclass is a dataclass with ``repr=False``; it says by ``facts`` what it is, where its fields
-    are not that.
+    A subclass is a dataclass with ``repr=False``. Where its fields are not what it is, it names the
+    fields and properties that are, as ``name`` or ``key=name``: ``_FACTS`` those of ``facts``,
+    ``_DATA`` those of ``to_dict``; or it has a ``facts`` or ``to_dict`` of its own.
     """
 
     __slots__ = ()
+    _FACTS: ClassVar[tuple[str, ...]] = ()
+    _DATA: ClassVar[tuple[str, ...]] = ()
 
     def facts(self) -> Mapping[str, Any]:
         """What a reader wants to know first, most important first (SI); else the fields that are
         not at their default.
         """
+        if self._FACTS:
+            return dict(_chosen(self, self._FACTS))
         fields = dataclasses.fields(self)  # type: ignore[arg-type]  # every subclass is a dataclass
         values = {field.name: getattr(self, field.name) for field in fields}
         told = [
@@ -43,7 +48,11 @@ class Presented:
         return {name: _fact(values[name]) for name in told}
 
     def to_dict(self) -> dict[str, Any]:
-        """All fields of the dataclass, ready for JSON (``to_plain``)."""
+        """What belongs to it, ready for JSON (``to_plain``): all fields of the dataclass, where it
+        names nothing else.
+        """
+        if self._DATA:
+            return {key: _as_data(value) for key, value in _chosen(self, self._DATA)}
         names = (field.name for field in dataclasses.fields(self))  # type: ignore[arg-type]
         plain: dict[str, Any] = to_plain({name: getattr(self, name) for name in names})
         return plain
@@ -58,6 +67,21 @@ class Presented:
             [(name.replace("_", " "), in_words(value)) for name, value in self.facts().items()],
             type(self).__name__,
         )
+
+
+def _chosen(thing: Any, names: Iterable[str]) -> Iterable[tuple[str, Any]]:
+    """(key, value) of attributes that are named "attribute" or "key=attribute"."""
+    pairs = (name.partition("=") for name in names)
+    return ((key, getattr(thing, attribute or key)) for key, _, attribute in pairs)
+
+
+def _as_data(value: Any) -> Any:
+    """Plain data of a value, of results by their own ``to_dict``."""
+    if isinstance(value, Presented):
+        return value.to_dict()
+    if isinstance(value, list | tuple):
+        return [_as_data(item) for item in value]
+    return to_plain(value)
 
 
 def _fact(value: Any) -> Any:

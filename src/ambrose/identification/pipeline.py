@@ -212,7 +212,7 @@ def _read(
     return tuple(item if isinstance(item, Record) else read_record(item) for item in records), names
 
 
-def _paths(unknown: str | Sequence[str]) -> tuple[str, ...]:
+def _paths(unknown: object) -> tuple[str, ...]:
     if not isinstance(unknown, str | Sequence):
         remedy = "write bearing.*.negative_stiffness.*"
         raise invalid("unknown", repr(unknown), "a path, or a list of them", remedy)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -121,6 +121,8 @@ class Checks(Presented):
     takes it.
     """
 
+    _DATA: ClassVar = ("label", "stable", "passed", "checks")
+
     label: str
     stable: bool
     checks: tuple[Check, ...]
@@ -156,17 +158,6 @@ class Checks(Presented):
         return checks_table(
             self.checks, f"{self.label}: {'passed' if self.passed else 'not passed'}"
         )
-
-    def to_dict(self) -> dict[str, Any]:
-        """The verdict without its curves as JSON-ready data; numbers that are not finite become
-        strings ("inf").
-        """
-        return {
-            "label": self.label,
-            "stable": self.stable,
-            "passed": self.passed,
-            "checks": [check.to_dict() for check in self.checks],
-        }
 
     def to_frame(self) -> Any:
         """A pandas.DataFrame with a row for each check, by name."""

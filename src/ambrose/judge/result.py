@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
-from typing import Any
+from typing import Any, ClassVar
 
 from ambrose.core.checks import invalid
 from ambrose.core.presentation import Presented, data_frame, to_plain
@@ -46,6 +46,8 @@ class Certificate(Presented):
     (empty: not asked).
     """
 
+    _FACTS: ClassVar = ("stable", "spectral_abscissa", "closed_loop_norm", "fastest_pole", "plant")
+
     stable: bool = False
     spectral_abscissa: float = math.nan
     closed_loop_norm: float = math.nan
@@ -53,13 +55,6 @@ class Certificate(Presented):
     margins: Mapping[str, float] = field(default_factory=dict)
     plant: str = ""
     envelope: Mapping[str, float] = field(default_factory=dict)
-
-    def facts(self) -> Mapping[str, Any]:
-        return {
-            item.name: getattr(self, item.name)
-            for item in fields(self)
-            if item.name not in {"margins", "envelope"}
-        }
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 from ambrose.core.arguments import check_types
 from ambrose.core.presentation import Presented, data_frame
@@ -37,6 +37,18 @@ class Verification(Presented):
     10000 Hz, ...". not_varied: tolerances of the machine file that do not hold around a point, with
     the reason (the file's ``around``, or a nominal value of zero).
     """
+
+    _DATA: ClassVar = (
+        "passed",
+        "stable",
+        "points",
+        "tolerances=boxes",
+        "ranges",
+        "moving",
+        "left_out",
+        "timing",
+        "not_varied",
+    )
 
     points: tuple[Checks, ...]
     boxes: tuple[Checks, ...] = ()
@@ -131,23 +143,9 @@ class Verification(Presented):
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """The verdict without its curves as JSON-ready data."""
-        return {
-            "passed": self.passed,
-            "stable": self.stable,
-            "points": [checks.to_dict() for checks in self.points],
-            "tolerances": [checks.to_dict() for checks in self.boxes],
-            "ranges": [checks.to_dict() for checks in self.ranges],
-            "moving": [checks.to_dict() for checks in self.moving],
-            **(
-                {"synchronous": [checks.to_dict() for checks in self.synchronous]}
-                if self.synchronous
-                else {}
-            ),
-            "left_out": list(self.left_out),
-            "timing": self.timing,
-            "not_varied": list(self.not_varied),
-        }
+        """The verdict without its curves as JSON-ready data; synchronous blocks where there are."""
+        blocks = [checks.to_dict() for checks in self.synchronous]
+        return Presented.to_dict(self) | ({"synchronous": blocks} if blocks else {})
 
     def to_frame(self) -> Any:
         """A pandas.DataFrame with a row for each check at each point: point, check, value, unit,

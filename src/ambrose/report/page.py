@@ -278,6 +278,8 @@ def render(page: Page) -> str:
 def _least_width(picture: Any) -> int:
     """What a figure needs to be read [px]; a narrower page scrolls it."""
     layout = picture.layout.to_plotly_json()
+    if least := (layout.get("meta") or {}).get("least"):
+        return int(least)
     starts = {
         round((layout[name].get("domain") or (0,))[0], 3)
         for name in layout

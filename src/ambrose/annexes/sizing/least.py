@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 from ambrose.annexes.sizing.guarantee import RESERVE, Trial, attempt, tuning_job
 from ambrose.annexes.sizing.magnets import Size
@@ -43,20 +43,14 @@ class Least(Presented):
     none). synthesis: the controller; None without one.
     """
 
+    _FACTS: ClassVar = ("lever", "least=value", "next smaller that failed=refused", "binding")
+
     lever: str
     value: float
     refused: float
     binding: str
     synthesis: Synthesis | None = None
     machine: Machine | None = None
-
-    def facts(self) -> Mapping[str, Any]:
-        return {
-            "lever": self.lever,
-            "least": self.value,
-            "next smaller that failed": self.refused,
-            "binding": self.binding,
-        }
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -7,9 +7,9 @@ points, too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,6 +38,8 @@ class MuPeak(Presented):
     by its neighbours (a judgement, no proof).
     """
 
+    _FACTS: ClassVar = ("upper", "frequency", "lower", "lower_frequency", "resolved")
+
     upper: float
     frequency: float
     lower: float
@@ -46,13 +48,6 @@ class MuPeak(Presented):
     omega: np.ndarray
     values: np.ndarray
     resolved: bool
-
-    def facts(self) -> Mapping[str, Any]:
-        """Both bounds and where they are."""
-        return {
-            name: getattr(self, name)
-            for name in ("upper", "frequency", "lower", "lower_frequency", "resolved")
-        }
 
 
 def _response(system: Any, structure: Structure) -> Response:

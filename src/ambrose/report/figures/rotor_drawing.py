@@ -24,6 +24,10 @@ from ambrose.model.effects.rotor import finite_element_rotor, free_modes
 from ambrose.report import theme, units
 
 _PIXELS = 800  # width of the plot area that the height is computed for [px]
+_LEAST = (
+    760  # page width [px] for which the names are staggered; a narrower page scrolls the figure
+)
+_LEFT, _RIGHT = 112, 16  # margins [px]
 _ROW, _GAP = 74, 14  # height of one mode shape, space between two [px]
 _STEEL = "#dfe4e8"
 _LAMINATION = "#b9c3cb"
@@ -86,12 +90,13 @@ def rotor_drawing(
             _patch(figure, place - half, place + half, -size[0] * 1e3, size[0] * 1e3, _DISC)
     stations = _stations(machine, pixel)
     for station in stations:
-        _symbol(figure, machine, station, pixel)
+        _symbol(figure, machine, station, pixel, _room(station, stations, pixel))
     top, bottom = _labels(figure, stations, machine, pixel)
     _centre_line(figure, nodes, length)
     drawn = (top - bottom) / pixel
     total = drawn + modes.shape[1] * (_ROW + _GAP) + _GAP
     theme.dress(figure, round(total), legend=False)
+    figure.update_layout(meta={**figure.layout.meta, "least": _LEAST})
     _layout(figure, length, (bottom, top), (drawn / total, _GAP / total), modes.shape[1])
     _shapes(figure, nodes, modes, omega, stations, 1 - (drawn + _GAP) / total)
     return figure
@@ -189,8 +194,18 @@ def _stations(machine: Machine, pixel: float) -> list[Station]:
     return stations
 
 
-def _symbol(figure: Any, machine: Machine, station: Station, pixel: float) -> None:
-    """One station's symbol, above and below the shaft."""
+def _room(station: Station, stations: Sequence[Station], pixel: float) -> float:
+    """Half the width [mm] that a seal's symbol may have: neighbouring seals stay apart."""
+    apart = [
+        abs(other.position - station.position)
+        for other in stations
+        if other.kind == station.kind and other.position != station.position
+    ]
+    return min([12 * pixel, *(0.42 * distance for distance in apart)])
+
+
+def _symbol(figure: Any, machine: Machine, station: Station, pixel: float, room: float) -> None:
+    """One station's symbol, above and below the shaft; room: half the width of a seal's [mm]."""
     colour = _KINDS.get(station.kind, _EFFECT)
     gap = _radius_at(machine, station.position) + 3 * pixel
     x, reach = station.position, station.reach
@@ -208,7 +223,9 @@ def _symbol(figure: Any, machine: Machine, station: Station, pixel: float) -> No
         ]
     elif station.kind == "seal":  # a comb
         teeth = (
-            np.array([-12, -12, -10, -10, -4, -4, -1, -1, 1, 1, 4, 4, 10, 10, 12, 12, -12]) * pixel
+            np.array([-12, -12, -10, -10, -4, -4, -1, -1, 1, 1, 4, 4, 10, 10, 12, 12, -12])
+            * room
+            / 12
         )
         tip, root = gap, gap + 6 * pixel
         levels = [
@@ -285,7 +302,8 @@ def _labels(
                 else station.kind
             )
             text = text if station.kind != "disc" else units.axis_name(station.name)
-            half = (3.2 * len(text) + 7) * pixel
+            # a page of the least width has fewer pixels for the same millimetres
+            half = (3.2 * len(text) + 7) * pixel * _PIXELS / (_LEAST - _LEFT - _RIGHT)
             level = next(
                 (i for i, end in enumerate(taken) if station.position - half > end), len(taken)
             )
@@ -308,6 +326,8 @@ def _labels(
                 yanchor="bottom" if sign > 0 else "top",
                 xanchor="center",
                 font={"size": 12.5, "color": colour},
+                bgcolor="white",  # the lines to names further out pass behind
+                borderpad=0,
             )
             extent[0 if sign > 0 else 1] = (
                 max(extent[0], y + 18 * pixel) if sign > 0 else min(extent[1], y - 18 * pixel)
@@ -337,7 +357,7 @@ def _layout(
     """One axial axis for all rows; the drawing keeps its proportions (equal millimetres in both
     directions).
     """
-    figure.update_layout(margin={"l": 112, "r": 16, "t": 26, "b": 48})
+    figure.update_layout(margin={"l": _LEFT, "r": _RIGHT, "t": 26, "b": 48})
     figure.update_xaxes(
         title_text="Axial position from the left end [mm]",
         range=[-0.04 * length, 1.04 * length],
