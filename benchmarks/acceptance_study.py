@@ -16,7 +16,7 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.identification.validation.operating_load import machine_at_load
-from ambrose.judge.verdict import running_law
+from ambrose.law.loop import running_law
 from ambrose.law.timing import Timing, timing_of
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.stator import Runout

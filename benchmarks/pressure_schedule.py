@@ -21,7 +21,7 @@ import numpy as np
 import ambrose as amb
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.judge.certificate import certify
-from ambrose.law.loop import law_at
+from ambrose.law.law import law_of
 from ambrose.law.timing import Timing
 from ambrose.rig.disturbances import PressureChange, Pulse
 from ambrose.rig.scenario import Scenario
@@ -35,7 +35,7 @@ PRESSURES, WRONG = 9, (0.0, 0.2, 0.4, 2.0)
 def peak(plant, law, told):
     """sigma_max(S_o) as the loop runs, the law at a told pressure; inf where it is unstable."""
     return certify(
-        plant, TIMING.in_loop(law_at(law, replace(plant.point, seal_pressure=told))), False
+        plant, TIMING.in_loop(law_of(law).at(replace(plant.point, seal_pressure=told))), False
     ).closed_loop_norm
 
 
@@ -117,7 +117,7 @@ def main():
     print(f"| {' | '.join((*heads, 'gain', 'surge', 'with weight'))} |\n{'|---' * 8}|")
     for name, law in laws.items():
         cells = [f"{misread(plants, law, wrong * nominal):.3g}" for wrong in WRONG]
-        gain = direct_gain_mismatch(law_at(law, machine.operation.nominal), tuned.controller)[0]
+        gain = direct_gain_mismatch(law_of(law).at(machine.operation.nominal), tuned.controller)[0]
         (size, settled), (loaded, _) = (
             surge(item, law, 2 * nominal) for item in (weightless, machine)
         )

@@ -10,7 +10,7 @@ import time
 from dataclasses import replace
 
 import ambrose as amb
-from ambrose.synthesis.options import DesignOptions
+from ambrose.synthesis.methods.tuned import Tuned
 
 
 def machine():
@@ -41,7 +41,7 @@ def main():
         start = time.process_time()
         reserve = 0.0 if lever == "bias" else 2.0
         found = amb.price(
-            machine(), "seal.center.k", widths, lever, DesignOptions(rate=10_000), reserve=reserve
+            machine(), "seal.center.k", widths, lever, Tuned(rate=10_000), reserve=reserve
         )
         for width, item in zip(found.widths, found.found, strict=True):
             told = f"{item.value:.4g}" if item.value < float("inf") else "none"

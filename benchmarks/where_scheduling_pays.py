@@ -32,7 +32,7 @@ from ambrose.model.reduce import free_mode_reduction
 from ambrose.model.uncertainty import perturbed
 from ambrose.synthesis.fixed_order.job import first_law, prepare
 from ambrose.synthesis.fixed_order.tuning import tuned
-from ambrose.synthesis.options import DesignOptions
+from ambrose.synthesis.methods.tuned import Tuned
 from ambrose.synthesis.pid import pid_controller
 
 RANGE = (0.0, 1.0, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0)
@@ -210,7 +210,7 @@ def main():
     )
     given = parser.parse_args()
     machine, start = amb.load_machine(given.machine), time.process_time()
-    options = DesignOptions(rate=given.rate_hz, order=given.order).on(machine)
+    options = Tuned(rate=given.rate_hz, order=given.order).on(machine)
     if given.speeds_hz:
         over_speed(
             machine, options, [2 * math.pi * speed for speed in given.speeds_hz], given.times

@@ -21,9 +21,9 @@ synthesis = amb.design(machine, "hinf", rate=1 / SAMPLE)
 
 # Sampled, and verified as it will run: late by one sample, on the full model, at every pressure and
 # over k +-100 %.
-options = amb.ExportOptions(name="seal_rig", rate=1 / SAMPLE)
+target = amb.C(name="seal_rig", rate=1 / SAMPLE)
 with tempfile.TemporaryDirectory() as folder:
-    delivery = amb.export(synthesis, Path(folder, "code"), to="c", machine=machine, options=options)
+    delivery = amb.export(synthesis, Path(folder, "code"), to=target, machine=machine)
     files = {path.name: path.read_text() for path in delivery.paths}
 deployment = delivery.deployment
 
@@ -43,9 +43,8 @@ try:
     amb.export(
         amb.design(machine, "pid"),
         "nowhere",
-        to="c",
+        to=target,
         machine=replace(machine, tolerances=()),
-        options=options,
     )
     refusal = ""
 except amb.UnstableSystem as error:

@@ -463,7 +463,7 @@ def test_gaps_and_uneven_times_are_refused_when_reading(place, tmp_path):
         (("-o", "missing/m.toml"), "missing is not a directory"),
         (
             ("--method", "youla", "--signals", "y_A_zeta"),
-            "--signals goes with --method closed-loop, not youla",
+            "--signals is given, but must be left out with --method youla; it goes with closed-loop",
         ),
         (
             ("--method", "youla", "--unknown", "delay"),
@@ -473,15 +473,15 @@ def test_gaps_and_uneven_times_are_refused_when_reading(place, tmp_path):
             ("--method", "youla", "--delay-samples", "1.5"),
             "computing_delay is 1.5, but must be a whole number",
         ),
-        (("--method", "youla", "--seal-fit", "line"), "--seal-fit goes with --method closed-loop"),
-        (("--method", "static"), "goes with --method closed-loop or youla, not static"),
-        (("--average", "0.2"), "--average goes with --method static, not closed-loop"),
+        (("--method", "youla", "--seal-fit", "line"), "it goes with closed-loop"),
+        (("--method", "static"), "it goes with closed-loop or youla: static loads give"),
+        (("--average", "0.2"), "it goes with static: the closed loop is fitted"),
         (("--seal-fit", "line", "--repeats"), "--repeats does not go with --seal-fit"),
         (
             ("--seal-fit", "line"),
             "the number of seal pressures for a line is 1, but must be at least 3",
         ),
-        (("--seal", "center"), "--seal names the seal of --seal-fit"),
+        (("--seal", "center"), "seal names the seal of seal_form (--seal-fit)"),
         (("--compare", "turboexpander"), "the machine to compare with is 'turboexpander'"),
     ],
 )

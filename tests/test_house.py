@@ -142,3 +142,81 @@ def test_every_folder_of_modules_is_a_package():
 )
 def test_every_benchmark_finds_what_it_imports(name):
     import_module(f"benchmarks.{name}")
+
+
+LAW_KINDS = {
+    "ControlProgram",
+    "FixedLaw",
+    "FunctionLaw",
+    "NativeProgram",
+    "ProgramLaw",
+    "ScheduledLaw",
+    "ScheduledProgram",
+    "ScheduledSystem",
+    "SupervisedProgram",
+    "Synthesis",
+}
+# who may ask for a kind of law: the room of laws, and the file that owns the kind
+OWNERS = ("law/", "judge/result.py")
+# foreign objects come in here, and nowhere below
+DOORS = ("api.py", "cli/", "annexes/scheduled/front_door.py")
+
+
+def names_in(node):
+    return {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
+
+
+def kinds_asked_for(tree):
+    """Lines that ask of which kind a law is."""
+    for node in ast.walk(tree):
+        if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name)):
+            continue
+        if node.func.id == "isinstance" and names_in(node.args[1]) & LAW_KINDS:
+            yield node.lineno
+        guessed = node.func.id in {"getattr", "hasattr"} and isinstance(node.args[1], ast.Constant)
+        if guessed and node.args[1].value in {"law", "provenance", "scheduled"}:
+            yield node.lineno
+
+
+def untyped_controllers(tree):
+    """Lines of parameters and fields that are controllers, laws or machines of any type."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.arg):
+            name, annotation = node.arg, node.annotation
+        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            name, annotation = node.target.id, node.annotation
+        else:
+            continue
+        stated = annotation is not None and "Any" in ast.unparse(annotation).split(" | ")
+        if stated and name in {"controller", "fallback", "law", "machine"}:
+            yield node.lineno
+
+
+def places(finder, exempt):
+    return [
+        f"{name_of(path)}:{line}"
+        for path in MODULES
+        if not name_of(path).startswith(exempt)
+        for line in finder(ast.parse(path.read_text(encoding="utf-8")))
+    ]
+
+
+def test_kinds_and_untyped_laws_are_seen():
+    code = """
+def f(controller: Any, law: Any | None, other: Any):
+    if isinstance(law, ScheduledSystem | StateSpace) or isinstance(other, Plant):
+        return getattr(controller, "law", controller)
+"""
+    assert list(kinds_asked_for(ast.parse(code))) == [3, 4]
+    assert list(untyped_controllers(ast.parse(code))) == [2, 2]
+
+
+def test_nobody_asks_of_which_kind_a_law_is():
+    """A law is asked for what it does (``law.law.Law``); a new kind is a class there, and no branch
+    anywhere else.
+    """
+    assert places(kinds_asked_for, OWNERS) == []
+
+
+def test_below_the_front_door_a_controller_has_a_type():
+    assert places(untyped_controllers, DOORS) == []

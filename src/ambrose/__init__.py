@@ -47,7 +47,12 @@ _HOME = {
     "Verification": "judge.verification",
     "Trace": "rig.trace",
     "Identification": "identification.result",
-    "ExportOptions": "code.pipeline",
+    **{
+        name: f"synthesis.methods.{name.lower()}"
+        for name in ("Tuned", "Pid", "Hinf", "Mu", "Polish")
+    },
+    **dict.fromkeys(("ClosedLoop", "Youla", "StaticLoads"), "identification.methods"),
+    **dict.fromkeys(("C", "Mat", "Fmu", "St"), "code.targets"),
     "Study": "chain.study",
     "hinf_synthesis": "synthesis.hinf.synthesis",
     "mu_synthesis": "synthesis.mu.synthesis",
@@ -61,7 +66,7 @@ _HOME = {
         ("coprime_factors", "injection_gain", "observer_controller", "residual_system"),
         "core.realisation.coprime",
     ),
-    "trade_off": "synthesis.fixed_order.trade_off",
+    "trade_off": "synthesis.trade_off",
     "minimal": "core.realisation.zeros",
     "delayed": "core.sampling",
     "lft": "core.lft",

@@ -25,14 +25,17 @@ from ambrose.core.checks import InvalidInput, invalid
 
 if TYPE_CHECKING:
     from ambrose.chain.study import Study
-    from ambrose.code.pipeline import Delivery, ExportOptions, Target
+    from ambrose.code.pipeline import Delivery
+    from ambrose.code.targets import Target
     from ambrose.identification.result import Identification
     from ambrose.judge.result import Synthesis
     from ambrose.judge.verification import Verification
+    from ambrose.law.law import Law
     from ambrose.machine.description import OperatingPoint
     from ambrose.machine.machine import Machine
     from ambrose.model.plant import Plant
     from ambrose.rig.trace import Trace
+    from ambrose.synthesis.methods.method import Method
 
 Progress = Callable[[str], None]
 
@@ -80,7 +83,7 @@ def reduce(plant: Plant, bending_modes: int | None = None) -> Plant:
 
 def design(
     machine: Machine | Plant | str,
-    method: str = "tuned",
+    method: Method | str = "tuned",
     *,
     point: OperatingPoint | str | None = None,
     progress: Progress = _quiet,
@@ -89,15 +92,14 @@ def design(
     """A controller: for the whole envelope, or by the thesis' methods for one operating point;
     certified on the full plants.
 
-    method: "tuned" (to the machine's requirements at all its operating points and over the
-    tolerances around each); made for one point are "pid" (the machine's reference controller),
-    "hinf", "mu" (D-K iteration over the tolerances), "polish" (mu refined at fixed order) and "lpv"
-    (scheduled over speed, pressure or both). point: of the machine (None: the one that designs are
-    made for). options, see ``synthesis.options.DesignOptions``: rate [Hz] and delay_samples of the
-    sampled loop that it is for; order of the polished or tuned controller; loss, with a rate: lower
-    the order until the worst sampled sensitivity has risen by this share; bending_modes;
-    match_reference; structure; speeds [rad/s] or pressures [Pa], lowest and highest. A controller
-    that does not hold the full plant comes back with status "unstable". Raises InvalidInput.
+    method: ``Tuned`` (to the machine's requirements at all its operating points and over the
+    tolerances around each); made for one point are ``Pid`` (the machine's reference controller),
+    ``Hinf``, ``Mu`` (D-K iteration over the tolerances), ``Polish`` (mu refined at fixed order) and
+    ``Lpv`` (scheduled over speed, pressure or both); or the name of one, "tuned", its options then
+    by name: ``amb.design(machine, amb.Tuned(order=12))`` is ``amb.design(machine, "tuned",
+    order=12)``. What each has stands with it, help(amb.Tuned). point: of the machine (None: the one
+    that designs are made for). A controller that does not hold the full plant comes back with
+    status "unstable". Raises InvalidInput.
     """
     from ambrose.model.plant import Plant as PlantType
     from ambrose.synthesis.design import design as designed
@@ -180,8 +182,9 @@ def simulate(
     from ambrose.rig.trial import simulate_scenario
 
     place = machine if isinstance(machine, PlantType) else machine_of(machine)
-    if isinstance(options.get("fallback"), str | os.PathLike):
-        options["fallback"] = controller_of(options["fallback"])
+    for name in ("fallback", "second"):
+        if options.get(name) is not None:
+            options[name] = controller_of(options[name])
     return simulate_scenario(
         place, controller_of(controller), scenario, point=point, linear=linear, **options
     )
@@ -194,10 +197,10 @@ def identify(
     the machine updated.
 
     records: a Record, a path, or several. controller: the one that ran. options, see
-    ``identification.pipeline.identify``: method "closed-loop", "youla" or "static"; unknown,
-    parameters as the tolerances name them with "*" for every name or axis; start; repeats;
-    seal_form "line" or "table"; seal; progress. Raises InvalidInput that names what is wrong with a
-    record.
+    ``identification.pipeline.identify``: method, ``ClosedLoop``, ``Youla`` or ``StaticLoads`` with
+    its options, or the name of one, "closed-loop", "youla", "static", its options then by name
+    (unknown, parameters as the tolerances name them with "*" for every name or axis; start;
+    seal_form); repeats; progress. Raises InvalidInput that names what is wrong with a record.
     """
     from ambrose.identification.pipeline import identify as identified
 
@@ -209,29 +212,31 @@ def export(
     controller: Any,
     directory: str | os.PathLike[str],
     *,
-    to: Target,
+    to: Target | str,
     machine: Machine | str | None = None,
-    options: ExportOptions | None = None,
     fallback: Any = None,
+    **options: Any,
 ) -> Delivery:
-    """The controller as files for a target, verified as it will run: "c" (C99), "mat", "fmu" (FMI 2
-    and 3), "st" (IEC 61131-3).
+    """The controller as files for a target, verified as it will run.
 
-    machine: the one it is for; None: the bundled machine that it was made for. fallback: the fixed
-    controller that takes over from one scheduled over pressure where the reading cannot be trusted
-    (C only). Raises InvalidInput, and UnstableSystem where the sampled loop does not hold the
-    machine.
+    to: ``C`` (C99), ``Mat`` (MATLAB, Octave), ``Fmu`` (FMI 2 and 3), ``St`` (IEC 61131-3), each
+    with its options, ``amb.C(arithmetic="float")``; or the name of one, "c", its options then by
+    name. machine: the one it is for; None: the bundled machine that it was made for. fallback: the
+    fixed controller that takes over from one scheduled over pressure where the reading cannot be
+    trusted (C only). Raises InvalidInput, and UnstableSystem where the sampled loop does not hold
+    the machine.
     """
     from ambrose.code.pipeline import export as exported
-    from ambrose.judge.controller_file import read_controller
 
-    controller, fallback = (
-        read_controller(item) if isinstance(item, str | os.PathLike) else item
-        for item in (controller, fallback)
-    )
+    other = None if fallback is None else controller_of(fallback)
     description = None if machine is None else machine_of(machine)
     return exported(
-        controller, Path(directory), to=to, machine=description, options=options, fallback=fallback
+        controller_of(controller),
+        Path(directory),
+        to=to,
+        machine=description,
+        fallback=other,
+        **options,
     )
 
 
@@ -267,27 +272,13 @@ def machine_of(machine: Any) -> Machine:
     return load_machine(machine)
 
 
-def controller_of(controller: Any) -> Any:
-    """A controller with all that is known of it: a Synthesis, from its file too; else the law.
-    Raises InvalidInput.
+def controller_of(controller: Any) -> Law:
+    """What controls, as a law: of a file what it says; a system of python-control becomes one here,
+    and nowhere below. Raises InvalidInput.
     """
     from ambrose.judge.controller_file import read_controller
+    from ambrose.law.law import law_of
 
     if isinstance(controller, str | os.PathLike):
-        controller = read_controller(controller)
-    return controller if hasattr(controller, "law") else law_of(controller)
-
-
-def law_of(controller: Any) -> Any:
-    """What runs: of a Synthesis or a controller file its law, else the system itself. Raises
-    InvalidInput for anything else.
-    """
-    from ambrose.core.scheduled import ScheduledSystem
-    from ambrose.core.statespace import as_statespace
-    from ambrose.law.program import ControlProgram
-
-    if isinstance(controller, str | os.PathLike) or hasattr(controller, "law"):
-        return controller_of(controller).law
-    if isinstance(controller, ScheduledSystem | ControlProgram):
-        return controller
-    return as_statespace(controller)
+        return read_controller(controller)
+    return law_of(controller, functions=False)

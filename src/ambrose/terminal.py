@@ -18,14 +18,18 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
 from ambrose.machine.messages import one_line
+
+if TYPE_CHECKING:
+    from ambrose.judge.result import Synthesis
+    from ambrose.machine.machine import Machine
 
 ALL = click.option(
     "--all", "everything", is_flag=True, help="Show the quantities without a limit as well."
@@ -95,6 +99,39 @@ _SPELLED = {
     "\u202f": " ",
 }
 _POWER, _DIGITS = re.compile("[⁻⁰¹²³⁴-⁹]+"), str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+
+
+class GroupedCommand(click.Command):
+    """A command whose options stand in groups in its help, those that one begins with first.
+
+    groups: {title: names of parameters}; what is in none of them stands under "More options".
+    """
+
+    def __init__(
+        self, *arguments: Any, groups: Mapping[str, Sequence[str]], **attributes: Any
+    ) -> None:
+        super().__init__(*arguments, **attributes)
+        self.groups = groups
+
+    def grouped(self, ctx: click.Context) -> dict[str, list[click.Parameter]]:
+        """{title: its options}, those without a group last."""
+        options = {
+            item.name: item for item in self.get_params(ctx) if item.param_type_name == "option"
+        }
+        groups = {
+            title or "Options": [options.pop(name) for name in names if name in options]
+            for title, names in self.groups.items()
+        }
+        return {
+            title: rows
+            for title, rows in (*groups.items(), ("More options", list(options.values())))
+            if rows
+        }
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        for title, options in self.grouped(ctx).items():
+            with formatter.section(title):
+                formatter.write_dl([item.get_help_record(ctx) or ("", "") for item in options])
 
 
 def _spell(error: UnicodeError) -> tuple[str, int]:
@@ -242,13 +279,13 @@ def quantity_given(text: str | None, option: str, dimension: str) -> float | Non
     return value
 
 
-def load(machine: str) -> Any:
+def load(machine: str) -> Machine:
     from ambrose.machine.file.toml import load_machine
 
     return load_machine(machine)
 
 
-def load_controller(path: Path, machine: Any) -> Any:
+def load_controller(path: Path, machine: Machine) -> Synthesis:
     """A controller file; that it was made for another machine, or before the machine file was
     changed, is noted.
     """

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ambrose.annexes.scheduled.lpv.method import Lpv
 from ambrose.chain import control
 from ambrose.chain.control import resume_or_design
 from ambrose.core.scheduled import ScheduledSystem
@@ -17,11 +18,11 @@ from ambrose.judge.result import Certificate, Status, Synthesis
 from ambrose.model.assemble import assemble
 from ambrose.model.reduce import reduce
 from ambrose.synthesis.design import provenance
-from ambrose.synthesis.options import DesignOptions
+from ambrose.synthesis.methods.hinf import Hinf
 from ambrose.synthesis.pid import pid_synthesis
 from coarse import coarse
 
-OWN_GAIN = DesignOptions(match_reference=False, rate=1e4)
+OWN_GAIN = Hinf(match_reference=False, rate=1e4)
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +34,7 @@ def plant():
 def first(plant, tmp_path_factory):
     """The H-infinity controller of a first run, and the text of its file."""
     path = tmp_path_factory.mktemp("first") / "controller-hinf.json"
-    return resume_or_design(plant, "hinf", path, lambda text: None, OWN_GAIN), path.read_text(
+    return resume_or_design(plant, OWN_GAIN, path, lambda text: None), path.read_text(
         encoding="utf-8"
     )
 
@@ -50,8 +51,8 @@ def designs(monkeypatch, first):
     """The designs that were asked for, none of them made."""
     asked = []
 
-    def stand_in(plant, method, *, options, progress):
-        asked.append((method, options))
+    def stand_in(plant, method, *, progress):
+        asked.append(method)
         return first[0]
 
     monkeypatch.setattr(control, "design", stand_in)
@@ -60,7 +61,7 @@ def designs(monkeypatch, first):
 
 def test_the_very_synthesis_comes_back(plant, first, kept, designs):
     """History, notes and weights were lost: of H-infinity's rows none was left."""
-    again = resume_or_design(plant, "hinf", kept, lambda text: None, OWN_GAIN)
+    again = resume_or_design(plant, OWN_GAIN, kept, lambda text: None)
     assert not designs
     assert again == first[0]
     assert len(again.history) == len(first[0].history) > 5
@@ -87,8 +88,8 @@ def test_what_another_design_made_is_not_taken_up(name, plant, kept, designs):
     content = json.loads(kept.read_text(encoding="utf-8"))
     CHANGES[name](content["provenance"])
     kept.write_text(json.dumps(content), encoding="utf-8")
-    resume_or_design(plant, "hinf", kept, lambda text: None, OWN_GAIN)
-    assert designs == [("hinf", OWN_GAIN)]
+    resume_or_design(plant, OWN_GAIN, kept, lambda text: None)
+    assert designs == [OWN_GAIN]
 
 
 def test_a_file_that_says_other_than_its_controller_is_designed_anew(plant, kept, designs):
@@ -99,8 +100,8 @@ def test_a_file_that_says_other_than_its_controller_is_designed_anew(plant, kept
     content["D"][0][0] += 0.01 * np.abs(content["D"]).max() + 100.0
     kept.write_text(json.dumps(content), encoding="utf-8")
     lines = []
-    resume_or_design(plant, "hinf", kept, lines.append, OWN_GAIN)
-    assert designs == [("hinf", OWN_GAIN)]
+    resume_or_design(plant, OWN_GAIN, kept, lines.append)
+    assert designs == [OWN_GAIN]
     assert (
         "controller-hinf.json is not taken up: full_s" in lines[0]
         and "designing it anew" in lines[0]
@@ -110,7 +111,7 @@ def test_a_file_that_says_other_than_its_controller_is_designed_anew(plant, kept
 @pytest.mark.parametrize("content", ["", "{}", '{"format": "ambrose-controller", "version": 1}'])
 def test_what_cannot_be_read_is_designed_anew(content, plant, kept, designs):
     kept.write_text(content, encoding="utf-8")
-    resume_or_design(plant, "hinf", kept, lambda text: None, OWN_GAIN)
+    resume_or_design(plant, OWN_GAIN, kept, lambda text: None)
     assert len(designs) == 1
 
 
@@ -121,8 +122,8 @@ def test_a_file_that_was_changed_is_not_taken_up_and_kept_aside(plant, kept, des
     content["gamma"] = 0.1
     kept.write_text(json.dumps(content), encoding="utf-8")
     lines = []
-    resume_or_design(plant, "hinf", kept, lines.append, OWN_GAIN)
-    assert designs == [("hinf", OWN_GAIN)]
+    resume_or_design(plant, OWN_GAIN, kept, lines.append)
+    assert designs == [OWN_GAIN]
     assert "controller-hinf.json is not taken up: it was changed after it was written" in lines[0]
     assert (
         json.loads((kept.parent / "earlier-controller-hinf.json").read_text(encoding="utf-8"))[
@@ -138,7 +139,7 @@ def test_why_a_file_is_not_taken_up_is_said(name, plant, kept, designs):
     CHANGES[name](content["provenance"])
     kept.write_text(json.dumps(content), encoding="utf-8")
     lines = []
-    resume_or_design(plant, "hinf", kept, lines.append, OWN_GAIN)
+    resume_or_design(plant, OWN_GAIN, kept, lines.append)
     words = {"another package version": "package version", "another delay": "delay_samples"}[name]
     assert lines == [
         f"controller-hinf.json is not taken up: it was made for another {words}; designing it anew"
@@ -153,13 +154,11 @@ def test_the_first_run_goes_on_with_what_the_second_will_read(plant, first, tmp_
     turned = replace(
         first[0],
         controller=replace(law, A=np.asfortranarray(law.A)),
-        provenance=provenance(plant, "hinf", OWN_GAIN),
+        provenance=provenance(plant, OWN_GAIN),
     )
     monkeypatch.setattr(control, "design", lambda *arguments, **options: turned)
     path = tmp_path / "controller-hinf.json"
-    made, again = (
-        resume_or_design(plant, "hinf", path, lambda text: None, OWN_GAIN) for _ in range(2)
-    )
+    made, again = (resume_or_design(plant, OWN_GAIN, path, lambda text: None) for _ in range(2))
     assert made.provenance == again.provenance and made.provenance.digest
     assert made.controller.A.flags.c_contiguous == again.controller.A.flags.c_contiguous
     assert made == again == turned
@@ -179,13 +178,13 @@ def test_a_schedule_is_certified_again_at_every_speed(tmp_path, designs):
         Certificate(True, -1.0, 2.0, 1e4, {}, "a family"),
         scheduled=schedule,
     )
-    options = DesignOptions(speeds=schedule.range)
-    made = replace(certify_on_full_plant(plant, bare), provenance=provenance(plant, "lpv", options))
+    method = Lpv(speeds=schedule.range)
+    made = replace(certify_on_full_plant(plant, bare), provenance=provenance(plant, method))
     path = write_controller(tmp_path / "controller-lpv.json", made)
-    assert resume_or_design(plant, "lpv", path, lambda text: None, options) == made
+    assert resume_or_design(plant, method, path, lambda text: None) == made
     assert not designs
     weaker = [law, replace(law, C=0.9 * law.C, D=0.9 * law.D)]
     write_controller(path, replace(made, scheduled=ScheduledSystem(schedule.grid, weaker)))
     lines = []
-    resume_or_design(plant, "lpv", path, lines.append, options)
-    assert [method for method, _ in designs] == ["lpv"] and "full_s" in lines[0]
+    resume_or_design(plant, method, path, lines.append)
+    assert designs == [method] and "full_s" in lines[0]

@@ -16,7 +16,8 @@ from click.testing import CliRunner
 import code_driver as driver
 from ambrose import StateSpace, load_machine
 from ambrose.cli import main
-from ambrose.code.pipeline import ExportOptions, bundled_machine, export, machine_limits
+from ambrose.code.pipeline import bundled_machine, export, machine_limits
+from ambrose.code.targets import C, St
 from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.judge.controller_file import read_controller, write_controller
 from ambrose.model.assemble import assemble
@@ -122,7 +123,7 @@ def test_an_unverified_controller_needs_force(controllers, tmp_path):
     [
         (["--rate-hz", 3000], "the sample rate is 3000 Hz, but must be at least 36"),
         (["--rate-hz", -1], "--rate-hz is -1.0, but must be positive"),
-        (["--delay-samples", -1], "(delay_samples) is -1"),
+        (["--delay-samples", -1], "(--delay-samples) is -1"),
         (["--name", "a b"], "the name of the block is 'a b', but must be a C identifier"),
         (["--error-limit", 0, "--force"], "error_limit is 0.0, but must be positive"),
         pytest.param(
@@ -257,8 +258,7 @@ def test_limits_must_be_known(tmp_path):
         match="the error limit is unknown, but must be given in m; name the machine file, --machine",
     ):
         export(file, tmp_path / "code", to="c")
-    options = ExportOptions(error_limit=1e-3, current_limit=2.0, force=True)
-    done = export(file, tmp_path / "code", to="c", options=options)
+    done = export(file, tmp_path / "code", to="c", error_limit=1e-3, current_limit=2.0, force=True)
     assert not done.deployment.verified
     assert "Verified   NOT" in (tmp_path / "code" / "controller.h").read_text()
 
@@ -306,9 +306,8 @@ def test_a_delivery_shows_itself(rig, tmp_path):
     delivery = export(
         synthesis,
         tmp_path / "code",
-        to="st",
+        to=St(name="rig", rate=20000.0),
         machine=machine,
-        options=ExportOptions(name="rig", rate=20000.0),
     )
     assert len(repr(delivery)) < 200
     assert repr(delivery).startswith("Delivery(target=st, verified=True, states=")
@@ -354,4 +353,4 @@ def test_what_is_no_controller_of_the_machine(rig, tmp_path, controller, message
 )
 def test_options_that_mean_nothing(settings, message):
     with pytest.raises(InvalidInput, match=message):
-        ExportOptions(**settings)
+        C(**settings)

@@ -18,7 +18,7 @@ from ambrose.code.block.fixed import build_block
 from ambrose.code.block.run import BEHIND, CLAMPED, FAULT, TOLD, run_scheduled
 from ambrose.code.block.scheduled import build_scheduled_block
 from ambrose.code.c.compiled import CompiledSchedule
-from ambrose.code.pipeline import ExportOptions, export, machine_limits
+from ambrose.code.pipeline import export, machine_limits
 from ambrose.code.sampled import deploy, deploy_scheduled
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.controller_file import write_controller
@@ -150,7 +150,7 @@ def test_pressures_mean_nothing_to_a_schedule_over_speed(machine, made, tmp_path
                 tmp_path / "code",
                 to="c",
                 machine=machine,
-                options=ExportOptions(**what),
+                **what,
             )
 
 
@@ -164,7 +164,9 @@ def test_other_targets(machine, made, deployment, tmp_path):
             tmp_path / to,
             to=to,
             machine=machine,
-            options=ExportOptions(name="rig", sources_only=True, force=True),
+            name="rig",
+            force=True,
+            **({"sources_only": True} if to == "fmu" else {}),
         )
         for to in ("fmu", "mat", "st")
     }

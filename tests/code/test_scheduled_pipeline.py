@@ -21,7 +21,7 @@ from ambrose.code.block.run import run_scheduled
 from ambrose.code.block.scheduled import build_scheduled_block
 from ambrose.code.c.code import write_code
 from ambrose.code.c.compiled import CompiledSchedule, read_law
-from ambrose.code.pipeline import ExportOptions, export, machine_limits
+from ambrose.code.pipeline import export, machine_limits
 from ambrose.code.sampled import deploy_scheduled, sensitivity_peak
 from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.core.scheduled import ScheduledSystem
@@ -173,7 +173,8 @@ def test_the_files_are_delivered_with_what_was_verified(rig, file, tmp_path):
         tmp_path / "code",
         to="c",
         machine=with_points(rig[0], 1),
-        options=ExportOptions(name="rig", speed_rate=500.0),
+        name="rig",
+        speed_rate=500.0,
     )
     assert done.deployment.verified
     names = ["rig.c", "rig.h", "rig_report.md", "rig_test.c", "rig_vectors.csv"]
@@ -283,7 +284,7 @@ def test_speeds_mean_nothing_to_a_fixed_controller(rig, tmp_path):
             tmp_path / "code",
             to="c",
             machine=rig[0],
-            options=ExportOptions(speed_rate=1.0),
+            speed_rate=1.0,
         )
 
 

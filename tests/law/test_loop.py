@@ -12,7 +12,8 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, poles, rename, select, static_gain
-from ambrose.law.loop import closed_loop, covers, match_controller
+from ambrose.law.law import law_of
+from ambrose.law.loop import closed_loop, match_controller
 from ambrose.model.assemble import assemble
 from ambrose.model.reduce import reduce
 
@@ -149,9 +150,9 @@ class TestMatching:
             np.testing.assert_allclose(
                 match_controller(scheduled, here).D, 1.25 * named.D, rtol=1e-12
             )
-            assert covers(scheduled, here)
+            assert law_of(scheduled).covers(here)
         beyond = replace(plant, point=replace(plant.point, seal_pressure=5e5))
-        assert not covers(scheduled, beyond)
+        assert not law_of(scheduled).covers(beyond)
         with pytest.raises(
             InvalidInput, match="pressure is 500000 Pa, but must be between 0 and 400000 Pa"
         ):
@@ -166,6 +167,6 @@ class TestMatching:
 
     def test_other_things_are_refused(self, plant):
         with pytest.raises(
-            InvalidInput, match="the system is 'pid', but must be something with matrices"
+            InvalidInput, match="the controller is 'pid', but must be a StateSpace or a Synthesis"
         ):
             match_controller("pid", plant)

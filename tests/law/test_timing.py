@@ -1,7 +1,6 @@
 """When a controller acts: who is heard first, and the two forms of its loop."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +10,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import StateSpace, transfer_function
+from ambrose.judge.result import Provenance, Synthesis
 from ambrose.law.timing import Timing, machine_timing, timing_of
 from ambrose.machine.controller import PidSettings
 from ambrose.machine.file.toml import dumps_machine, loads_machine
@@ -30,10 +30,9 @@ def stating(sample_time, delay=None):
 
 
 def designed(rate, samples):
-    """What a Synthesis shows of itself: its law, and what it was designed for."""
-    return SimpleNamespace(
-        law=LAW, provenance=SimpleNamespace(settings={"rate": rate, "delay_samples": samples})
-    )
+    """A law that was designed for a rate."""
+    settings = {"rate": rate, "delay_samples": samples}
+    return Synthesis(LAW, provenance=Provenance(settings=settings))
 
 
 def test_nothing_known_is_none():

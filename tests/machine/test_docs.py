@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ambrose.machine.file.tables import MachineFile, MachineTable, Table, table_below
+from ambrose.machine.file.tables import MachineTable, Table, machine_file, table_below
 from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import QUANTITIES
@@ -17,9 +17,10 @@ from ambrose.machine.units import DIMENSIONS
 PAGE = (Path(__file__).parents[2] / "docs" / "machine-file.md").read_text()
 
 
-def headings(model: type[Table] = MachineFile, path: str = "") -> dict[str, type[Table]]:
+def headings(model: type[Table] | None = None, path: str = "") -> dict[str, type[Table]]:
     """Every table's heading, as it stands in a file -> its model."""
     found = {}
+    model = machine_file() if model is None else model
     for name, field in model.model_fields.items():
         below = table_below(model, name)
         if below is None:

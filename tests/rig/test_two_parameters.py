@@ -11,8 +11,9 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.scheduled import ScheduledSystem
-from ambrose.law.loop import covers, law_at, match_controller
-from ambrose.law.scheduling import BOTH, PRESSURE, SPEED, follows, scheduling_of
+from ambrose.law.law import law_of
+from ambrose.law.loop import match_controller
+from ambrose.law.scheduling import BOTH, PRESSURE, SPEED
 from ambrose.model.assemble import assemble
 from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import PressureChange, PressureSensor, Pulse, SpeedChange
@@ -53,10 +54,14 @@ def apart(first, second):
 
 def test_it_says_what_it_follows():
     law = product(True, True)
-    assert scheduling_of(law) is BOTH and follows(law, SPEED) and follows(law, PRESSURE)
-    assert not follows(SCHEDULE, SPEED) and not follows(PID, PRESSURE)
+    assert (
+        law_of(law).scheduled_over is BOTH
+        and law_of(law).follows(SPEED)
+        and law_of(law).follows(PRESSURE)
+    )
+    assert not law_of(SCHEDULE).follows(SPEED) and not law_of(PID).follows(PRESSURE)
     point = replace(ZERO, speed=50.0, seal_pressure=1.02e5)
-    np.testing.assert_allclose(law_at(law, point).C, stiffer(1.2 * 1.125).C, rtol=1e-12)
+    np.testing.assert_allclose(law_of(law).at(point).C, stiffer(1.2 * 1.125).C, rtol=1e-12)
     assert BOTH.moved(ZERO, (50.0, 1.02e5)) == point and BOTH.of(point) == (50.0, 1.02e5)
     assert BOTH.words((100 * np.pi, 2e5)) == "50 Hz, 2 bar"
 
@@ -66,7 +71,7 @@ def test_it_says_what_it_follows():
 )
 def test_it_covers_what_lies_within_both_ranges(point, inside):
     plant = assemble(RIG, BOTH.moved(ZERO, point))
-    assert covers(product(True, True), plant) is inside
+    assert law_of(product(True, True)).covers(plant) is inside
 
 
 def test_a_parameter_that_changes_nothing_is_the_schedule_over_the_other():

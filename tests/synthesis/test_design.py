@@ -9,18 +9,19 @@ from typing import Any
 
 import pytest
 
+from ambrose.annexes.scheduled.lpv.method import Lpv
 from ambrose.annexes.scheduled.lpv.synthesis import lpv_synthesis
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.law.timing import Timing
 from ambrose.machine.file.toml import load_machine
 from ambrose.model.assemble import assemble
 from ambrose.model.reduce import reduce
-from ambrose.synthesis import design as module
 from ambrose.synthesis.design import design
 from ambrose.synthesis.fixed_order.polish import polish_synthesis
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
+from ambrose.synthesis.methods.pid import Pid
+from ambrose.synthesis.methods.tuned import Tuned
 from ambrose.synthesis.mu.synthesis import mu_synthesis
-from ambrose.synthesis.options import DesignOptions
 from ambrose.synthesis.pid import pid_synthesis
 from coarse import coarse
 
@@ -37,7 +38,7 @@ REFUSED = {
     "a structure that only tuning chooses": (
         "pid",
         {"structure": "filters"},
-        "structure is 'filters', but must be 'free' for",
+        "structure is given, but must be left out with method pid; it goes with tuned",
     ),
     "a rate below zero": (
         "mu",
@@ -53,27 +54,35 @@ REFUSED = {
     "a loss without a rate": ("mu", {"loss": 0.05}, "rate is None, but must be given with a loss"),
     "a loss below zero": ("mu", {"loss": -0.05, "rate": 1e4}, "loss is -0.05"),
     "half a state": ("polish", {"order": 1.5}, "order is 1.5, but must be a whole number"),
-    "an order of mu": ("mu", {"order": 12}, "only 'polish' and 'tuned' can choose it"),
-    "an order lowered twice": ("tuned", {"loss": 0.05, "rate": 1e4}, "None for method 'tuned'"),
+    "an order of mu": ("mu", {"order": 12}, "it goes with tuned or polish"),
+    "an order lowered twice": (
+        "tuned",
+        {"loss": 0.05, "rate": 1e4},
+        "it goes with pid, hinf, mu or polish",
+    ),
     "another structure": ("tuned", {"structure": "ring"}, "structure is 'ring'"),
     "half a bending mode": ("mu", {"bending_modes": 0.5}, "bending_modes is 0.5"),
     "speeds of a fixed controller": (
         "mu",
         {"speeds": (1.0, 2.0)},
-        "only method 'lpv' is scheduled",
+        "speeds is given, but must be left out with method mu; it goes with lpv",
     ),
     "rate of a fixed controller": (
         "mu",
         {"speed_rate": 100.0},
-        "only method 'lpv' is scheduled over the speed",
+        "speed_rate is given, but .* goes with lpv",
     ),
     "pressures of a fixed controller": (
         "hinf",
         {"pressures": (0.0, 1e5)},
-        "only method 'lpv' is scheduled over the pressure",
+        "pressures is given, but .* goes with lpv",
     ),
     "negative rate": ("lpv", {"speed_rate": -1.0}, "speed_rate"),
-    "speeds exchanged": ("lpv", {"speeds": (2.0, 1.0)}, "speeds is 2 and 1 rad/s"),
+    "speeds exchanged": (
+        "lpv",
+        {"speeds": (2.0, 1.0)},
+        "speeds is 2 and 1, but must be the lower, then the higher",
+    ),
     "one speed": ("lpv", {"speeds": (2.0,)}, "speeds"),
     "gain matched perhaps": ("mu", {"match_reference": "perhaps"}, "match_reference is 'perhaps'"),
 }
@@ -128,7 +137,7 @@ def test_a_result_says_what_it_was_asked_for(plant):
     )
     assert (
         made.key
-        == design(plant, "pid", DesignOptions(rate=5e3)).provenance.key
+        == design(plant, Pid(rate=5e3)).provenance.key
         != design(plant, "pid").provenance.key
     )
 
@@ -141,12 +150,14 @@ def test_a_rate_wires_delay_judge_and_order(plant, monkeypatch):
         seen.update(options, states=problem.system.n_states)
         return pid_synthesis(plant)
 
-    monkeypatch.setattr(module, "mu_synthesis", lambda problem, **_: pid_synthesis(plant))
-    monkeypatch.setattr(module, "polish_synthesis", polished)
+    synthesis = "ambrose.synthesis"
     monkeypatch.setattr(
-        module,
-        "reduce_order",
-        lambda plant, result, options, progress: seen.update(loss=options.loss) or result,
+        f"{synthesis}.mu.synthesis.mu_synthesis", lambda problem, **_: pid_synthesis(plant)
+    )
+    monkeypatch.setattr(f"{synthesis}.fixed_order.polish.polish_synthesis", polished)
+    monkeypatch.setattr(
+        f"{synthesis}.design.reduce_order",
+        lambda plant, result, loss, *others: seen.update(loss=loss) or result,
     )
     design(plant, "polish", match_reference=False)
     states = seen["states"]
@@ -154,8 +165,8 @@ def test_a_rate_wires_delay_judge_and_order(plant, monkeypatch):
     design(plant, "polish", match_reference=False, rate=1e4, loss=0.05)
     # a Pade state per axis
     assert seen["states"] == states + 4 and callable(seen["judge"]) and seen["loss"] == 0.05
-    assert DesignOptions(rate=1e4, delay_samples=2).timing() == Timing(1e-4, 2)
-    assert DesignOptions().timing() is None
+    assert Tuned(rate=1e4, delay_samples=2).timing() == Timing(1e-4, 2)
+    assert Tuned().timing() is None
     runs = replace(
         plant,
         machine=replace(
@@ -183,7 +194,7 @@ def told(monkeypatch):
         )
         raise NumericalFailure("far enough")
 
-    monkeypatch.setattr("ambrose.synthesis.design.design_schedule", listen)
+    monkeypatch.setattr("ambrose.annexes.scheduled.lpv.machine.design_schedule", listen)
     return heard
 
 
@@ -233,7 +244,7 @@ def test_a_machine_without_several_speeds_of_one_pressure_is_scheduled_over_its_
             "give the pressures, or leave pressure_rate out",
         ),
         ({"speed_rate": 1.0, "pressure_rate": 1e5}, "give the speeds, or leave speed_rate out"),
-        ({"pressures": (2e5, 1e5)}, "the lower pressure, then the higher"),
+        ({"pressures": (2e5, 1e5)}, "the lower, then the higher"),
         ({"pressures": (-1e5, 1e5)}, "none negative"),
         ({"pressures": (float("nan"), 1e5)}, "finite"),
         ({"pressure_rate": 0.0}, "give it in Pa/s"),
@@ -241,4 +252,4 @@ def test_a_machine_without_several_speeds_of_one_pressure_is_scheduled_over_its_
 )
 def test_schedules_that_cannot_be_are_refused(options, message):
     with pytest.raises(InvalidInput, match=message):
-        DesignOptions(**options)
+        Lpv(**options)

@@ -104,7 +104,7 @@ def test_a_delay_that_nothing_can_beat_is_named_by_the_failed_design(slender, mo
     def nothing(*_, **__):
         raise NumericalFailure("no controller of order 12 was found; allow a higher order")
 
-    monkeypatch.setattr("ambrose.synthesis.design.tune_controller", nothing)
+    monkeypatch.setattr("ambrose.synthesis.fixed_order.tuning.tune_controller", nothing)
     with pytest.raises(
         NumericalFailure,
         match=r"allow a higher order; no controller can: .* keep S above .*; sample faster",

@@ -17,10 +17,9 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.checks import AmbroseError, InvalidInput
-from ambrose.core.statespace import spectral_abscissa
 from ambrose.judge.rotor_modes import PLANAR, whirl_measure
+from ambrose.judge.stability import judge_stability
 from ambrose.judge.unavoidable import beyond_reach, unavoidable_sensitivity, unavoidable_words
-from ambrose.law.loop import closed_loop
 from ambrose.law.timing import machine_timing
 from ambrose.machine.criteria import demand
 from ambrose.machine.description import MagneticBearing
@@ -407,7 +406,6 @@ def _not_held(machine: Machine) -> Iterator[str]:
     if machine.reference is None:
         return
     law, timing = pid_controller(machine.reference, machine), machine_timing(machine)
-    runs = law if timing is None else timing.in_loop(law)
     lost = []
     for point in machine.operation.envelope[:_POINTS]:
         try:
@@ -416,7 +414,7 @@ def _not_held(machine: Machine) -> Iterator[str]:
             yield f"operating point {point.label} has no model: {error}"
             continue
         modes = min(bending_modes_of(plant.rotor_model), bending_modes_for(plant) + _MODES)
-        if spectral_abscissa(closed_loop(free_mode_reduction(plant, modes), runs)) >= 0:
+        if not judge_stability(free_mode_reduction(plant, modes), law, timing).stable:
             lost.append(point.label)
     if lost:
         yield (

@@ -30,6 +30,7 @@ from ambrose.judge.controller_file import read_controller
 from ambrose.judge.plants import Progress, full_plants
 from ambrose.judge.result import Status, Synthesis
 from ambrose.law.design_problem import design_tolerances
+from ambrose.law.law import LawLike
 from ambrose.law.timing import DEFAULT, Timing, machine_timing
 from ambrose.machine.atomic_write import make_folder, write_text
 from ambrose.machine.file.update import machine_text
@@ -40,7 +41,7 @@ from ambrose.rig.candidate import Candidate, Deployed, evaluate
 from ambrose.rig.scenario import load_scenario
 from ambrose.rig.trace import Trace
 from ambrose.rig.trial import simulate_scenario
-from ambrose.synthesis.options import DesignOptions
+from ambrose.synthesis.methods.choice import methods
 
 NAME = "commissioned"
 METHOD = "tuned"
@@ -181,7 +182,7 @@ def commission(
 
 
 def recorded(
-    plants: tuple[Plant, ...], controller: Any, directory: Path, progress: Progress
+    plants: tuple[Plant, ...], controller: LawLike, directory: Path, progress: Progress
 ) -> Any:
     """Two seconds of the rig at an operating point, a binary sequence added to every current."""
     plant = plants[0]
@@ -196,7 +197,7 @@ def recorded(
 
 
 def identified(
-    machine: Machine, record: Any, controller: Any, directory: Path, progress: Progress
+    machine: Machine, record: Any, controller: LawLike, directory: Path, progress: Progress
 ) -> LoopIdentification:
     """The identification of the recorded machine; leaves identified.toml and identified.html.
 
@@ -223,8 +224,8 @@ def designed(known: tuple[Plant, ...], directory: Path, progress: Progress) -> S
     left it.
     """
     timing = machine_timing(known[0].machine) or DEFAULT
-    options = DesignOptions(rate=timing.rate, delay_samples=timing.delay_samples)
-    return resume_or_design(known[0], METHOD, directory / "controller.json", progress, options)
+    method = methods()[METHOD](rate=timing.rate, delay_samples=timing.delay_samples)
+    return resume_or_design(known[0], method, directory / "controller.json", progress)
 
 
 def compile_controller(

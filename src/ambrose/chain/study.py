@@ -28,18 +28,11 @@ from ambrose.machine.machine import Machine
 from ambrose.model.plant import Plant
 from ambrose.model.reduce import reduce
 from ambrose.model.uncertainty import not_varied
-from ambrose.registry import registered, resolve
+from ambrose.registry import registered
 from ambrose.rig.candidate import Candidate, evaluate, points_of, run_ups
 from ambrose.rig.trial import RunUp
 from ambrose.synthesis.design import methods_for
-
-TITLES = {
-    "tuned": "tuned",
-    "pid": "PID",
-    "hinf": "H-infinity",
-    "mu": "mu",
-    "polish": "mu, polished",
-}
+from ambrose.synthesis.methods.choice import methods
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -215,8 +208,7 @@ def _all_candidates(
 
 def study_methods(plant: Plant) -> tuple[str, ...]:
     """What a study designs by: what the machine file allows, then the annexes' that suit it."""
-    more = (name for name, place in registered("method").items() if resolve(place).suits(plant))
-    return (*methods_for(plant), *more)
+    return (*methods_for(plant), *(n for n in registered("method") if methods()[n].suits(plant)))
 
 
 def _candidates(plants: tuple[Plant, ...], directory: Path, progress: Progress) -> Designs:
@@ -226,11 +218,11 @@ def _candidates(plants: tuple[Plant, ...], directory: Path, progress: Progress) 
     candidates: list[Candidate] = []
     failed: list[tuple[str, str]] = []
     for method in study_methods(plants[0]):
-        name = TITLES.get(method) or resolve(registered("method")[method]).TITLE
+        name = methods()[method].title
         progress(f"{name}: controller")
         try:
             synthesis = resume_or_design(
-                plants[0], method, directory / f"controller-{method}.json", progress
+                plants[0], methods()[method](), directory / f"controller-{method}.json", progress
             )
         except AmbroseError as error:  # one infeasible design leaves the others their verdict
             progress(f"{name}: no controller; {error}")

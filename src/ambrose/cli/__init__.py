@@ -45,6 +45,19 @@ class AmbroseCommand(click.Group):
         two = " ".join(args[:2])
         return super().resolve_command(ctx, [two, *args[2:]] if two in self.commands else args)
 
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The commands by what they are for, each group in its own order."""
+        width = max(len(name) for name in self.commands)
+        room = formatter.width - 6 - width
+        for title, commands in GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl(
+                    [
+                        (f"{name:{width}}", command.get_short_help_str(room))
+                        for name, command in commands.items()
+                    ]
+                )
+
     def main(  # type: ignore[override]
         self, args: Any = None, prog_name: Any = None, *, standalone_mode: bool = True, **extra: Any
     ) -> Any:
@@ -106,23 +119,28 @@ def main() -> None:
     """
 
 
-for command in (
-    machines,
-    scenarios,
-    new,
-    check,
-    synthesize,
-    trade_off,
-    verify,
-    map_command,
-    simulate,
-    identify,
-    seal,
-    convert,
-    export,
-    study_command,
-):
-    main.add_command(command)
-main.add_command(convert_controller, "convert controller")
-for place in registered("command").values():  # of the annexes
-    main.add_command(resolve(place))
+# the commands by what they are for; annexes add theirs
+GROUPS: dict[str, dict[str, click.Command]] = {
+    "Design": {
+        "machines": machines,
+        "scenarios": scenarios,
+        "new": new,
+        "check": check,
+        "synthesize": synthesize,
+        "verify": verify,
+        "simulate": simulate,
+        "export": export,
+        "study": study_command,
+    },
+    "Site": {
+        "identify": identify,
+        "convert": convert,
+        "convert controller": convert_controller,
+    },
+    "Research": {"trade-off": trade_off, "map": map_command, "seal": seal},
+}
+for title, commands in GROUPS.items():
+    for name, place in registered(f"{title.lower()} command").items():
+        commands[name] = resolve(place)
+    for name, command in commands.items():
+        main.add_command(command, name)

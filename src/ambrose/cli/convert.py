@@ -112,7 +112,7 @@ def _convert_machine(
         machine = load_machine(source)
         claim(rotor_model=output)
         write_text(output, ross_text(machine, springs(machine)), "rotor model")
-        left = [*(seal.name for seal in machine.seals), *(item.name for item in machine.couplings)]
+        left = [*(seal.name for seal in machine.seals), *(part.name for part in machine.attached)]
         left += [f"support of {item.bearing}" for item in machine.supports]
         left += [f"{len(machine.casing_modes)} casing modes"] * bool(machine.casing_modes)
         left += [f"{len(machine.bending_modes)} measured bending modes"] * bool(

@@ -8,9 +8,12 @@ from typing import Any
 
 import click
 
+from ambrose.cli.options import chosen_from, groups_from, options_from
+from ambrose.identification.methods import METHODS
 from ambrose.terminal import (
     AS_JSON,
     MACHINE,
+    GroupedCommand,
     claim,
     kept,
     kept_page,
@@ -21,16 +24,20 @@ from ambrose.terminal import (
     say_json,
 )
 
-# identification/pipeline.py, which is not imported for --help
-METHODS = ("closed-loop", "youla", "static")
+_WORD = "--method"
+_GROUPS = {
+    "": ("method", "controller", "unknown", "output", "report"),
+    "Records": ("repeats", "compare"),
+    **groups_from(METHODS, "With every method", _WORD),
+}
 
 
-@click.command()
+@click.command(cls=GroupedCommand, groups=_GROUPS)
 @MACHINE
 @click.argument("records", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
-    "--method",
-    type=click.Choice(METHODS),
+    _WORD,
+    type=click.Choice(list(METHODS)),
     default="closed-loop",
     show_default=True,
     help="How to identify.",
@@ -38,71 +45,7 @@ METHODS = ("closed-loop", "youla", "static")
 @click.option(
     "--controller", type=click.Path(path_type=Path), help="The controller that ran (*.json)."
 )
-@click.option(
-    "--unknown",
-    multiple=True,
-    metavar="PATH",
-    help='What to identify, "*" for every name or axis: bearing.*.negative_stiffness.* '
-    "(repeatable). "
-    "Default: what the machine file marks as uncertain, K_i and K_s of every axis, and the "
-    "amplifier's lag; delay, and bending (bending_2, ...) for frequency and damping of a bending "
-    "mode, add to these.",
-)
-@click.option(
-    "--start",
-    multiple=True,
-    metavar="PATH=VALUE",
-    help="SI value to begin at; default: the machine's (repeatable).",
-)
-@click.option(
-    "--signals",
-    multiple=True,
-    metavar="NAME",
-    help="Signals to fit, y_, u_ or i_<axis>; default: every y_<axis>.",
-)
-@click.option(
-    "--delay-samples",
-    "computing_delay",
-    type=float,
-    default=1,
-    help="From measured errors to acting currents; default: the controller file's, or 1.",
-)
-@click.option(
-    "--bending-modes",
-    type=int,
-    default=3,
-    show_default=True,
-    help="Bending modes per plane in the model.",
-)
-@click.option(
-    "--harmonics",
-    type=int,
-    default=3,
-    show_default=True,
-    help="Multiples of the speed that unbalance may hold.",
-)
-@click.option(
-    "--tone",
-    "tones",
-    type=float,
-    multiple=True,
-    metavar="HZ",
-    help="Another tone, as of the mains (repeatable).",
-)
-@click.option(
-    "--seal-fit",
-    "seal_form",
-    type=click.Choice(("line", "table")),
-    help="The seal pressure by pressure, and how kept.",
-)
-@click.option("--seal", metavar="NAME", help="Which seal, where there are several.")
-@click.option(
-    "--average",
-    type=float,
-    default=0.5,
-    show_default=True,
-    help="Static: seconds averaged at the end of a level.",
-)
+@options_from(METHODS)
 @click.option("--repeats", is_flag=True, help="The records are repeats: identify each alone, too.")
 @click.option(
     "--compare",
@@ -122,15 +65,12 @@ METHODS = ("closed-loop", "youla", "static")
     show_default=True,
 )
 @AS_JSON
-@click.pass_context
 def identify(
-    context: click.Context,
-    /,
     machine: str,
     records: tuple[Path, ...],
     method: str,
     controller: Path | None,
-    start: tuple[str, ...],
+    repeats: bool,
     compare: Path | None,
     report: Path | None,
     output: Path,
@@ -145,29 +85,19 @@ def identify(
     static takes loads f_<port> and currents, and finds K_i. Exit status 1: done, but a warning says
     that the result is doubtful; 2: refused.
     """
-    from click.core import ParameterSource
-
-    from ambrose.identification.pipeline import Provenance, check_arguments
+    from ambrose.identification.pipeline import Provenance, check_controller
     from ambrose.identification.pipeline import identify as run
     from ambrose.identification.validation.agreement import compare as agreement
     from ambrose.judge.controller_file import read_controller
     from ambrose.machine.atomic_write import write_text
     from ambrose.machine.file.update import machine_text
 
-    flags = {item.name: item.opts[-1] for item in context.command.params if item.name}
-    arguments = {"controller", "start", *asked}
-    given = {
-        name
-        for name in arguments
-        if context.get_parameter_source(name) is not ParameterSource.DEFAULT
-    }
-    check_arguments(method, given, flags)
+    asked["start"] = _starts(asked["start"])
+    chosen = chosen_from(METHODS, method, asked, _WORD)
+    check_controller(chosen, controller is not None, repeats, "--")
     description = load(machine)
     other = load(str(compare)) if compare is not None else None
     claim(machine_file=output, report=report)
-    settings = {name: value for name, value in asked.items() if name in given}
-    if start:
-        settings["start"] = _starts(start)
     names = Provenance(tuple(path.name for path in records), controller.name if controller else "")
     with progress_shown(as_json) as progress:
         law = read_controller(controller) if controller else None
@@ -175,10 +105,10 @@ def identify(
             description,
             records,
             law,
-            method=method,
+            method=chosen,
+            repeats=repeats,
             provenance=names,
             progress=progress,
-            **settings,
         )
         compared = None if other is None else agreement(done.result, other)
         text = done.comment + machine_text(done.machine)

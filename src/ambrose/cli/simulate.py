@@ -15,6 +15,7 @@ from ambrose.terminal import (
     PRESSURE_ERROR,
     RATE,
     STUCK_AFTER,
+    GroupedCommand,
     claim,
     kept,
     kept_page,
@@ -26,8 +27,20 @@ from ambrose.terminal import (
     say_json,
 )
 
+_GROUPS = {
+    "": ("path", "scenario", "point", "output", "report"),
+    "The run": ("linear", "rate_hz", "delay_samples", "bending_modes", "seed", "second"),
+    "A fallback beside a controller scheduled over pressure": (
+        "fallback",
+        "pressure_rate",
+        "pressure_error",
+        "stuck_after",
+        "estimate",
+    ),
+}
 
-@click.command()
+
+@click.command(cls=GroupedCommand, groups=_GROUPS)
 @MACHINE
 @click.option(
     "--controller",

@@ -73,18 +73,16 @@ def trade_off(
     its values.
     """
     from ambrose.machine.atomic_write import write_text
-    from ambrose.synthesis.fixed_order.trade_off import read_value
-    from ambrose.synthesis.fixed_order.trade_off import trade_off as traded
-    from ambrose.synthesis.options import DesignOptions
+    from ambrose.synthesis.methods.tuned import Tuned
+    from ambrose.synthesis.trade_off import read_value
+    from ambrose.synthesis.trade_off import trade_off as traded
 
     description = load(machine)
     wanted = [read_value(over, text.strip()) for text in values.split(",") if text.strip()]
-    options = DesignOptions(
-        rate=rate_hz, delay_samples=delay_samples, order=order, structure=structure
-    )
+    method = Tuned(rate=rate_hz, delay_samples=delay_samples, order=order, structure=structure)
     claim(page=output)
     with progress_shown(as_json) as progress:
-        result = traded(description, over, wanted, options, progress=progress)
+        result = traded(description, over, wanted, method, progress=progress)
     failure = None
     if output is not None:
         from ambrose.report.plot import plot

@@ -13,6 +13,7 @@ from ambrose.terminal import (
     DELAY,
     MACHINE,
     RATE,
+    GroupedCommand,
     load,
     load_controller,
     print_checks,
@@ -22,8 +23,14 @@ from ambrose.terminal import (
     say_json,
 )
 
+_GROUPS = {
+    "": ("path", "everything"),
+    "The loop as it runs": ("rate_hz", "delay_samples"),
+    "Proofs while the machine moves": ("pressure_rate", "pressure_error", "speed_rate"),
+}
 
-@click.command()
+
+@click.command(cls=GroupedCommand, groups=_GROUPS)
 @MACHINE
 @click.option(
     "--controller",
@@ -89,7 +96,7 @@ def verify(
     if speed_rate is not None:
         check_positive(speed_rate, "--speed-rate", "give the fastest run-up in rad/s^2")
     motion = Motion(fastest, error or 0.0, speed_rate)
-    refuse_motion(description, controller.law, motion)
+    refuse_motion(description, controller, motion)
     with progress_shown(as_json) as progress:
         result = verify_controller(
             description,

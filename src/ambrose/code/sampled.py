@@ -24,10 +24,11 @@ from ambrose.core.checks import InvalidInput, UnstableSystem, check_positive
 from ambrose.core.presentation import Presented, to_plain, with_unit
 from ambrose.core.sampling import Method, delayed
 from ambrose.core.scheduled import ScheduledSystem, grid_points, interval_points
-from ambrose.core.statespace import StateSpace, as_statespace, poles, spectral_abscissa
+from ambrose.core.statespace import StateSpace, poles, spectral_abscissa
 from ambrose.judge.checks import Checks
-from ambrose.judge.result import Status
+from ambrose.judge.result import Status, synthesis_of
 from ambrose.judge.sampled import check_over_box, check_sampled, verify_sampled
+from ambrose.law.law import LawLike, law_of
 from ambrose.law.sampling import (
     common_states,
     interpolation_deviation,
@@ -35,7 +36,7 @@ from ambrose.law.sampling import (
     sample_schedule,
     whole_samples,
 )
-from ambrose.law.scheduling import SCHEDULINGS, SPEED, Scheduling, scheduling_of
+from ambrose.law.scheduling import SCHEDULINGS, SPEED, Scheduling, scheduling_named
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
@@ -138,7 +139,7 @@ class ScheduledDeployment(_Deployed):
 
 
 def deploy(
-    controller: Any,
+    controller: LawLike,
     sample_time: float,
     delay: float = 0.0,
     *,
@@ -160,7 +161,12 @@ def deploy(
     or not) and UnstableSystem.
     """
     check_positive(sample_time, "the sample time", "give it in seconds")
-    source = as_statespace(getattr(controller, "controller", controller))
+    source = law_of(controller).nominal
+    if source is None:
+        raise InvalidInput(
+            "the controller is a schedule, a program or a function; deploy_scheduled() takes a "
+            "schedule, deploy() a fixed one"
+        )
     count = whole_samples(delay, sample_time)
     problems = _status_problems(controller, examined=bool(plants)) + instability(source)
     _refuse(problems, force)
@@ -190,7 +196,7 @@ def deploy(
 
 
 def deploy_scheduled(
-    controller: Any,
+    controller: LawLike,
     sample_time: float,
     delay: float = 0.0,
     *,
@@ -216,7 +222,7 @@ def deploy_scheduled(
     count = whole_samples(delay, sample_time)
     problems = _status_problems(controller, examined=machine is not None)
     values = grid_points([interval_points(axis, between) for axis in source.axes])
-    along = scheduling_of(source) or SPEED
+    along = scheduling_named(source.parameter, source.unit)
     problems += next(
         filter(None, (instability(source.at(v), f" at {along.number(v)}") for v in values)), []
     )
@@ -250,21 +256,21 @@ def deploy_scheduled(
     return replace(result, problems=tuple(problems))
 
 
-def _schedule_of(controller: Any) -> ScheduledSystem:
+def _schedule_of(controller: LawLike) -> ScheduledSystem:
     """The schedule, clamped at its ends. Raises InvalidInput."""
-    source = getattr(controller, "scheduled", controller)
-    if not isinstance(source, ScheduledSystem):
+    source = law_of(controller).schedule
+    if source is None:
         raise InvalidInput("the controller has no schedule; deploy() takes a fixed one")
-    scheduling_of(source)  # refuses other parameters
+    scheduling_named(source.parameter, source.unit)  # refuses other parameters
     return replace(source, outside="clamp")
 
 
-def _status_problems(controller: Any, *, examined: bool) -> list[str]:
+def _status_problems(controller: LawLike, *, examined: bool) -> list[str]:
     """What a controller's own status says against it; ``examined``: whether its loop is about to
     be.
     """
-    status = getattr(controller, "status", None)
-    if status is None or status is Status.UNCERTIFIED:
+    status = synthesis_of(controller).status
+    if status is Status.UNCERTIFIED:
         return (
             []
             if examined

@@ -35,6 +35,7 @@ from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_finite, check_shape, invalid
 from ambrose.core.presentation import Presented, to_plain
 from ambrose.core.statespace import (
+    ControllerLike,
     StateSpace,
     append,
     as_statespace,
@@ -186,7 +187,7 @@ class GeneralizedPlant(Presented):
         return sum(block.n_z for block in self.blocks)
 
 
-def lft(plant: GeneralizedPlant, controller: Any) -> StateSpace:
+def lft(plant: GeneralizedPlant, controller: ControllerLike) -> StateSpace:
     """The lower LFT F_l(P, K): from w to z with u = K y closed. The controller's signals (y in, u
     out) are matched by name where it has the plant's names, else by place. Raises NumericalFailure
     for an algebraic loop without a solution.

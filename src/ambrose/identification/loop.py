@@ -27,6 +27,7 @@ from ambrose.identification.validation.repeatability import of_estimates
 from ambrose.identification.validation.simulated_output import simulate_outputs
 from ambrose.identification.validation.suspects import Suspect, explained, judged, suspects
 from ambrose.identification.youla import identify as youla
+from ambrose.law.law import LawLike
 from ambrose.machine.description import AMPLIFIER_PARAMETERS
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
@@ -39,7 +40,7 @@ Progress = Callable[[str], None]
 def identify_loop(
     machine: Machine,
     records: Sequence[Record],
-    controller: Any,
+    controller: LawLike,
     unknown: Sequence[str],
     *,
     method: str = "closed-loop",
@@ -182,7 +183,7 @@ def _unsure(result: ParameterEstimate, dt: float) -> bool:
 def _other_delay(
     machine: Machine,
     records: Sequence[Record],
-    controller: Any,
+    controller: LawLike,
     result: ParameterEstimate,
     options: FitOptions,
 ) -> tuple[Finding, ...]:

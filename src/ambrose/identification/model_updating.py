@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from ambrose.identification.parameters import (
     part_names,
     with_bending,
 )
+from ambrose.machine.attachment import attachment_of
 from ambrose.machine.description import BiasPoint, MagneticBearing, OperatingPoint, Pair, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import (
@@ -76,14 +78,8 @@ def update_machine(
     own = {
         parameter.quantity: value for parameter, value in values if parameter.table == "amplifier"
     }
-    couplings = []
-    for item in machine.couplings:
-        mine = _of("coupling", item.name, values)
-        stiffness, damping = (
-            _pair(item.stiffness, "stiffness", mine),
-            _pair(item.damping, "damping", mine),
-        )
-        couplings.append(replace(item, stiffness=stiffness, damping=damping))
+    attached = [_attached(item, values) for item in machine.attached]
+    coupled = len(machine.couplings)
     pid, delays = machine.controller, dict(zip(result.paths, result.values.tolist(), strict=True))
     seals = tuple(
         _seal(item, result.point, _of("seal", item.name, values)) for item in machine.seals
@@ -109,7 +105,8 @@ def update_machine(
             _bearing(machine, item, result.point, _of("bearing", item.name, values))
             for item in machine.bearings
         ),
-        couplings=tuple(couplings),
+        couplings=tuple(attached[:coupled]),
+        effects=tuple(attached[coupled:]),
         amplifier=replace(machine.amplifier, **own),  # type: ignore[arg-type]
         seals=seals,
         tolerances=(*kept, *tolerances),
@@ -221,6 +218,30 @@ def _of(table: str, name: str, values: _Values) -> _Values:
         for parameter, value in values
         if (parameter.table, parameter.name) == (table, name)
     ]
+
+
+def _attached(item: Any, values: _Values) -> Any:
+    """A part of a registered effect with the values found of its quantities: pairs, or numbers."""
+    effect = attachment_of(item)
+    mine = _of(effect.table, item.name, values)
+    updated: dict[str, Any] = {}
+    for quantity, (_, components) in effect.quantities.items():
+        values_of = [value for parameter, value in mine if parameter.quantity == quantity]
+        if not values_of:
+            continue
+        old = getattr(item, quantity)
+        if components:
+            updated[quantity] = _pair(old, quantity, mine)
+        elif isinstance(old, float):
+            updated[quantity] = values_of[-1]
+        else:
+            raise invalid(
+                f"{quantity} of {effect.table} {item.name}",
+                "a table",
+                "one number, to take a value that was found",
+                "give a constant, or leave it out of the parameters to identify",
+            )
+    return replace(item, **updated)
 
 
 def _pair(pair: Pair, quantity: str, values: _Values) -> Pair:

@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
+from ambrose.machine.attachment import by_table
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import (
@@ -66,7 +67,10 @@ def part_names(machine: Machine) -> dict[str, list[str]]:
     return {
         "bearing": [item.name for item in machine.bearings],
         "seal": [item.name for item in machine.seals],
-        "coupling": [item.name for item in machine.couplings],
+        **{
+            table: [item.name for item in items]
+            for table, items in by_table(machine.attached).items()
+        },
     }
 
 

@@ -24,6 +24,7 @@ from ambrose.identification.validation.operating_load import load_remarks
 from ambrose.identification.validation.repeatability import Repeats
 from ambrose.identification.validation.simulated_output import SimulatedOutput
 from ambrose.identification.youla.identify import ResidualIdentification
+from ambrose.law.law import LawLike
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import one_line
 from ambrose.machine.parameters import CONTROLLER_DELAY
@@ -227,7 +228,7 @@ class LoopIdentification(Identification):
 
     result: ParameterEstimate
     outputs: tuple[SimulatedOutput, ...]
-    controller: Any
+    controller: LawLike
     computing_delay: float
     bending_modes: int
     residual: ResidualIdentification | None = None

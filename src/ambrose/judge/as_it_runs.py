@@ -10,12 +10,10 @@ import numpy as np
 
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.realisation.modal_form import modal_form
-from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, spectral_abscissa
 from ambrose.judge.certificate import certify, generalized_certificate
 from ambrose.judge.result import Status, Synthesis
-from ambrose.law.loop import law_at
-from ambrose.law.scheduling import scheduling_of
+from ambrose.law.law import LawLike, law_of
 from ambrose.law.timing import Timing
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
@@ -32,7 +30,7 @@ def certify_as_it_runs(plant: Plant, result: Synthesis, timing: Timing | None) -
     """
     if timing is None:
         return result
-    margins = sampled_margins(plant, result.law, timing)
+    margins = sampled_margins(plant, result, timing)
     stable = result.certificate.stable and margins["sampled_spectral_abscissa"] < 0
     old = result.certificate
     certificate = replace(
@@ -65,9 +63,7 @@ def certify_as_it_runs(plant: Plant, result: Synthesis, timing: Timing | None) -
     )
 
 
-def sampled_margins(
-    plant: Plant, law: StateSpace | ScheduledSystem, timing: Timing | None
-) -> dict[str, float]:
+def sampled_margins(plant: Plant, law: LawLike, timing: Timing | None) -> dict[str, float]:
     """ "sampled_spectral_abscissa" [rad/s] and "sampled_sensitivity_peak" [-] of the loop as it
     runs; empty without a timing.
 
@@ -75,14 +71,11 @@ def sampled_margins(
     """
     if timing is None:
         return {}
-    along, found = scheduling_of(law), []
-    values = law.values if isinstance(law, ScheduledSystem) else []
-    points = (
-        [plant.point] if along is None else [along.moved(plant.point, value) for value in values]
-    )
-    for point in points:
+    law = law_of(law)
+    found = []
+    for point in law.points(plant.point):
         place = plant if point == plant.point else assemble(plant.machine, point)
-        found.append(certify(place, timing.in_loop(law_at(law, point)), margins=False))
+        found.append(certify(place, timing.in_loop(law.at(point)), margins=False))
     return {
         "sampled_spectral_abscissa": max(item.spectral_abscissa for item in found),
         "sampled_sensitivity_peak": max(item.closed_loop_norm for item in found),

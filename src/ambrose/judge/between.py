@@ -4,13 +4,12 @@ loop changes.
 
 from __future__ import annotations
 
-from typing import Any
-
 from ambrose.judge.certificate import certify
 from ambrose.judge.checks import Checks, Curve
 from ambrose.judge.criteria import judge, zone_lines
 from ambrose.judge.range_search import search
-from ambrose.law.loop import match_controller
+from ambrose.law.law import LawLike
+from ambrose.law.loop import running_law
 from ambrose.law.timing import Timing
 from ambrose.machine.criteria import Demand, demand
 from ambrose.machine.description import OperatingRange
@@ -19,7 +18,7 @@ from ambrose.model.assemble import assemble
 
 
 def check_range(
-    machine: Machine, area: OperatingRange, law: Any, timing: Timing | None = None
+    machine: Machine, area: OperatingRange, law: LawLike, timing: Timing | None = None
 ) -> Checks:
     """Stability and sigma_max(S_o) of the nominal loop over a range; the worst point that is found,
     on the full plant.
@@ -30,10 +29,7 @@ def check_range(
     found = search(machine, area, law, timing)
     point = found.worst(area)
     plant = assemble(machine, point)
-    controller = match_controller(law, plant)
-    full = certify(
-        plant, controller if timing is None else timing.in_loop(controller), margins=False
-    )
+    full = certify(plant, running_law(law, plant, timing), margins=False)
     size = (
         f"{len(found.speeds)} speeds x {len(found.pressures)} pressures, {100 * found.change:.2g} "
         "% between neighbours"

@@ -20,7 +20,8 @@ from ambrose.core.statespace import spectral_abscissa
 from ambrose.judge.checks import Check, Curve
 from ambrose.judge.criteria import judge
 from ambrose.judge.rotor_modes import OSCILLATORY, Modes, damping_ratio, direction, modes
-from ambrose.law.loop import Law, closed_loop
+from ambrose.law.law import LawLike
+from ambrose.law.loop import closed_loop
 from ambrose.machine.criteria import TWO_PI, Demand
 from ambrose.model.plant import Plant
 
@@ -54,7 +55,7 @@ def campbell(
     plant_at: Callable[[float], Plant],
     speeds: np.ndarray,
     count: int,
-    controller: Law | None = None,
+    controller: LawLike | None = None,
 ) -> CampbellMap:
     """The ``count`` lowest modes that can ring, over ascending speeds (s,) [rad/s], at least two.
 
@@ -77,7 +78,7 @@ def campbell(
     return CampbellMap(speeds, p.imag, damping_ratio(p), np.array([row.whirl for row in rows]).T)
 
 
-def _ringing(plant: Plant, controller: Law | None) -> Modes:
+def _ringing(plant: Plant, controller: LawLike | None) -> Modes:
     """Every oscillating mode of the plant or of its closed loop."""
     found = modes(
         plant.system if controller is None else closed_loop(plant, controller), plant.ports
@@ -151,7 +152,7 @@ def campbell_curves(found: CampbellMap) -> list[Curve]:
 
 
 def speed_stability_check(
-    plant_at: Callable[[float], Plant], speeds: np.ndarray, controller: Law
+    plant_at: Callable[[float], Plant], speeds: np.ndarray, controller: LawLike
 ) -> Check:
     """Stability of the closed loop at every one of ``speeds`` (s,) [rad/s], with the rotor
     assembled anew.

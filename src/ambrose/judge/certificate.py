@@ -7,7 +7,6 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -15,8 +14,8 @@ from ambrose.core.checks import InvalidInput, UnstableSystem, invalid, named_fai
 from ambrose.core.lft import GeneralizedPlant, lft
 from ambrose.core.norms import hinf_norm
 from ambrose.core.sampling import c2d
-from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import (
+    ControllerLike,
     StateSpace,
     as_statespace,
     feedback,
@@ -28,8 +27,9 @@ from ambrose.core.statespace import (
     static_gain,
 )
 from ambrose.judge.result import Certificate, Status, Synthesis
-from ambrose.law.loop import covers, law_at, match_controller
-from ambrose.law.scheduling import scheduling_of
+from ambrose.judge.stability import judge_stability, loop_abscissa
+from ambrose.law.law import LawLike, law_of
+from ambrose.law.loop import match_controller
 from ambrose.law.timing import Timing
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
@@ -38,7 +38,7 @@ _SAME = 1e-5  # relative; margins recomputed elsewhere differ by rounding
 
 
 @named_failure("the certificate")
-def certify(plant: Plant | StateSpace, controller: Any, margins: bool = True) -> Certificate:
+def certify(plant: Plant | StateSpace, controller: LawLike, margins: bool = True) -> Certificate:
     """Stability, output sensitivity and margins of the loop of core/lft.py, recomputed from plant
     and controller.
 
@@ -57,10 +57,10 @@ def certify(plant: Plant | StateSpace, controller: Any, margins: bool = True) ->
     An unstable loop is a verdict: stable False, closed_loop_norm inf, no margins. Raises
     InvalidInput when sizes do not fit.
     """
-    loop, controller = _open_loop(plant, controller)
+    loop, law = _open_loop(plant, controller)
     identity = np.eye(len(loop.outputs))
-    abscissa = _abscissa(loop)
-    fastest = fastest_pole(controller)
+    abscissa = loop_abscissa(loop)
+    fastest = fastest_pole(law)
     label = _label(plant)
     if not abscissa < 0:
         return Certificate(False, abscissa, float("inf"), fastest, {}, label)
@@ -81,19 +81,17 @@ def certify_envelope(
 
     Plants that a schedule is not meant for are left out.
     """
-    envelope = {}
-    for plant in plants:
-        if covers(result.law, plant):
-            law = law_at(result.law, plant.point)
-            envelope[plant.point.label] = _abscissa(
-                _open_loop(plant, law if timing is None else timing.in_loop(law))[0]
-            )
+    envelope = {
+        plant.point.label: judge_stability(plant, result, timing).abscissa
+        for plant in plants
+        if result.covers(plant)
+    }
     certificate = replace(result.certificate, envelope=envelope)
     return replace(result, certificate=certificate)
 
 
 @named_failure("the certificate")
-def generalized_certificate(plant: GeneralizedPlant, controller: Any) -> Certificate:
+def generalized_certificate(plant: GeneralizedPlant, controller: ControllerLike) -> Certificate:
     """Stability and norm of z = F_l(P, K) w, recomputed from a generalized plant and its controller
     u = K y.
 
@@ -101,49 +99,45 @@ def generalized_certificate(plant: GeneralizedPlant, controller: Any) -> Certifi
     from all w to all z; an unstable or marginal loop is a verdict: stable False, closed_loop_norm
     inf. Raises InvalidInput when sizes do not fit, NumericalFailure for an algebraic loop.
     """
-    controller = as_statespace(controller)
-    loop = lft(plant, controller)
+    system = as_statespace(controller)
+    loop = lft(plant, system)
     abscissa = spectral_abscissa(loop)
     norm = float("inf")
     if abscissa < 0:
         with contextlib.suppress(UnstableSystem):
             norm = hinf_norm(loop).value
     label = f"generalized plant with {plant.system.n_states} states"
-    return Certificate(norm < np.inf, abscissa, norm, fastest_pole(controller), {}, label)
+    return Certificate(norm < np.inf, abscissa, norm, fastest_pole(system), {}, label)
 
 
-def full_plant_margins(
-    plant: Plant, law: StateSpace | ScheduledSystem
-) -> tuple[bool, dict[str, float], str]:
+def full_plant_margins(plant: Plant, law: LawLike) -> tuple[bool, dict[str, float], str]:
     """Whether a law holds a full plant, a schedule at every point of its grid; the margins that say
     so; on what.
 
     "full_spectral_abscissa" [rad/s] and "full_sensitivity_peak" [-], the worst over the grid, and
     "worst_speed" [rad/s] and "worst_pressure" [Pa], of what it is scheduled over, where that is.
     """
-    along = scheduling_of(law)
-    if along is None or not isinstance(law, ScheduledSystem):
+    law = law_of(law)
+    along = law.scheduled_over
+    if along is None or law.schedule is None:
         found = certify(plant, law, margins=False)
         margins = {
             "full_spectral_abscissa": found.spectral_abscissa,
             "full_sensitivity_peak": found.closed_loop_norm,
         }
         return found.stable, margins, found.plant
-    machine, values = plant.machine, law.values
-    results = [
-        certify(assemble(machine, along.moved(plant.point, value)), law.at(value), False)
-        for value in values
-    ]
+    machine, points = plant.machine, law.points(plant.point)
+    results = [certify(assemble(machine, point), law.at(point), False) for point in points]
     worst = int(np.argmax([item.closed_loop_norm for item in results]))
     margins = {
         "full_spectral_abscissa": max(item.spectral_abscissa for item in results),
         "full_sensitivity_peak": results[worst].closed_loop_norm,
         **{
             f"worst_{one.name}": float(at)
-            for one, at in zip(along.each, np.atleast_1d(values[worst]), strict=True)
+            for one, at in zip(along.each, np.atleast_1d(along.of(points[worst])), strict=True)
         },
     }
-    label = f"{machine.name}, full plant at {len(values)} of these {along.plural}"
+    label = f"{machine.name}, full plant at {len(points)} of these {along.plural}"
     return all(item.stable for item in results), margins, label
 
 
@@ -154,7 +148,7 @@ def certify_on_full_plant(
     does not hold ``plant``.
     """
     before = result.certificate
-    holds, full, label = full_plant_margins(plant, result.law)
+    holds, full, label = full_plant_margins(plant, result)
     stable = before.stable and holds
     margins = {**before.margins, **(margins or {}), **full}
     certificate = replace(before, stable=stable, margins=margins, plant=f"{before.plant}; {label}")
@@ -175,34 +169,36 @@ def contradiction(plant: Plant, result: Synthesis, sampled: Mapping[str, float])
         "full_sensitivity_peak": said.closed_loop_norm,
         **said.margins,
     }
-    for name, value in {**full_plant_margins(plant, result.law)[1], **sampled}.items():
+    for name, value in {**full_plant_margins(plant, result)[1], **sampled}.items():
         said_of_it = margins.get(name, np.nan)
         if not (value == said_of_it or abs(value - said_of_it) <= _SAME * abs(value)):
             return f"{name} is {value:.6g}, but its certificate says {said_of_it:.6g}"
     return ""
 
 
-def _open_loop(plant: Plant | StateSpace, controller: Any) -> tuple[StateSpace, StateSpace]:
+def _open_loop(plant: Plant | StateSpace, controller: LawLike) -> tuple[StateSpace, StateSpace]:
     """Controller, then plant, as one system; and the controller."""
-    open_plant, controller = _loop_parts(plant, controller)
-    return series(controller, open_plant), controller
+    open_plant, law = _loop_parts(plant, controller)
+    return series(law, open_plant), law
 
 
-def _abscissa(loop: StateSpace) -> float:
-    return spectral_abscissa(feedback(loop, static_gain(np.eye(len(loop.outputs)), dt=loop.dt)))
-
-
-def _loop_parts(plant: Plant | StateSpace, controller: Any) -> tuple[StateSpace, StateSpace]:
+def _loop_parts(plant: Plant | StateSpace, controller: LawLike) -> tuple[StateSpace, StateSpace]:
     """The plant from u to y (sampled like the controller), and the controller."""
     if isinstance(plant, Plant):
         system = select(plant.system, plant.named("u"), plant.named("y"))
-        controller = match_controller(controller, plant)
+        law = match_controller(controller, plant)
     else:
-        system, controller = as_statespace(plant), as_statespace(controller)
-        if controller.D.shape != system.D.shape[::-1] or system.D.shape[0] != system.D.shape[1]:
+        system, fixed = as_statespace(plant), law_of(controller).fixed
+        if fixed is None:
+            raise InvalidInput(
+                "a plant that is a system alone has no operating point; give the Plant, or the "
+                "law at one point"
+            )
+        law = fixed
+        if law.D.shape != system.D.shape[::-1] or system.D.shape[0] != system.D.shape[1]:
             raise invalid(
                 "the controller's size (outputs, inputs)",
-                controller.D.shape,
+                law.D.shape,
                 f"{system.D.shape[::-1]} and square",
                 "select() the plant's currents and displacements",
             )
@@ -213,17 +209,17 @@ def _loop_parts(plant: Plant | StateSpace, controller: Any) -> tuple[StateSpace,
                 ("u", "u_", system.inputs),
             )
         )
-        controller = match_signals(controller, errors, currents)
-    if controller.dt is not None and system.dt is None:
-        system = c2d(system, controller.dt)
-    if controller.dt != system.dt and controller.n_states:
+        law = match_signals(law, errors, currents)
+    if law.dt is not None and system.dt is None:
+        system = c2d(system, law.dt)
+    if law.dt != system.dt and law.n_states:
         raise invalid(
             "the controller's sample time",
-            controller.dt,
+            law.dt,
             f"the plant's {system.dt}",
             "resample one of them",
         )
-    return system, controller
+    return system, law
 
 
 def _label(plant: Plant | StateSpace) -> str:
@@ -248,14 +244,14 @@ def disk_margins(sensitivity_peak: float, complementary_peak: float) -> dict[str
     }
 
 
-def fastest_pole(controller: Any) -> float:
+def fastest_pole(controller: ControllerLike) -> float:
     """Largest modulus among the controller's poles [rad/s]; of a sampled one |ln z|/dt, pure delays
     (z = 0) left out.
     """
-    controller = as_statespace(controller)
-    values = poles(controller)
-    if controller.dt is not None:
-        values = np.log(values[np.abs(values) > 1e-9].astype(complex)) / controller.dt
+    system = as_statespace(controller)
+    values = poles(system)
+    if system.dt is not None:
+        values = np.log(values[np.abs(values) > 1e-9].astype(complex)) / system.dt
     return float(np.abs(values).max(initial=0.0))
 
 

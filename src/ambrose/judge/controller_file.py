@@ -37,8 +37,8 @@ from pydantic.json_schema import GenerateJsonSchema
 from ambrose.core.checks import InvalidInput, check_path, invalid
 from ambrose.core.hinf.scaling import Matrices
 from ambrose.core.scheduled import AND, ScheduledSystem
-from ambrose.core.statespace import StateSpace, as_statespace
-from ambrose.judge.result import Certificate, Provenance, Status, Synthesis
+from ambrose.core.statespace import StateSpace
+from ambrose.judge.result import Certificate, Provenance, Status, Synthesis, synthesis_of
 from ambrose.law.filter_table import (
     DEFAULT_AXES,
     FACTS,
@@ -47,7 +47,8 @@ from ambrose.law.filter_table import (
     is_table,
     mat_table,
 )
-from ambrose.law.scheduling import scheduling_of
+from ambrose.law.law import LawLike
+from ambrose.law.scheduling import scheduling_named
 from ambrose.law.weights import Weights
 from ambrose.machine.atomic_write import write_text
 from ambrose.machine.controller import PidSettings
@@ -247,7 +248,7 @@ def controller_schema() -> dict[str, Any]:
 
 def write_controller(
     path: str | os.PathLike[str],
-    result: Synthesis | StateSpace | Any,
+    result: LawLike,
     machine: Machine | None = None,
     date: datetime | None = None,
 ) -> Path:
@@ -263,13 +264,13 @@ def write_controller(
 
 
 def controller_text(
-    result: Synthesis | StateSpace | Any,
+    result: LawLike,
     machine: Machine | None = None,
     date: datetime | None = None,
 ) -> str:
     """What ``write_controller`` writes. Raises InvalidInput."""
-    result = result if isinstance(result, Synthesis) else Synthesis(as_statespace(result))
-    made = result.provenance
+    synthesis = synthesis_of(result)
+    made = synthesis.provenance
     if machine is not None:
         made = replace(
             made,
@@ -281,7 +282,7 @@ def controller_text(
         made = replace(
             made, date=(date or datetime.now(UTC)).astimezone(UTC).isoformat(timespec="seconds")
         )
-    written = replace(result, provenance=made)
+    written = replace(synthesis, provenance=made)
     content = replace(written, provenance=replace(made, digest=written.digest)).to_dict()
     signals = {side: _signals(content[side], side) for side in _UNITS}
     return _layout({"format": FORMAT, "version": VERSION, **content, **signals})
@@ -528,7 +529,7 @@ def _synthesis(table: ControllerTable) -> Synthesis:
         scheduled = ScheduledSystem(
             tuple(axis.grid for axis in over), points, names, units, plan.outside
         )
-        scheduling_of(scheduled)  # refuses a unit that is not the parameter's
+        scheduling_named(names, units)  # refuses a unit that is not the parameter's
     certificate = (
         Certificate()
         if table.certificate is None

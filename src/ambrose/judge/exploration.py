@@ -26,9 +26,10 @@ from ambrose.judge.family.responses import (
 )
 from ambrose.judge.plants import campbell_map, chosen_point
 from ambrose.judge.robust import stability
-from ambrose.judge.verdict import running_law
-from ambrose.law.loop import closed_loop, law_at, match_controller
-from ambrose.law.scheduling import SPEED, follows
+from ambrose.judge.stability import Stability, judge_points
+from ambrose.law.law import Law, LawAt, LawLike, law_of
+from ambrose.law.loop import closed_loop, match_controller, running_law
+from ambrose.law.scheduling import SPEED
 from ambrose.law.timing import Timing, timing_of
 from ambrose.machine.criteria import TWO_PI
 from ambrose.machine.description import OperatingPoint
@@ -41,6 +42,7 @@ from ambrose.model.uncertainty import tolerances_around
 
 PARTS = ("poles", "campbell", "pulses", "unbalance")
 OVER = {"speed": "rad/s", "pressure": "Pa"}
+_STANDING = 9  # speeds along the range at which stability is judged
 _VALUES, _SPEEDS = 21, 24  # of a map, and of the unbalance over the tolerances
 _BEYOND = {"speed": 1.2, "pressure": 2.0}  # times the largest of the machine, to which a map goes
 _HIGHEST = 1e3 * TWO_PI  # [rad/s] of the poles kept, or three times the top speed
@@ -54,8 +56,9 @@ _LASTS = 0.2
 class Exploration(Presented):
     """maps: poles over speed and pressure; campbell: curves over speed; pulses: responses to 100 N
     for 2 ms at ``port``, its nominal member first; unbalance: orbits over speed, nominal, worst
-    found over the tolerances and an upper bound. notes: how each was computed; timing: of the loop,
-    in words.
+    found over the tolerances and an upper bound. standing: stability at the
+    operating points and along the speed range, as judged, whatever the parts. notes: how each was
+    computed; timing: of the loop, in words.
     """
 
     machine: Machine
@@ -66,16 +69,21 @@ class Exploration(Presented):
     pulses: PulseFamily | None = None
     port: str = ""
     unbalance: BoxUnbalance | None = None
+    standing: tuple[Stability, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
     def stable(self) -> bool:
-        """Whether every member and every value within the machine's own range is stable."""
+        """Whether the judge found every operating point stable, and every member and every value
+        that was looked at besides.
+        """
         within = [
             bool(item.stable[item.values <= _largest(self.machine, item.over) * (1 + 1e-9)].all())
             for item in self.maps
         ]
-        return all(within) and (self.pulses is None or bool(self.pulses.stable.all()))
+        judged = bool(self.standing) and all(item.stable for item in self.standing)
+        members = self.pulses is None or bool(self.pulses.stable.all())
+        return judged and all(within) and members
 
     def facts(self) -> dict[str, Any]:
         """Where stability ends, how many members are stable, the largest orbit."""
@@ -97,6 +105,10 @@ class Exploration(Presented):
             "point": self.point.label,
             "timing": self.timing,
             "stable": self.stable,
+            "operating_points": [
+                {"label": s.label, "stable": s.stable, "abscissa": s.abscissa}
+                for s in self.standing
+            ],
             "notes": list(self.notes),
             "maps": [
                 {
@@ -140,7 +152,7 @@ class Exploration(Presented):
 
 def explore(
     machine: Machine,
-    controller: Any,
+    controller: LawLike,
     *,
     parts: Sequence[str] = PARTS,
     point: str | OperatingPoint | None = None,
@@ -172,14 +184,18 @@ def explore(
                 "ascending, of speed or pressure",
                 remedy,
             )
-    law, timing = (
-        getattr(controller, "law", controller),
-        timing_of(machine, controller, rate, delay_samples),
-    )
+    law = law_of(controller)
+    timing = timing_of(machine, law, rate, delay_samples)
     at = chosen_point(machine, point) or machine.operation.design
     plant = assemble(machine, at)
     notes: list[str] = []
-    done = Exploration(machine, at, "continuous" if timing is None else str(timing))
+    progress("stability at the operating points")
+    done = Exploration(
+        machine,
+        at,
+        "continuous" if timing is None else str(timing),
+        standing=judge_points(machine, law, timing, _between(machine, law, at)),
+    )
     if "poles" in parts:
         done = replace(
             done, maps=tuple(_maps(machine, law, timing, at, reach or {}, notes, progress))
@@ -196,13 +212,27 @@ def explore(
     return replace(done, notes=tuple(notes))
 
 
-def _along_speed(law: Any, timing: Timing | None, at: OperatingPoint) -> Any:
+def _between(machine: Machine, law: Law, at: OperatingPoint) -> tuple[OperatingPoint, ...]:
+    """Operating points along the machine's speed range, all else as at one of them; those that the
+    law has no place for are left out.
+    """
+    low, high = machine.operation.speed_range
+    if high <= low:
+        return (at,)
+    speeds = np.linspace(low, high, _STANDING).tolist()
+    if law.follows(SPEED) and law.range is not None:
+        first, last = (float(np.atleast_1d(end)[0]) for end in law.range)
+        speeds = [speed for speed in speeds if first <= speed <= last]
+    return (at, *(replace(at, speed=speed, label=f"{speed:.4g} rad/s") for speed in speeds))
+
+
+def _along_speed(law: Law, timing: Timing | None, at: OperatingPoint) -> StateSpace | LawAt:
     """The law as it runs for a map over speed: a function of it where it changes with it."""
 
-    def running_at(point: OperatingPoint) -> Any:
-        return law_at(law, point) if timing is None else timing.in_loop(law_at(law, point))
+    def running_at(point: OperatingPoint) -> StateSpace:
+        return law.at(point) if timing is None else timing.in_loop(law.at(point))
 
-    if follows(law, SPEED):
+    if law.follows(SPEED):
         return lambda speed: running_at(replace(at, speed=speed))
     return running_at(at)
 
@@ -214,7 +244,7 @@ def _largest(machine: Machine, over: str) -> float:
 
 def _maps(
     machine: Machine,
-    law: Any,
+    law: Law,
     timing: Timing | None,
     at: OperatingPoint,
     reach: dict[str, tuple[float, float]],
@@ -260,7 +290,7 @@ def _maps(
 def _over_tolerances(
     done: Exploration,
     plant: Plant,
-    law: Any,
+    law: Law,
     timing: Timing | None,
     parts: Sequence[str],
     bound: bool,

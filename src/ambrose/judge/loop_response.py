@@ -15,7 +15,8 @@ from ambrose.core.checks import check_shape, named_failure
 from ambrose.core.frequency import SchurForm, check_nyquist, evaluate, schur_form
 from ambrose.core.sampling import hold
 from ambrose.core.statespace import StateSpace, select
-from ambrose.law.loop import Law, match_controller
+from ambrose.law.law import LawLike
+from ambrose.law.loop import match_controller
 from ambrose.model.plant import Plant
 
 _LIGHTLY_DAMPED = 0.3  # damping ratio below which a pole has points of its own on a grid
@@ -72,7 +73,7 @@ class LoopResponse:
 Evaluator = Callable[[np.ndarray], LoopResponse]
 
 
-def loop_evaluator(plant: Plant, controller: Law) -> Evaluator:
+def loop_evaluator(plant: Plant, controller: LawLike) -> Evaluator:
     """A function omega (w,) [rad/s] -> LoopResponse; the Schur forms of plant and controller are
     kept for all its calls.
 
@@ -101,7 +102,7 @@ def _held(K: Callable[[np.ndarray], Matrices], omega: np.ndarray, dt: float | No
 
 
 @named_failure("the response of the loop")
-def loop_at(plant: Plant, controller: Law, omega: float) -> LoopResponse:
+def loop_at(plant: Plant, controller: LawLike, omega: float) -> LoopResponse:
     """The loop at one frequency [rad/s], by one direct solution: cheaper than an evaluator that is
     used once.
     """
@@ -111,7 +112,7 @@ def loop_at(plant: Plant, controller: Law, omega: float) -> LoopResponse:
     return _parted(plant.axes, at, _direct(part, 1j * omega)[None], K)
 
 
-def _parts(plant: Plant, controller: Law) -> tuple[StateSpace, StateSpace]:
+def _parts(plant: Plant, controller: LawLike) -> tuple[StateSpace, StateSpace]:
     """u, f at the bearings -> y, q at the bearings, i; and the controller with the loop's names."""
     part = select(
         plant.system,

@@ -6,10 +6,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, cast
+from typing import Protocol, cast
 
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.checks import Checks
+from ambrose.law.law import Law, LawLike, law_of
 from ambrose.law.timing import Timing
 from ambrose.machine.machine import Machine
 from ambrose.registry import registered, resolve
@@ -35,13 +36,13 @@ class Motion:
 class MovingProof(Protocol):
     """A registered proof: a module or object with these three."""
 
-    def refuse(self, machine: Machine, law: Any, motion: Motion) -> None:
+    def refuse(self, machine: Machine, law: Law, motion: Motion) -> None:
         """Raises InvalidInput where the motion that is asked for cannot be examined."""
 
     def prove(
         self,
         machine: Machine,
-        law: Any,
+        law: Law,
         points: Sequence[Checks],
         timing: Timing | None,
         motion: Motion,
@@ -60,7 +61,7 @@ def moving_proofs() -> tuple[MovingProof, ...]:
     return tuple(cast(MovingProof, resolve(place)) for place in registered("moving_proof").values())
 
 
-def refuse_motion(machine: Machine, law: Any, motion: Motion) -> None:
+def refuse_motion(machine: Machine, law: LawLike, motion: Motion) -> None:
     """Raises InvalidInput, before anything is computed, where a motion cannot be examined."""
     proofs = moving_proofs()
     if not proofs and (motion.pressure_rate or motion.speed_rate or motion.pressure_error):
@@ -69,4 +70,4 @@ def refuse_motion(machine: Machine, law: Any, motion: Motion) -> None:
             "rates out, or install the annex of schedules"
         )
     for proof in proofs:
-        proof.refuse(machine, law, motion)
+        proof.refuse(machine, law_of(law), motion)

@@ -23,7 +23,8 @@ from ambrose.judge.rotor_modes import modes, pole_checks, pole_curve
 from ambrose.judge.sensitivity import sensitivity_checks
 from ambrose.judge.transient import pulse_checks, pulse_response
 from ambrose.judge.unbalance import assembled_check, unbalance_checks, unbalance_curve
-from ambrose.law.loop import Law, closed_loop, match_controller
+from ambrose.law.law import LawLike
+from ambrose.law.loop import closed_loop, match_controller
 from ambrose.machine.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, TWO_PI
 from ambrose.machine.description import Requirements
 from ambrose.model.plant import Plant, top_speed
@@ -40,7 +41,7 @@ Progress = Callable[[str, float], None]
 @named_failure("the nominal checks")
 def check(
     plant: Plant,
-    controller: Law,
+    controller: LawLike,
     requirements: Requirements | None = None,
     omega: ArrayLike | None = None,
     progress: Progress | None = None,
@@ -145,7 +146,7 @@ def _notes(plant: Plant, dt: float | None) -> tuple[str, ...]:
 def _assembled(
     plant_at: Callable[[float], Plant],
     plant: Plant,
-    controller: Law,
+    controller: LawLike,
     requirements: Requirements,
     residual: Unbalance | None,
 ) -> tuple[list[Check], list[Curve]]:

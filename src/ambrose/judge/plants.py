@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -13,8 +12,7 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import select
 from ambrose.judge import campbell
 from ambrose.judge.checks import Curve
-from ambrose.law.loop import covers
-from ambrose.law.scheduling import SPEED, scheduling_of
+from ambrose.law.law import LawLike, law_of
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
@@ -55,13 +53,16 @@ def plants_along_speed(plant: Plant) -> Callable[[float], Plant]:
     )
 
 
-def split_covered(law: Any, plants: Sequence[Plant]) -> tuple[tuple[Plant, ...], tuple[str, ...]]:
+def split_covered(
+    given: LawLike, plants: Sequence[Plant]
+) -> tuple[tuple[Plant, ...], tuple[str, ...]]:
     """The plants that a law is meant for, and the labels of the points that it leaves out. Raises
     InvalidInput for none.
     """
-    within = tuple(plant for plant in plants if covers(law, plant))
-    if not within:
-        (low, high), along = law.range, scheduling_of(law) or SPEED
+    law = law_of(given)
+    within = tuple(plant for plant in plants if law.covers(plant))
+    if not within and law.range is not None and law.scheduled_over is not None:
+        (low, high), along = law.range, law.scheduled_over
         wanted, remedy = (
             "one with an operating point of the machine in it",
             f"design over the machine's own {along.plural}",
@@ -69,7 +70,7 @@ def split_covered(law: Any, plants: Sequence[Plant]) -> tuple[tuple[Plant, ...],
         raise invalid(
             "the scheduled range", f"{along.words(low)} to {along.words(high)}", wanted, remedy
         )
-    return within, tuple(plant.point.label for plant in plants if not covers(law, plant))
+    return within, tuple(plant.point.label for plant in plants if not law.covers(plant))
 
 
 def plant_gain(plant: Plant) -> Curve:
@@ -84,7 +85,7 @@ def plant_gain(plant: Plant) -> Curve:
     )
 
 
-def campbell_map(plant: Plant, controller: Any, progress: Progress) -> tuple[Curve, ...]:
+def campbell_map(plant: Plant, controller: LawLike, progress: Progress) -> tuple[Curve, ...]:
     """Closed-loop natural frequencies and damping over the machine's speed range; empty for one
     that does not turn.
     """

@@ -9,12 +9,12 @@ points.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from ambrose.judge.certificate import certify
-from ambrose.law.loop import match_controller
+from ambrose.law.law import LawLike
+from ambrose.law.loop import running_law
 from ambrose.law.timing import Timing
 from ambrose.machine.description import OperatingPoint, OperatingRange
 from ambrose.machine.machine import Machine
@@ -50,7 +50,9 @@ class Found:
         return area.at(float(self.speeds[i]), float(self.pressures[j]))
 
 
-def search(machine: Machine, area: OperatingRange, law: Any, timing: Timing | None = None) -> Found:
+def search(
+    machine: Machine, area: OperatingRange, law: LawLike, timing: Timing | None = None
+) -> Found:
     """The peak of sigma_max(S_o) of the nominal loop, and its outermost pole, over a range, on
     plants with all bending modes that matter (``default_bending_modes``).
 
@@ -62,10 +64,7 @@ def search(machine: Machine, area: OperatingRange, law: Any, timing: Timing | No
     def judged(speed: float, pressure: float) -> tuple[float, float]:
         if (speed, pressure) not in known:
             plant = reduce(assemble(machine, area.at(speed, pressure)), modes)
-            controller = match_controller(law, plant)
-            found = certify(
-                plant, controller if timing is None else timing.in_loop(controller), margins=False
-            )
+            found = certify(plant, running_law(law, plant, timing), margins=False)
             known[speed, pressure] = found.closed_loop_norm, found.spectral_abscissa
         return known[speed, pressure]
 

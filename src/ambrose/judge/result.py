@@ -14,8 +14,11 @@ from ambrose.core.checks import invalid
 from ambrose.core.presentation import Presented, data_frame, to_plain
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
+from ambrose.law.law import FixedLaw, Law, LawLike, ScheduledLaw, law_of
+from ambrose.law.scheduling import Scheduling
 from ambrose.law.weights import Weights
 from ambrose.machine.controller import PidSettings
+from ambrose.machine.description import OperatingPoint
 from ambrose.version import __version__
 
 
@@ -86,8 +89,10 @@ class Provenance:
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Synthesis(Presented):
-    """controller: StateSpace from sensor error ("err_A_zeta" [m]) to current ("u_A_zeta" [A]).
+class Synthesis(Presented, Law):
+    """A law with what was shown of it.
+
+    controller: StateSpace from sensor error ("err_A_zeta" [m]) to current ("u_A_zeta" [A]).
 
     gamma: the norm the method reached (NaN where it has none); history: one mapping per iteration;
     notes: what the reader must know of how it was reached (a regularisation, a wider back-off), a
@@ -131,6 +136,57 @@ class Synthesis(Presented):
     def law(self) -> StateSpace | ScheduledSystem:
         """What runs: the schedule where there is one, else the controller."""
         return self.controller if self.scheduled is None else self.scheduled
+
+    @property
+    def kind(self) -> FixedLaw | ScheduledLaw:
+        """What runs, as a law of its kind."""
+        schedule = self.scheduled
+        return FixedLaw(self.controller) if schedule is None else ScheduledLaw(schedule)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        return self.kind.inputs
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        return self.kind.outputs
+
+    @property
+    def sample_time(self) -> float | None:
+        return self.kind.sample_time
+
+    @property
+    def rate(self) -> float | None:
+        rate = (self.provenance.settings or {}).get("rate")
+        return float(rate) if rate else None
+
+    @property
+    def delay_samples(self) -> int | None:
+        stated = (self.provenance.settings or {}).get("delay_samples")
+        return None if stated is None else int(stated)
+
+    @property
+    def scheduled_over(self) -> Scheduling | None:
+        return self.kind.scheduled_over
+
+    @property
+    def fixed(self) -> StateSpace | None:
+        return self.kind.fixed
+
+    @property
+    def nominal(self) -> StateSpace:
+        return self.controller
+
+    @property
+    def schedule(self) -> ScheduledSystem | None:
+        return self.scheduled
+
+    @property
+    def range(self) -> tuple[Any, Any] | None:
+        return self.kind.range
+
+    def at(self, point: OperatingPoint) -> StateSpace:
+        return self.kind.at(point)
 
     @property
     def digest(self) -> str:
@@ -227,3 +283,24 @@ class Synthesis(Presented):
 def matrices(system: StateSpace) -> dict[str, Any]:
     """A, B, C and D as nested lists."""
     return {letter: getattr(system, letter).tolist() for letter in "ABCD"}
+
+
+def synthesis_of(given: LawLike) -> Synthesis:
+    """A law with what is known of it: a Synthesis as it is, else one that nothing was shown of.
+
+    Raises InvalidInput for a law that has no matrices to be written down, such as a program.
+    """
+    law = law_of(given)
+    if isinstance(law, Synthesis):
+        return law
+    schedule, fixed = law.schedule, law.fixed
+    if schedule is not None:
+        return Synthesis(schedule.at(schedule.range[0]), scheduled=schedule)
+    if fixed is None:
+        raise invalid(
+            "the controller",
+            "a program or a function",
+            "a Synthesis or a system with A, B, C, D",
+            "design() or read_controller()",
+        )
+    return Synthesis(fixed)

@@ -50,7 +50,8 @@ from ambrose.core.worst_case.search import BoxGain, peak_at, worst_gain
 from ambrose.judge.checks import Check, Checks, Curve
 from ambrose.judge.criteria import information, judge, zone_lines
 from ambrose.law.design_problem import design_plant, unit_problem, with_performance_block
-from ambrose.law.loop import Law, law_at, match_axes, match_controller
+from ambrose.law.law import LawLike, law_of
+from ambrose.law.loop import match_axes, match_controller
 from ambrose.law.weights import Weights
 from ambrose.machine.criteria import SENSITIVITY, TWO_PI, Demand, demand
 from ambrose.machine.description import OperatingPoint, Requirements, Tolerance
@@ -69,7 +70,7 @@ Progress = Callable[[str, float], None]
 @named_failure("the checks over the tolerances")
 def check(
     plant: Plant | GeneralizedPlant,
-    controller: Law,
+    controller: LawLike,
     tolerances: Sequence[Tolerance] | None = None,
     weights: Weights | None = None,
     *,
@@ -140,7 +141,9 @@ def check(
     return Checks(label, True, tuple(checks), tuple(curves), tuple(notes), _points(output, worst))
 
 
-def examine(plant: Plant, controller: Law, tolerances: Sequence[Tolerance] | None = None) -> Checks:
+def examine(
+    plant: Plant, controller: LawLike, tolerances: Sequence[Tolerance] | None = None
+) -> Checks:
     """Stability and the worst output sensitivity over the box by search alone: no bound, no proof,
     no curves.
 
@@ -169,7 +172,9 @@ def _points(loop: BoxLoop, worst: BoxGain | None) -> tuple[dict[str, float], ...
 
 @named_failure("the stability margin over the tolerances")
 def stability(
-    plant: Plant | GeneralizedPlant, controller: Law, tolerances: Sequence[Tolerance] | None = None
+    plant: Plant | GeneralizedPlant,
+    controller: LawLike,
+    tolerances: Sequence[Tolerance] | None = None,
 ) -> Check:
     """How many corners and samples of the whole box are unstable: the quick verdict where
     parameters are many.
@@ -192,18 +197,20 @@ def _label(plant: Plant | GeneralizedPlant) -> str:
 
 
 def _matched(
-    controller: Law, plant: Plant | GeneralizedPlant, unit: GeneralizedPlant
+    controller: LawLike, plant: Plant | GeneralizedPlant, unit: GeneralizedPlant
 ) -> StateSpace:
     """The controller with its signals in the order of the axes of the plant."""
     if isinstance(plant, Plant):
         return match_controller(controller, plant)
     return match_axes(
-        law_at(controller, OperatingPoint()), [name.removeprefix("u_") for name in unit.u]
+        law_of(controller).at(OperatingPoint()), [name.removeprefix("u_") for name in unit.u]
     )
 
 
 def box_loops(
-    plant: Plant | GeneralizedPlant, controller: Law, tolerances: Sequence[Tolerance] | None = None
+    plant: Plant | GeneralizedPlant,
+    controller: LawLike,
+    tolerances: Sequence[Tolerance] | None = None,
 ) -> tuple[BoxLoop, BoxLoop, BoxLoop]:
     """S_o, S_i [-] and K S_o [A/m] (up to sign) of a loop with its real parameters pulled out, for
     ``core.box`` and its search.

@@ -39,7 +39,7 @@ from ambrose.judge.criteria import judge
 from ambrose.judge.critical_speeds import separation_check
 from ambrose.judge.loop_response import Evaluator, LoopResponse, loop_at
 from ambrose.judge.peaks import Peak, peaks_of
-from ambrose.law.loop import Law
+from ambrose.law.law import LawLike
 from ambrose.machine.criteria import TWO_PI, demand, machine_limit
 from ambrose.machine.description import Requirements
 from ambrose.machine.machine import Machine
@@ -292,7 +292,7 @@ def axis_limit_check(
 def unbalance_curve(
     plant_at: Callable[[float], Plant],
     speeds: np.ndarray,
-    controller: Law,
+    controller: LawLike,
     residual: Unbalance | None = None,
 ) -> Curve:
     """Unbalance orbits with the rotor's matrices assembled anew at every speed (gyroscopic forces,

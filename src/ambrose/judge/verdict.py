@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput
@@ -19,8 +18,9 @@ from ambrose.judge.checks import Check, Checks
 from ambrose.judge.motion import Motion, moving_proofs, refuse_motion
 from ambrose.judge.plants import Progress, full_plants, plant_at, plants_along_speed, split_covered
 from ambrose.judge.verification import CONTINUOUS, WITH_MEAN_DELAY, Verification, box_label
-from ambrose.law.loop import covers, match_controller
-from ambrose.law.scheduling import SPEED, follows
+from ambrose.law.law import LawLike, law_of
+from ambrose.law.loop import match_controller, running_law
+from ambrose.law.scheduling import SPEED
 from ambrose.law.timing import Timing, timing_of
 from ambrose.law.weights import machine_weights
 from ambrose.machine.description import OperatingPoint, Tolerance
@@ -33,7 +33,7 @@ from ambrose.model.uncertainty import not_varied, tolerances_around
 @names_wrong_types
 def verify_controller(
     machine: Machine | Plant | Sequence[Plant],
-    controller: Any,
+    controller: LawLike,
     points: Sequence[str | OperatingPoint] | None = None,
     *,
     tolerances: bool = True,
@@ -47,10 +47,10 @@ def verify_controller(
     """The checks of a controller on the full plant at every operating point, and over the
     tolerances around each.
 
-    machine: or the plants to verify on, one or several. controller: a Synthesis, a schedule, or
-    anything with A, B, C, D. points: operating points or labels (None: all). tolerances: whether
-    the tolerance boxes are examined. rate [Hz], delay_samples: the loop as it runs, sampled by
-    Tustin's map and late; None: as the controller or the machine file says
+    machine: or the plants to verify on, one or several. controller: what controls, as a law or as
+    anything that ``law.law.law_of`` makes one of. points: operating points or labels (None: all).
+    tolerances: whether the tolerance boxes are examined. rate [Hz], delay_samples: the loop as it
+    runs, sampled by Tustin's map and late; None: as the controller or the machine file says
     (``law.timing.timing_of``); where neither knows a rate the continuous loop is judged, and
     ``timing`` says so. pressure_rate [Pa/s]: the fastest change of the seal pressure (None: the
     machine file's; without one nothing is proved for a pressure that changes); pressure_error [Pa]:
@@ -59,7 +59,7 @@ def verify_controller(
     Operating points that a schedule does not cover are listed as left out. Raises InvalidInput
     where the controller is not one for this machine.
     """
-    law = getattr(controller, "law", controller)
+    law = law_of(controller)
     if not isinstance(machine, Machine):
         plants = (machine,) if isinstance(machine, Plant) else tuple(machine)
     elif points is None:
@@ -75,7 +75,7 @@ def verify_controller(
     if points is None and isinstance(machine, Machine):
         refuse_motion(machine, law, motion)
     within, left_out = split_covered(law, plants)
-    timing = timing_of(within[0].machine, controller, rate, delay_samples)
+    timing = timing_of(within[0].machine, law, rate, delay_samples)
     checks = verify_points(within, law, progress, timing)
     boxes = verify_tolerances(within, law, checks, progress, timing) if tolerances else ()
     ranges: tuple[Checks, ...] = ()
@@ -102,37 +102,30 @@ def verify_controller(
     )
 
 
-def running_law(law: Any, plant: Plant, timing: Timing | None) -> StateSpace:
-    """The law in the loop of a plant: at its speed, its signals matched and, with a timing, sampled
-    and late.
-    """
-    fixed = match_controller(law, plant)
-    return fixed if timing is None else timing.in_loop(fixed)
-
-
 def verify_points(
     plants: Sequence[Plant],
-    controller: Any,
+    controller: LawLike,
     progress: Progress = lambda stage: None,
     timing: Timing | None = None,
 ) -> tuple[Checks, ...]:
     """The checks on every full plant, of the loop as it runs. Raises InvalidInput where the
     controller is not one for it.
     """
+    law = law_of(controller)
     results = []
     for plant in plants:
         progress(f"verifying at {plant.point.label}")
         # a law that changes with it has its own verdict over speed
-        fixed = not follows(controller, SPEED)
+        fixed = not law.follows(SPEED)
         turning = fixed and plant.machine.operation.speed_range[1] > 0 and plant is plants[0]
         along = plants_along_speed(plant) if turning else None
-        results.append(nominal.check(plant, running_law(controller, plant, timing), plant_at=along))
+        results.append(nominal.check(plant, running_law(law, plant, timing), plant_at=along))
     return tuple(results)
 
 
 def verify_ranges(
     machine: Machine,
-    law: Any,
+    law: LawLike,
     points: Sequence[Checks],
     progress: Progress,
     timing: Timing | None = None,
@@ -140,11 +133,13 @@ def verify_ranges(
     """The checks over every range all of whose corners (of ``points``) are held; the ranges that a
     schedule does not cover.
     """
+    law = law_of(law)
     stable = {checks.label: checks.stable for checks in points}
     found = []
     beyond = []
     for area in machine.operation.ranges:
-        if not all(covers(law, assemble(machine, corner)) for corner in area.corners):
+        covered = [law.covers(assemble(machine, corner)) for corner in area.corners]
+        if not all(covered):
             beyond.append(area.label)
         elif all(stable.get(corner.label, True) for corner in area.corners):
             progress(f"verifying between the points of {area.label}")
@@ -154,13 +149,13 @@ def verify_ranges(
 
 def verify_tolerances(
     plants: Sequence[Plant],
-    controller: Any,
+    controller: LawLike,
     points: Sequence[Checks],
     progress: Progress,
     timing: Timing | None = None,
     tolerances: Sequence[Tolerance] | None = None,
     *,
-    design: Any = None,
+    design: LawLike | None = None,
 ) -> tuple[Checks, ...]:
     """The checks over the tolerances around every plant with a stable loop (``points``) and any
     tolerance.

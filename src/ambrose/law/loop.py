@@ -4,10 +4,8 @@ signals find their axes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, Literal
-
-import numpy as np
+from collections.abc import Sequence
+from typing import Literal
 
 from ambrose.core.checks import invalid
 from ambrose.core.sampling import c2d
@@ -16,22 +14,15 @@ from ambrose.core.statespace import (
     StateSpace,
     as_statespace,
     connect,
-    is_system,
     rename,
     select,
 )
-from ambrose.law.program import ControlProgram
-from ambrose.law.scheduling import SPEED, scheduling_of
-from ambrose.machine.description import OperatingPoint
+from ambrose.law.law import LawLike, law_of
+from ambrose.law.timing import Timing
 from ambrose.model.plant import Plant
 
-# speed [rad/s], or what a ScheduledSystem says, -> the law there
-LawAt = Callable[[float], ControllerLike]
-# whatever closes a loop: fixed, scheduled, or a running program
-Law = ControllerLike | LawAt | ControlProgram
 
-
-def closed_loop(plant: Plant, controller: Law) -> StateSpace:
+def closed_loop(plant: Plant, controller: LawLike) -> StateSpace:
     """Everything that can be asked of the loop, as one system.
 
     Inputs: e_<axis> [A] excitation added to the controller's output, d_<axis> [m] output
@@ -59,7 +50,7 @@ def closed_loop(plant: Plant, controller: Law) -> StateSpace:
     )
 
 
-def match_controller(controller: Law, plant: Plant) -> StateSpace:
+def match_controller(controller: LawLike, plant: Plant) -> StateSpace:
     """The controller's law with inputs err_<axis> [m] and outputs u_<axis> [A], in the order of the
     plant's axes.
 
@@ -68,7 +59,7 @@ def match_controller(controller: Law, plant: Plant) -> StateSpace:
     the one at the plant's speed or seal pressure. Raises InvalidInput where the size does not fit,
     or the names are those of other axes.
     """
-    return match_axes(law_at(controller, plant.point), plant.axes, repr(plant.machine.name))
+    return match_axes(law_of(controller).at(plant.point), plant.axes, repr(plant.machine.name))
 
 
 def match_axes(controller: ControllerLike, axes: Sequence[str], machine: str = "") -> StateSpace:
@@ -102,7 +93,7 @@ def axis_order(
 
     Raises InvalidInput where the names are those of other axes.
     """
-    names, prefix = getattr(controller, side), "err_" if side == "inputs" else "u_"
+    names, prefix = (controller.inputs, "err_") if side == "inputs" else (controller.outputs, "u_")
     if not any(name.startswith(prefix) or name.endswith(("_zeta", "_eta")) for name in names):
         return list(range(len(axes)))
     own = [
@@ -123,29 +114,9 @@ def axis_order(
     return [own.index(axis) for axis in axes]
 
 
-def covers(law: Any, plant: Plant) -> bool:
-    """Whether a law is meant for the plant's operating point: a schedule has a range, and one over
-    speed a seal pressure that it was made at.
+def running_law(law: LawLike, plant: Plant, timing: Timing | None) -> StateSpace:
+    """The law in the loop of a plant: at its operating point, its signals matched and, with a
+    timing, sampled and late.
     """
-    along = scheduling_of(law)
-    if along is None or not hasattr(law, "range"):
-        return True
-    low, high, value = (np.atleast_1d(x).astype(float) for x in (*law.range, along.of(plant.point)))
-    slack = 1e-9 * high
-    elsewhere = (
-        along is SPEED and plant.point.seal_pressure != plant.machine.operation.design.seal_pressure
-    )
-    return bool(((low - slack <= value) & (value <= high + slack)).all()) and not elsewhere
-
-
-def law_at(controller: Law, point: OperatingPoint) -> StateSpace:
-    """The linear law at an operating point: a fixed one, a scheduled one there, a program's between
-    its limits.
-    """
-    if not is_system(controller):
-        along = scheduling_of(controller)
-        if along is not None and callable(controller):
-            return as_statespace(controller(along.of(point)))
-        if isinstance(controller, ControlProgram):
-            return controller.system
-    return as_statespace(controller)
+    fixed = match_controller(law, plant)
+    return fixed if timing is None else timing.in_loop(fixed)

@@ -7,6 +7,7 @@ on the machine.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -53,6 +54,15 @@ class ScheduledProgram(ControlProgram, Protocol):
 
 
 @runtime_checkable
+class Ranged(Protocol):
+    """What a scheduled program has besides that is made for a range."""
+
+    @property
+    def range(self) -> tuple[Any, Any]:
+        """Its lowest and highest value; of several tuples."""
+
+
+@runtime_checkable
 class NativeProgram(ControlProgram, Protocol):
     """A program that the compiled rig calls by itself.
 
@@ -63,3 +73,13 @@ class NativeProgram(ControlProgram, Protocol):
 
     @property
     def entry(self) -> tuple[int, int]: ...
+
+
+def entry_of(program: ControlProgram) -> tuple[int, int] | None:
+    """Address and first argument of a ``NativeProgram``; None for any other."""
+    return program.entry if isinstance(program, NativeProgram) else None
+
+
+def teller(program: ControlProgram) -> Callable[[Any], None] | None:
+    """What a ``ScheduledProgram`` is told its speed or pressure by; None for any other."""
+    return program.schedule if isinstance(program, ScheduledProgram) else None

@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ambrose.core.checks import invalid
-from ambrose.core.scheduled import AND, ScheduledSystem
-from ambrose.core.statespace import is_system
+from ambrose.core.scheduled import AND
 from ambrose.machine.description import OperatingPoint
 
 
@@ -85,25 +84,16 @@ BOTH = Scheduling(
 SCHEDULINGS = {item.name: item for item in (SPEED, PRESSURE, BOTH)}
 
 
-def scheduling_of(law: Any) -> Scheduling | None:
-    """What a law changes with: of a schedule or a scheduled program as it says, of another function
-    the speed; None: nothing.
-
-    Raises InvalidInput for a schedule over anything else.
+def scheduling_named(name: str, unit: str | None = None, words: str = "") -> Scheduling:
+    """The scheduling by its name; unit: that which is stated (None: none is); words: the same for
+    people. Raises InvalidInput for anything that is no quantity of the operating point.
     """
-    if is_system(law) or not callable(law):
-        return None
-    name, unit = getattr(law, "parameter", SPEED.name), getattr(law, "unit", None)
     if name not in SCHEDULINGS or unit not in (None, SCHEDULINGS[name].unit):
         known = " or ".join(f"{item.name} [{item.unit}]" for item in SCHEDULINGS.values())
-        given = f"{name} [{unit}]" if isinstance(law, ScheduledSystem) else repr(name)
         raise invalid(
-            "the scheduling parameter", given, known, "make the schedule over one of them"
+            "the scheduling parameter",
+            words or repr(name),
+            known,
+            "make the schedule over one of them",
         )
     return SCHEDULINGS[name]
-
-
-def follows(law: Any, one: Scheduling) -> bool:
-    """Whether a law changes with it, alone or among others."""
-    along = scheduling_of(law)
-    return along is not None and one in along.each

@@ -13,7 +13,6 @@ import math
 from dataclasses import dataclass, field
 from enum import IntEnum
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
@@ -21,13 +20,14 @@ from scipy.linalg import solve_discrete_are
 from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, invalid
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem, interval_points
-from ambrose.core.statespace import StateSpace, is_system
+from ambrose.core.statespace import StateSpace
+from ambrose.law.law import LawLike, law_of
 from ambrose.law.loop import match_axes
-from ambrose.law.scheduling import PRESSURE, scheduling_of
+from ambrose.law.scheduling import PRESSURE
 from ambrose.machine.machine import Machine
 
 # E = A - I, B, C, D, L: sampled, with the gain that leads its states to the currents that act
-Law = tuple[np.ndarray, ...]
+Matrices = tuple[np.ndarray, ...]
 _LONGEST = 3600.0  # s, after which a value counts as stuck: samples are counted in 32 bits
 # points between two of the schedule where it is sampled; the sampled matrices are linear between
 # them
@@ -207,8 +207,8 @@ class SupervisedLaws:
     """
 
     grid: np.ndarray
-    schedule: tuple[Law, ...]
-    fixed: Law
+    schedule: tuple[Matrices, ...]
+    fixed: Matrices
     start: tuple[np.ndarray, np.ndarray]
     limit: np.ndarray
     axes: tuple[str, ...]
@@ -229,7 +229,7 @@ class SupervisedLaws:
                     "use another one"
                 )
 
-    def at(self, value: float) -> Law:
+    def at(self, value: float) -> Matrices:
         """The schedule at a pressure [Pa] of its range."""
         i = min(
             max(int(np.searchsorted(self.grid, value, side="right")) - 1, 0), len(self.grid) - 2
@@ -381,8 +381,8 @@ class SupervisedProgram:
 
 
 def supervised(
-    law: Any,
-    fallback: Any,
+    law: LawLike,
+    fallback: LawLike,
     machine: Machine,
     sample_time: float,
     limits: Limits | None = None,
@@ -392,11 +392,11 @@ def supervised(
     """The program for a machine, its laws sampled by Tustin's map; limits: None for
     ``machine_limits``. Raises InvalidInput.
     """
-    check_pair(law, fallback)
+    schedule, other = check_pair(law, fallback)
     axes = machine.axes
-    grid = interval_points(law.grid, _BETWEEN)
-    laws = tuple(_sampled(match_axes(law.at(p), axes), sample_time) for p in grid.tolist())
-    fixed = _sampled(match_axes(fallback, axes), sample_time)
+    grid = interval_points(schedule.grid, _BETWEEN)
+    laws = tuple(_sampled(match_axes(schedule.at(p), axes), sample_time) for p in grid.tolist())
+    fixed = _sampled(match_axes(other, axes), sample_time)
     E, B, C, D, L = fixed
     stands = np.linalg.inv(L @ C - E)
     most = [
@@ -408,22 +408,27 @@ def supervised(
         grid, laws, fixed, (stands @ (B - L @ D), stands @ L), np.array(most), axes, sample_time
     )
     return SupervisedProgram(
-        pair, supervision_limits(law, machine) if limits is None else limits, tracking
+        pair, supervision_limits(schedule, machine) if limits is None else limits, tracking
     )
 
 
-def check_pair(law: Any, fallback: Any) -> None:
-    """Refuse what cannot be supervised. Raises InvalidInput."""
-    if not isinstance(law, ScheduledSystem) or scheduling_of(law) is not PRESSURE:
+def check_pair(law: LawLike, fallback: LawLike) -> tuple[ScheduledSystem, StateSpace]:
+    """The schedule and the fixed controller that takes over from it. Raises InvalidInput for what
+    cannot be supervised.
+    """
+    over, other = law_of(law), law_of(fallback).fixed
+    schedule = over.schedule
+    if schedule is None or over.scheduled_over is not PRESSURE:
         raise InvalidInput(
             "only a controller scheduled over pressure alone can have a fallback; make one with "
             "--pressures-bar"
         )
-    if not is_system(fallback):
+    if other is None:
         raise InvalidInput(
             "the fallback is scheduled itself; give a fixed controller, such as --method tuned "
             "makes"
         )
+    return schedule, other
 
 
 def supervision_limits(
@@ -450,7 +455,7 @@ def supervision_limits(
     )
 
 
-def _sampled(law: StateSpace, sample_time: float) -> Law:
+def _sampled(law: StateSpace, sample_time: float) -> Matrices:
     if law.dt is None:
         law = c2d(law, sample_time, method="tustin")
     elif abs(law.dt - sample_time) > 1e-9 * law.dt:

@@ -10,12 +10,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 from ambrose.core.checks import check_positive, invalid
 from ambrose.core.sampling import c2d, delayed, pade
-from ambrose.core.statespace import StateSpace, append, as_statespace, is_system, series
-from ambrose.law.program import ControlProgram
+from ambrose.core.statespace import StateSpace, append, series
+from ambrose.law.law import Law, LawLike, law_of
 from ambrose.machine.limits import DELAY_SAMPLES
 from ambrose.machine.machine import Machine
 
@@ -108,36 +107,25 @@ def machine_timing(machine: Machine | None) -> Timing | None:
 
 def timing_of(
     machine: Machine | None,
-    controller: Any = None,
+    law: LawLike | None = None,
     rate: float | None = None,
     delay_samples: int | None = None,
 ) -> Timing | None:
     """When a controller acts on a machine, None where nothing says it.
 
-    controller: a Synthesis, a law or None. rate [Hz], delay_samples: given by the caller, who is
-    heard first; then the sample time of a sampled law, then the rate that a Synthesis was designed
+    law: what controls, such as a Synthesis, or None. rate [Hz], delay_samples: given by the caller,
+    who is heard first; then the sample time of a sampled law, then the rate that it was designed
     for, then the machine file. A delay that is not given is that of the same source, else the
     machine's, else one sample. Raises InvalidInput.
     """
-    own, law = machine_timing(machine), getattr(controller, "law", controller)
-    settings = getattr(getattr(controller, "provenance", None), "settings", None) or {}
-    samples = 1 if own is None else own.delay_samples
-    if isinstance(law, ControlProgram):
-        samples, law = law.delay, law.system
-    elif is_system(law):
-        law = as_statespace(law)
-    stated = settings.get("delay_samples")
-    of_law = samples if stated is None or isinstance(law, ControlProgram) else int(stated)
-    if rate is not None:
-        found: Timing | None = Timing(
-            1 / check_positive(rate, "rate", "give the sample rate in Hz"), samples
-        )
-    elif (dt := getattr(law, "dt", None)) is not None:
-        found = Timing(float(dt), of_law, "the controller's own")
-    elif settings.get("rate"):
-        found = Timing(1 / float(settings["rate"]), of_law, "what it was designed for")
-    else:
-        found = own
+    of_machine = machine_timing(machine)
+    found = of_machine
+    if rate is None and law is not None:
+        found = _timing_of_law(law_of(law), of_machine)
+    elif rate is not None:
+        program = None if law is None else law_of(law).program
+        late = _delay(of_machine) if program is None else program.delay
+        found = Timing(1 / check_positive(rate, "rate", "give the sample rate in Hz"), late)
     if delay_samples is None:
         return found
     if found is None:
@@ -151,3 +139,18 @@ def timing_of(
     return Timing(
         found.sample_time, delay_samples, f"{found.source}, delay given" if given else found.source
     )
+
+
+def _timing_of_law(law: Law, of_machine: Timing | None) -> Timing | None:
+    """What a law says of itself, else what the machine file says."""
+    late = _delay(of_machine) if law.program is None else law.program.delay
+    late = late if law.delay_samples is None else law.delay_samples
+    if law.sample_time is not None:
+        return Timing(float(law.sample_time), late, "the controller's own")
+    if law.rate:
+        return Timing(1 / law.rate, late, "what it was designed for")
+    return of_machine
+
+
+def _delay(of_machine: Timing | None) -> int:
+    return 1 if of_machine is None else of_machine.delay_samples

@@ -393,8 +393,9 @@ class MachineDescription(Part):
     """A rotor on magnetic bearings as written down, not yet checked; a Machine is one that was.
 
     ``assumed`` lists the parameters that were chosen, not measured or published, each with its
-    reason. file_text is the file that the machine was read from (empty: none), for its comments,
-    order and units; it is not compared.
+    reason. ``effects`` are the parts of registered effects that have no field here, in the file a
+    table each (``machine.attachment``). file_text is the file that the machine was read from
+    (empty: none), for its comments, order and units; it is not compared.
     """
 
     name: Annotated[Name, "name of the machine"]
@@ -415,6 +416,7 @@ class MachineDescription(Part):
     couplings: Annotated[tuple[Coupling, ...], "flexible couplings to ground"] = field(
         default=(), metadata={"key": "coupling"}
     )
+    effects: tuple[Part, ...] = ()
     supports: Annotated[tuple[Support, ...], "supports under bearings"] = field(
         default=(), metadata={"key": "support"}
     )
@@ -452,6 +454,11 @@ class MachineDescription(Part):
     def length(self) -> float:
         """Rotor length [m]."""
         return self.shaft[-1].start + self.shaft[-1].length
+
+    @property
+    def attached(self) -> tuple[Any, ...]:
+        """The parts of all registered effects, in the order of their ports."""
+        return (*self.couplings, *self.effects)
 
     @property
     def reference(self) -> PidSettings | None:

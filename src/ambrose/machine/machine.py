@@ -8,6 +8,7 @@ from typing import Any
 
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.presentation import html_table
+from ambrose.machine.attachment import attachment_of, by_table
 from ambrose.machine.description import (
     SCHEMA_VERSION,
     MachineDescription,
@@ -33,6 +34,12 @@ class Machine(MachineDescription):
 
     @names_wrong_types
     def __post_init__(self) -> None:
+        # in the order in which a file gives them back
+        ordered = tuple(part for parts in by_table(self.effects).values() for part in parts)
+        if len(ordered) != len(self.effects):
+            for part in self.effects:
+                attachment_of(part)
+        object.__setattr__(self, "effects", ordered)
         check_machine(self)
 
     def facts(self) -> Mapping[str, Any]:
@@ -71,6 +78,10 @@ class Machine(MachineDescription):
             ("bending modes as measured", ", ".join(map(_mode_in_words, self.bending_modes))),
             ("seals", _places(self.seals)),
             ("couplings", _places(self.couplings)),
+            *(
+                (f"{table.replace('_', ' ')}s", ", ".join(part.name for part in parts))
+                for table, parts in by_table(self.effects).items()
+            ),
             (
                 "supports",
                 ", ".join(f"of {item.bearing}, {item.mass[0]:.4g} kg" for item in self.supports),
@@ -118,6 +129,8 @@ class Machine(MachineDescription):
             "tolerance",
         )
         document.update({key: given[key] for key in several if key in given})
+        for table, parts in by_table(self.effects).items():
+            document[table] = [part.to_dict(defaults=defaults) for part in parts]
         # a file must name the order
         document["amplifier"] = {"order": self.amplifier.order, **given.get("amplifier", {})}
         document.update(

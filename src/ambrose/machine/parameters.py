@@ -22,6 +22,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.machine.attachment import attached, attachments
 from ambrose.machine.description import AMPLIFIER_PARAMETERS, MachineDescription, OperatingPoint
 from ambrose.machine.limits import LEAST_MODES
 from ambrose.machine.messages import shown, suggestion
@@ -30,7 +31,8 @@ from ambrose.machine.seals import not_straight
 _TILTED = ("zeta", "eta")
 _DIRECT, _CROSS = ("xx", "yy"), ("xy", "yx")
 
-# table -> quantity -> (its dimension, the components that can be named alone)
+# table -> quantity -> (its dimension, the components that can be named alone); those of registered
+# effects are theirs (``quantities``)
 QUANTITIES: Mapping[str, Mapping[str, tuple[str, tuple[str, ...]]]] = {
     "seal": {
         "K": ("stiffness", _DIRECT),
@@ -44,13 +46,21 @@ QUANTITIES: Mapping[str, Mapping[str, tuple[str, tuple[str, ...]]]] = {
         "force_per_current": ("force per current", _TILTED),
         "negative_stiffness": ("stiffness", _TILTED),
     },
-    "coupling": {"stiffness": ("stiffness", _TILTED), "damping": ("damping", _TILTED)},
     "amplifier": {
         name: ("angular rate", ())
         for name in ("bandwidth", "eddy_bandwidth", "natural_frequency", "damping")
     },
     "rotor": {"frequency": ("angular rate", ()), "damping": ("ratio", ())},
 }
+
+
+def quantities() -> dict[str, Mapping[str, tuple[str, tuple[str, ...]]]]:
+    """``QUANTITIES`` with those of the registered effects: table -> quantity -> (dimension,
+    components).
+    """
+    own = {table: item.quantities for table, item in attachments().items() if item.quantities}
+    return {**QUANTITIES, **own}
+
 
 BENDING = "bending_"  # rotor.bending_<k>: the k-th free bending mode
 CONTROLLER_DELAY, EXCITATION_DELAY = "controller.delay", "excitation.delay"
@@ -94,15 +104,16 @@ def parse_parameter(path: str) -> Parameter:
     part is wrong.
     """
     table, *parts = path.split(".")
-    if table not in QUANTITIES:
-        raise _wrong(path, f'has the unknown first part "{table}"; {suggestion(table, QUANTITIES)}')
-    quantities = QUANTITIES[table]
+    tables = quantities()
+    if table not in tables:
+        raise _wrong(path, f'has the unknown first part "{table}"; {suggestion(table, tables)}')
+    known = tables[table]
     name = parts.pop(0) if table != "amplifier" and parts else ""
     if not parts or (table != "amplifier" and not name):
         form = (
-            f"{table}.<{'|'.join(quantities)}>"
+            f"{table}.<{'|'.join(known)}>"
             if table == "amplifier"
-            else f"{table}.<name>.<{'|'.join(quantities)}>"
+            else f"{table}.<name>.<{'|'.join(known)}>"
         )
         raise _wrong(path, f"is incomplete; write {form}")
     quantity = parts[0]
@@ -112,9 +123,9 @@ def parse_parameter(path: str) -> Parameter:
         quantity, _, component = quantity.partition("_")
     elif rest:
         component, *rest = rest
-    if quantity not in quantities:
-        raise _wrong(path, f'has the unknown quantity "{parts[0]}"; {_list(quantities)}')
-    dimension, components = quantities[quantity]
+    if quantity not in known:
+        raise _wrong(path, f'has the unknown quantity "{parts[0]}"; {_list(known)}')
+    dimension, components = known[quantity]
     if rest or (component and component not in components) or path.endswith(("_", ".")):
         raise _wrong(
             path, f'cannot go beyond "{quantity}" like that; {_forms(table, quantity, components)}'
@@ -138,9 +149,10 @@ def find_parameter(machine: MachineDescription, path: str) -> Parameter:
     names = {
         "seal": [seal.name for seal in machine.seals],
         "bearing": [bearing.name for bearing in machine.bearings],
-        "coupling": [coupling.name for coupling in machine.couplings],
         "rotor": [f"{BENDING}{k + 1}" for k in range(bending_modes_of_mesh(machine))],
-    }[parameter.table]
+    }.get(parameter.table)
+    if names is None:
+        names = [part.name for effect, part in attached(machine) if effect.table == parameter.table]
     if parameter.table == "rotor" and parameter.name not in names:
         raise _wrong(
             path, f"names no bending mode of this mesh; write {BENDING}1 to {BENDING}{len(names)}"

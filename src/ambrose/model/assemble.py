@@ -25,7 +25,8 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import BENDING, operating_point, uncertain_modes
 from ambrose.machine.seals import Seal
 from ambrose.model.basis import bending_modes_of, gyroscopic_of, modes_of, rows_in
-from ambrose.model.effects import amplifier, coupling, seal, seal_rational, sensor
+from ambrose.model.effect import Reaction, reactions
+from ambrose.model.effects import amplifier, seal, seal_rational, sensor
 from ambrose.model.effects.rotor import Rotor, finite_element_rotor
 from ambrose.model.effects.seal_rational import has_states
 from ambrose.model.effects.support import foundation
@@ -59,14 +60,14 @@ def assemble(
 def attached_statespace(
     machine: Machine, point: OperatingPoint, rotor: Rotor, bending_modes: int | None = None
 ) -> StateSpace:
-    """``attached_rotor`` as a state space, and the states of the seals after its own.
+    """``attached_rotor`` as a state space, and the states of seals and effects after its own.
 
     States: modal displacements q of the free rotor and q'/s, s (n,) [rad/s] being ``state_scales``.
     Neither speed nor seal nor bearing moves them.
     """
     attached = attached_rotor(machine, point, rotor, bending_modes)
     scales = state_scales(machine, rotor, bending_modes)
-    return with_seal_states(machine, point, to_common_statespace(attached, point.speed, scales))
+    return with_states(machine, point, to_common_statespace(attached, point.speed, scales))
 
 
 def state_scales(machine: Machine, rotor: Rotor, bending_modes: int | None = None) -> np.ndarray:
@@ -117,11 +118,12 @@ def attached_rotor(
     stiffness = np.diag([*modes.frequencies**2, *base.stiffness])
     control = np.array([rows[axis] for axis in machine.axes])
     stiffness -= control.T @ (magnet_coefficients(machine, point)[1][:, None] * control)
-    for item in machine.couplings:
-        pair = np.array([rows[f"{item.name}_zeta"], rows[f"{item.name}_eta"]])
-        k, d = coupling.matrices(item)
-        stiffness += pair.T @ k @ pair
-        damping += pair.T @ d @ pair
+    for names, reaction in reactions(machine, point):
+        pair = np.array([rows[name] for name in names])
+        stiffness += pair.T @ reaction.stiffness @ pair
+        damping += pair.T @ reaction.damping @ pair
+        if reaction.mass.any():
+            mass += pair.T @ reaction.mass @ pair
     for annular in machine.seals:
         pair = np.array([rows[f"{annular.name}_x"], rows[f"{annular.name}_y"]])
         constant = (
@@ -137,7 +139,7 @@ def attached_rotor(
         np.arange(len(mass)) < count
     )
     N = np.vstack([N, *(own[2 + 2 * k : 4 + 2 * k] for k in uncertain_modes(machine))])
-    names = [*(p.name for p in places), *mode_ports(machine)]
+    every = [*(p.name for p in places), *mode_ports(machine)]
     return SecondOrder(
         mass,
         damping,
@@ -146,9 +148,9 @@ def attached_rotor(
         np.vstack([N, alone]).T,
         np.vstack([N, S]),
         N,
-        tuple(f"f_{name}" for name in names) + tuple(f"o_{name}" for name in on),
-        tuple(f"q_{name}" for name in names) + tuple(f"s_{p.name}" for p in sensed),
-        tuple(f"qdot_{name}" for name in names),
+        tuple(f"f_{name}" for name in every) + tuple(f"o_{name}" for name in on),
+        tuple(f"q_{name}" for name in every) + tuple(f"s_{p.name}" for p in sensed),
+        tuple(f"qdot_{name}" for name in every),
     )
 
 
@@ -159,35 +161,49 @@ def mode_ports(machine: Machine) -> tuple[str, ...]:
     return tuple(f"{BENDING}{k}_{plane}" for k in uncertain_modes(machine) for plane in "xy")
 
 
-def with_seal_states(machine: Machine, point: OperatingPoint, rotor: StateSpace) -> StateSpace:
+def with_states(machine: Machine, point: OperatingPoint, rotor: StateSpace) -> StateSpace:
     """A rotor (full or reduced, of ``attached_rotor``) with the states of its frequency-dependent
-    seals, after its own.
+    seals, then those of registered effects, after its own.
 
-    Outputs d_<seal>_<axis> and e_<seal>_<axis> [N] of ``seal_rational.system`` are added.
+    Outputs d_<seal>_<axis> and e_<seal>_<axis> [N] of ``seal_rational.system`` are added, and
+    h_<port> [N], the force of the states of an effect.
     """
     seals = [item for item in machine.seals if has_states(item) and point.seal_pressure > 0]
-    if not seals:
-        return rotor
     places = [f"{item.name}_{axis}" for item in seals for axis in "xy"]
     parts = [seal_rational.system(seal_model(machine, item, point), item.name) for item in seals]
+    shown = [name for part in parts for name in part.outputs if not name.startswith("h_")]
+    for names, reaction in reactions(machine, point):
+        if reaction.n_states:
+            parts.append(_states_of(reaction, names))
+            places += names
+            shown += parts[-1].outputs
+    if not parts:
+        return rotor
     return connect(
         [rename(rotor, {f"f_{place}": f"F_{place}" for place in places}), *parts],
         inputs=list(rotor.inputs),
-        outputs=[
-            *rotor.outputs,
-            *(name for part in parts for name in part.outputs if not name.startswith("h_")),
-        ],
+        outputs=[*rotor.outputs, *shown],
         sums={f"F_{place}": [f"f_{place}", f"h_{place}"] for place in places},
     )
 
 
-def seal_states(machine: Machine, point: OperatingPoint) -> int:
-    """How many states the frequency-dependent seals add to the rotor's."""
-    return (
-        sum(2 * item.poles for item in machine.seals if has_states(item))
-        if point.seal_pressure > 0
-        else 0
+def _states_of(reaction: Reaction, names: Sequence[str]) -> StateSpace:
+    """The part of a reaction with states: q_<port> [m] -> h_<port> [N] = H x."""
+    return StateSpace(
+        reaction.A,
+        reaction.B,
+        reaction.H,
+        np.zeros((len(names), len(names))),
+        [f"q_{name}" for name in names],
+        [f"h_{name}" for name in names],
     )
+
+
+def part_states(machine: Machine, point: OperatingPoint) -> int:
+    """How many states seals and registered effects add to the rotor's."""
+    seals = sum(2 * item.poles for item in machine.seals if has_states(item))
+    others = sum(reaction.n_states for _, reaction in reactions(machine, point))
+    return others + (seals if point.seal_pressure > 0 else 0)
 
 
 def seal_model(machine: Machine, item: Seal, point: OperatingPoint) -> seal_rational.RationalSeal:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
+from ambrose.machine.attachment import TILTED, Station, attached
 from ambrose.machine.machine import Machine
 from ambrose.model.effects import sensor
 
@@ -25,20 +26,18 @@ class Port:
 
 
 def ports(machine: Machine) -> tuple[Port, ...]:
-    """All ports: bearings (zeta, eta) first, in the order of the axes, then couplings (zeta, eta),
-    seals and discs (x, y).
+    """All ports: bearings (zeta, eta) first, in the order of the axes, then registered effects
+    (such as couplings) in their own axes, seals and discs (x, y).
     """
-    tilted = [(b.name, b.position, b.angle) for b in machine.bearings] + [
-        (c.name, c.position, c.angle) for c in machine.couplings
-    ]
-    upright = [(s.name, s.position, 0.0) for s in machine.seals] + [
-        (d.name, d.position, 0.0) for d in machine.discs
-    ]
+    stations = [Station(b.name, b.position, b.angle, TILTED) for b in machine.bearings]
+    for effect, part in attached(machine):
+        stations += effect.stations(part)
+    stations += [Station(s.name, s.position) for s in machine.seals]
+    stations += [Station(d.name, d.position) for d in machine.discs]
     return tuple(
-        Port(f"{name}_{axis}", position, angle + turn)
-        for group, axes in ((tilted, ("zeta", "eta")), (upright, ("x", "y")))
-        for name, position, angle in group
-        for axis, turn in zip(axes, (0.0, QUARTER), strict=True)
+        Port(f"{station.name}_{axis}", station.position, station.angle + turn)
+        for station in stations
+        for axis, turn in zip(station.axes, (0.0, QUARTER), strict=True)
     )
 
 

@@ -22,10 +22,10 @@ from ambrose.model.assemble import (
     attached_rotor,
     attached_statespace,
     mode_ports,
-    seal_states,
+    part_states,
     state_scales,
     wire,
-    with_seal_states,
+    with_states,
 )
 from ambrose.model.basis import bending_modes_of
 from ambrose.model.effects.rotor import free_modes
@@ -155,9 +155,9 @@ def modal_reduction(
     )
     reduced = with_static_correction(slow, full) if static_correction else slow
     lift_L, lift_R = _lift(second_order, full, state_scales(machine, rotor), kept)
-    held = np.eye(seal_states(machine, point))
+    held = np.eye(part_states(machine, point))
     left, right = sla.block_diag(T_L @ lift_L, held), sla.block_diag(lift_R @ T_R, held)
-    reduced = with_seal_states(machine, point, reduced)
+    reduced = with_states(machine, point, reduced)
     result = with_offsets_of(wire(machine, point, reduced, bending_modes), plant)
     return Reduction(result, left, right, fast, static_correction)
 

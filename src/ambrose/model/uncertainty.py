@@ -17,6 +17,7 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.lft import GeneralizedPlant, RealBlock, close_uncertainty
 from ambrose.core.statespace import StateSpace, append, connect, rename, select, static_gain
+from ambrose.machine.attachment import attached
 from ambrose.machine.description import Amplifier, Tolerance
 from ambrose.machine.parameters import BENDING, Parameter, find_uncertain
 from ambrose.machine.seals import Seal
@@ -224,7 +225,7 @@ def channels(plant: Plant, path: str) -> list[Channel]:
     path that is unknown.
     """
     parameter = find_uncertain(plant.machine, path)
-    return _FORMS[parameter.table](plant, parameter)
+    return _FORMS.get(parameter.table, _effect_channels)(plant, parameter)
 
 
 # Signs of the seal's force on the rotor, f = -([[K, k], [-k, K]] q + [[C, c], [-c, C]] q'): entry
@@ -338,14 +339,18 @@ def _bearing_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
     )
 
 
-def _coupling_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
-    item = next(item for item in plant.machine.couplings if item.name == parameter.name)
-    return _pair(
-        parameter,
-        getattr(item, parameter.quantity),
-        "q" if parameter.quantity == "stiffness" else "qdot",
-        -1.0,
+def _effect_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
+    """Where a quantity of a registered effect acts, along the axis that the path names or all."""
+    effect, item = next(
+        (effect, part)
+        for effect, part in attached(plant.machine)
+        if effect.table == parameter.table and part.name == parameter.name
     )
+    return [
+        Channel(f"F_{action.port}", action.nominal, action.gradient)
+        for action in effect.actions(item, plant.point, parameter.quantity)
+        if parameter.component in {"", action.port.rpartition("_")[2]}
+    ]
 
 
 def _rotor_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
@@ -460,7 +465,6 @@ def _amplifier_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
 _FORMS = {
     "seal": _seal_channels,
     "bearing": _bearing_channels,
-    "coupling": _coupling_channels,
     "amplifier": _amplifier_channels,
     "rotor": _rotor_channels,
 }

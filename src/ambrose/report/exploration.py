@@ -13,6 +13,7 @@ import numpy as np
 from ambrose.judge.exploration import Exploration
 from ambrose.judge.family.poles import PoleMap
 from ambrose.judge.family.responses import BoxUnbalance, PulseFamily
+from ambrose.judge.stability import Stability, describe
 from ambrose.report import tables, theme, units
 from ambrose.report.figures.axes import drawn
 from ambrose.report.figures.curves import figure
@@ -81,7 +82,7 @@ def exploration_page(found: Exploration, *, date: str = "") -> Page:
         Verdict(
             f"Stable over {item.over}",
             None,
-            "everywhere on the map" if not item.ends else _words(item),
+            _words(item),
         )
         for item in found.maps
     ]
@@ -94,10 +95,11 @@ def exploration_page(found: Exploration, *, date: str = "") -> Page:
         ("Loop", found.timing),
         ("How", units.prose(tables.capitalised(found.notes, ". ", ""))),
     )
+    verdicts.insert(0, Verdict("Operating points", _all(found.standing), describe(found.standing)))
     words = (
-        "stable over the machine's own range"
+        "stable wherever it was examined"
         if found.stable
-        else "not stable everywhere in the machine's own range"
+        else "not stable everywhere that was examined"
     )
     result = Verdict("Result", found.stable, words)
     return Page(
@@ -115,7 +117,13 @@ def _members(family: PulseFamily) -> str:
     return f"{int(family.stable.sum())} of {len(family.stable)} members are stable"
 
 
+def _all(standing: tuple[Stability, ...]) -> bool:
+    return bool(standing) and all(item.stable for item in standing)
+
+
 def _words(item: PoleMap) -> str:
+    if not item.ends:
+        return f"{'everywhere' if item.stable.all() else 'nowhere'} on the map"
     parts = [
         f"{'gains' if above else 'loses'} stability at {units.quantity(at, item.unit, 4)}"
         for at, above in item.ends

@@ -1,10 +1,10 @@
 """One self-contained page: `report.html`, readable on a screen without any network, printable and
 signable on A4.
 
-    write(page_of(result), "report.html")          # whatever has a page: see page_of
-    closed = Section("Closed loop", "What to look at ...", figures, tables)
-    write(Page("Verification", machine, (closed,)), "report.html")
-                                                   # atomic: complete or not there at all
+    write(page_of(result), "report.html")             # whatever has a page: see page_of
+    closed = Section("Closed loop", "What to look at", figures, tables)
+    page = Page("Verification", machine, (closed,))
+    write(page, "report.html")                        # atomic: complete or not there at all
 
 The nouns are generic; the modules beside this one and the annexes fill them, a page for each kind
 of result. All text is plain text: it is escaped here. jinja2 and plotly are imported inside the

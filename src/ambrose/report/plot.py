@@ -53,7 +53,7 @@ from ambrose.report.study import run_up_figure
 from ambrose.rig.candidate import Candidate, points_of
 from ambrose.rig.trace import Trace
 from ambrose.rig.trial import RunUp
-from ambrose.synthesis.fixed_order.trade_off import TradeOff
+from ambrose.synthesis.trade_off import TradeOff
 
 _DRAWN = (
     "a Machine, Plant, controller (StateSpace, Synthesis, schedule, python-control system), "

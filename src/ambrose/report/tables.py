@@ -9,9 +9,12 @@ from typing import Any
 from ambrose.identification.findings import ERROR, Finding
 from ambrose.judge.checks import Check, Checks
 from ambrose.judge.verification import OVER_TOLERANCES
+from ambrose.machine.attachment import attached
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
+from ambrose.machine.part import Part
+from ambrose.machine.validation.signs import unit_and_names
 from ambrose.report import units
 from ambrose.report.page import Cell, Row, Section, Table, Verdict, numbers
 
@@ -299,10 +302,10 @@ def stations_table(machine: Machine) -> Table:
         rows.append(
             (seal.position, _titled("seal", seal.name), ", ".join(words) or "no coefficients")
         )
-    for coupling in machine.couplings:
-        words = _pair_of("stiffness", coupling.stiffness, "N/m")
-        words += _pair_of("damping", coupling.damping, "N s/m") if any(coupling.damping) else []
-        rows.append((coupling.position, _titled("coupling", coupling.name), ", ".join(words)))
+    for effect, part in attached(machine):
+        title = _titled(effect.table.replace("_", " "), part.name)
+        words = _figures_of(part)
+        rows += [(station.position, title, ", ".join(words)) for station in effect.stations(part)]
     for support in machine.supports:
         place = next(
             bearing.position for bearing in machine.bearings if bearing.name == support.bearing
@@ -340,6 +343,25 @@ def stations_table(machine: Machine) -> Table:
 
 def _titled(kind: str, name: str) -> str:
     return name if name.lower() == kind else f"{kind} {units.axis_name(name)}"
+
+
+def _figures_of(part: Part) -> list[str]:
+    """The numbers of a registered effect's part that are not at their default, in words; of a list
+    or a table how many there are.
+    """
+    words = []
+    for key in part.to_dict():
+        value = getattr(part, key)
+        name = key.replace("_", " ")
+        unit, _ = unit_and_names(type(part), key)  # type: ignore[arg-type]  # a class is hashable
+        pair = isinstance(value, tuple) and len(value) == 2
+        if pair and all(isinstance(number, float) for number in value):
+            words += _pair_of(name, value, unit)
+        elif isinstance(value, float) and key not in {"position", "angle"}:
+            words.append(f"{name} {units.quantity(value, unit)}")
+        elif isinstance(value, tuple):
+            words.append(f"{name} at {len(value)} points")
+    return words
 
 
 def _pair_of(name: str, values: tuple[float, float] | None, unit: str) -> list[str]:

@@ -8,16 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from ambrose.core.checks import InvalidInput
-from ambrose.core.scheduled import ScheduledSystem
-from ambrose.core.statespace import StateSpace
 from ambrose.judge.checks import Check, Checks
 from ambrose.judge.plants import Progress, split_covered
 from ambrose.judge.result import Synthesis
 from ambrose.judge.verdict import verify_points, verify_ranges, verify_tolerances
 from ambrose.judge.verification import CONTINUOUS
+from ambrose.law.law import LawLike
 from ambrose.law.timing import Timing, timing_of
 from ambrose.machine.description import Tolerance
 from ambrose.machine.machine import Machine
@@ -101,8 +99,8 @@ class Deployed:
     is continuous).
     """
 
-    law: StateSpace | ScheduledSystem
-    program: Any
+    law: LawLike
+    program: LawLike
     plants: tuple[Plant, ...]
     timing: Timing | None = None
 
@@ -151,7 +149,7 @@ def evaluate(
     verified, its program runs the rig (None: the controller itself does, at the rate that it or the
     machine file knows). Raises InvalidInput.
     """
-    law = synthesis.law
+    law = synthesis
     within, left_out = split_covered(law, plants)
     timing = timing_of(plants[0].machine, synthesis) if deployed is None else deployed.timing
     running = Deployed(law, law, within, timing) if deployed is None else deployed

@@ -19,7 +19,8 @@ from ambrose.core.checks import check_positive, invalid
 from ambrose.core.response import settling_time
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
-from ambrose.law.loop import Law, closed_loop
+from ambrose.law.law import LawLike, law_of
+from ambrose.law.loop import closed_loop
 from ambrose.law.scheduling import PRESSURE, SPEED, Scheduling
 from ambrose.model.basis import bending_modes_of
 from ambrose.model.effects.rotor import mass_properties
@@ -50,7 +51,7 @@ class Step:
 
 def loops_along(
     plant: Plant,
-    controller: Law,
+    controller: LawLike,
     low: float,
     high: float,
     along: Scheduling = SPEED,
@@ -91,11 +92,13 @@ def loops_along(
         grid, [members[value].system for value in grid], along.name, along.unit
     )
 
+    law = law_of(controller)
+
     def loop_at(value: float) -> StateSpace:
         here = replace(
             first, system=between.at(value), point=along.moved(plant.point, float(value))
         )
-        return closed_loop(here, controller)
+        return closed_loop(here, law)
 
     return loop_at
 
@@ -121,7 +124,7 @@ def _refined(plant_at: Callable[[float], Plant], low: float, high: float) -> dic
 
 def spin_up(
     plant: Plant,
-    controller: Law,
+    controller: LawLike,
     scenario: Scenario,
     *,
     bending_modes: int = 12,

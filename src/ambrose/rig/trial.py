@@ -13,10 +13,9 @@ from typing import Any, Literal
 
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import invalid
-from ambrose.core.scheduled import ScheduledSystem
 from ambrose.judge.plants import Progress, chosen_point
-from ambrose.judge.verdict import running_law
-from ambrose.law.loop import closed_loop, match_controller
+from ambrose.law.law import LawLike, law_of
+from ambrose.law.loop import closed_loop, match_controller, running_law
 from ambrose.law.supervision import check_pair, supervised, supervision_limits
 from ambrose.law.timing import Timing, timing_of
 from ambrose.machine.description import OperatingPoint
@@ -51,14 +50,14 @@ class RunUp:
 @names_wrong_types
 def simulate_scenario(
     machine: Machine | Plant,
-    controller: Any,
+    controller: LawLike,
     scenario: str | Scenario,
     *,
     point: str | OperatingPoint | None = None,
     linear: bool = False,
     rate: float | None = None,
     delay_samples: int | None = None,
-    fallback: Any = None,
+    fallback: LawLike | None = None,
     pressure_rate: float | None = None,
     pressure_error: float = 0.0,
     stuck_after: float | None = None,
@@ -68,23 +67,23 @@ def simulate_scenario(
 ) -> Trace:
     """One scenario on the nonlinear virtual rig or, ``linear``, on the linear closed loop.
 
-    machine: or a Plant, whose operating point is then the default. controller: a Synthesis, a
-    schedule, or anything with A, B, C, D. scenario: bundled, a file, or a Scenario. point:
-    operating point or label (None: the nominal one). rate [Hz], delay_samples: of the controller
-    (None: as it or the machine file says; the rig takes 10 kHz and one sample where nobody does).
-    fallback: the fixed controller that takes over where the pressure that a schedule is told cannot
-    be trusted, pressure_rate [Pa/s]: how fast that may change (None: the machine file's),
-    pressure_error [Pa]: how far off the reading may be, stuck_after [s]: how long it may be the
-    very same (None: for ever); ``law.supervision``. estimate: a seal monitor runs "beside" the
-    reading, or "alone" in place of it (registered by the annex of schedules). rig: further
+    machine: or a Plant, whose operating point is then the default. controller: what controls, as a
+    law or as anything that ``law.law.law_of`` makes one of. scenario: bundled, a file, or a
+    Scenario. point: operating point or label (None: the nominal one). rate [Hz], delay_samples: of
+    the controller (None: as it or the machine file says; the rig takes 10 kHz and one sample where
+    nobody does). fallback: the fixed controller that takes over where the pressure that a schedule
+    is told cannot be trusted, pressure_rate [Pa/s]: how fast that may change (None: the machine
+    file's), pressure_error [Pa]: how far off the reading may be, stuck_after [s]: how long it may
+    be the very same (None: for ever); ``law.supervision``. estimate: a seal monitor runs "beside"
+    the reading, or "alone" in place of it (registered by the annex of schedules). rig: further
     arguments of ``virtual_rig.run`` (second, bending_modes, seed, path, ...). Raises InvalidInput.
     """
-    law = getattr(controller, "law", controller)
+    law = law_of(controller)
     plant = machine if isinstance(machine, Plant) else None
     described = machine.machine if isinstance(machine, Plant) else machine
     events = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     events, where = events.on(described), chosen_point(described, point)
-    timing = timing_of(described, controller, rate, delay_samples)
+    timing = timing_of(described, law, rate, delay_samples)
     if linear:
         if rig or fallback is not None:
             raise invalid(
@@ -110,15 +109,13 @@ def simulate_scenario(
         "a minute)"
     )
     start = where or (plant.point if plant is not None else None)
-    if "second" in rig:
-        rig["second"] = getattr(rig["second"], "law", rig["second"])
     if fallback is None:
         return virtual_rig.run(described, law, events, point=start, progress=progress, **rig)
     sample = sample_time(law, described, events.sample_time)
-    check_pair(law, other := getattr(fallback, "law", fallback))
+    schedule, other = check_pair(law, fallback)
     stuck = math.inf if stuck_after is None else stuck_after
     rate = math.inf if estimate == "alone" else pressure_rate  # a mean of the past moves by steps
-    limits = supervision_limits(law, described, rate, pressure_error, stuck)
+    limits = supervision_limits(schedule, described, rate, pressure_error, stuck)
     program: Any = supervised(law, other, described, sample, limits)
     if estimate is not None:
         at = start or described.operation.nominal
@@ -139,7 +136,7 @@ def _companion() -> Any:
 
 
 def simulate_linear(
-    plant: Plant, controller: Any, scenario: str | Scenario, timing: Timing | None = None
+    plant: Plant, controller: LawLike, scenario: str | Scenario, timing: Timing | None = None
 ) -> Trace:
     """One scenario on the linear closed loop, with a timing as it runs; stops where the rotor would
     touch down.
@@ -154,9 +151,11 @@ def simulate_linear(
     if events.runs_up or events.pressures:
         if not events.runs_up and events.speed is not None:
             plant = replace(plant, point=replace(plant.point, speed=events.speed_at(0.0)))
-        scheduled = isinstance(controller, ScheduledSystem)
-        fixed = controller if scheduled else match_controller(controller, plant)
-        late = timing is not None and not scheduled and fixed.dt is None
+        law = law_of(controller)
+        if law.schedule is not None:
+            return spin_up(plant, law, events)
+        fixed = match_controller(law, plant)
+        late = timing is not None and fixed.dt is None
         return spin_up(plant, timing.late(fixed) if late and timing is not None else fixed, events)
     # the plant turns as the record will say
     if events.speed is not None and events.speed_at(0.0) != plant.point.speed:
@@ -173,7 +172,7 @@ def simulate_linear(
     )
 
 
-def run_on_rig(plant: Plant, program: Any, scenario: str, timing: Timing | None) -> Trace:
+def run_on_rig(plant: Plant, program: LawLike, scenario: str, timing: Timing | None) -> Trace:
     """One scenario on the virtual rig with the controller as it would be deployed; touchdown is an
     outcome.
 

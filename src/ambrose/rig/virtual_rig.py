@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
-from ambrose.law.loop import Law
+from ambrose.law.law import Law, LawLike, law_of
 from ambrose.law.program import ControlProgram
-from ambrose.law.scheduling import PRESSURE, SPEED, follows, scheduling_of
+from ambrose.law.scheduling import PRESSURE, SPEED
 from ambrose.law.timing import DEFAULT, Timing, machine_timing
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
@@ -56,10 +56,10 @@ _REPORT_EVERY = 2.0  # [s] between two progress messages
 
 def run(
     machine: Machine,
-    controller: Law,
+    controller: LawLike,
     scenario: Scenario,
     *,
-    second: Law | None = None,
+    second: LawLike | None = None,
     point: OperatingPoint | None = None,
     bending_modes: int | None = None,
     dt: float | None = None,
@@ -90,14 +90,15 @@ def run(
     run goes on; "diverged" means that the state overflowed, and the record ends before. Raises
     InvalidInput, and NumericalFailure where there is no levitated state to start from.
     """
+    law, other = law_of(controller), None if second is None else law_of(second)
     scenario = scenario.on(machine)
-    dt_control = sample_time(controller, machine, scenario.sample_time)
+    dt_control = sample_time(law, machine, scenario.sample_time)
     task = plan(
         build(machine, point, bending_modes),
         scenario,
         dt_control,
         seed,
-        scheduling_of(controller) or SPEED,
+        law.scheduled_over or SPEED,
     )
     if (second is None) != (scenario.switch_at is None):
         raise InvalidInput(
@@ -107,10 +108,10 @@ def run(
         computing_delay = (machine_timing(machine) or DEFAULT).delay_samples
     # refuses what is no number of samples
     computing_delay = Timing(task.dt, computing_delay).delay_samples
-    program = _program(controller, second, computing_delay)
+    program = _program(law, other, computing_delay)
     recorder = Recorder(task, every, seed, path)
     begun = time.perf_counter()
-    laws = _Laws(controller, second, machine, task.dt, computing_delay)
+    laws = _Laws(law, other, machine, task.dt, computing_delay)
     conditions = _conditions(task)
     steps = steps_per_sample(
         dt, task.dt, fastest_pole(task.rig, [drive for _, drive in conditions])
@@ -192,7 +193,7 @@ class _Laws:
             one
             for law in (self.first, self.second)
             for one in moves
-            if moves[one] and follows(law, one)
+            if law is not None and moves[one] and law.follows(one)
         ]
         return min((_SCHEDULED_STRETCH[one] for one in scheduled), default=None)
 
@@ -200,15 +201,11 @@ class _Laws:
         """The law at the speed and, told by a ``sensor`` that may err, the pressure of sample k,
         before or after the switch.
         """
-        controller = self.second if switched and self.second is not None else self.first
-        pressure = float(drive.pressure[k])
-        if sensor and follows(controller, PRESSURE):
-            low, high = (
-                np.atleast_1d(end)[-1] for end in getattr(controller, "range", (-np.inf, np.inf))
-            )
-            pressure = min(max(pressure, float(low)), float(high))
-        point = OperatingPoint(float(drive.speed[k]), pressure)
-        return sampled_law(controller, self.machine, self.sample, point, self.delay)
+        law = self.second if switched and self.second is not None else self.first
+        point = OperatingPoint(float(drive.speed[k]), float(drive.pressure[k]))
+        if sensor:
+            point = law.clamped(point)
+        return sampled_law(law, self.machine, self.sample, point, self.delay)
 
 
 def _conditions(task: Plan) -> list[tuple[int, Drive]]:
@@ -352,24 +349,25 @@ def _advance(
     return log, errors.T
 
 
-def _program(controller: Law, second: Law | None, computing_delay: int) -> ControlProgram | None:
+def _program(law: Law, second: Law | None, computing_delay: int) -> ControlProgram | None:
     """The controller, if it is a program. Raises InvalidInput for what the rig cannot do with
     one.
     """
-    if isinstance(second, ControlProgram):
+    if second is not None and second.program is not None:
         raise InvalidInput(
             "the second controller is a program; only the first can be one, so give its law instead"
         )
-    if not isinstance(controller, ControlProgram):
+    program = law.program
+    if program is None:
         return None
-    if second is not None or computing_delay != 1 or controller.delay != 1:
+    if second is not None or computing_delay != 1 or program.delay != 1:
         raise invalid(
             "computing_delay of a program",
-            min(computing_delay, controller.delay),
+            min(computing_delay, program.delay),
             "1 sample, with no second controller",
             "a program's currents act at the next sample: export it with delay_samples 1",
         )
-    return controller
+    return program
 
 
 def _remembered(

@@ -11,7 +11,8 @@ from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
 from ambrose.judge.result import Synthesis
 from ambrose.judge.unavoidable import beyond_reach, unavoidable_sensitivity
-from ambrose.law.loop import closed_loop, law_at
+from ambrose.law.law import law_of
+from ambrose.law.loop import closed_loop
 from ambrose.law.timing import DEFAULT, Timing
 from ambrose.machine.criteria import SENSITIVITY, demand
 from ambrose.machine.machine import Machine
@@ -77,7 +78,7 @@ def _unsampled(plant: Plant, result: Synthesis, timing: Timing | None) -> list[s
     """Where nobody stated a rate the loop was judged continuous; whether it would run at the rate
     that the rig assumes.
     """
-    law = law_at(result.law, plant.point)
+    law = law_of(result.law).at(plant.point)
     if timing is not None or law.dt is not None or result.status == "unstable":
         return []
     modes = min(_TRIED, bending_modes_of(plant.rotor_model))
@@ -114,7 +115,7 @@ def why_unstable(
     """Why a law does not hold a full plant: a bending mode, a gain below k_s/k_i, or what the poles
     tell.
     """
-    runs = law_at(law, plant.point)
+    runs = law_of(law).at(plant.point)
     runs = runs if timing is None else timing.in_loop(runs)
     margin = stiffness_margin(plant.machine) if method == "pid" else None
     if margin is not None and margin < 1:

@@ -27,7 +27,6 @@ from ambrose.model.reduce import reduce
 from ambrose.model.uncertainty import perturbed
 from ambrose.synthesis.fixed_order.polish import JUDGED_ROUNDS, polish_synthesis
 from ambrose.synthesis.fixed_order.reduction import reduce_controller
-from ambrose.synthesis.options import DesignOptions
 
 # of a single parameter; of several their corners and the centre
 _LEVELS = (-1.0, -0.5, 0.0, 0.5, 1.0)
@@ -117,25 +116,27 @@ def find_lowest_order(
 
 
 def reduce_order(
-    plant: Plant, result: Synthesis, options: DesignOptions, progress: Callable[[str], None]
+    plant: Plant,
+    result: Synthesis,
+    loss: float,
+    timing: Timing,
+    bending_modes: int,
+    progress: Callable[[str], None],
 ) -> Synthesis:
     """A synthesis at the lowest order for which the sampled loop's worst sensitivity rises by at
-    most ``options.loss``.
+    most ``loss`` [-].
 
-    plant: the full one it was made for; options: those of its design. The weights are the
-    synthesis' (None: the machine's). The certificate is made anew on the full plant; margins gain
-    "sampled_sensitivity" and, of the controller before, "sampled_sensitivity_given". Raises
-    InvalidInput for a machine without tolerances or weights, or options without a loss.
+    plant: the full one it was made for; timing, bending_modes (per plane in the design model): of
+    its design. The weights are the synthesis' (None: the machine's). The certificate is made anew
+    on the full plant; margins gain "sampled_sensitivity" and, of the controller before,
+    "sampled_sensitivity_given". Raises InvalidInput for a machine without tolerances or weights.
     """
-    loss, timing = options.loss, options.timing()
-    if loss is None or timing is None:
-        raise invalid("loss and rate", "not given", "given", "0.05 at 10000 Hz allows 5 %")
     weights = machine_weights(plant.machine) if result.weights is None else result.weights
-    small = reduce(plant, options.bending_modes or 0)
+    small = reduce(plant, bending_modes)
     problem = design_plant(
         apply_delay(open_model(small, design_tolerances(plant.machine), True), timing.lag), weights
     )
-    measure = sampled_sensitivity(reduce(plant, (options.bending_modes or 0) + 1), timing)
+    measure = sampled_sensitivity(reduce(plant, bending_modes + 1), timing)
     lowest = find_lowest_order(problem, result.controller, measure, loss, progress=progress)
     before, after = result.controller.n_states, lowest.controller.n_states
     note = (

@@ -36,7 +36,6 @@ from ambrose.model.ports import measured_ports, sensor_turn
 from ambrose.model.static_load import magnet_coefficients
 
 
-@named_failure("the PID controller")
 def pid_synthesis(
     plant: Plant, settings: PidSettings | None = None, timing: Timing | None = None
 ) -> Synthesis:
@@ -47,19 +46,24 @@ def pid_synthesis(
     status "verified"; otherwise it is "unstable", which is a verdict and raises nothing. Raises
     InvalidInput for settings that describe no controller.
     """
+    result = continuous_pid(plant, settings)
+    machine = replace(plant.machine, controller=result.filters)
+    return certify_as_it_runs(plant, result, timing or machine_timing(machine))
+
+
+@named_failure("the PID controller")
+def continuous_pid(plant: Plant, settings: PidSettings | None = None) -> Synthesis:
+    """``pid_synthesis`` without the loop as it runs. Raises InvalidInput."""
     settings = plant.machine.reference if settings is None else settings
     if settings is None:
         raise InvalidInput(
             f"machine {plant.machine.name!r} has no reference controller; add a [controller] with "
             "its gain or pass PidSettings"
         )
-    design = pid_controller(settings, plant.machine)
-    certificate = certify(plant, design)
+    law = pid_controller(settings, plant.machine)
+    certificate = certify(plant, law)
     status = Status.VERIFIED if certificate.stable else Status.UNSTABLE
-    result = Synthesis(design, "pid", float("nan"), status, certificate, filters=settings)
-    return certify_as_it_runs(
-        plant, result, timing or machine_timing(replace(plant.machine, controller=settings))
-    )
+    return Synthesis(law, "pid", float("nan"), status, certificate, filters=settings)
 
 
 def pid_controller(settings: PidSettings, machine: Machine) -> StateSpace:

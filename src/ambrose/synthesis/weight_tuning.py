@@ -23,7 +23,7 @@ from ambrose.core.checks import (
 )
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import GeneralizedPlant
-from ambrose.core.statespace import as_statespace
+from ambrose.core.statespace import ControllerLike, as_statespace
 from ambrose.judge.result import Synthesis
 from ambrose.law.design_problem import design_plant
 from ambrose.law.weights import Weights, scale_control
@@ -54,7 +54,7 @@ class Tuning:
 
 
 def direct_gain_mismatch(
-    controller: Any, reference: Any, band: tuple[float, float] = BAND
+    controller: ControllerLike, reference: ControllerLike, band: tuple[float, float] = BAND
 ) -> tuple[float, float]:
     """Mean and root mean square of ln(|K_ii| / |R_ii|) over the axes and the band [rad/s], on a
     logarithmic grid.

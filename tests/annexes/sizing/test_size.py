@@ -19,9 +19,9 @@ from ambrose.annexes.sizing.magnets import Size
 from ambrose.annexes.sizing.page import sizing_page
 from ambrose.cli import main
 from ambrose.report.page import render
-from ambrose.synthesis.options import DesignOptions
+from ambrose.synthesis.methods.tuned import Tuned
 
-FAST = DesignOptions(rate=10_000, order=8)
+FAST = Tuned(rate=10_000, order=8)
 
 
 @cache
@@ -151,7 +151,7 @@ def test_a_failed_design_is_a_row_with_its_reason(monkeypatch):
         ({"areas": ()}, "no areas were given"),
         ({"areas": (-1.0,)}, "one of the areas"),
         ({"reserve": -1.0}, "reserve"),
-        ({"options": DesignOptions(structure="pid")}, "structure"),
+        ({"method": Tuned(structure="pid")}, "structure"),
         ({"areas": np.linspace(0.1, 1, 50), "biases": np.linspace(0.1, 1, 50)}, "at most 400"),
     ],
 )

@@ -5,7 +5,7 @@ docs/reproduction.md states it.
 import pytest
 
 import ambrose as amb
-from ambrose.synthesis.options import DesignOptions
+from ambrose.synthesis.methods.tuned import Tuned
 from ambrose.synthesis.pid import pid_controller
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch
 
@@ -30,5 +30,5 @@ def test_the_heaviest_control_weight_with_mu_at_most_one():
 
 def test_the_least_gain_that_meets_every_requirement():
     """Another processor may end in another minimum, some per cent away."""
-    found = amb.least(amb.load_machine("seal-rig"), "gain", DesignOptions(rate=10_000))
+    found = amb.least(amb.load_machine("seal-rig"), "gain", Tuned(rate=10_000))
     assert found.value == pytest.approx(1.33e5, rel=0.08) and found.synthesis.gamma <= 1.02

@@ -17,8 +17,9 @@ from ambrose.code.block.fixed import build_block
 from ambrose.code.block.run import LIMITED, run_block, run_fixed_cascade
 from ambrose.code.c.code import generate
 from ambrose.code.c.compiled import CompiledBlock, read_law
-from ambrose.code.pipeline import ExportOptions, export
+from ambrose.code.pipeline import export
 from ambrose.code.sampled import deploy
+from ambrose.code.targets import C
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.result import Synthesis
 from ambrose.machine.controller import MODES, Channel, PidSettings, Section
@@ -325,14 +326,12 @@ def test_sections_that_do_nothing_or_cannot_be_seen(gain):
 def test_only_the_filters_of_the_controller_itself(change, message, tmp_path):
     bank = settings()
     given = Synthesis(pid_controller(bank, MACHINE), filters=change(bank))
-    options = ExportOptions(
-        form="cascade", force=True, error_limit=1e-3, current_limit=4.0, rate=1e4
-    )
+    target = C(form="cascade", force=True, error_limit=1e-3, current_limit=4.0, rate=1e4)
     if message is None:
-        assert export(given, tmp_path, to="c", options=options).paths
+        assert export(given, tmp_path, to=target).paths
         return
     with pytest.raises(InvalidInput, match=message):
-        export(given, tmp_path / "out", to="c", options=options)
+        export(given, tmp_path / "out", to=target)
     assert not (tmp_path / "out").exists()
 
 
@@ -351,13 +350,11 @@ def test_refusals_say_what_to_do():
     narrow = float(str(refused.value).partition("error_limit to ")[2].partition(" m")[0])
     assert to_fixed_cascade(both(error=narrow)[0], 16).noise.max() <= 1e-3 * CURRENT
     with pytest.raises(
-        InvalidInput, match="form is 'cascade', but must be 'modal' for the target 'st'"
+        InvalidInput, match="form is given, but must be left out with the target st; it goes with c"
     ):
-        export(
-            Synthesis(source, filters=bank), "out", to="st", options=ExportOptions(form="cascade")
-        )
-    with pytest.raises(InvalidInput, match="form is 'ladder', but must be modal or cascade"):
-        ExportOptions(form="ladder")
+        export(Synthesis(source, filters=bank), "out", to="st", form="cascade")
+    with pytest.raises(InvalidInput, match="form is 'ladder', but must be one of modal, cascade"):
+        C(form="ladder")
 
 
 def test_bound_on_floating_point():

@@ -22,7 +22,7 @@ from ambrose.code.block.supervised import supervise, supervised_twin
 from ambrose.code.block.vectors import make_scheduled_vectors
 from ambrose.code.c.code import generate
 from ambrose.code.c.compiled import CompiledSchedule
-from ambrose.code.pipeline import ExportOptions, export, machine_limits
+from ambrose.code.pipeline import export, machine_limits
 from ambrose.code.sampled import deploy, deploy_scheduled
 from ambrose.core.checks import InvalidInput
 from ambrose.core.scheduled import ScheduledSystem
@@ -296,7 +296,8 @@ def test_refusals(blocks, tmp_path):
                 tmp_path / "x",
                 to=to,
                 machine=RIG,
-                options=ExportOptions(force=True, **options),
+                force=True,
+                **options,
                 fallback=fallback,
             )
 

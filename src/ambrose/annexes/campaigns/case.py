@@ -22,9 +22,8 @@ from typing import Any
 
 from ambrose.annexes.campaigns.plan import Case, Times, Value, number_of
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.core.scheduled import ScheduledSystem
-from ambrose.core.statespace import StateSpace
-from ambrose.judge.result import Provenance, Synthesis
+from ambrose.judge.result import Synthesis, synthesis_of
+from ambrose.law.law import LawLike, law_of
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.file.parse import machine_from_document
 from ambrose.machine.machine import Machine
@@ -49,7 +48,7 @@ class Bases:
     """
 
     machines: Mapping[str, str]
-    controllers: Mapping[tuple[str, str], Any]
+    controllers: Mapping[tuple[str, str], LawLike]
     scenarios: Mapping[str, str]
 
 
@@ -60,7 +59,7 @@ class Subject:
     machine: Machine
     base: Machine
     point: OperatingPoint
-    controller: Any
+    controller: LawLike | None
     scenario: Scenario | None
     offsets: Mapping[str, float]
     options: Mapping[str, Any]
@@ -82,7 +81,7 @@ def subject(case: Case, bases: Bases, fixed: Mapping[str, Any]) -> Subject:
     name = str(given["machine"])
     machine = machine_with(bases.machines[name], tuple(parts.get("machine", {}).items()))
     base = machine_with(bases.machines[name], ())
-    controller = bases.controllers.get((str(given["controller"]), name))
+    controller: LawLike | None = bases.controllers.get((str(given["controller"]), name))
     gains = parts.get("controller", {})
     if other := [key for key in gains if key != "gain"]:
         raise InvalidInput(
@@ -225,12 +224,12 @@ def _offsets(machine: Machine, values: Mapping[str, Value]) -> dict[str, float]:
     return found
 
 
-def _scaled(controller: Any, gain: float) -> Any:
-    law = getattr(controller, "law", controller)
-    if isinstance(law, ScheduledSystem) or not isinstance(law, StateSpace):
+def _scaled(controller: LawLike, gain: float) -> Synthesis:
+    law = law_of(controller).fixed
+    if law is None:
         raise InvalidInput(
             "controller.gain needs a fixed linear controller; leave it out for a scheduled one or "
             "a filter program"
         )
     scaled = replace(law, C=gain * law.C, D=gain * law.D)
-    return Synthesis(scaled, provenance=getattr(controller, "provenance", Provenance()))
+    return Synthesis(scaled, provenance=synthesis_of(controller).provenance)

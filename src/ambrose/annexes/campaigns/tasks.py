@@ -23,13 +23,13 @@ from ambrose.annexes.campaigns.plan import Case
 from ambrose.core.checks import AmbroseError, InvalidInput, UnstableSystem
 from ambrose.core.frequency import largest_gain
 from ambrose.core.presentation import to_plain
-from ambrose.core.statespace import poles
+from ambrose.core.statespace import StateSpace, poles
 from ambrose.core.worst_case.loop import BoxLoop, default_grid, gains, unstable_poles
 from ambrose.judge import nominal
 from ambrose.judge.loop_response import frequency_grid, loop_evaluator
 from ambrose.judge.robust import box_loops
-from ambrose.judge.verdict import running_law
-from ambrose.law.loop import closed_loop, match_controller
+from ambrose.law.law import LawLike
+from ambrose.law.loop import closed_loop, match_controller, running_law
 from ambrose.law.timing import timing_of
 from ambrose.machine.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, TWO_PI
 from ambrose.machine.description import Tolerance
@@ -134,7 +134,7 @@ def _screen(group: Sequence[Subject], model: str) -> list[dict[str, Any]]:
         first.options.get("rate"),
         first.options.get("delay_samples"),
     )
-    law = match_controller(getattr(first.controller, "law", first.controller), plant)
+    law = match_controller(_controller(first), plant)
     if law.dt is not None:
         raise InvalidInput(
             "a sampled controller cannot be screened as a continuous loop; take the task verify"
@@ -153,6 +153,13 @@ def _screen(group: Sequence[Subject], model: str) -> list[dict[str, Any]]:
         return [_alone(perturbed(plant, _inside(item, held), held), law, highest) for item in group]
     delta = np.array([list(_inside(item, held).values()) for item in group])
     return _array(loop, delta, highest)
+
+
+def _controller(item: Subject) -> LawLike:
+    """What controls in a case; plans of tasks that need it name it. Raises InvalidInput."""
+    if item.controller is None:
+        raise InvalidInput("this task needs a controller; name it in the plan")
+    return item.controller
 
 
 def _held(plant: Plant, names: Collection[str]) -> tuple[Tolerance, ...]:
@@ -194,7 +201,7 @@ def _array(loop: BoxLoop, delta: np.ndarray, highest: float) -> list[dict[str, A
     return rows
 
 
-def _alone(plant: Plant, law: Any, highest: float) -> dict[str, Any]:
+def _alone(plant: Plant, law: StateSpace, highest: float) -> dict[str, Any]:
     """The same of one loop, by its poles and its response."""
     found = poles(closed_loop(plant, law))
     if found.real.max() >= 0:
@@ -227,9 +234,7 @@ def checks_of(item: Subject) -> Any:
     timing = timing_of(
         item.machine, item.controller, item.options.get("rate"), item.options.get("delay_samples")
     )
-    return nominal.check(
-        plant, running_law(getattr(item.controller, "law", item.controller), plant, timing)
-    )
+    return nominal.check(plant, running_law(_controller(item), plant, timing))
 
 
 def _verify(item: Subject) -> dict[str, Any]:
@@ -280,7 +285,7 @@ def run(item: Subject) -> Any:
         )
     place = full_plant(item) if linear else item.machine
     return simulate_scenario(
-        place, item.controller, item.scenario or "", point=item.point, linear=linear, **options
+        place, _controller(item), item.scenario or "", point=item.point, linear=linear, **options
     )
 
 

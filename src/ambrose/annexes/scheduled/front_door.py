@@ -28,4 +28,5 @@ def monitor(machine: Machine | str, controller: Any, record: Any, **options: Any
 
     given = controller_of(controller)
     measured = read_record(Path(record)) if isinstance(record, str | os.PathLike) else record
-    return watch(machine_of(machine), getattr(given, "controller", given), measured, **options)
+    law = given if given.nominal is None else given.nominal
+    return watch(machine_of(machine), law, measured, **options)

@@ -1,7 +1,7 @@
 """Beside the machine: frequency responses, acceptance, balancing, calibration, bias currents."""
 
 ANNEX = {
-    "command": {
+    "site command": {
         "accept": "accept_command:accept",
         "balance": "balance_command:balance",
         "bias": "bias_command:bias",

@@ -30,7 +30,8 @@ from ambrose.identification.output_error.problem import check_machine
 from ambrose.identification.validation.operating_load import machine_at_load
 from ambrose.judge.checks import Check, Checks
 from ambrose.judge.criteria import holds, information, judge
-from ambrose.judge.verdict import running_law
+from ambrose.law.law import LawLike
+from ambrose.law.loop import running_law
 from ambrose.law.timing import Timing, timing_of
 from ambrose.machine.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, TWO_PI, Demand, demand
 from ambrose.machine.description import OperatingPoint
@@ -95,7 +96,7 @@ class Acceptance(Presented):
     """What was measured at every operating point; controller: its digest; records: their names."""
 
     machine: Machine
-    controller: Any
+    controller: LawLike
     timing: str
     points: tuple[MeasuredLoop, ...]
     records: tuple[str, ...] = ()
@@ -141,7 +142,7 @@ class Acceptance(Presented):
 
 def accept(
     machine: Machine,
-    controller: Any,
+    controller: LawLike,
     records: Record | str | Path | Sequence[Record | str | Path],
     *,
     harmonics: int = 3,
@@ -210,14 +211,14 @@ def _check(machine: Machine, record: Record, number: int) -> None:
 
 
 def _measure(
-    machine: Machine, controller: Any, timing: Timing, records: list[Record], harmonics: int
+    machine: Machine, controller: LawLike, timing: Timing, records: list[Record], harmonics: int
 ) -> MeasuredLoop:
     from scipy.special import stdtrit
 
     axes, point = machine.axes, records[0].point
     plant = assemble(machine, point)
     loaded = machine_at_load(machine, records)
-    law = running_law(getattr(controller, "law", controller), plant, timing)
+    law = running_law(controller, plant, timing)
     kind = _excitation(records, axes)
     a, currents = (
         len(axes),

@@ -10,6 +10,7 @@ import numpy as np
 
 from ambrose.annexes.site.acceptance import Acceptance, MeasuredLoop
 from ambrose.judge.criteria import zone_lines
+from ambrose.law.law import law_of
 from ambrose.machine.criteria import SENSITIVITY
 from ambrose.machine.file.toml import machine_hash
 from ambrose.report import tables, units
@@ -48,7 +49,7 @@ def acceptance_page(accepted: Acceptance, *, date: str = "") -> Page:
         )
     )
     verdicts = [tables.verdict(loop.checks) for loop in accepted.points]
-    digest = getattr(accepted.controller, "digest", "")
+    digest = law_of(accepted.controller).digest
     rows = (
         ("Machine file", accepted.machine.name, Cell("", detail=machine_hash(accepted.machine))),
         ("Controller", f"{accepted.timing}", Cell("", detail=digest)),

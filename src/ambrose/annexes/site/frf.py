@@ -29,8 +29,8 @@ from ambrose.identification.frf.measured import IN_WORDS, LoopFrf, measure
 from ambrose.identification.frf.spectral import Frf
 from ambrose.identification.frf.validity import DISAGREES, Validity, compare, model_response
 from ambrose.identification.validation.operating_load import machine_at_load
-from ambrose.judge.verdict import running_law
-from ambrose.law.loop import closed_loop
+from ambrose.law.law import LawLike
+from ambrose.law.loop import closed_loop, running_law
 from ambrose.law.timing import Timing, timing_of
 from ambrose.machine.criteria import TWO_PI
 from ambrose.machine.description import OperatingPoint
@@ -176,7 +176,7 @@ class Responses(Presented):
 def respond(
     machine: Machine,
     records: Record | str | Path | Sequence[Record | str | Path],
-    controller: Any = None,
+    controller: LawLike | None = None,
     *,
     method: str | None = None,
     band: tuple[float, float] = (0.0, np.inf),
@@ -246,12 +246,16 @@ class _Model:
     """
 
     def __init__(
-        self, machine: Machine, records: Sequence[Record], controller: Any, timing: Timing
+        self,
+        machine: Machine,
+        records: Sequence[Record],
+        controller: LawLike | None,
+        timing: Timing,
     ) -> None:
         self.plant = assemble(machine_at_load(machine, records), records[0].point)
         self.loop: StateSpace | None = None
         if controller is not None:
-            law = running_law(getattr(controller, "law", controller), self.plant, timing)
+            law = running_law(controller, self.plant, timing)
             self.loop = closed_loop(self.plant, law)
         self.dt = timing.sample_time
 

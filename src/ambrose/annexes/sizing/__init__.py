@@ -3,7 +3,7 @@ asked (thesis, 7.3).
 """
 
 ANNEX = {
-    "command": {"size": "command:size"},
+    "design command": {"size": "command:size"},
     "public": {"size": "map", "least": "least", "price": "least"},
     "page": {"Sizing": "page:sizing_page"},
 }

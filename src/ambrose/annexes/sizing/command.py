@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from ambrose.core.checks import InvalidInput, invalid
 from ambrose.terminal import (
     AS_JSON,
     DELAY,
@@ -24,6 +23,9 @@ from ambrose.terminal import (
     say,
     say_json,
 )
+
+if TYPE_CHECKING:
+    from ambrose.machine.machine import Machine
 
 _LEVERS = ("gain", "weight", "area", "bias", "bandwidth")
 
@@ -100,7 +102,8 @@ def size(
     stays at most 1; with --tolerance and --widths: what robustness costs. Exit status 1: nothing
     meets all, or the verification failed.
     """
-    from ambrose.synthesis.options import DesignOptions
+    from ambrose.core.checks import InvalidInput
+    from ambrose.synthesis.methods.tuned import Tuned
 
     if (tolerance is None) != (widths is None) or (tolerance is not None and lever is None):
         raise InvalidInput("--tolerance, --widths and --least go together; give all three")
@@ -108,20 +111,18 @@ def size(
         raise InvalidInput(
             "--least gives no map; leave out --areas, --biases, --output and --machine-out"
         )
-    description, options = (
+    description, method = (
         load(machine),
-        DesignOptions(rate=rate_hz, delay_samples=delay_samples, order=order),
+        Tuned(rate=rate_hz, delay_samples=delay_samples, order=order),
     )
     if lever is not None:
-        _least(
-            description, lever, options, tolerance, _shares("--widths", widths), reserve, as_json
-        )
+        _least(description, lever, method, tolerance, _shares("--widths", widths), reserve, as_json)
     else:
         _map(
             description,
             _shares("--areas", areas),
             _shares("--biases", biases),
-            options,
+            method,
             reserve,
             unverified,
             output,
@@ -131,10 +132,10 @@ def size(
 
 
 def _map(
-    machine: Any,
+    machine: Machine,
     areas: list[float],
     biases: list[float],
-    options: Any,
+    method: Any,
     reserve: float,
     unverified: bool,
     output: Path | None,
@@ -150,12 +151,12 @@ def _map(
     failure, verified = None, None
     with progress_shown(as_json) as progress:
         result = sized(
-            machine, areas or AREAS, biases or BIASES, options, reserve=reserve, progress=progress
+            machine, areas or AREAS, biases or BIASES, method, reserve=reserve, progress=progress
         )
         knee = result.knee
-        if knee is not None and not unverified:
+        if knee is not None and knee.synthesis is not None and not unverified:
             progress("verifying the size that is taken")
-            timing = options.timing(knee.machine)
+            timing = method.timing(knee.machine)
             when = (
                 {}
                 if timing is None
@@ -221,9 +222,9 @@ def _map(
 
 
 def _least(
-    machine: Any,
+    machine: Machine,
     lever: str,
-    options: Any,
+    method: Any,
     tolerance: str | None,
     widths: list[float],
     reserve: float,
@@ -236,12 +237,12 @@ def _least(
         if tolerance is not None:
             find_uncertain(machine, tolerance)
             priced = price(
-                machine, tolerance, widths, lever, options, reserve=reserve, progress=progress
+                machine, tolerance, widths, lever, method, reserve=reserve, progress=progress
             )
             found, labels = priced.found, [f"+-{100 * width:.4g} %" for width in priced.widths]
         else:
             found, labels = (
-                (least(machine, lever, options, reserve=reserve, progress=progress),),
+                (least(machine, lever, method, reserve=reserve, progress=progress),),
                 ["machine file"],
             )
     unit = "A/m" if lever == "gain" else "of the machine file's"
@@ -298,6 +299,8 @@ def _number(value: float) -> str:
 
 def _shares(option: str, text: str | None) -> list[float]:
     """Numbers between commas, "0.5" or "50 %". Raises InvalidInput."""
+    from ambrose.core.checks import invalid
+
     found = []
     for word in (text or "").split(","):
         if not word.strip():

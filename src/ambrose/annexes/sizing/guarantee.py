@@ -21,7 +21,7 @@ from ambrose.model.assemble import assemble
 from ambrose.model.static_load import operating_magnets
 from ambrose.synthesis.fixed_order.job import Job, Law, first_law, prepare
 from ambrose.synthesis.fixed_order.tuning import INTERRUPTED, tuned
-from ambrose.synthesis.options import DesignOptions
+from ambrose.synthesis.methods.tuned import Tuned
 from ambrose.synthesis.pid import first_settings, pid_controller
 
 RESERVE = 2.0  # of force over static load: two to three are usual; assumed
@@ -56,33 +56,33 @@ class Trial:
 
 
 def tuning_job(
-    machine: Machine, options: DesignOptions, time_limit: float, order: int | None = None
+    machine: Machine, method: Tuned, time_limit: float, order: int | None = None
 ) -> tuple[Job, Law]:
     """What is tuned for a machine at all its operating points, and what to begin with; its order
     does not grow.
     """
     start = pid_controller(machine.reference or first_settings(machine), machine)
     plants = envelope_of(assemble(machine, machine.operation.design))
-    states = options.order if order is None else order
+    states = method.order if order is None else order
     job = prepare(
         plants,
         start,
-        options.timing(),
+        method.timing(),
         states,
-        options.structure,
-        options.bending_modes,
+        method.structure,
+        method.bending_modes,
         None,
         time_limit,
         None,
     )
     job.most_states = None
-    return job, first_law(job, start, states, options.structure)
+    return job, first_law(job, start, states, method.structure)
 
 
 def attempt(
     machine: Machine,
     size: Size,
-    options: DesignOptions,
+    method: Tuned,
     *,
     reserve: float = RESERVE,
     near: Trial | None = None,
@@ -98,12 +98,12 @@ def attempt(
     """
     price = costs(machine, size)
     found = resized(machine, size)
-    words = _screened(machine, found, size, price, options, reserve)
+    words = _screened(machine, found, size, price, method, reserve)
     if words:
         return Trial(size, found, price, float("inf"), words)
     best = Trial(size, found, price, float("inf"), "no controller was found")
     for start in (near, None) if near is not None else (None,):
-        trial = _tuned(best, options, start, time_limit)
+        trial = _tuned(best, method, start, time_limit)
         if trial.ratio < best.ratio or best.synthesis is None:
             best = trial
         if best.met:
@@ -115,15 +115,15 @@ def attempt(
     return best
 
 
-def _tuned(before: Trial, options: DesignOptions, near: Trial | None, time_limit: float) -> Trial:
+def _tuned(before: Trial, method: Tuned, near: Trial | None, time_limit: float) -> Trial:
     """The trial with a controller, tuned from a neighbour's, or from the reference controller."""
     found = before.machine
     try:
-        job, law = tuning_job(found, options, time_limit)
+        job, law = tuning_job(found, method, time_limit)
         synthesis = tuned(
             job,
             law if near is None else _scaled(near, found),
-            options.structure,
+            method.structure,
             again=near is not None,
         )
     except NumericalFailure as error:
@@ -148,7 +148,7 @@ def _tuned(before: Trial, options: DesignOptions, near: Trial | None, time_limit
 
 
 def _screened(
-    given: Machine, found: Machine, size: Size, price: Costs, options: DesignOptions, reserve: float
+    given: Machine, found: Machine, size: Size, price: Costs, method: Tuned, reserve: float
 ) -> str:
     """Why no controller can hold a size; "" where one may."""
     if not flux_within(given, size):
@@ -166,9 +166,7 @@ def _screened(
     )
     try:
         return beyond_reach(
-            *unavoidable_sensitivity(
-                assemble(found, found.operation.design), options.timing(found)
-            ),
+            *unavoidable_sensitivity(assemble(found, found.operation.design), method.timing(found)),
             limit,
         )
     except (InvalidInput, NumericalFailure) as error:

@@ -22,8 +22,9 @@ from ambrose.machine.description import Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.synthesis.design import design
-from ambrose.synthesis.fixed_order.trade_off import lowest
-from ambrose.synthesis.options import DesignOptions
+from ambrose.synthesis.methods.mu import Mu
+from ambrose.synthesis.methods.tuned import Tuned
+from ambrose.synthesis.trade_off import lowest
 
 LEVERS = ("gain", "weight", "area", "bias", "bandwidth")
 # of one step down; ratio of the last two; share below which nothing is tried
@@ -81,7 +82,7 @@ class Price(Presented):
 def least(
     machine: Machine,
     lever: str = "gain",
-    options: DesignOptions | None = None,
+    method: Tuned | None = None,
     *,
     reserve: float = RESERVE,
     time_limit: float = 30.0,
@@ -96,7 +97,7 @@ def least(
     [weights] control_level at which mu of the design at its point is proved to be at most 1, so
     that performance is robust on the design model. Raises InvalidInput.
     """
-    options = (options or DesignOptions()).on(machine)
+    method = (method or Tuned()).without_bank().on(machine)
     if lever not in LEVERS:
         raise invalid(
             "lever",
@@ -104,25 +105,18 @@ def least(
             f"one of {', '.join(LEVERS)}",
             "gain is the thesis' minimum control action",
         )
-    if options.structure in {"pid", "filters"}:
-        raise invalid(
-            "structure",
-            options.structure,
-            "free, plane or axis",
-            "a bank is tuned by the design itself",
-        )
     if lever == "gain":
-        job, law = tuning_job(machine, options, time_limit)
+        job, law = tuning_job(machine, method, time_limit)
         value, met, binding, found = lowest(
-            job, law, options.structure, False, time_limit, progress, "gain", _AIMS
+            job, law, method.structure, False, time_limit, progress, "gain", _AIMS
         )
         return Least("gain", value if met else float("inf"), 0.0, binding, found, machine)
     if lever == "weight":
-        return _heaviest(machine, options, progress)
-    return _stepped(machine, lever, options, reserve, time_limit, progress)
+        return _heaviest(machine, method, progress)
+    return _stepped(machine, lever, method, reserve, time_limit, progress)
 
 
-def _heaviest(machine: Machine, options: DesignOptions, progress: Callable[[str], None]) -> Least:
+def _heaviest(machine: Machine, method: Tuned, progress: Callable[[str], None]) -> Least:
     """Bisection over the control weight of mu designs; mu grows with it."""
     weights = machine.weights
     if weights is None or weights.control_level is None or not machine.tolerances:
@@ -131,6 +125,12 @@ def _heaviest(machine: Machine, options: DesignOptions, progress: Callable[[str]
             "take lever gain"
         )
     found: dict[float, Synthesis] = {}
+    mu_method = Mu(
+        rate=method.rate,
+        delay_samples=method.delay_samples,
+        bending_modes=method.bending_modes,
+        match_reference=False,
+    )
 
     def mu(factor: float) -> float:
         level = factor * weights.control_level
@@ -138,9 +138,7 @@ def _heaviest(machine: Machine, options: DesignOptions, progress: Callable[[str]
             replace(machine, weights=replace(weights, control_level=level)),
             machine.operation.design,
         )
-        found[factor] = design(
-            plant, "mu", replace(options, match_reference=False, structure="free", order=None)
-        )
+        found[factor] = design(plant, mu_method)
         progress(f"{factor:.3g} of control_level: mu {found[factor].gamma:.4g}")
         return found[factor].gamma
 
@@ -161,7 +159,7 @@ def _heaviest(machine: Machine, options: DesignOptions, progress: Callable[[str]
 def _stepped(
     machine: Machine,
     lever: str,
-    options: DesignOptions,
+    method: Tuned,
     reserve: float,
     time_limit: float,
     progress: Callable[[str], None],
@@ -175,7 +173,7 @@ def _stepped(
         trial = attempt(
             machine,
             size,
-            options,
+            method,
             reserve=reserve,
             near=best,
             time_limit=time_limit,
@@ -213,7 +211,7 @@ def price(
     parameter: str,
     widths: Sequence[float],
     lever: str = "gain",
-    options: DesignOptions | None = None,
+    method: Tuned | None = None,
     *,
     reserve: float = RESERVE,
     time_limit: float = 30.0,
@@ -244,9 +242,7 @@ def price(
                 machine, tolerances=(*others, replace(stated, absolute=None, relative=width))
             )
             found.append(
-                least(
-                    own, lever, options, reserve=reserve, time_limit=time_limit, progress=progress
-                )
+                least(own, lever, method, reserve=reserve, time_limit=time_limit, progress=progress)
             )
     except KeyboardInterrupt:
         if not found:

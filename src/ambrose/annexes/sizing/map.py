@@ -16,7 +16,7 @@ from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.presentation import Presented, data_frame
 from ambrose.machine.machine import Machine
-from ambrose.synthesis.options import DesignOptions
+from ambrose.synthesis.methods.tuned import Tuned
 
 AREAS, BIASES = (0.12, 0.18, 0.25, 0.35, 0.5, 0.7, 1.0), (0.5, 0.7, 1.0)
 _MOST = 400  # cells
@@ -126,7 +126,7 @@ def size(
     machine: Machine,
     areas: Sequence[float] = AREAS,
     biases: Sequence[float] = BIASES,
-    options: DesignOptions | None = None,
+    method: Tuned | None = None,
     *,
     reserve: float = RESERVE,
     time_limit: float = 30.0,
@@ -140,14 +140,7 @@ def size(
     reserve [-]: force at the largest control current over static load, at least. time_limit [s] of
     computing for each. Ctrl-C keeps the sizes that are done. Raises InvalidInput.
     """
-    options = (options or DesignOptions()).on(machine)
-    if options.structure in {"pid", "filters"}:
-        raise invalid(
-            "structure",
-            options.structure,
-            "free, plane or axis",
-            "a bank is tuned by the design itself",
-        )
+    method = (method or Tuned()).without_bank().on(machine)
     check_positive(
         reserve,
         "reserve",
@@ -173,7 +166,7 @@ def size(
                 attempt(
                     machine,
                     item,
-                    options,
+                    method,
                     reserve=reserve,
                     near=near,
                     time_limit=time_limit,

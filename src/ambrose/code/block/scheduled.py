@@ -45,7 +45,8 @@ from ambrose.core.checks import InvalidInput, UnstableSystem, check_positive, ch
 from ambrose.core.peak_gain import peak_gains
 from ambrose.core.scheduled import ScheduledSystem, corners, grid_points, interval_points
 from ambrose.core.statespace import StateSpace
-from ambrose.law.scheduling import SPEED, Scheduling, scheduling_of
+from ambrose.law.law import law_of
+from ambrose.law.scheduling import SPEED, Scheduling
 
 _EXAMINED = 3  # values in every interval at which the anti-windup is examined
 # times the highest of the grid: beyond it a value is implausible, if nobody says otherwise
@@ -177,7 +178,7 @@ def build_scheduled_block(
     K = deployment.sampled
     settings = check_settings(K, name, error_limit, current_limit, windup_time, hold_samples)
     errors, currents = settings.error_limit, settings.current_limit
-    along = scheduling_of(K) or SPEED
+    along = law_of(K).scheduled_over or SPEED
     limits, rates = check_told_limits(K.axes, along, told_limit, rate_limit)
     dt = float(K.dt or 0.0)
     law = _Points.of(deployment)

@@ -24,7 +24,7 @@ import numpy as np
 from ambrose.code.block.fixed import ControlBlock
 from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.core.checks import invalid
-from ambrose.law.supervision import Law, Limits, SupervisedLaws, SupervisedProgram
+from ambrose.law.supervision import Limits, Matrices, SupervisedLaws, SupervisedProgram
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -107,7 +107,7 @@ def supervised_twin(block: SupervisedBlock, kind: Any = np.float64) -> Supervise
     return SupervisedProgram(pair, block.watch)
 
 
-def _law(matrices: tuple[np.ndarray, ...], kind: Any) -> Law:
+def _law(matrices: tuple[np.ndarray, ...], kind: Any) -> Matrices:
     return tuple(x.astype(kind) for x in matrices)
 
 

@@ -180,18 +180,16 @@ def chords(system: Any) -> Chords:
         raise invalid(
             "the system", repr(system), "continuous", "give the one that it was sampled from"
         )
-    found = _separated(system)
-    if not (found.every_pole.real < 0).all():
-        raise UnstableSystem(
-            f"a pole has real part {found.every_pole.real.max():.4g} rad/s; close the loop stably "
-            "first"
-        )
-    return found
+    response = modal_chords(system)
+    if not (response.every_pole.real < 0).all():
+        worst = response.every_pole.real.max()
+        raise UnstableSystem(f"a pole has real part {worst:.4g} rad/s; close the loop stably first")
+    return response
 
 
-def _separated(system: StateSpace) -> Chords:
-    """The modal form with the widest separation that keeps its digits; one single cluster where
-    there is none.
+def modal_chords(system: StateSpace) -> Chords:
+    """The response of a continuous system, stable or not, by its modal form with the widest
+    separation that keeps its digits; one single cluster where there is none.
     """
     for growth in _GROWTH:
         try:

@@ -39,6 +39,7 @@ from ambrose.core.matrix_equations import discrete_lyapunov, lyapunov
 from ambrose.core.presentation import Presented
 from ambrose.core.realisation.balancing import balance
 from ambrose.core.statespace import (
+    ControllerLike,
     StateSpace,
     append,
     as_statespace,
@@ -114,8 +115,8 @@ class CoprimeFactors(Presented):
 
 
 def coprime_factors(
-    plant: Any,
-    controller: Any,
+    plant: ControllerLike,
+    controller: ControllerLike,
     plant_gain: ArrayLike | None = None,
     controller_gain: ArrayLike | None = None,
 ) -> CoprimeFactors:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -38,6 +37,7 @@ from ambrose.identification.data_quality.signals import signal_findings
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding
 from ambrose.identification.output_error.problem import as_records, deployed_controller
 from ambrose.identification.parameters import plant_at, ratios
+from ambrose.law.law import LawLike, law_of
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
@@ -56,7 +56,7 @@ _MINOR, _OTHER = 0.02, 0.2
 def diagnose_records(
     machine: Machine,
     records: Record | Sequence[Record],
-    controller: Any,
+    controller: LawLike,
     *,
     start: Mapping[str, float] | None = None,
     bending_modes: int = 3,
@@ -147,7 +147,12 @@ def _start_at(
 
 
 def _wiring_findings(
-    plant: Plant, controller: Any, law: StateSpace, measured: Responses, record: Record, delay: int
+    plant: Plant,
+    controller: LawLike,
+    law: StateSpace,
+    measured: Responses,
+    record: Record,
+    delay: int,
 ) -> list[Finding]:
     """Mixed-up channels, or another sample rate, or a response that is no response at all."""
     untouched = _no_trace(measured)
@@ -207,12 +212,12 @@ def _clear(now: Mapping[str, float], then: Mapping[str, float]) -> bool:
 
 
 def _other_rate(
-    plant: Plant, controller: Any, measured: Responses, delay: int, stated: float
+    plant: Plant, controller: LawLike, measured: Responses, delay: int, stated: float
 ) -> tuple[float, float, dict[str, float]] | None:
     """(score, true rate over the stated one, shares) of the rate that explains the responses best;
     None for a sampled law.
     """
-    if getattr(controller, "dt", None) is not None:
+    if law_of(controller).sample_time is not None:
         return None
     rows = []
     for factor in _RATES:

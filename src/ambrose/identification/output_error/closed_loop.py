@@ -52,6 +52,7 @@ from ambrose.identification.output_error.problem import (
     start_values,
 )
 from ambrose.identification.output_error.residual_analysis import residual_scores
+from ambrose.law.law import LawLike
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.record.record import Record
@@ -118,7 +119,7 @@ class ParameterEstimate:
 def identify(
     machine: Machine,
     records: Record | Sequence[Record],
-    controller: Any,
+    controller: LawLike,
     unknown: Sequence[str],
     *,
     start: Mapping[str, float] | None = None,

@@ -40,6 +40,7 @@ from ambrose.identification.output_error.problem import (
 from ambrose.identification.output_error.residual_analysis import residual_scores
 from ambrose.identification.output_error.statistics import TurningWave
 from ambrose.identification.parameters import plant_at
+from ambrose.law.law import LawLike
 from ambrose.law.loop import closed_loop
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
@@ -120,7 +121,7 @@ class MagneticForce:
 def magnetic_force(
     machine: Machine,
     records: Sequence[Record],
-    controller: Any,
+    controller: LawLike,
     experiment: Experiment,
     result: ParameterEstimate,
     before: MagneticForce | None = None,
@@ -296,7 +297,7 @@ def _stretches(samples: int) -> Iterator[slice]:
 def without_magnets(
     machine: Machine,
     records: Sequence[Record],
-    controller: Any,
+    controller: LawLike,
     experiment: Experiment,
     result: ParameterEstimate,
 ) -> tuple[MagneticForce | None, tuple[Record, ...], Experiment, ParameterEstimate]:

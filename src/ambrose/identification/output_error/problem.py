@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from ambrose.identification.output_error.loop_model import ParametricModel, loop
 from ambrose.identification.output_error.normal_equations import Task, distinct
 from ambrose.identification.output_error.synchronous import synchronous_of
 from ambrose.identification.parameters import nominal_values, ratios, reduced_plant, split_timing
+from ambrose.law.law import LawLike
 from ambrose.law.loop import match_controller
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
@@ -79,7 +79,7 @@ class Experiment:
 def build_experiment(
     machine: Machine,
     records: Record | Sequence[Record],
-    controller: Any,
+    controller: LawLike,
     unknown: Sequence[str],
     options: FitOptions,
 ) -> Experiment:
@@ -331,7 +331,7 @@ def _order(signal: np.ndarray, order: int) -> int:
     return best
 
 
-def deployed_controller(plant: Plant, controller: Any, dt: float, delay: float) -> StateSpace:
+def deployed_controller(plant: Plant, controller: LawLike, dt: float, delay: float) -> StateSpace:
     """The controller as it runs every ``dt`` [s]: sampled by Tustin's map if it is continuous,
     ``delay`` samples late.
 

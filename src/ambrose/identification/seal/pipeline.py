@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
-from typing import Any
 
 from ambrose.core.checks import invalid
 from ambrose.identification.findings import Finding, refuse
@@ -26,6 +25,7 @@ from ambrose.identification.seal.result import COEFFICIENTS, SealFit
 from ambrose.identification.seal.stepped_sine import seal_name
 from ambrose.identification.validation.plausibility import diagnose_outputs
 from ambrose.identification.validation.simulated_output import simulate_outputs
+from ambrose.law.law import LawLike
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY
 from ambrose.record.record import Record
@@ -36,7 +36,7 @@ _LEAST = {"line": 3, "table": 2}  # pressures
 def identify_seal(
     machine: Machine,
     records: Sequence[Record],
-    controller: Any,
+    controller: LawLike,
     form: str = "line",
     unknown: Sequence[str] = (),
     *,
@@ -125,7 +125,11 @@ def identify_seal(
 
 
 def _check_fit(
-    known: Machine, records: Sequence[Record], controller: Any, fit: SealFit, options: FitOptions
+    known: Machine,
+    records: Sequence[Record],
+    controller: LawLike,
+    fit: SealFit,
+    options: FitOptions,
 ) -> tuple[Finding, ...]:
     """What the model with the seal identified at each pressure misses in the records under
     pressure.

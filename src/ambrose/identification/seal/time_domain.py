@@ -17,6 +17,7 @@ from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.output_error.problem import FitOptions, build_experiment
 from ambrose.identification.seal.result import COEFFICIENTS, ENTRIES, SealFit
 from ambrose.identification.seal.stepped_sine import seal_name
+from ambrose.law.law import LawLike
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import seal_coefficients
 from ambrose.record.record import Record
@@ -33,7 +34,7 @@ _MEMBERS = {
 def identify(
     machine: Machine,
     records: Sequence[Record],
-    controller: Any,
+    controller: LawLike,
     *,
     seal: str | None = None,
     coefficients: Sequence[str] = COEFFICIENTS,
@@ -101,7 +102,7 @@ def identify(
 def _fit_at(
     machine: Machine,
     records: list[Record],
-    controller: Any,
+    controller: LawLike,
     paths: list[str],
     options: FitOptions,
     start: Mapping[str, float] | None,

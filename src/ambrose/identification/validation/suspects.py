@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -32,6 +31,7 @@ from ambrose.identification.output_error.problem import Experiment, FitOptions, 
 from ambrose.identification.output_error.residual_analysis import residual_scores
 from ambrose.identification.output_error.statistics import verdict_of
 from ambrose.identification.parameters import unit_of
+from ambrose.law.law import LawLike
 from ambrose.machine.description import AMPLIFIER_PARAMETERS
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import BENDING, TIMING, bending_modes_of_mesh, parse_parameter
@@ -74,7 +74,7 @@ class Suspect:
 def suspects(
     machine: Machine,
     records: Sequence[Record],
-    controller: Any,
+    controller: LawLike,
     result: ParameterEstimate,
     options: FitOptions,
 ) -> tuple[Suspect, ...]:
@@ -122,7 +122,7 @@ def suspects(
 def _truncation(
     machine: Machine,
     records: Sequence[Record],
-    controller: Any,
+    controller: LawLike,
     result: ParameterEstimate,
     options: FitOptions,
     modes: int,

@@ -44,6 +44,7 @@ from ambrose.identification.youla.residual_model import (
     held_residual,
     sampled_residual,
 )
+from ambrose.law.law import LawLike
 from ambrose.machine.machine import Machine
 from ambrose.model.plant import Plant
 from ambrose.record.record import Record
@@ -75,7 +76,7 @@ class ResidualIdentification:
 def identify(
     machine: Machine,
     records: Record | Sequence[Record],
-    controller: Any,
+    controller: LawLike,
     unknown: Sequence[str],
     *,
     start: Mapping[str, float] | None = None,

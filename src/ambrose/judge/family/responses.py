@@ -20,7 +20,8 @@ from ambrose.core.statespace import StateSpace
 from ambrose.core.worst_case.bounds import gain_bound
 from ambrose.core.worst_case.loop import BoxLoop, box_loop, box_points, gains, perturbed_matrix
 from ambrose.core.worst_case.search import worst_gain_at
-from ambrose.law.loop import Law, match_controller
+from ambrose.law.law import LawLike
+from ambrose.law.loop import match_controller
 from ambrose.machine.description import Tolerance
 from ambrose.model.plant import Plant
 from ambrose.model.unbalance import Unbalance, residual_unbalance
@@ -32,7 +33,7 @@ _BLOCK = 64  # members integrated at once
 @named_failure("the loop over the box")
 def loop_over_box(
     plant: Plant,
-    controller: Law,
+    controller: LawLike,
     inputs: Sequence[str],
     outputs: Sequence[str],
     tolerances: Sequence[Tolerance] | None = None,
@@ -82,7 +83,7 @@ class BoxUnbalance:
 @named_failure("the unbalance response over the box")
 def unbalance_over_box(
     plant: Plant | Callable[[float], Plant],
-    controller: Law,
+    controller: LawLike,
     speeds: ArrayLike,
     residual: Unbalance | None = None,
     tolerances: Sequence[Tolerance] | None = None,
@@ -119,7 +120,9 @@ def unbalance_over_box(
     )
 
 
-def _compliance(plant: Plant, controller: Law, tolerances: Sequence[Tolerance] | None) -> BoxLoop:
+def _compliance(
+    plant: Plant, controller: LawLike, tolerances: Sequence[Tolerance] | None
+) -> BoxLoop:
     return loop_over_box(
         plant, controller, plant.bearing_named("f"), plant.bearing_named("q"), tolerances
     )
@@ -162,7 +165,7 @@ class PulseFamily:
 @named_failure("the pulse responses over the box")
 def pulse_family(
     plant: Plant,
-    controller: Law,
+    controller: LawLike,
     port: str,
     force: float,
     width: float,

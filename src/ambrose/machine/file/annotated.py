@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ambrose.machine.file.tables import MachineFile, Table, table_below
+from ambrose.machine.file.tables import Table, machine_file, table_below
 from ambrose.machine.file.toml import written, written_key
 from ambrose.machine.machine import Machine
 from ambrose.machine.units import DIMENSIONS, rewrite_quantity
@@ -48,7 +48,7 @@ def annotated_machine(machine: Machine, title: str) -> str:
     writer = _Writer(tuple(name for name, _ in machine.assumed), set())
     text = [f"# {line}".rstrip() for line in title.splitlines()]
     for key, value in document.items():
-        text += writer.table(MachineFile, key, key, value)
+        text += writer.table(machine_file(), key, key, value)
     return "\n".join(text) + "\n"
 
 

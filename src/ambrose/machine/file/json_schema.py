@@ -19,9 +19,9 @@ def machine_schema() -> dict[str, Any]:
     meaning, form and default.
     """
     # whoever reads a record needs no tables of machines
-    from ambrose.machine.file.tables import MachineFile
+    from ambrose.machine.file.tables import machine_file
 
-    made: dict[str, Any] = tidy_schema(MachineFile.model_json_schema(by_alias=True))
+    made: dict[str, Any] = tidy_schema(machine_file().model_json_schema(by_alias=True))
     tables: dict[str, Any] = made.pop("$defs")
     head = {
         "$schema": DIALECT,

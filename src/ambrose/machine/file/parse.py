@@ -5,17 +5,22 @@ put together.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
 from pydantic import ValidationError
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.file.tables import MachineFile, Table, table_below
+from ambrose.machine.attachment import attachments
+from ambrose.machine.description import MachineDescription
+from ambrose.machine.file.tables import Table, machine_file, table_below
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import SHOWN, listed, shown, suggestion
 from ambrose.machine.rotor_model import Material, ShaftSection
 from ambrose.machine.validation.machine import InvalidMachine
 
+# keys of the file whose parts are a field of the machine
+_FIELDS = {item.metadata.get("key", item.name) for item in fields(MachineDescription)}
 _LABELS = ("name", "label", "bearing", "parameter")
 
 
@@ -26,7 +31,7 @@ def machine_from_document(document: Mapping[str, Any], name: str, text: str = ""
     Raises InvalidInput with one line for each problem found: of its form, or of its physics where
     the form is right.
     """
-    file = read_table(MachineFile, document, name)
+    file = read_table(machine_file(), document, name)
     tables = dict(file)
     whole = tables["machine"].given()
     whole.pop("version")
@@ -35,8 +40,16 @@ def machine_from_document(document: Mapping[str, Any], name: str, text: str = ""
     shaft, unknown = _shaft(tables["shaft"], materials)
     if unclear or unknown:
         raise InvalidInput(listed(name, [*unclear, *unknown]))
+    given = file.given()
+    # of tables whose parts have a field of their own the machine has that
+    no_field = set(attachments()) - _FIELDS
+    effects = tuple(
+        part for table in attachments() if table in no_field for part in given.pop(table, ())
+    )
     try:
-        return Machine(shaft=shaft, assumed=assumed, file_text=text, **whole, **file.given())
+        return Machine(
+            shaft=shaft, assumed=assumed, file_text=text, effects=effects, **whole, **given
+        )
     except InvalidMachine as error:
         raise InvalidMachine(name, error.problems) from None  # named by its file
 
@@ -56,7 +69,7 @@ def read_table(model: type[Table], document: Mapping[str, Any], name: str) -> Ta
 
 def named_materials(document: Mapping[str, Any]) -> dict[str, Material]:
     """The materials of a document that ``machine_from_document`` accepts, by name."""
-    return _materials(MachineFile.model_validate(document))
+    return _materials(machine_file().model_validate(document))
 
 
 def _materials(file: Table) -> dict[str, Material]:
@@ -125,7 +138,7 @@ def _line(detail: Any, document: Mapping[str, Any], root: type[Table]) -> str:
         return f"{prefix}{_missing(model, str(last), root)}"
     if kind == "extra_forbidden":
         known = [field.alias or key for key, field in (model.model_fields if model else {}).items()]
-        if not above and root is MachineFile:
+        if not above and root is machine_file():
             return f"[{last}]: unknown table; {suggestion(str(last), known)}"
         return f'{prefix}unknown key "{last}"; {suggestion(str(last), known)}'
     problem = (

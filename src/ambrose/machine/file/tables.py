@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, create_model,
 from pydantic_core import PydanticCustomError
 
 from ambrose.core.checks import InvalidInput
+from ambrose.machine.attachment import Attachment, attachments
 from ambrose.machine.description import SCHEMA_VERSION, MachineDescription, Tolerance
 from ambrose.machine.kinds import Choices, ListOf, NestedOf, Quantity, Ratio, Text, Texts, Version
 from ambrose.machine.parameters import parse_parameter
@@ -211,14 +212,32 @@ MachineTable = make_table(
         ),
     },
 )
-MachineFile = make_table(
-    "MachineFile",
-    "A rotor on magnetic bearings.",
-    {
-        "machine": (MachineTable, Field(description="the machine as a whole")),
-        "material": (GenericAlias(dict, (str, table_of(Material))), optional("materials by name")),
-        **{key: entry for key, entry in _WHOLE.items() if _table_in(entry[0])},
-    },
-    MachineDescription,
-)
-MachineFile.apart = frozenset({"machine", "material", "shaft"})
+
+
+def machine_file() -> type[Table]:
+    """The model of a whole machine file, with the tables of all registered effects."""
+    return _machine_file(tuple(attachments().values()))
+
+
+@lru_cache(maxsize=8)
+def _machine_file(effects: tuple[Attachment, ...]) -> type[Table]:
+    tables = {key: entry for key, entry in _WHOLE.items() if _table_in(entry[0])}
+    for item in effects:
+        part: type = item.part
+        below = table_of(part)
+        tables.setdefault(item.table, (GenericAlias(list, (below,)), optional(below.__doc__ or "")))
+    made = make_table(
+        "MachineFile",
+        "A rotor on magnetic bearings.",
+        {
+            "machine": (MachineTable, Field(description="the machine as a whole")),
+            "material": (
+                GenericAlias(dict, (str, table_of(Material))),
+                optional("materials by name"),
+            ),
+            **tables,
+        },
+        MachineDescription,
+    )
+    made.apart = frozenset({"machine", "material", "shaft"})
+    return made

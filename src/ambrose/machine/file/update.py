@@ -16,10 +16,11 @@ from tomlkit.items import AoT, Array, InlineTable, Item, String, Table
 
 from ambrose.core.checks import invalid
 from ambrose.machine.atomic_write import write_text
+from ambrose.machine.attachment import attachments
 from ambrose.machine.file.annotated import in_everyday_unit
 from ambrose.machine.file.parse import named_materials
-from ambrose.machine.file.tables import MachineFile, ToleranceTable, table_below
 from ambrose.machine.file.tables import Table as Model
+from ambrose.machine.file.tables import ToleranceTable, machine_file, table_below
 from ambrose.machine.file.toml import dumps_machine, loads_machine, read_machine_text
 from ambrose.machine.kinds import Quantity
 from ambrose.machine.machine import Machine
@@ -31,7 +32,7 @@ from ambrose.machine.units import DIMENSIONS, rewrite_quantity
 _Plain = Mapping[str, Any]
 # the key whose value tells the entries of a list apart; of other lists their order does
 _IDENTITIES = {
-    **dict.fromkeys(("disc", "bearing", "seal", "coupling"), "name"),
+    **dict.fromkeys(("disc", "bearing", "seal"), "name"),
     **dict.fromkeys(("sensor", "support"), "bearing"),
     "measured": "bias_current",
     "point": "label",
@@ -117,7 +118,7 @@ def _update_document(document: tomlkit.TOMLDocument, machine: Machine) -> None:
                 every.pop(key, None)  # what the table replaces leaves no zero behind
         if table.get("axes") == [axis for axis in SEAL_AXES if axis in table]:
             del table["axes"]
-    _update_table(document, MachineFile, whole, given)
+    _update_table(document, machine_file(), whole, given)
 
 
 def _update_table(table: Any, model: type[Model], whole: _Plain, given: _Plain) -> None:
@@ -262,7 +263,7 @@ def _update_entries(
     identity.
     """
     entries = list(table.get(key, ()))
-    identity_key = _IDENTITIES.get(key, "")
+    identity_key = "name" if key in attachments() else _IDENTITIES.get(key, "")
     known = dict(zip(_identities(entries, model, identity_key), range(len(entries)), strict=True))
     wanted = [known.get(identity) for identity in _identities(whole, model, identity_key)]
     for place, values, some in zip(wanted, whole, given or [{}] * len(whole), strict=True):

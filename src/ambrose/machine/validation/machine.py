@@ -16,6 +16,7 @@ from itertools import combinations
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
+from ambrose.machine.attachment import attached, attachments, by_table
 from ambrose.machine.description import BEAM_THEORIES, BEARING_TERMS, MachineDescription
 from ambrose.machine.limits import SEAL_POLES, excess
 from ambrose.machine.messages import complaint, listed, number, shown, suggestion
@@ -63,7 +64,7 @@ def problems(machine: MachineDescription) -> tuple[str, ...]:
             parts.bearings,
             parts.sensors,
             parts.amplifier,
-            parts.couplings,
+            _attached,
         ),
         *(parts.bending_modes, parts.supports),
         *(validate_seals.seals, controller, _operation, _tolerances, _requirements, _weights),
@@ -95,6 +96,13 @@ def _sizes(machine: MachineDescription) -> Iterator[str]:
         yield from excess(
             {"controller": {"channel": {"section": channel.sections, "name": channel.names}}}
         )
+    for table, entries in by_table(machine.effects).items():
+        most = attachments()[table].most
+        if len(entries) > most:
+            yield (
+                f"there are {len(entries)} entries of [[{table}]], but at most {most} are allowed; "
+                "leave some out or merge them"
+            )
     for bearing in machine.bearings:
         yield from excess({"bearing": {"measured": bearing.measured}})
     for sensor in machine.sensors:
@@ -162,10 +170,18 @@ def _attachments(machine: MachineDescription) -> Iterator[tuple[str, str, float]
         ("disc", machine.discs),
         ("bearing", machine.bearings),
         ("seal", machine.seals),
-        ("coupling", machine.couplings),
     ):
         for entry in entries:
             yield table, entry.name, entry.position
+    for effect, part in attached(machine):
+        for station in effect.stations(part):
+            yield effect.table, station.name, station.position
+
+
+def _attached(machine: MachineDescription) -> Iterator[str]:
+    """What the registered effects find in their parts."""
+    for effect, part in attached(machine):
+        yield from effect.findings(f"[[{effect.table}]] {part.name}", part)
 
 
 def _names(machine: MachineDescription) -> Iterator[str]:

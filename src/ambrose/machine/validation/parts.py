@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from ambrose.machine.attachment import attached
 from ambrose.machine.description import (
     AMPLIFIER_PARAMETERS,
     BiasPoint,
@@ -380,6 +381,12 @@ def amplifier(machine: MachineDescription) -> Iterator[str]:
 
 def supports(machine: MachineDescription) -> Iterator[str]:
     bearings, seals = ([item.name for item in items] for items in (machine.bearings, machine.seals))
+    seals += [
+        station.name
+        for effect, part in attached(machine)
+        if effect.on_stator
+        for station in effect.stations(part)
+    ]
     seen: set[str] = set()
     for support in machine.supports:
         where = f"[[support]] {support.bearing}"
@@ -439,12 +446,4 @@ def _sensor_on(where: str, part: Support | CasingMode) -> Iterator[str]:
             shown(part.sensor),
             f"one of {', '.join(SENSORS_ON)}",
             "choose one of them",
-        )
-
-
-def couplings(machine: MachineDescription) -> Iterator[str]:
-    for coupling in machine.couplings:
-        where = f"[[coupling]] {coupling.name}"
-        yield from not_positive(
-            where, coupling, "a passive coupling holds back", "stiffness", "damping", zero=True
         )

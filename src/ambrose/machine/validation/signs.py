@@ -22,7 +22,7 @@ def not_positive(
     """
     requirement = "zero or positive" if zero else "positive"
     for key in keys:
-        unit, names = _unit_and_names(type(part), key)  # type: ignore[arg-type]  # a class is hashable
+        unit, names = unit_and_names(type(part), key)  # type: ignore[arg-type]  # a class is hashable
         value = getattr(part, key)
         values = value if isinstance(value, (tuple, list)) else (value,)
         for i, entry in enumerate(values):
@@ -36,7 +36,7 @@ def not_positive(
 
 
 @lru_cache(maxsize=256)
-def _unit_and_names(part: type, key: str) -> tuple[str, list[str]]:
+def unit_and_names(part: type, key: str) -> tuple[str, list[str]]:
     """The unit of a field ("" for a ratio or a count), and the names of a pair's two values."""
     kind = next(_dimensional(get_type_hints(part, include_extras=True)[key]), None)
     unit = "" if kind is None else DIMENSIONS[kind.dimension].unit

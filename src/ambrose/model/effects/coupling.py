@@ -4,10 +4,15 @@ axes.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from ambrose.core.checks import check_shape
-from ambrose.machine.description import Coupling
+from ambrose.machine.attachment import TILTED
+from ambrose.machine.description import Coupling, OperatingPoint
+from ambrose.machine.validation.signs import not_positive
+from ambrose.model.effect import Action, Effect, Reaction
 
 
 def matrices(coupling: Coupling) -> tuple[np.ndarray, np.ndarray]:
@@ -19,21 +24,28 @@ def matrices(coupling: Coupling) -> tuple[np.ndarray, np.ndarray]:
     return np.diag(stiffness.astype(float)), np.diag(damping.astype(float))
 
 
-def parameters(coupling: Coupling) -> tuple[float, ...]:
-    """What ``force`` needs: (k_zeta, k_eta [N/m], d_zeta, d_eta [N s/m])."""
-    stiffness, damping = matrices(coupling)
-    return (
-        float(stiffness[0, 0]),
-        float(stiffness[1, 1]),
-        float(damping[0, 0]),
-        float(damping[1, 1]),
-    )
+def _reaction(coupling: Coupling, point: OperatingPoint) -> Reaction:
+    return Reaction(*matrices(coupling))
 
 
-def force(x: float, y: float, vx: float, vy: float, p: tuple[float, ...]) -> tuple[float, float]:
-    """Force (zeta, eta) [N] on the rotor at displacements [m] and velocities [m/s] in the
-    coupling's axes.
+def _findings(where: str, coupling: Coupling) -> Iterator[str]:
+    remedy = "a passive coupling holds back"
+    yield from not_positive(where, coupling, remedy, "stiffness", "damping", zero=True)
 
-    Compiles with numba as it stands.
-    """
-    return -p[0] * x - p[2] * vx, -p[1] * y - p[3] * vy
+
+def _actions(coupling: Coupling, point: OperatingPoint, quantity: str) -> Iterator[Action]:
+    """-stiffness q, or -damping q', along either axis."""
+    signal = "q" if quantity == "stiffness" else "qdot"
+    for axis, value in zip(TILTED, getattr(coupling, quantity), strict=True):
+        port = f"{coupling.name}_{axis}"
+        yield Action(port, float(value), ((f"{signal}_{port}", -1.0),))
+
+
+COUPLING = Effect(
+    table="coupling",
+    part=Coupling,
+    findings=_findings,
+    quantities={"stiffness": ("stiffness", TILTED), "damping": ("damping", TILTED)},
+    reaction=_reaction,
+    actions=_actions,
+)

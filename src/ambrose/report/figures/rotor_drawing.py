@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import check_shape
+from ambrose.machine.attachment import attached
 from ambrose.machine.machine import Machine
 from ambrose.machine.rotor_model import Disc
 from ambrose.model.effects.rotor import finite_element_rotor, free_modes
@@ -35,9 +36,9 @@ _KINDS = {
     "bearing": "#0072b2",
     "sensor": "#1c2329",
     "seal": "#a3341f",
-    "coupling": "#66717b",
     "disc": "#1c2329",
 }
+_EFFECT = "#66717b"
 _SEES = {"bearing": "square", "sensor": "circle-open", "seal": "diamond"}  # on a mode shape
 
 
@@ -175,7 +176,11 @@ def _stations(machine: Machine, pixel: float) -> list[Station]:
     known = [("bearing", b.name, b.position, 30.0) for b in machine.bearings]
     known += [("sensor", s.bearing, s.position, 17.0) for s in machine.sensors]
     known += [("seal", s.name, s.position, 18.0) for s in machine.seals]
-    known += [("coupling", c.name, c.position, 26.0) for c in machine.couplings]
+    known += [
+        (effect.table, station.name, station.position, effect.reach)
+        for effect, part in attached(machine)
+        for station in effect.stations(part)
+    ]
     stations = [
         Station(k, n, p * 1e3, _radius_at(machine, p * 1e3) + 4 * pixel + r * pixel)
         for k, n, p, r in known
@@ -201,7 +206,7 @@ def _room(station: Station, stations: Sequence[Station], pixel: float) -> float:
 
 def _symbol(figure: Any, machine: Machine, station: Station, pixel: float, room: float) -> None:
     """One station's symbol, above and below the shaft; room: half the width of a seal's [mm]."""
-    colour = _KINDS[station.kind]
+    colour = _KINDS.get(station.kind, _EFFECT)
     gap = _radius_at(machine, station.position) + 3 * pixel
     x, reach = station.position, station.reach
     outlines: list[tuple[list[float], list[float]]] = []
@@ -243,7 +248,7 @@ def _symbol(figure: Any, machine: Machine, station: Station, pixel: float, room:
             reach,
         ]
         outlines = [(list(x + teeth), [float(v) for v in levels])]
-    elif station.kind == "coupling":  # a spring to ground, below only
+    elif station.kind not in _KINDS:  # a registered effect: a spring to ground, below only
         turns = np.linspace(-gap, -reach, 9)
         side = np.array([0, 0, 5, -5, 5, -5, 5, 0, 0]) * pixel
         theme.guide(figure, {}, list(x + side), list(turns), color=colour, width=1.3)
@@ -276,8 +281,8 @@ def _has_size(machine: Machine, name: str) -> bool:
 def _labels(
     figure: Any, stations: Sequence[Station], machine: Machine, pixel: float
 ) -> tuple[float, float]:
-    """Names above the rotor (sensors and couplings below), staggered where they would overlap.
-    Returns the y range [mm].
+    """Names above the rotor (sensors and registered effects below), staggered where they would
+    overlap. Returns the y range [mm].
     """
     high = (
         max(
@@ -287,11 +292,12 @@ def _labels(
         + 4 * pixel
     )
     extent = [high, -high]
-    for sign, kinds in ((1, ("bearing", "seal", "disc")), (-1, ("sensor", "coupling"))):
+    for sign in (1, -1):
         taken: list[float] = []  # right end of the text on each level
-        for station in sorted((s for s in stations if s.kind in kinds), key=lambda s: s.position):
+        here = (s for s in stations if (s.kind in {"bearing", "seal", "disc"}) == (sign > 0))
+        for station in sorted(here, key=lambda s: s.position):
             text = (
-                f"{station.kind} {units.axis_name(station.name)}"
+                f"{station.kind.replace('_', ' ')} {units.axis_name(station.name)}"
                 if station.name.lower() != station.kind
                 else station.kind
             )
@@ -303,7 +309,7 @@ def _labels(
             )
             taken[level : level + 1] = [station.position + half]
             y = sign * (high + (4 + 16 * level) * pixel)
-            colour = _KINDS[station.kind]
+            colour = _KINDS.get(station.kind, _EFFECT)
             theme.guide(
                 figure,
                 {},

@@ -12,10 +12,11 @@ import numpy as np
 
 from ambrose.core.checks import check_positive, invalid
 from ambrose.core.sampling import c2d, delayed
-from ambrose.core.statespace import StateSpace, as_statespace
-from ambrose.law.loop import Law, axis_order, law_at, match_axes
-from ambrose.law.program import ControlProgram, NativeProgram, ScheduledProgram
-from ambrose.law.scheduling import SPEED, scheduling_of
+from ambrose.core.statespace import StateSpace
+from ambrose.law.law import LawLike, law_of
+from ambrose.law.loop import axis_order, match_axes
+from ambrose.law.program import ControlProgram, entry_of, teller
+from ambrose.law.scheduling import SPEED
 from ambrose.law.timing import DEFAULT, machine_timing
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
@@ -64,15 +65,12 @@ class RunningProgram:
 
     def __init__(self, program: ControlProgram, axes: tuple[str, ...]) -> None:
         self.failure: BaseException | None = None
-        self._callback = (
-            None
-            if isinstance(program, NativeProgram)
-            else _CALLBACK(self._step_of(program, len(axes)))
-        )
-        if self._callback is None:
-            address, first = cast(NativeProgram, program).entry
-        else:
-            address, first = cast(int, ctypes.cast(self._callback, ctypes.c_void_p).value), 0
+        native = entry_of(program)
+        if native is None:
+            # kept as long as the program runs: the address is that of the object
+            self._callback = _CALLBACK(self._step_of(program, len(axes)))
+            native = cast(int, ctypes.cast(self._callback, ctypes.c_void_p).value), 0
+        address, first = native
         into = np.argsort(axis_order(program.system, "inputs", axes))
         out = np.asarray(axis_order(program.system, "outputs", axes))
         signals = np.zeros(2 * len(axes) + _TOLD)
@@ -86,13 +84,13 @@ class RunningProgram:
         )
 
     def _step_of(self, program: ControlProgram, m: int) -> Callable[..., int]:
-        scheduled = program if isinstance(program, ScheduledProgram) else None
-        along = scheduling_of(program) or SPEED
+        tell = teller(program)
+        along = law_of(program).scheduled_over or SPEED
 
         def step(first: object, errors: Any, told: Any, currents: Any) -> int:
             try:
-                if scheduled is not None:
-                    scheduled.schedule((told[0], told[1]) if along.parts else told[0])
+                if tell is not None:
+                    tell((told[0], told[1]) if along.parts else told[0])
                 for a, value in enumerate(
                     np.asarray(program.step(np.array(errors[:m])), float).tolist()
                 ):
@@ -107,16 +105,11 @@ class RunningProgram:
         return step
 
 
-def sample_time(controller: Law, machine: Machine, wanted: float | None) -> float:
+def sample_time(law: LawLike, machine: Machine, wanted: float | None) -> float:
     """The controller's own sample time [s], else the one wanted, else the machine's, else 0.1 ms.
     Raises InvalidInput.
     """
-    if isinstance(controller, ControlProgram):
-        own: float | None = controller.sample_time
-    elif scheduling_of(controller) is not None:
-        own = getattr(controller, "dt", None)
-    else:
-        own = as_statespace(controller).dt
+    own = law_of(law).sample_time
     if own is not None:
         if wanted is not None and abs(own - wanted) > 1e-9 * own:
             raise invalid(
@@ -132,7 +125,7 @@ def sample_time(controller: Law, machine: Machine, wanted: float | None) -> floa
 
 
 def sampled_law(
-    controller: Law, machine: Machine, dt: float, point: OperatingPoint, delay: int
+    law: LawLike, machine: Machine, dt: float, point: OperatingPoint, delay: int
 ) -> SampledLaw:
     """The law at a sample time [s] and operating point: Tustin's map of a continuous controller, a
     sampled one as it is.
@@ -140,7 +133,7 @@ def sampled_law(
     Its signals are matched by ``law.loop.match_axes``. Raises InvalidInput where sizes or axes
     differ.
     """
-    system = match_axes(law_at(controller, point), machine.axes, repr(machine.name))
+    system = match_axes(law_of(law).at(point), machine.axes, repr(machine.name))
     if system.dt is None:
         system = c2d(system, dt, method="tustin")
     if delay > 1:  # the rig holds one sample back itself

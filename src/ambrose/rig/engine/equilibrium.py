@@ -50,13 +50,29 @@ def state_at_rest(rig: Rig, q: np.ndarray, u: np.ndarray) -> np.ndarray:
         currents[:, 1] = u
     z[rig.bias] = np.repeat(rig.constants.magnet[:, 0], 2)
     z[rig.sensed] = _seen(rig) @ q + rig.constants.sensor[:, 1]
-    first = len(rig.machine.bearings) + len(rig.machine.couplings)
-    places = _places(rig, q)[first : first + len(rig.machine.seals)]
+    first = len(rig.machine.bearings) + rig.attached_stations
+    everywhere = _places(rig, q)
+    places = everywhere[first : first + len(rig.machine.seals)]
     lags = rig.constants.seal_lags
     # states per displacement
     settled = -np.linalg.solve(lags[..., :-1], lags[..., -1:]) if lags.size else lags[..., -1:]
-    z[rig.sensed.stop :] = (settled * places[:, None]).ravel()
+    z[rig.sensed.stop : rig.attached.start] = (settled * places[:, None]).ravel()
+    z[rig.attached] = _attached_at_rest(rig, everywhere[len(rig.machine.bearings) : first])
     return z
+
+
+def _attached_at_rest(rig: Rig, places: np.ndarray) -> np.ndarray:
+    """The states (e,) of registered effects at rest at displacements places (t, 2) in x and y:
+    A x + B q = 0.
+    """
+    ports = 2 * rig.attached_stations
+    A, B = (rig.constants.reaction[ports:, i:j] for i, j in ((2 * ports, None), (0, ports)))
+    if not len(A):
+        return np.zeros(0)
+    c, s = rig.constants.direction[len(rig.machine.bearings) :][: rig.attached_stations].T
+    x, y = places.T
+    q = np.column_stack([c * x + s * y, c * y - s * x]).ravel()
+    return np.asarray(np.linalg.lstsq(A, -B @ q, rcond=None)[0])
 
 
 @lru_cache(maxsize=4)

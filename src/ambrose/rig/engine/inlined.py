@@ -16,7 +16,6 @@ from numba.extending import intrinsic
 
 from ambrose.model.effects import (
     amplifier,
-    coupling,
     magnet,
     seal,
     seal_rational,
@@ -49,7 +48,6 @@ stops = compiled(amplifier.stops)
 coil_current = compiled(amplifier.coil_current)
 effective_current = compiled(amplifier.effective_current)
 contact_force = compiled(touchdown.force)
-coupling_force = compiled(coupling.force)
 seal_force = compiled(seal.force)
 state_force = compiled(seal_rational.force)
 seal_lag = compiled(seal_rational.lag)

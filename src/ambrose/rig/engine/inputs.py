@@ -4,6 +4,7 @@ memory does not grow.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -11,9 +12,11 @@ import numpy as np
 
 from ambrose.core.checks import invalid
 from ambrose.law.scheduling import PRESSURE, SPEED, Scheduling
+from ambrose.machine.attachment import attached
 from ambrose.machine.messages import meant, suggestion
 from ambrose.machine.seals import Seal
 from ambrose.model.assemble import seal_poles
+from ambrose.model.effect import joined, reactions
 from ambrose.model.effects import seal, seal_rational
 from ambrose.rig.disturbances import sensed
 from ambrose.rig.engine.state import Rig
@@ -31,8 +34,9 @@ class Drive(NamedTuple):
     angle: np.ndarray  # (K + 1,) [rad]
     # (K + 1 or 1, seals, 5 + 2 l) K, k, C, c, M, then direct and cross of every state
     seal: np.ndarray
-    # (K or 1, p, p) with the seals' added mass, (0, p, p) where there is none
+    # (K or 1, p, p) with the added mass of seals and effects, (0, p, p) where there is none
     mass_inverse: np.ndarray
+    reaction: np.ndarray  # (K + 1 or 1, 2 t + e, 4 t + e) of registered effects
     # (p, 2) modal, along x and y at angle zero [kg m/sqrt(kg)]; (0, 2) where there is none
     unbalance: np.ndarray
     force: np.ndarray  # (4, m, K) cubics of the driven forces [N]
@@ -208,6 +212,7 @@ def stretch(plan: Plan, first: int, count: int) -> Drive:
         plan.angles(nodes),
         coefficients,
         _mass_inverse(rig, coefficients),
+        _reactions(plan, first, nodes, speed),
         _unbalance(plan),
         np.ascontiguousarray(np.stack([rows[f"f_{rig.port_names[i]}"] for i in forces], axis=1))
         if forces
@@ -283,22 +288,53 @@ def _seals(plan: Plan, first: int, nodes: np.ndarray, speed: np.ndarray) -> np.n
             for s, p in zip(seals, poles, strict=True)
         ]
         return np.array(at, dtype=float).reshape(1, len(seals), 5 + 2 * lags)
-    before, after = first % _SEAL_GRID, -(first + len(nodes) - 1) % _SEAL_GRID
-    time = np.arange(first - before, first + len(nodes) + after) * plan.dt
+    result = np.empty((len(nodes), len(seals), 5 + 2 * lags))
+    for i, item in enumerate(seals):
+        result[:, i] = _over_time(
+            plan,
+            first,
+            len(nodes),
+            lambda p, v, i=i, item=item: _coefficients(item, poles[i], p, v, whirl, lags),  # type: ignore[misc]
+        )
+    return result
+
+
+def _over_time(
+    plan: Plan,
+    first: int,
+    count: int,
+    row: Callable[[float, float], Sequence[float] | np.ndarray],
+) -> np.ndarray:
+    """``row`` of pressure [Pa] and speed [rad/s] (count, len(row)) at the nodes from sample
+    ``first`` on: looked up at every so many-th sample since the start, where the pressure bends,
+    and linear between.
+    """
+    before, after = first % _SEAL_GRID, -(first + count - 1) % _SEAL_GRID
+    time = np.arange(first - before, first + count + after) * plan.dt
     pressure, speed = plan.pressures(time), plan.speeds(time)
     kinks = np.flatnonzero(np.abs(np.diff(pressure, 2)) > 1e-9 * np.abs(pressure).max()) + 1
     grid = np.unique([*range(0, len(time), _SEAL_GRID), *kinks])
-    result = np.empty((len(nodes), len(seals), 5 + 2 * lags))
-    for i, item in enumerate(seals):
-        rows = np.array(
-            [
-                _coefficients(item, poles[i], float(pressure[g]), float(speed[g]), whirl, lags)
-                for g in grid
-            ]
-        )
-        for j in range(rows.shape[1]):
-            result[:, i, j] = np.interp(np.arange(before, before + len(nodes)), grid, rows[:, j])
-    return result
+    rows = np.array([row(float(pressure[g]), float(speed[g])) for g in grid])
+    nodes = np.arange(before, before + count)
+    return np.column_stack([np.interp(nodes, grid, column) for column in rows.T])
+
+
+def _reactions(plan: Plan, first: int, nodes: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """The block of ``Constants.reaction`` (nodes or 1, 2 t + e, 4 t + e) over time."""
+    machine, shape = plan.rig.machine, plan.rig.constants.reaction.shape
+
+    def row(pressure: float, speed: float) -> np.ndarray:
+        point = replace(plan.rig.point, seal_pressure=pressure, speed=speed)
+        return joined([item for _, item in reactions(machine, point)]).block().ravel()
+
+    effects = [effect for effect, _ in attached(machine)]
+    pressure = plan.pressures(nodes)
+    steady = np.ptp(speed) == 0 and np.ptp(pressure) == 0
+    if not any(effect.over_speed for effect in effects):
+        return plan.rig.constants.reaction[None]
+    if steady:
+        return row(float(pressure[0]), float(speed[0])).reshape(1, *shape)
+    return np.ascontiguousarray(_over_time(plan, first, len(nodes), row).reshape(-1, *shape))
 
 
 def _coefficients(
@@ -320,22 +356,38 @@ def _coefficients(
 def _mass_inverse(rig: Rig, coefficients: np.ndarray) -> np.ndarray:
     """(I + sum M phi phi^T)^-1 in the middle of every sample; M the seals' added masses.
 
-    Of one plane, (p, p); where such a seal is on a support of all coordinates, (n, n).
+    Of one plane, (p, p); of all coordinates, (n, n), where such a seal is on a support or a
+    registered effect has mass.
     """
     p = rig.modes
     added = coefficients[:, :, 4]
-    if not added.any():
+    more = rig.constants.reaction_mass
+    if not (added.any() or more.any()):
         return np.zeros((0, p, p))
-    first = len(rig.machine.bearings) + len(rig.machine.couplings)
+    first = len(rig.machine.bearings) + rig.attached_stations
     shape = rig.constants.shape[first : first + added.shape[1]]
     middle = added if len(added) == 1 else (added[1:] + added[:-1]) / 2
     on = rig.constants.support_shape[first : first + added.shape[1]]
-    if on[added.any(axis=0)].any():
+    if on[added.any(axis=0)].any() or more.any():
         rows = np.concatenate(
             [np.einsum("sp,de->sdpe", shape, np.eye(2)).reshape(len(shape), 2, 2 * p), -on], axis=2
         )
         whole = np.einsum("ks,sdi,sdj->kij", middle, rows, rows)
+        whole += _attached_mass(rig)
         return np.ascontiguousarray(np.linalg.inv(np.eye(rows.shape[2]) + whole))
     return np.ascontiguousarray(
         np.linalg.inv(np.eye(p) + np.einsum("ks,sp,sq->kpq", middle, shape, shape))
     )
+
+
+def _attached_mass(rig: Rig) -> np.ndarray:
+    """N^T M N (n, n) of the added mass M of registered effects, N their ports over all
+    coordinates.
+    """
+    k, first, last = rig.constants, len(rig.machine.bearings), rig.attached_stations
+    here = slice(first, first + last)
+    turn = np.array([[[c, s], [-s, c]] for c, s in k.direction[here]]).reshape(-1, 2, 2)
+    plane = np.einsum("sp,de->sdpe", k.shape[here], np.eye(2)).reshape(last, 2, 2 * rig.modes)
+    rows = np.concatenate([plane, -k.support_shape[here]], axis=2)
+    rows = (turn @ rows).reshape(2 * last, -1)
+    return np.asarray(rows.T @ k.reaction_mass @ rows)

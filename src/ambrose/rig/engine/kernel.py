@@ -3,15 +3,16 @@ Runge-Kutta method around them.
 
 State z (n,): displacements - the rotor's modal ones, x and y in turn (q_1x, q_1y, q_2x, ...), then
 those of the supports -, their velocities, then two amplifier states [A] per axis, the bias currents
-[A], the sensors' lagged signals [m], the seals' lagged displacements x, y [m]. The forces are those
-of ``physics``, compiled as they stand. This module imports numba: import it only inside functions.
-What the arrays hold is said in rig/state.py and rig/inputs.py.
+[A], the sensors' lagged signals [m], the seals' lagged displacements x, y [m], the states of
+registered effects. The forces are those of ``physics``, compiled as they stand. This module imports
+numba: import it only inside functions. What the arrays hold is said in rig/state.py and
+rig/inputs.py.
 """
 
 from __future__ import annotations
 
 import shutil
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numba import njit
@@ -20,12 +21,12 @@ from ambrose.rig.engine.exponential import propagate, settled
 from ambrose.rig.engine.inlined import (
     OPTIONS,
     amplifier_derivative,
+    by_address,
     coil_current,
     compiled,
     contact_force,
     converted,
     coordinates,
-    coupling_force,
     effective_current,
     indicated,
     magnet_force,
@@ -40,6 +41,9 @@ from ambrose.rig.engine.inlined import (
     lag as sensor_lag,
 )
 from ambrose.rig.engine.sampled import command, control, run_program
+
+if TYPE_CHECKING:
+    from ambrose.rig.engine.controller import SampledLaw
 
 _FAR_OUT = 0.4  # of the clearance: where magnets bend much
 _DENSE = 32  # integration steps far out and near contact for each of the others
@@ -119,16 +123,49 @@ def _touch(rig: Any, work: Any, speed: float) -> None:
 
 
 @compiled
-def _couple(rig: Any, work: Any) -> None:
-    """Couplings to ground."""
-    first = rig.magnet.shape[0]
-    for i in range(rig.coupling.shape[0]):
+def _attach(
+    rig: Any, work: Any, drive: Any, k: int, tau: float, speed: float, z: Any, dz: Any
+) -> None:
+    """Registered effects: [f; x'] = block [q; q'; x] in their axes, the block linear within a
+    sample; or the force at an address.
+    """
+    count, first = rig.force_at.shape[0], rig.magnet.shape[0]
+    if count == 0:
+        return
+    states = 2 * coordinates(rig) + 3 * rig.amplifier.shape[0] + rig.sensor.shape[0]
+    states += 2 * rig.seal_lags.shape[0] * rig.seal_lags.shape[1]
+    for i in range(count):
         c, s = rig.direction[first + i, 0], rig.direction[first + i, 1]
         x, y = work.place[first + i, 0], work.place[first + i, 1]
         vx, vy = work.velocity[first + i, 0], work.velocity[first + i, 1]
-        f, g = coupling_force(
-            c * x + s * y, c * y - s * x, c * vx + s * vy, c * vy - s * vx, rig.coupling[i]
-        )
+        work.attached[2 * i], work.attached[2 * i + 1] = c * x + s * y, c * y - s * x
+        at = 2 * (count + i)
+        work.attached[at], work.attached[at + 1] = c * vx + s * vy, c * vy - s * vx
+    rows = drive.reaction.shape[1]
+    for j in range(rows - 2 * count):
+        work.attached[4 * count + j] = z[states + j]
+    varying = drive.reaction.shape[0] > 1
+    here, ahead = drive.reaction[k if varying else 0], drive.reaction[k + 1 if varying else 0]
+    t = tau if varying else 0.0
+    for r in range(rows):
+        value = 0.0
+        for j in range(work.attached.shape[0]):
+            value += (here[r, j] + t * (ahead[r, j] - here[r, j])) * work.attached[j]
+        if r < 2 * count:
+            work.pull[r] = value
+        else:
+            dz[states + r - 2 * count] = value
+    for i in range(count):
+        c, s = rig.direction[first + i, 0], rig.direction[first + i, 1]
+        f, g = work.pull[2 * i], work.pull[2 * i + 1]
+        if rig.force_at[i, 0] != 0:
+            for j in range(2):
+                work.asked[j] = work.attached[2 * i + j]
+                work.asked[2 + j] = work.attached[2 * (count + i) + j]
+            work.asked[4] = speed
+            asked = work.asked_at[0]
+            by_address(rig.force_at[i, 0], rig.force_at[i, 1], asked, asked, asked + 5 * 8)
+            f, g = work.asked[5], work.asked[6]
         work.force[first + i, 0] += c * f - s * g
         work.force[first + i, 1] += s * f + c * g
 
@@ -139,7 +176,7 @@ def _whirl(rig: Any, work: Any, drive: Any, k: int, tau: float, z: Any, dz: Any)
     matrix.
     """
     lag = 2 * coordinates(rig) + 3 * rig.amplifier.shape[0] + rig.sensor.shape[0]
-    first = rig.magnet.shape[0] + rig.coupling.shape[0]
+    first = rig.magnet.shape[0] + rig.force_at.shape[0]
     varying = drive.seal.shape[0] > 1
     for i in range(drive.seal.shape[1]):
         at, to = drive.seal[k if varying else 0, i], drive.seal[k + 1 if varying else 0, i]
@@ -293,7 +330,7 @@ def _derivative(rig: Any, work: Any, drive: Any, k: int, tau: float, z: Any, dz:
     _move(rig, work, z)
     _magnetise(rig, work, z)
     _touch(rig, work, speed)
-    _couple(rig, work)
+    _attach(rig, work, drive, k, tau, speed, z, dz)
     _whirl(rig, work, drive, k, tau, z, dz)
     _disturb(rig, work, drive, k, tau, speed)
     _accelerate(rig, work, drive, k, speed, z, dz)
@@ -472,7 +509,7 @@ def entry_points(fingerprint: int) -> tuple[Any, Any]:
 
     def advance(
         rig: Any,
-        law: Any,
+        law: SampledLaw,
         code: Any,
         drive: Any,
         P: Any,

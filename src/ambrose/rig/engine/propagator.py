@@ -27,7 +27,9 @@ class Propagator(NamedTuple):
     from ``y`` on are scratch.
     """
 
-    usable: bool  # False: the seals' added mass changes within the stretch
+    # False: the seals' added mass or the reaction of registered effects changes within the stretch,
+    # or one of these is not linear
+    usable: bool
     steps: int  # of a control sample
     # (n + 3 k, columns): states after a step; outputs at its start, middle and end
     linear: np.ndarray
@@ -44,6 +46,7 @@ class Propagator(NamedTuple):
     seals: bool
     seal: np.ndarray  # (2, seals, 5 + 2 l) the coefficients here; scratch
     mass_inverse: np.ndarray
+    reaction: np.ndarray  # of registered effects, here
     y: np.ndarray  # (k,)
     F: np.ndarray  # (3, f)
     known: np.ndarray  # (columns,)
@@ -61,13 +64,14 @@ def propagator(
     """
     turns = bool((drive.speed != at.speed[0]).any())
     varies = bool((drive.seal != at.seal[0]).any())
-    if last is not None and _covers(last, drive, at, turns, varies):
+    if last is not None and _covers(rig, last, drive, at, turns, varies):
         return last
     quiet = at._replace(
         speed=np.full(2, at.speed[0]),
         angle=np.zeros(2),
         seal=at.seal[:1],
         mass_inverse=drive.mass_inverse[:1],
+        reaction=at.reaction[:1],
         unbalance=np.zeros((0, 2)),
         force=np.zeros((4, 0, 1)),
         force_at=np.zeros((0, 2), dtype=np.int64),
@@ -87,18 +91,24 @@ def steps_within(rig: Rig, sample_time: float, dt: float | None) -> int:
     return int(np.ceil(sample_time * (rate / _SHORT if dt is None else 1 / dt) * (1 - 1e-9)))
 
 
-def _covers(last: Propagator, drive: Drive, at: Drive, turns: bool, varies: bool) -> bool:
+def _covers(rig: Rig, last: Propagator, drive: Drive, at: Drive, turns: bool, varies: bool) -> bool:
     """Whether a propagator is the one for a stretch: unbalance and driven forces are the same all
     the time.
     """
     return (
-        last.usable == _same_mass(drive)
+        last.usable == _usable(rig, drive)
+        and np.array_equal(last.reaction, at.reaction[:1])
         and np.array_equal(last.mass_inverse[:1], drive.mass_inverse[:1])
         and last.speed == at.speed[0]
         and np.array_equal(last.seal[0], at.seal[0])
         and last.turns >= turns
         and last.seals >= varies
     )
+
+
+def _usable(rig: Rig, drive: Drive) -> bool:
+    steady = len(drive.reaction) <= 1 or not np.ptp(drive.reaction, axis=0).any()
+    return _same_mass(drive) and steady and not rig.constants.force_at.any()
 
 
 def _same_mass(drive: Drive) -> bool:
@@ -112,7 +122,7 @@ def _built(
     a = len(rig.axes)
     p = rig.modes
     n = rig.coordinates
-    b, first = len(k.magnet), len(k.magnet) + len(k.coupling)
+    b, first = len(k.magnet), len(k.magnet) + rig.attached_stations
     L, Bu, w = _linear_parts(rig, quiet)
     inverse = np.eye(n)
     if len(quiet.mass_inverse):
@@ -189,7 +199,7 @@ def _built(
     angle = speed * h * np.array([0.0, 0.5, 1.0])
     seal = np.stack([quiet.seal[0], np.zeros_like(quiet.seal[0])])
     return Propagator(
-        _same_mass(drive),
+        _usable(rig, drive),
         steps,
         np.ascontiguousarray(linear),
         np.ascontiguousarray(C @ middle[1][0]),
@@ -203,6 +213,7 @@ def _built(
         varies,
         seal,
         quiet.mass_inverse,
+        quiet.reaction,
         np.zeros(len(C)),
         np.zeros((3, B.shape[1])),
         np.zeros(linear.shape[1]),
@@ -235,6 +246,7 @@ def _linear_parts(rig: Rig, drive: Drive) -> tuple[np.ndarray, np.ndarray, np.nd
         magnet=idle,
         touchdown=free,
         amplifier=endless,
+        force_at=np.zeros_like(k.force_at),
         runout=k.runout[:0],
         runout_start=np.zeros_like(k.runout_start),
     )

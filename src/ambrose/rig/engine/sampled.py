@@ -6,14 +6,17 @@ This module imports numba: import it only inside functions.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ambrose.rig.engine.inlined import by_address, compiled
+
+if TYPE_CHECKING:
+    from ambrose.rig.engine.controller import SampledLaw
 
 
 @compiled
 def control(
-    law: Any, drive: Any, k: int, y: Any, x: Any, held: Any, u: Any, err: Any, ahead: Any
+    law: SampledLaw, drive: Any, k: int, y: Any, x: Any, held: Any, u: Any, err: Any, ahead: Any
 ) -> None:
     """One sample of the controller: err = r - y, u (a,) what acts now, held (a,) what acts later;
     ahead (m,) is scratch.
@@ -45,7 +48,7 @@ def control(
 
 @compiled
 def run_program(
-    law: Any, program: Any, drive: Any, k: int, y: Any, held: Any, u: Any, err: Any
+    law: SampledLaw, program: Any, drive: Any, k: int, y: Any, held: Any, u: Any, err: Any
 ) -> int:
     """One sample of a program at an address: what it computes acts at the next one. Negative where
     it gave up.

@@ -1,8 +1,8 @@
 """The virtual rig as arrays: what does not change during a run, and its state.
 
 The rotor is that of plant/assemble.py in its free modes (p per plane), without the bearings' linear
-negative stiffness, seals and couplings: those act as forces at S stations, in the order bearings,
-couplings, seals, discs, each with two axes.
+negative stiffness, seals and registered effects: those act as forces at S stations, in the order
+bearings, effects (couplings among them), seals, discs, each with two axes.
 """
 
 from __future__ import annotations
@@ -16,13 +16,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ambrose.core.checks import invalid
+from ambrose.machine.attachment import attached
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import seal_model
 from ambrose.model.basis import bending_modes_of, gyroscopic_of
+from ambrose.model.effect import joined, reactions
 from ambrose.model.effects import (
     amplifier,
-    coupling,
     magnet,
     seal,
     seal_rational,
@@ -61,7 +62,13 @@ class Constants(NamedTuple):
     angle: np.ndarray  # (S,) that angle [rad]
     magnet: np.ndarray  # (b, 10) physics.magnet.parameters
     touchdown: np.ndarray  # (b, 7) physics.touchdown.parameters
-    coupling: np.ndarray  # (couplings, 4) physics.coupling.parameters
+    # (2 t + e, 4 t + e) [f; x'] by [q; q'; x] of the registered effects at t stations, e states, in
+    # their axes, at the point
+    reaction: np.ndarray
+    reaction_mass: np.ndarray  # (2 t, 2 t) [kg]
+    # (t, 2) addresses of a station's force where that is not linear, 0 elsewhere, and its constants
+    force_at: np.ndarray
+    force_constants: np.ndarray  # (t, most)
     amplifier: np.ndarray  # (a, 5) physics.amplifier.parameters
     bias_rate: float  # [rad/s] at which the bias current follows
     sensor: np.ndarray  # (c, 6) physics.sensor.parameters
@@ -91,6 +98,10 @@ class Work(NamedTuple):
     slopes: np.ndarray  # (3, n)
     sampled: np.ndarray  # (2, a) measurement [m] and acting controller output [A]
     ahead: np.ndarray  # (m,)
+    attached: np.ndarray  # (4 t + e,) what the registered effects see: q, q', x
+    pull: np.ndarray  # (2 t,) their forces in their axes [N]
+    asked: np.ndarray  # (7,) x, y, vx, vy, speed for a force at an address, and its answer
+    asked_at: np.ndarray  # (1,) the address of that
     depth: np.ndarray  # (2, b) penetration of the touchdown bearings before and after a step [m]
 
 
@@ -123,9 +134,20 @@ class Rig:
     @property
     def states(self) -> int:
         """Length of the state: displacements and velocities, amplifiers, bias currents, sensors,
-        seals.
+        seals, registered effects.
         """
-        return self.sensed.stop + 2 * self.constants.seal_lags[..., 0].size
+        return self.attached.stop
+
+    @property
+    def attached(self) -> slice:
+        """Where the states of the registered effects are in the state, after those of the seals."""
+        start = self.sensed.stop + 2 * self.constants.seal_lags[..., 0].size
+        return slice(start, start + len(self.constants.reaction) - 2 * self.attached_stations)
+
+    @property
+    def attached_stations(self) -> int:
+        """How many stations the registered effects have; they follow those of the bearings."""
+        return len(self.constants.force_at)
 
     @property
     def bias(self) -> slice:
@@ -141,18 +163,22 @@ class Rig:
     def work(self, controller_states: int = 0) -> Work:
         """Fresh scratch arrays."""
         stations, a = len(self.constants.shape), len(self.axes)
-        shapes: list[tuple[int, ...]] = [(stations, 2)] * 3 + [
-            (self.coordinates,),
-            (a,),
-            (a,),
-            (3, self.states),
-            (2, a),
-        ]
+        asked = np.zeros(7)
         return Work(
-            *(
-                np.zeros(shape)
-                for shape in [*shapes, (controller_states,), (2, len(self.constants.touchdown))]
-            )
+            place=np.zeros((stations, 2)),
+            velocity=np.zeros((stations, 2)),
+            force=np.zeros((stations, 2)),
+            modal=np.zeros(self.coordinates),
+            command=np.zeros(a),
+            magnet=np.zeros(a),
+            slopes=np.zeros((3, self.states)),
+            sampled=np.zeros((2, a)),
+            ahead=np.zeros(controller_states),
+            attached=np.zeros(self.constants.reaction.shape[1]),
+            pull=np.zeros(2 * self.attached_stations),
+            asked=asked,
+            asked_at=np.array([asked.ctypes.data], dtype=np.int64),
+            depth=np.zeros((2, len(self.constants.touchdown))),
         )
 
 
@@ -186,6 +212,8 @@ def build(
     single = sensor.channels(machine.sensor_pairs, machine.axes)
     tracks = [sensor.harmonics(pair) for pair in machine.sensor_pairs]
     base = foundation(machine)
+    reaction = joined([item for _, item in reactions(machine, point)])
+    force_at, force_constants = _forces(machine)
     constants = Constants(
         stiffness=frequencies**2,
         damping=2 * modes.damping_ratios(machine)[0::2] * frequencies,
@@ -201,7 +229,10 @@ def build(
         angle=angles,
         magnet=np.array([item.of_force for item in operating_magnets(machine, point.bias_current)]),
         touchdown=np.array([touchdown.parameters(machine, b) for b in bearings]),
-        coupling=np.array([coupling.parameters(c) for c in machine.couplings]).reshape(-1, 4),
+        reaction=np.ascontiguousarray(reaction.block()),
+        reaction_mass=reaction.mass,
+        force_at=force_at,
+        force_constants=force_constants,
         amplifier=np.array(
             [amplifier.parameters(machine.amplifier, b.max_current) for b in bearings for _ in "zh"]
         ),
@@ -232,6 +263,55 @@ def _deflections(rotor: Rotor, positions: list[float], shapes: np.ndarray) -> np
     )
 
 
+def _forces(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
+    """Addresses (t, 2) of the forces of registered effects that are not linear and of their
+    constants, and the constants (t, most).
+    """
+    found: list[tuple[Any, tuple[float, ...]]] = []
+    for effect, part in attached(machine):
+        stations = len(effect.stations(part))
+        constants = () if effect.constants is None else tuple(effect.constants(part))
+        if effect.force is not None and stations != 1:
+            raise invalid(
+                f"the stations of [[{effect.table}]] {part.name}",
+                stations,
+                "one, as its force is not linear",
+                "register an effect per station",
+            )
+        found += [(effect.force, constants)] * stations
+    most = max((len(row) for _, row in found), default=0)
+    values = np.zeros((len(found), most))
+    addresses = np.zeros((len(found), 2), dtype=np.int64)
+    for i, (force, row) in enumerate(found):
+        values[i, : len(row)] = row
+        if force is not None:
+            addresses[i] = _address(force, len(row)), values.ctypes.data + i * values.strides[0]
+    return addresses, values
+
+
+@cache
+def _address(force: Any, count: int) -> int:
+    """Where a force of ``model.effect.Effect`` is, compiled: int f(constants, asked, -, answer)."""
+    return _callback(force, count).address
+
+
+@cache
+def _callback(force: Any, count: int) -> Any:
+    from numba import carray, cfunc, njit, types  # type: ignore[attr-defined]
+
+    inner = njit(force)
+
+    def asked(constants: Any, asked: Any, unused: Any, answer: Any) -> int:
+        p, q = carray(constants, count), carray(asked, 5)
+        fx, fy = inner(q[0], q[1], q[2], q[3], q[4], p)
+        out = carray(answer, 2)
+        out[0], out[1] = fx, fy
+        return 0
+
+    numbers = types.CPointer(types.float64)  # type: ignore[no-untyped-call]
+    return cfunc(types.int32(numbers, numbers, numbers, numbers))(asked)
+
+
 def _seal_lags(machine: Machine, point: OperatingPoint) -> np.ndarray:
     """The dynamics (seals, l, l + 1) of the seals' states, the same during the whole run; padded
     with states that stay zero.
@@ -257,7 +337,7 @@ def compiled() -> tuple[Any, Any]:
     from ambrose.rig.engine import exponential, inlined, sampled
     from ambrose.rig.engine import kernel as rig_kernel
 
-    physics = (amplifier, coupling, magnet, seal, seal_rational, sensor, touchdown, unbalance)
+    physics = (amplifier, magnet, seal, seal_rational, sensor, touchdown, unbalance)
     modules = (rig_kernel, exponential, inlined, sampled, *physics)
     digest = hashlib.sha256()
     for module in modules:

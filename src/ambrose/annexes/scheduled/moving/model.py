@@ -17,6 +17,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from ambrose.annexes.scheduled.moving.law import MovingLaw, moving_law
 from ambrose.annexes.scheduled.moving.spans import (
     BentSeal,
     PressureSpan,
@@ -28,11 +29,10 @@ from ambrose.annexes.scheduled.moving.spans import (
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.norms import hinf_norm
-from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, is_stable, select
 from ambrose.core.varying.cells import Cell, elevated, product, proved_on_cells
 from ambrose.law.design_problem import apply_delay
-from ambrose.law.loop import match_axes
+from ambrose.law.law import LawLike
 from ambrose.model.plant import Plant
 from ambrose.model.reduce import reduce
 
@@ -49,13 +49,11 @@ _TIME_LIMIT = 900.0  # s, of the proof of one span
 
 
 class MovingModel:
-    """Plant and law (a schedule over pressure, or one in the plant's axes) over a span of
-    pressures, which is -1 .. 1.
+    """Plant and law (a schedule over pressure, or a fixed one) over a span of pressures, which is
+    -1 .. 1.
     """
 
-    def __init__(
-        self, plant: Plant, span: PressureSpan, law: ScheduledSystem | StateSpace, lag: float
-    ) -> None:
+    def __init__(self, plant: Plant, span: PressureSpan, law: LawLike, lag: float) -> None:
         names = [seal.name for seal in plant.machine.seals]
         forces = [f"f_{name}_{axis}" for name in names for axis in "xy"]
         motions = [
@@ -77,8 +75,8 @@ class MovingModel:
         self._ranges = [seal_range(plant, seal, span) for seal in plant.machine.seals]
         self.plant = plant
         self.span = span
-        self.law = law
         self.lag = lag
+        self.law = moving_law(law, plant)
 
     @property
     def output(self) -> np.ndarray:
@@ -87,9 +85,7 @@ class MovingModel:
 
     def controller(self, told: float) -> StateSpace:
         """The law where the pressure is told as ``told`` [Pa]."""
-        if isinstance(self.law, ScheduledSystem):
-            return match_axes(self.law.at(told), self.plant.axes)
-        return self.law
+        return self.law.at(told)
 
     def _around(self, K: StateSpace) -> tuple[np.ndarray, np.ndarray]:
         """What the controller adds to A, and B of d: u = K (-(C x + d))."""
@@ -131,9 +127,9 @@ class MovingModel:
         """
         low, high = self.span.low, self.span.high
         first, last = told_range(self.span, self.law, error)
-        inner = np.linspace(low, high, _CELLS + 1).tolist()
-        if isinstance(self.law, ScheduledSystem):
-            inner = [*self.law.grid.tolist(), low + error, high - error]
+        inner = self.law.knots(low, high, _CELLS)
+        if self.law.grid is not None:
+            inner += [low + error, high - error]
         knots = sorted({first, last, *(v for v in inner if first < v < last)})
         share = (0.0, 1.0) if error else (0.0,)  # told exactly, a cell is a line
         return tuple(
@@ -190,15 +186,13 @@ def _halves(ends: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
     return (ends[0], middle), (middle, ends[1])
 
 
-def told_range(
-    span: PressureSpan, law: ScheduledSystem | StateSpace, error: float
-) -> tuple[float, float]:
+def told_range(span: PressureSpan, law: MovingLaw, error: float) -> tuple[float, float]:
     """What a pressure of the span may be told as [Pa]: beyond its ends by the error, as far as a
     schedule goes.
     """
-    if not isinstance(law, ScheduledSystem):
+    if law.grid is None:
         return span.low, span.high
-    return max(span.low - error, law.range[0]), min(span.high + error, law.range[1])
+    return law.reach(span.low - error, span.high + error)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -225,7 +219,7 @@ class UnstableAtRest(NumericalFailure):
 def choose_model(
     full: Plant,
     span: PressureSpan,
-    law: ScheduledSystem | StateSpace,
+    law: LawLike,
     lag: float,
     pairs: Sequence[tuple[float, float]],
 ) -> Model:

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ambrose.annexes.scheduled.moving.law import moving_law
 from ambrose.annexes.scheduled.moving.model import (
     UnstableAtRest,
     choose_model,
@@ -27,10 +28,9 @@ from ambrose.annexes.scheduled.moving.spans import (
 )
 from ambrose.core.checks import AmbroseError, check_positive
 from ambrose.core.scheduled import ScheduledSystem
-from ambrose.core.statespace import StateSpace
 from ambrose.judge.checks import Checks
 from ambrose.judge.criteria import information
-from ambrose.law.loop import match_controller
+from ambrose.law.law import LawLike
 from ambrose.law.timing import Timing
 from ambrose.machine.criteria import demand
 from ambrose.machine.machine import Machine
@@ -40,7 +40,7 @@ from ambrose.model.assemble import assemble
 def check_on_model(
     machine: Machine,
     span: PressureSpan,
-    law: ScheduledSystem | StateSpace,
+    law: LawLike,
     timing: Timing | None,
     rate: float,
     error: float = 0.0,
@@ -62,13 +62,13 @@ def check_on_model(
         return Checks(label, stable, (judged_rate(wanted, rate, np.inf, f"not proved: {why}"),))
 
     plant = assemble(machine, span.middle)
-    law = law if isinstance(law, ScheduledSystem) else match_controller(law, plant)
-    if law.dt is not None:
+    moving = moving_law(law, plant)
+    if moving.dt is not None:
         return without("the controller is sampled; give the continuous one that it was made of")
     try:
         held = [
             (p, told)
-            for told in np.linspace(*told_range(span, law, error), FROZEN)
+            for told in np.linspace(*told_range(span, moving, error), FROZEN)
             for p in _told(told, error, span)
         ]
         lag = 0.0 if timing is None else timing.lag

@@ -35,7 +35,8 @@ from ambrose.core.varying.loop import VaryingLoop
 from ambrose.core.varying.proof import Proof, proved_gain
 from ambrose.judge.checks import Checks
 from ambrose.judge.criteria import information
-from ambrose.law.loop import covers, match_controller
+from ambrose.law.law import LawLike, law_of
+from ambrose.law.loop import running_law
 from ambrose.law.timing import Timing
 from ambrose.machine.criteria import demand
 from ambrose.machine.machine import Machine
@@ -53,7 +54,7 @@ _TOGETHER = 8  # channels up to which the multipliers of all seals are one
 
 
 def pressure_loop(
-    plant: Plant, span: PressureSpan, law: StateSpace, timing: Timing | None
+    plant: Plant, span: PressureSpan, law: LawLike, timing: Timing | None
 ) -> VaryingLoop:
     """The loop with the pressure pulled out: delta = -1 at the span's lowest, +1 at its highest
     pressure.
@@ -92,9 +93,7 @@ def pressure_loop(
     D = left @ part.D @ right
     D[:r, :r] += shift
     every = np.array(owner) if r > _TOGETHER else np.zeros(r, int)
-    K = match_controller(law, plant)
-    if timing is not None:
-        K = timing.in_loop(K)
+    K = running_law(law, plant, timing)
     if K.dt is None:
         return _closed(StateSpace(A, B, C, D), K, every)
     return VaryingLoop(A, B, C, D, every, K)
@@ -145,9 +144,7 @@ class Frozen:
     frequencies: tuple[float, ...]
 
 
-def frozen_peaks(
-    plant: Plant, span: PressureSpan, law: StateSpace, timing: Timing | None
-) -> Frozen:
+def frozen_peaks(plant: Plant, span: PressureSpan, law: LawLike, timing: Timing | None) -> Frozen:
     """At FROZEN pressures on the plant reduced to three bending modes, at both ends and at the
     worst on the full one.
     """
@@ -183,7 +180,7 @@ def filter_poles(frozen: Frozen, channels: int) -> tuple[float, ...]:
 def check_pressure(
     machine: Machine,
     span: PressureSpan,
-    law: StateSpace,
+    law: LawLike,
     timing: Timing | None,
     rate: float,
     tell: Tell = lambda text: None,
@@ -259,7 +256,7 @@ def _proof(
     )
 
 
-def covered_spans(machine: Machine, law: object) -> tuple[PressureSpan, ...]:
+def covered_spans(machine: Machine, law: LawLike) -> tuple[PressureSpan, ...]:
     """The spans at whose ends a law is meant to run; a schedule over speed is made for one pressure
     and covers none.
     """
@@ -270,5 +267,5 @@ def covered_spans(machine: Machine, law: object) -> tuple[PressureSpan, ...]:
     return tuple(
         span
         for span, points in ends
-        if all(covers(law, assemble(machine, point)) for point in points)
+        if all(law_of(law).covers(assemble(machine, point)) for point in points)
     )

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from ambrose.annexes.scheduled.moving.on_model import check_on_model, scheduled_spans
 from ambrose.annexes.scheduled.moving.pressure import check_pressure, covered_spans
 from ambrose.annexes.scheduled.moving.spans import pressure_spans
 from ambrose.annexes.scheduled.moving.speed import SpeedSpan, check_speed, speed_spans
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.core.scheduled import ScheduledSystem
-from ambrose.core.statespace import is_system
 from ambrose.judge.checks import Checks
 from ambrose.judge.motion import Motion, Progress
-from ambrose.law.scheduling import PRESSURE, SPEED, follows, scheduling_of
+from ambrose.law.law import Law
+from ambrose.law.scheduling import PRESSURE, SPEED
 from ambrose.law.timing import Timing
 from ambrose.machine.machine import Machine
 
 
-def refuse(machine: Machine, law: Any, motion: Motion) -> None:
+def refuse(machine: Machine, law: Law, motion: Motion) -> None:
     """Raises InvalidInput where a law cannot be examined along the motion that is asked for."""
     _over_pressure(law, motion.pressure_error)
     if motion.speed_rate is not None:
@@ -28,7 +26,7 @@ def refuse(machine: Machine, law: Any, motion: Motion) -> None:
 
 def prove(
     machine: Machine,
-    law: Any,
+    law: Law,
     points: Sequence[Checks],
     timing: Timing | None,
     motion: Motion,
@@ -69,38 +67,47 @@ def unproved(machine: Machine, motion: Motion) -> str | None:
 
 
 def _along_pressure(
-    machine: Machine, law: Any, timing: Timing | None, motion: Motion, progress: Progress
+    machine: Machine, law: Law, timing: Timing | None, motion: Motion, progress: Progress
 ) -> tuple[Checks, ...]:
     """The checks while the pressure changes at up to the rate given or that of the machine file.
 
-    There are none for a schedule over speed, or over speed and pressure.
+    There are none for a schedule over speed, or over speed and pressure, and none for a program or
+    a function that follows the pressure.
     """
     rate = motion.pressure_rate
     if rate is None:
         rate = machine.operation.pressure_rate
     if rate is None:
         return ()
-    if not isinstance(law, ScheduledSystem):
+    schedule = law.schedule
+    if schedule is None and law.follows(PRESSURE):
+        return ()  # a function or a program: at the pressure of a span's middle it is another law
+    if schedule is None:
         return tuple(
             check_pressure(machine, span, law, timing, rate, progress)
             for span in covered_spans(machine, law)
         )
     error = motion.pressure_error
-    spans = scheduled_spans(machine, law) if _over_pressure(law, error) else ()
+    spans = scheduled_spans(machine, schedule) if _over_pressure(law, error) else ()
     return tuple(
         check_on_model(machine, span, law, timing, rate, error, progress) for span in spans
     )
 
 
-def _speed_spans(machine: Machine, law: Any) -> tuple[SpeedSpan, ...]:
+def _speed_spans(machine: Machine, law: Law) -> tuple[SpeedSpan, ...]:
     """Where a fixed law or a schedule over speed is proved while the speed changes.
 
     Raises InvalidInput where it cannot be.
     """
-    if not is_system(law) and scheduling_of(law) is not SPEED:
+    if law.fixed is None and law.scheduled_over is not SPEED:
         raise InvalidInput(
             "a controller scheduled over pressure is not proved while the speed changes; leave "
             "the speed's rate out"
+        )
+    if law.fixed is None and law.schedule is None:
+        raise InvalidInput(
+            "a function of the speed is not proved while the speed changes; make it a schedule "
+            "(ScheduledSystem), or leave the speed's rate out"
         )
     spans = speed_spans(machine, law)
     if not spans:
@@ -111,14 +118,14 @@ def _speed_spans(machine: Machine, law: Any) -> tuple[SpeedSpan, ...]:
     return spans
 
 
-def _over_pressure(law: Any, error: float) -> bool:
+def _over_pressure(law: Law, error: float) -> bool:
     """Whether a law is scheduled over pressure alone.
 
     Raises InvalidInput for an error [Pa] where it is not.
     """
-    over_pressure = isinstance(law, ScheduledSystem) and scheduling_of(law) is PRESSURE
+    over_pressure = law.schedule is not None and law.scheduled_over is PRESSURE
     if error and not over_pressure:
-        why = "alone is proved with it" if follows(law, PRESSURE) else "is told of it"
+        why = "alone is proved with it" if law.follows(PRESSURE) else "is told of it"
         raise invalid(
             "the error of the pressure",
             f"{error:g} Pa",

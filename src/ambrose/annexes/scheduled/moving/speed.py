@@ -16,11 +16,11 @@ from math import comb
 
 import numpy as np
 
+from ambrose.annexes.scheduled.moving.law import MovingLaw, moving_law
 from ambrose.annexes.scheduled.moving.spans import REST, Tell
 from ambrose.core.checks import AmbroseError, InvalidInput, NumericalFailure, check_positive
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.norms import hinf_norm
-from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, is_stable, select
 from ambrose.core.varying.cells import Cell, elevated
 from ambrose.core.varying.proof import Proof
@@ -28,7 +28,7 @@ from ambrose.core.varying.tolerances import proved_over_tolerances
 from ambrose.judge.checks import Checks
 from ambrose.judge.criteria import information, judge
 from ambrose.law.design_problem import apply_delay, open_model
-from ambrose.law.loop import covers, match_controller
+from ambrose.law.law import LawLike, law_of
 from ambrose.law.timing import Timing
 from ambrose.machine.criteria import TWO_PI, demand
 from ambrose.machine.description import OperatingPoint, Tolerance
@@ -74,7 +74,7 @@ class SpeedSpan:
         return replace(self.point, speed=float(speed), label=self.label)
 
 
-def speed_spans(machine: Machine, law: object) -> tuple[SpeedSpan, ...]:
+def speed_spans(machine: Machine, law: LawLike) -> tuple[SpeedSpan, ...]:
     """One for every pressure (and bias) at which operating points have several speeds, cut at a
     schedule's ends.
     """
@@ -83,7 +83,8 @@ def speed_spans(machine: Machine, law: object) -> tuple[SpeedSpan, ...]:
         found.setdefault(
             (point.seal_pressure, point.bias_current, point.whirl_frequency), []
         ).append(point)
-    low, high = law.range if isinstance(law, ScheduledSystem) else (0.0, np.inf)
+    law = law_of(law)
+    low, high = (0.0, np.inf) if law.range is None else law.range
     ends = (
         (p[0], max(low, min(q.speed for q in p)), min(high, max(q.speed for q in p)))
         for p in found.values()
@@ -92,7 +93,7 @@ def speed_spans(machine: Machine, law: object) -> tuple[SpeedSpan, ...]:
     return tuple(
         span
         for span in spans
-        if all(covers(law, assemble(machine, span.at(v))) for v in (span.low, span.high))
+        if all(law.covers(assemble(machine, span.at(v))) for v in (span.low, span.high))
     )
 
 
@@ -103,7 +104,7 @@ class _Family:
         self,
         plant: Plant,
         span: SpeedSpan,
-        law: ScheduledSystem | StateSpace,
+        law: MovingLaw,
         lag: float,
         modes: int,
         tolerances: Sequence[Tolerance],
@@ -166,9 +167,7 @@ class _Family:
         return np.hstack([system.A, W * size])
 
     def controller(self, speed: float) -> StateSpace:
-        return match_controller(
-            self.law.at(speed) if isinstance(self.law, ScheduledSystem) else self.law, self.plant
-        )
+        return self.law.at(speed)
 
     def around(self, speed: float) -> tuple[np.ndarray, np.ndarray]:
         """What the controller adds to A, and B of (w, d)."""
@@ -190,10 +189,8 @@ class _Family:
 
     def cells(self) -> list[Cell]:
         low, high = self.span.low, self.span.high
-        inner = np.linspace(low, high, _CELLS + 1)
-        if isinstance(self.law, ScheduledSystem):
-            inner = self.law.grid
-        knots = sorted({low, high, *(v for v in inner.tolist() if low < v < high)})
+        inner = self.law.knots(low, high, _CELLS)
+        knots = sorted({low, high, *(v for v in inner if low < v < high)})
         return [cell for ends in pairwise(knots) for cell in self._cells(*ends, _HALVINGS)]
 
     def _cells(self, low: float, high: float, left: int) -> Iterator[Cell]:
@@ -239,7 +236,7 @@ class _Family:
 def check_speed(
     machine: Machine,
     span: SpeedSpan,
-    law: ScheduledSystem | StateSpace,
+    law: LawLike,
     timing: Timing | None,
     rate: float,
     tolerances: bool = True,
@@ -260,13 +257,12 @@ def check_speed(
     title = f"Output sensitivity proved while the speed changes at up to {rate:.4g} rad/s^2"
     checks, stable = [], True
     try:
-        if not isinstance(law, ScheduledSystem):
-            law = match_controller(law, plant)
-        if law.dt is not None:
+        moving = moving_law(law, plant)
+        if moving.dt is not None:
             raise InvalidInput(
                 "the controller is sampled; give the continuous one that it was made of"
             )
-        family, off, full = _chosen(plant, span, law, lag)
+        family, off, full = _chosen(plant, span, moving, lag)
         words = f"the worst of {_FROZEN} speeds"
         checks.append(
             information(
@@ -293,7 +289,7 @@ def check_speed(
         held = tolerances_around(plant) if tolerances else ()
         if held:
             title += ", over the tolerances"
-            family = _Family(plant, span, law, lag, family.modes, held)
+            family = _Family(plant, span, moving, lag, family.modes, held)
             tell(
                 f"proving the loop {span.label}, over {len(family.rows)} entries of the tolerances"
             )
@@ -320,7 +316,7 @@ class _Unstable(NumericalFailure):
 
 
 def _chosen(
-    plant: Plant, span: SpeedSpan, law: ScheduledSystem | StateSpace, lag: float
+    plant: Plant, span: SpeedSpan, law: MovingLaw, lag: float
 ) -> tuple[_Family, float, float]:
     """The smallest model within _SAME of the full plant at every steady speed, by how much it is
     off, and its worst.
@@ -339,11 +335,9 @@ def _chosen(
     )
 
 
-def _full_peak(
-    plant: Plant, point: OperatingPoint, law: ScheduledSystem | StateSpace, lag: float
-) -> float:
+def _full_peak(plant: Plant, point: OperatingPoint, law: MovingLaw, lag: float) -> float:
     full = assemble(plant.machine, point)
-    K = match_controller(law.at(point.speed) if isinstance(law, ScheduledSystem) else law, full)
+    K = law.at(point.speed)
     open_loop = apply_delay(open_model(full, None, False), lag, _PADE).system
     G = select(open_loop, list(full.named("u")), list(full.named("y")))
     A = np.block([[G.A - G.B @ K.D @ G.C, G.B @ K.C], [-K.B @ G.C, K.A]])

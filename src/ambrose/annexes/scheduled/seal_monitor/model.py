@@ -23,17 +23,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.response import held_derivative
-from ambrose.core.statespace import index_of
+from ambrose.core.statespace import StateSpace, index_of
 from ambrose.identification.output_error.loop_model import directions_of
 from ambrose.identification.output_error.problem import deployed_controller
 from ambrose.identification.parameters import nominal_values, reduced_plant
+from ambrose.law.law import LawLike
 from ambrose.machine.description import AMPLIFIER_PARAMETERS, OperatingPoint, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import find_uncertain
@@ -81,7 +81,7 @@ class SealModel:
     squares: tuple[Direction, ...]
     doubts: tuple[Direction, ...]
     kinds: tuple[str, ...]
-    law: Any
+    law: StateSpace
 
     @property
     def observer(self) -> np.ndarray:
@@ -91,7 +91,7 @@ class SealModel:
 
 def seal_model(
     machine: Machine,
-    controller: Any,
+    controller: LawLike,
     point: OperatingPoint,
     paths: Sequence[str],
     dt: float,
@@ -197,7 +197,7 @@ def _reference(machine: Machine, paths: Sequence[str]) -> np.ndarray:
 
 
 def _stable_loop(
-    law: Any,
+    law: StateSpace,
     A: np.ndarray,
     B: np.ndarray,
     C: np.ndarray,

@@ -19,6 +19,7 @@ from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.identification.excitation import signal_rows
 from ambrose.identification.output_error.problem import check_machine
 from ambrose.identification.parameters import nominal_values, reduced_plant
+from ambrose.law.law import LawLike
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.seals import Seal, not_straight
@@ -123,7 +124,7 @@ def said(item: Estimate, window: float) -> bool:
 @names_wrong_types
 def seal_monitor(
     machine: Machine,
-    controller: Any,
+    controller: LawLike,
     point: OperatingPoint,
     dt: float,
     *,
@@ -169,7 +170,7 @@ def seal_monitor(
 @names_wrong_types
 def monitor(
     machine: Machine,
-    controller: Any,
+    controller: LawLike,
     record: Record,
     *,
     progress: Callable[[str], None] = lambda stage: None,

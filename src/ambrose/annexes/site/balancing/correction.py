@@ -24,6 +24,7 @@ from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.presentation import Presented
 from ambrose.identification.parameters import COVERAGE
 from ambrose.identification.validation.operating_load import load_doubt, machine_at_load
+from ambrose.law.law import LawLike
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import suggestion
 from ambrose.model.assemble import assemble
@@ -185,7 +186,7 @@ def balance(
     planes: Mapping[str, float],
     *,
     trials: Sequence[tuple[Record | str | Path, Mapping[str, complex]]] = (),
-    controller: Any = None,
+    controller: LawLike | None = None,
     settle: float = 0.3,
 ) -> Balancing:
     """Correction masses in ``planes`` from the 1x of displacements and currents of records at
@@ -483,7 +484,7 @@ def _moved(
     runs: Sequence[_Run],
     trials: Sequence[_Run],
     path: str,
-    controller: Any,
+    controller: LawLike | None,
     settle: float,
 ) -> _Estimate:
     """The estimate with one uncertain parameter at the end of its tolerance."""

@@ -10,7 +10,6 @@ included. With S = (I + G K)^-1, y = S d. Letters: core/lft.py.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,8 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import hold
 from ambrose.core.statespace import select
 from ambrose.identification.frf.phasors import Step
-from ambrose.law.loop import law_at, match_axes
+from ambrose.law.law import LawLike, law_of
+from ambrose.law.loop import match_axes
 from ambrose.law.timing import Timing, timing_of
 from ambrose.machine.messages import suggestion
 from ambrose.model.effects.sensor import linearised
@@ -49,7 +49,7 @@ class Influence:
     size: float
 
 
-def source_of_currents(record: Record, plant: Plant, controller: Any) -> str:
+def source_of_currents(record: Record, plant: Plant, controller: LawLike | None) -> str:
     """Where the currents at 1x are known from: the record's u_ or i_, else the controller; "" from
     nowhere.
     """
@@ -63,7 +63,7 @@ def source_of_currents(record: Record, plant: Plant, controller: Any) -> str:
 def influence(
     plant: Plant,
     planes: tuple[str, ...],
-    controller: Any,
+    controller: LawLike | None,
     record: Record,
     turn: Step,
     settle: float,
@@ -88,7 +88,7 @@ def influence(
     closed = None
     if controller is not None:
         timing = timing_of(plant.machine, controller) or Timing(dt)
-        law = law_at(getattr(controller, "law", controller), plant.point)
+        law = law_of(controller).at(plant.point)
         law = match_axes(timing.in_loop(law), axes, repr(plant.machine.name))
         K = frequency_response(law, omega).values[0] * (
             1.0 if law.dt is None else hold(omega, law.dt)[0]

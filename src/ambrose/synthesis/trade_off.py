@@ -25,7 +25,7 @@ from ambrose.model.assemble import assemble
 from ambrose.synthesis.fixed_order.aims import aims_of
 from ambrose.synthesis.fixed_order.job import Job, Law, first_law, prepare, with_states
 from ambrose.synthesis.fixed_order.tuning import INTERRUPTED, tuned
-from ambrose.synthesis.options import DesignOptions
+from ambrose.synthesis.methods.tuned import Tuned
 from ambrose.synthesis.pid import first_settings, pid_controller
 
 ORDER = "order"
@@ -88,7 +88,7 @@ def trade_off(
     machine: Machine,
     over: str,
     values: Sequence[float],
-    options: DesignOptions | None = None,
+    method: Tuned | None = None,
     *,
     time_limit: float = 180.0,
     progress: Callable[[str], None] = lambda text: None,
@@ -96,36 +96,29 @@ def trade_off(
     """The lowest sensitivity of a tuned controller against the values of one requirement, or
     against its order.
 
-    over: a key of [requirements] (``TRADED``) or "order"; values: SI; options: rate, delay_samples,
-    order and structure (no bank) as for a design; time_limit [s] of computing for each sensitivity
-    aimed at. Ctrl-C keeps the values that are done. Raises InvalidInput.
+    over: a key of [requirements] (``TRADED``) or "order"; values: SI; method: how each controller
+    is tuned (no bank); time_limit [s] of computing for each sensitivity aimed at. Ctrl-C keeps the
+    values that are done. Raises InvalidInput.
     """
-    options = (options or DesignOptions()).on(machine)
+    method = (method or Tuned()).without_bank().on(machine)
     wanted = _checked(over, values)
-    if options.structure in {"pid", "filters"}:
-        raise invalid(
-            "structure",
-            options.structure,
-            "free, plane or axis",
-            "a bank is tuned by the design itself",
-        )
     start = pid_controller(machine.reference or first_settings(machine), machine)
     plants = envelope_of(assemble(machine, machine.operation.design))
-    order = int(wanted[0]) if over == ORDER else options.order
+    order = int(wanted[0]) if over == ORDER else method.order
     job = prepare(
         plants,
         start,
-        options.timing(),
+        method.timing(),
         order,
-        options.structure,
-        options.bending_modes,
+        method.structure,
+        method.bending_modes,
         None,
         time_limit,
         None,
     )
     job.most_states = None  # every value at one order
     groups, usual = job.groups, job.aims.sensitivity
-    law = first_law(job, start, order, options.structure)
+    law = first_law(job, start, order, method.structure)
     aim = usual
     again = False
     rows: list[tuple[float, float, bool, str, Synthesis | None]] = []
@@ -141,14 +134,14 @@ def trade_off(
             if not again:  # the first one, or the one before has nothing to go on from
                 job.groups = groups
                 law = first_law(
-                    job, start, int(value) if over == ORDER else order, options.structure
+                    job, start, int(value) if over == ORDER else order, method.structure
                 )
             elif over == ORDER:
                 law = with_states(
                     cast(StateSpace, law), int(value) - cast(StateSpace, law).n_states, job.groups
                 )
             progress(f"{over} {value:.4g} {unit_of(over)}")
-            best = lowest(job, law, options.structure, again, time_limit, progress)
+            best = lowest(job, law, method.structure, again, time_limit, progress)
             rows.append((value, *best))
             again, found = best[1], best[-1]
             if again and found is not None:

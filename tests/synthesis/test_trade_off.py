@@ -12,9 +12,9 @@ from click.testing import CliRunner
 import ambrose as amb
 from ambrose.cli import main
 from ambrose.judge.result import Certificate, Status
-from ambrose.synthesis.fixed_order import trade_off as module
-from ambrose.synthesis.fixed_order.trade_off import TradeOff, read_value, trade_off
-from ambrose.synthesis.options import DesignOptions
+from ambrose.synthesis import trade_off as module
+from ambrose.synthesis.methods.tuned import Tuned
+from ambrose.synthesis.trade_off import TradeOff, read_value, trade_off
 from coarse import coarse
 
 
@@ -36,7 +36,7 @@ def test_bad_input(over, values, words):
 
 def test_a_bank_is_refused():
     with pytest.raises(amb.InvalidInput, match="a bank is tuned by the design itself"):
-        trade_off(coarse("seal-rig"), "order", [8, 12], DesignOptions(structure="pid"))
+        trade_off(coarse("seal-rig"), "order", [8, 12], Tuned(structure="pid"))
 
 
 def test_values_as_in_a_machine_file():
@@ -62,7 +62,7 @@ def test_a_value_that_was_not_met_is_no_start_for_the_next(monkeypatch):
         return amb.Synthesis(law, "tuned", 1.0, Status.VERIFIED, Certificate(margins=margins))
 
     monkeypatch.setattr(module, "tuned", tuned)
-    result = trade_off(coarse("seal-rig"), "order", [12, 16, 20], DesignOptions(rate=1e4))
+    result = trade_off(coarse("seal-rig"), "order", [12, 16, 20], Tuned(rate=1e4))
     assert result.met == (False, True, True)
     assert begun == [(12, False), (16, False), (20, True)]
 
@@ -116,9 +116,7 @@ def test_ctrl_c_ends_it_and_keeps_the_values_that_are_done(monkeypatch):
         return done if len(seen) == 1 else replace(done, stopped_early="interrupted")
 
     monkeypatch.setattr(module, "tuned", tuned)
-    result = trade_off(
-        coarse("seal-rig"), "settling_time", [0.1, 0.05, 0.02], DesignOptions(rate=1e4)
-    )
+    result = trade_off(coarse("seal-rig"), "settling_time", [0.1, 0.05, 0.02], Tuned(rate=1e4))
     assert result.values == (0.1,)
     assert len(seen) == 2
 
@@ -126,7 +124,7 @@ def test_ctrl_c_ends_it_and_keeps_the_values_that_are_done(monkeypatch):
 @pytest.mark.study
 def test_each_controller_settles_as_asked_and_a_harder_demand_costs_more(tmp_path):
     machine = coarse("seal-rig")
-    result = trade_off(machine, "settling_time", [0.12, 0.06], DesignOptions(rate=1e4))
+    result = trade_off(machine, "settling_time", [0.12, 0.06], Tuned(rate=1e4))
     assert result.values == (0.12, 0.06)
     assert result.sensitivity[1] >= 0.98 * result.sensitivity[0]
     for value, peak, met, found in zip(
