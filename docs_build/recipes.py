@@ -6,8 +6,11 @@ A study that lies already in $AMBROSE_STUDIES/<machine>-study is read instead of
 
 import json
 import os
+import platform
 import re
 import tempfile
+import time
+from datetime import date
 from pathlib import Path
 
 import numpy as np
@@ -155,14 +158,54 @@ def sampled_designs(machine="seal-rig-k-only"):
     return figures
 
 
+TUNED = {  # name: machine and options
+    "turboexpander": ("turboexpander", "--rate-hz", "10000"),
+    "turboexpander_continuous": ("turboexpander",),
+    "seal_rig": ("seal-rig", "--rate-hz", "10000"),
+    "two_disc_rotor": ("two-disc-rotor",),
+    "vertical_pump": ("vertical-pump",),
+    "process_compressor": ("process-compressor",),
+}
+
+
+def tuned_designs():
+    """docs/research/robust-control.md: tuned controllers, with the date and the processor on which the search went this way.
+
+    States; gamma, the largest ratio of a requirement to its limit; sigma_max(S_o) at the worst operating point; seconds of
+    processor time.
+    """
+    figures = {"date": date.today().isoformat(), "processor": processor()}
+    for name, (machine, *options) in TUNED.items():
+        with tempfile.TemporaryDirectory() as folder:
+            start = time.process_time()
+            ambrose("synthesize", machine, "--method", "tuned", *options, "-o", "controller.json", folder=folder)
+            seconds = time.process_time() - start
+            law = json.loads((Path(folder) / "controller.json").read_text(encoding="utf-8"))
+        figures |= {
+            f"{name}.states": len(law["A"]),
+            f"{name}.gamma": law["gamma"],
+            f"{name}.sensitivity": law["certificate"]["closed_loop_norm"],
+            f"{name}.seconds": round(seconds),
+        }
+    return figures
+
+
+def processor():
+    """The processor's name as the system tells it."""
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text(encoding="utf-8").splitlines() if info.exists() else []
+    named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return named[0] if named else platform.processor() or platform.machine()
+
+
 def lowering():
-    """docs/integrator.md: the worst sampled sensitivity at every order that --loss tries, as its progress shows it."""
+    """docs/research/code.md: the worst sampled sensitivity at every order that --loss tries, as its progress shows it."""
     progress = run("synthesize", "seal-rig-k-only", "--method", "mu", "--rate-hz", "10000", "--loss", "5").stderr
     return {f"{how}{order}": float(worst) for order, how, worst in re.findall(r"order (\d+), (\w+): ([\d.]+)", progress)}
 
 
 def gas_seal():
-    """docs/seals.md: the hole-pattern seal of the thesis, its coefficients and what the rational fit leaves."""
+    """docs/research/models.md: the hole-pattern seal of the thesis, its coefficients and what the rational fit leaves."""
     from ambrose.physics.bulkflow import Friction, SealCondition, SealGeometry, air, bulk_flow
 
     seal = SealGeometry(
@@ -194,5 +237,6 @@ SLOW = {
     "study": lambda: study("seal-rig"),
     "study_turboexpander": lambda: study("turboexpander"),
     "sampled": sampled_designs,
+    "tuned": tuned_designs,
     "lowering": lowering,
 }
