@@ -1,4 +1,7 @@
-"""README.md and the other pages at the root link to files that are there; links between pages of docs/ are mkdocs' to check."""
+"""README.md and the other pages at the root link to files that are there; links between pages of docs/ are mkdocs' to check.
+
+README.md is also the page of a package index, where no file of the repository is beside it: its links and pictures are absolute.
+"""
 
 import re
 from pathlib import Path
@@ -9,7 +12,13 @@ from docs_build import scenario_file
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md", "CHANGELOG.md"])
+def test_links_of_the_readme_work_on_a_package_index():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    targets = re.findall(r"\]\(([^)\s]+)", text) + re.findall(r"(?:src|href)=[\"']([^\"']+)", text)
+    assert [target for target in targets if not target.startswith("https://")] == []
+
+
+@pytest.mark.parametrize("name", ["CONTRIBUTING.md", "CHANGELOG.md"])
 def test_links_lead_somewhere(name):
     for target in re.findall(r"\]\(([^)#\s]+)", (ROOT / name).read_text(encoding="utf-8")):
         assert target.startswith("https://") or (ROOT / target).exists(), target
