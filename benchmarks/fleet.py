@@ -157,7 +157,7 @@ this page; `tests/test_fleet.py` runs the same commands.
 def cell(outcome):
     """How a command ended, and its seconds."""
     status, seconds, _ = outcome
-    return f"{MARKS[status]} {seconds:.1f}"
+    return f"{MARKS[status]}&nbsp;{seconds:.1f}"
 
 
 if __name__ == "__main__":

@@ -30,6 +30,13 @@ def test_every_page_is_in_the_navigation():
         assert path.relative_to(ROOT / "docs").as_posix() in navigation
 
 
+def test_the_search_of_a_site_opened_from_its_folder_needs_no_network():
+    """The offline plugin would load its shim from elsewhere if none with this name were in the configuration."""
+    configuration = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    (shim,) = re.findall(r"polyfills: \[(.*iframe-worker.*?)\]", configuration)
+    assert (ROOT / "docs" / shim).exists() and "\n  - offline\n" in configuration
+
+
 def test_the_page_of_the_scenario_file_is_that_of_the_program():
     assert (ROOT / "docs" / "scenario-file.md").read_text(encoding="utf-8") == scenario_file.page(), (
         "run python -m docs_build.scenario_file"
