@@ -110,10 +110,11 @@ def page(names):
     rows = "\n".join(description(name) for name in names)
     return f"""# Bundled machines
 
-`ambrose machines` lists them. Each is a [machine file](../machine-file.md) to start from, `src/ambrose/machines/NAME.toml`, and
-says under `[machine.assumed]` which of its figures were chosen. Rotors from books have magnets of our own sizing in place of
-the books' bearings. Mass, first free-free bending frequency and top speed are computed from the files. What every command gives on
-every machine: [All commands on all machines](../research/machines.md).
+`ambrose machines` lists them. Each is a [machine file](../machine-file.md) to start from,
+`src/ambrose/machines/NAME.toml`, and says under `[machine.assumed]` which of its figures were chosen. Rotors from
+books have magnets of our own sizing in place of the books' bearings. Mass, first free-free bending frequency and top
+speed are computed from the files. What every command gives on every machine: [All commands on all
+machines](../research/machines.md).
 
 | machine | what it is | mass | first bending | top speed | bearings | seals | source |
 |---|---|---|---|---|---|---|---|
@@ -137,11 +138,11 @@ def results_page(results):
     )
     return f"""# All commands on all machines
 
-What comes out on the [bundled machines](../reference/machines.md), and how many seconds it takes on two slow cores that were busy with
-other work, too: **+** all checks passed, **1** done, but a check failed, **2** refused. `pid` is the machine file's own `[controller]`,
-meant to levitate and no more: the requirements that it fails are what the tuned controller is for. Those of turboexpander and seal
-rigs are published continuous ones; at the 10 kHz that are assumed the first does not levitate. `python -m benchmarks.fleet` makes
-this page; `tests/test_fleet.py` runs the same commands.
+What comes out on the [bundled machines](../reference/machines.md), and how many seconds it takes on two slow cores
+that were busy with other work, too: **+** all checks passed, **1** done, but a check failed, **2** refused. `pid` is
+the machine file's own `[controller]`, meant to levitate and no more: the requirements that it fails are what the tuned
+controller is for. Those of turboexpander and seal rigs are published continuous ones; at the 10 kHz that are assumed
+the first does not levitate. `python -m benchmarks.fleet` makes this page; `tests/test_fleet.py` runs the same commands.
 
 {head}
 {table}

@@ -41,49 +41,98 @@ class Card:
 
 PID = "synthesize seal-rig --method pid -o pid.json"
 CARDS = (
-    Card("study", "The report", "Every controller at every operating point, on one page.", "how-to/report.md", (), "", 0),
     Card(
-        "map", "Poles over pressure", "Where stability ends, and what the tolerances do to a pulse.", "how-to/map.md",
-        (PID, "map seal-rig --controller pid.json -o map.html"), "map.html", 510,
+        "study",
+        "The report",
+        "Every controller at every operating point, on one page.",
+        "how-to/report.md",
+        (),
+        "",
+        0,
     ),
     Card(
-        "run", "A run on the virtual rig", "Distance, orbits, waterfall, currents, the rotor in motion.", "how-to/simulate.md",
-        (PID, "simulate seal-rig --controller pid.json --scenario levitation -o run.h5 --report run.html"), "run.html", 690,
+        "map",
+        "Poles over pressure",
+        "Where stability ends, and what the tolerances do to a pulse.",
+        "how-to/map.md",
+        (PID, "map seal-rig --controller pid.json -o map.html"),
+        "map.html",
+        510,
     ),
     Card(
-        "identify", "An identification", "Values with intervals, measured over model, residual tests.", "how-to/identify.md",
+        "run",
+        "A run on the virtual rig",
+        "Distance, orbits, waterfall, currents, the rotor in motion.",
+        "how-to/simulate.md",
         (
-            PID, "simulate seal-rig --controller pid.json --scenario prbs -o prbs.h5",
+            PID,
+            "simulate seal-rig --controller pid.json --scenario levitation -o run.h5 --report run.html",
+        ),
+        "run.html",
+        690,
+    ),
+    Card(
+        "identify",
+        "An identification",
+        "Values with intervals, measured over model, residual tests.",
+        "how-to/identify.md",
+        (
+            PID,
+            "simulate seal-rig --controller pid.json --scenario prbs -o prbs.h5",
             "identify seal-rig prbs.h5 --controller pid.json -o identified.toml --report identify.html",
-        ), "identify.html", 860,
+        ),
+        "identify.html",
+        860,
     ),
     Card(
-        "accept", "Acceptance by measurement", "Sensitivity with its band and the zones of the standard.", "how-to/accept.md",
+        "accept",
+        "Acceptance by measurement",
+        "Sensitivity with its band and the zones of the standard.",
+        "how-to/accept.md",
         (
-            PID, "simulate seal-rig --controller pid.json --scenario acceptance -o measured.h5",
+            PID,
+            "simulate seal-rig --controller pid.json --scenario acceptance -o measured.h5",
             "accept seal-rig pid.json measured.h5 -o accept.html",
-        ), "accept.html", 470,
+        ),
+        "accept.html",
+        470,
     ),
     Card(
-        "frf", "Frequency responses", "Magnitude, phase, error and coherence of every axis.", "how-to/frf.md",
+        "frf",
+        "Frequency responses",
+        "Magnitude, phase, error and coherence of every axis.",
+        "how-to/frf.md",
         (
-            PID, "simulate seal-rig --controller pid.json --scenario acceptance -o measured.h5",
+            PID,
+            "simulate seal-rig --controller pid.json --scenario acceptance -o measured.h5",
             "frf seal-rig measured.h5 --controller pid.json -o frf.html",
-        ), "frf.html", 590,
+        ),
+        "frf.html",
+        590,
     ),
     Card(
-        "monitor", "A seal that is watched", "Its pressure against time, with an interval.", "how-to/monitor.md",
+        "monitor",
+        "A seal that is watched",
+        "Its pressure against time, with an interval.",
+        "how-to/monitor.md",
         (
-            PID, "simulate seal-rig --controller pid.json --scenario monitor -o watched.h5",
+            PID,
+            "simulate seal-rig --controller pid.json --scenario monitor -o watched.h5",
             "monitor seal-rig pid.json watched.h5 -o monitor.html",
-        ), "monitor.html", 570,
+        ),
+        "monitor.html",
+        570,
     ),
-)  # fmt: skip
+)
 
 
 def with_picture():
     """The examples that have a picture."""
-    return [path for path in sorted(EXAMPLES.glob("[0-9]*.py")) if "def picture(" in path.read_text(encoding="utf-8")]
+    return [
+        path
+        for path in sorted(EXAMPLES.glob("[0-9]*.py"))
+        if "def picture(" in path.read_text(encoding="utf-8")
+    ]
 
 
 def thumbnail(name):
@@ -106,10 +155,19 @@ def photograph(page, top, target):
         wrapper = Path(folder) / "frame.html"
         wrapper.write_text(f"<!doctype html>{frame}", encoding="utf-8")
         subprocess.run(
-            [browser, "--headless", "--no-sandbox", "--hide-scrollbars", "--virtual-time-budget=5000",
-             f"--window-size={SIZE[0]},{SIZE[1]}", f"--screenshot={target}", wrapper.as_uri()],
-            check=True, capture_output=True,
-        )  # fmt: skip
+            [
+                browser,
+                "--headless",
+                "--no-sandbox",
+                "--hide-scrollbars",
+                "--virtual-time-budget=5000",
+                f"--window-size={SIZE[0]},{SIZE[1]}",
+                f"--screenshot={target}",
+                wrapper.as_uri(),
+            ],
+            check=True,
+            capture_output=True,
+        )
 
 
 def make(card, folder):
@@ -118,7 +176,9 @@ def make(card, folder):
 
     if card.name == "study":
         page = folder / "study.html"
-        page.write_text(f'<img src="{PICTURE.resolve().as_uri()}" style="width:{WIDTH}px">', encoding="utf-8")
+        page.write_text(
+            f'<img src="{PICTURE.resolve().as_uri()}" style="width:{WIDTH}px">', encoding="utf-8"
+        )
     else:
         page = folder / card.page
         for command in card.commands:
@@ -136,7 +196,9 @@ def make_example(path, folder):
         library.write_text(plotly_library(), encoding="utf-8")
     page = folder / f"{path.stem}.html"
     body = f'<div style="width:{WIDTH - 40}px;height:830px">{run_of(path)["picture"]}</div>'
-    page.write_text(f'<meta charset="utf-8"><script src="plotly.min.js"></script>{body}', encoding="utf-8")
+    page.write_text(
+        f'<meta charset="utf-8"><script src="plotly.min.js"></script>{body}', encoding="utf-8"
+    )
     photograph(page, 0, FOLDER / f"{number(path)}.png")
 
 

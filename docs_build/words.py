@@ -1,9 +1,10 @@
-"""Words of the pages by tab: the user's side (start, how-to, reference, theory) stays small, a how-to page holds one task.
+"""Words of the pages by tab: the user's side stays small, a how-to page holds one task.
 
 python -m docs_build.words      words by tab, and of every page
 
-Counted are the pages written by hand, with tables and code, as ``wc -w`` does, but without comments (what the tests run and no reader
-sees); pages made from docstrings, examples and notebooks are not. The tab of a page is that of the navigation in mkdocs.yml.
+Counted are the pages written by hand, with tables and code, as ``wc -w`` does, but without comments
+(what the tests run and no reader sees); pages made from docstrings, examples and notebooks are not.
+The tab of a page is that of the navigation in mkdocs.yml.
 """
 
 import re

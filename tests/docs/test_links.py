@@ -1,6 +1,7 @@
 """README.md and the other pages at the root link to files that are there; links between pages of docs/ are mkdocs' to check.
 
-README.md is also the page of a package index, where no file of the repository is beside it: its links and pictures are absolute.
+README.md is also the page of a package index, where no file of the repository is beside it: its links are
+absolute.
 """
 
 import re

@@ -13,7 +13,9 @@ def test_five_tabs_hold_every_page_once():
 
 @pytest.mark.parametrize("page", tabs()["How to"])
 def test_a_how_to_page_holds_one_task(page):
-    assert words(page) <= MOST_HOW_TO, f"{page}: split it by task, or move figures to the research tab"
+    assert words(page) <= MOST_HOW_TO, (
+        f"{page}: split it by task, or move figures to the research tab"
+    )
 
 
 def test_the_users_side_is_small():
