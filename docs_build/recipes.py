@@ -192,32 +192,6 @@ def tuned_designs():
     return figures
 
 
-MOVING = {  # name: machine, and what moves
-    "seal_rig": ("seal-rig", "--pressure-rate", "20 bar/s"),
-    "seal_rig_k_only": ("seal-rig-k-only", "--pressure-rate", "20 bar/s"),
-    "turboexpander": ("turboexpander", "--speed-rate", "1760"),
-}
-
-
-def moving_parameters():
-    """docs/research/moving.md: what is proved of tuned controllers at 10 kHz while pressure or speed moves, with the date
-    and the processor on which they were tuned: <machine>.<check without "moving.">, and the seconds of design and proof."""
-    figures = {"date": date.today().isoformat(), "processor": processor()}
-    for name, (machine, *motion) in MOVING.items():
-        with tempfile.TemporaryDirectory() as folder:
-            start = time.process_time()
-            ambrose("synthesize", machine, "--rate-hz", "10000", "-o", "controller.json", folder=folder)
-            printed = ambrose("verify", machine, "--controller", "controller.json", *motion, folder=folder)
-            figures[f"{name}.seconds"] = round(time.process_time() - start)
-        for group in [*printed["points"], *(printed["tolerances"] or ())]:
-            for check in group["checks"]:
-                if check["name"].startswith("moving."):
-                    value = check["value"]
-                    proved = isinstance(value, int | float) and np.isfinite(value)
-                    figures[f"{name}.{check['name'].removeprefix('moving.')}"] = value if proved else "no proof"
-    return figures
-
-
 def processor():
     """The processor's name as the system tells it."""
     info = Path("/proc/cpuinfo")
@@ -289,7 +263,6 @@ SLOW = {
     "study_turboexpander": lambda: study("turboexpander"),
     "sampled": sampled_designs,
     "tuned": tuned_designs,
-    "moving": moving_parameters,
     "lowering": lowering,
     "printed": printed_controller,
 }
