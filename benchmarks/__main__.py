@@ -1,9 +1,10 @@
-"""`make bench`: every bench_*.py in this folder, side by side with its peer in one run; a table and benchmarks.json.
+"""`make bench`: every bench_*.py in this folder, side by side with its peer in one run; a table and
+benchmarks.json.
 
-A module has ``run() -> list[dict]`` with the keys name, ours [s], peer [s] or None, peer_name, error (accuracy in words or a
-number) and optionally target; series and size, where a time grows with a number. Name modules to run only those:
-``python -m benchmarks norms response``. Every run is appended to benchmarks.jsonl, and what fell against its peer is named
-(history.py).
+A module has ``run() -> list[dict]`` with the keys name, ours [s], peer [s] or None, peer_name,
+error (accuracy in words or a number) and optionally target; series and size, where a time grows
+with a number. Name modules to run only those: ``python -m benchmarks norms response``. Every run is
+appended to benchmarks.jsonl, and what fell against its peer is named (history.py).
 """
 
 from __future__ import annotations
@@ -33,11 +34,18 @@ def main(names: list[str]) -> int:
     rows: list[dict[str, Any]] = []
     for name in wanted:
         print(f"{name} ...", file=sys.stderr)
-        rows += [{"module": name, **row} for row in importlib.import_module(f"benchmarks.{name}").run()]
+        rows += [
+            {"module": name, **row} for row in importlib.import_module(f"benchmarks.{name}").run()
+        ]
     show(rows)
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(f"largest memory {memory:.0f} MB")
-    result = {"python": platform.python_version(), "machine": platform.machine(), "memory_mb": memory, "rows": rows}
+    result = {
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+        "memory_mb": memory,
+        "rows": rows,
+    }
     Path("benchmarks.json").write_text(json.dumps(result, indent=1, default=str) + "\n")
     for series, power in history.exponents(rows).items():
         print(f"{series}: time grows with the power {power:.2f}")
@@ -60,7 +68,9 @@ def show(rows: list[dict[str, Any]]) -> None:
         accuracy = row.get("error")
         shown = f"{accuracy:.2g}" if isinstance(accuracy, float) else str(accuracy or "")
         name = str(row.get("peer_name") or "")
-        table.add_row(row["name"], f"{ours:.4g}", peer_text, ratio, name, shown, str(row.get("target", "")))
+        table.add_row(
+            row["name"], f"{ours:.4g}", peer_text, ratio, name, shown, str(row.get("target", ""))
+        )
     Console(width=160).print(table)
 
 

@@ -1,8 +1,9 @@
-"""The worst output sensitivity that verification states, against one measured on the nonlinear virtual rig, for several rates.
+"""The worst output sensitivity that verification states, against one measured on the nonlinear
+virtual rig, for several rates.
 
-python -m benchmarks.as_it_runs
-Per rate: sigma_max(S_o) at its peak of the continuous loop, of the loop as it runs, and of the rig, where one sine of output
-disturbance per axis is taken through the loop at that frequency and the four answers are put together.
+python -m benchmarks.as_it_runs Per rate: sigma_max(S_o) at its peak of the continuous loop, of the
+loop as it runs, and of the rig, where one sine of output disturbance per axis is taken through the
+loop at that frequency and the four answers are put together.
 """
 
 from __future__ import annotations
@@ -14,21 +15,24 @@ import numpy as np
 from ambrose import assemble, load_machine
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace, select
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.model import Plant
-from ambrose.plant.timing import Timing
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.disturbances import Sine
-from ambrose.simulation.scenario import Scenario
+from ambrose.law.loop import closed_loop
+from ambrose.law.timing import Timing
+from ambrose.model.plant import Plant
+from ambrose.rig import virtual_rig
+from ambrose.rig.disturbances import Sine
+from ambrose.rig.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
 
 AMPLITUDE = 2e-7  # m: the magnets stay linear within 0.1 %
-PERIODS, SETTLE = 40, 0.6  # evaluated periods; seconds before them (of the PID's slow integral pole little is left)
+# evaluated periods; seconds before them (of the PID's slow integral pole little is left)
+PERIODS, SETTLE = 40, 0.6
 
 
 def sensitivity_peak(plant: Plant, law: StateSpace) -> tuple[float, float]:
     """sigma_max(S_o) [-] at its peak, and the frequency [rad/s]."""
-    loop = select(closed_loop(plant, law), [f"d_{a}" for a in plant.axes], [f"y_{a}" for a in plant.axes])
+    loop = select(
+        closed_loop(plant, law), [f"d_{a}" for a in plant.axes], [f"y_{a}" for a in plant.axes]
+    )
     omega = 2 * np.pi * np.geomspace(5, 500, 4000)
     gain = frequency_response(loop, omega).max_singular_value()
     return float(gain.max()), float(omega[gain.argmax()])
@@ -40,9 +44,14 @@ def measured(plant: Plant, law: StateSpace, timing: Timing, omega: float) -> flo
     columns = []
     for axis in plant.axes:
         scenario = Scenario(
-            "sine", SETTLE + PERIODS * period, sines=(Sine(f"d_{axis}", AMPLITUDE, omega),), sample_time=timing.sample_time
+            "sine",
+            SETTLE + PERIODS * period,
+            sines=(Sine(f"d_{axis}", AMPLITUDE, omega),),
+            sample_time=timing.sample_time,
         )
-        run = virtual_rig.run(plant.machine, law, scenario, point=plant.point, computing_delay=timing.delay_samples)
+        run = virtual_rig.run(
+            plant.machine, law, scenario, point=plant.point, computing_delay=timing.delay_samples
+        )
         record = run.record.select(list(plant.named("y")))
         inside = record.time >= record.time[-1] - PERIODS * period
         t, y = record.time[inside], record.values[:, inside]
@@ -57,13 +66,17 @@ def main() -> None:
     sensors = tuple(replace(item, noise=0.0) for item in machine.sensors)
     machine = replace(machine, sensors=sensors)
     plant, law = assemble(machine, "zero pressure"), pid_controller(machine.controller, machine)
-    print("| rate, delay | continuous | as it runs | rig | continuous off | as it runs off |\n|---|---|---|---|---|---|")
+    print(
+        "| rate, delay | continuous | as it runs | rig | continuous off | as it runs off "
+        "|\n|---|---|---|---|---|---|"
+    )
     for timing in (Timing(5e-5), Timing(1e-4), Timing(2e-4)):
         before = sensitivity_peak(plant, law)[0]
         running, omega = sensitivity_peak(plant, timing.in_loop(law))
         found = measured(plant, law, timing, omega)
         print(
-            f"| {timing.rate:g} Hz, {timing.delay_samples} | {before:.3f} | {running:.3f} | {found:.3f} "
+            f"| {timing.rate:g} Hz, {timing.delay_samples} | {before:.3f} | {running:.3f} | "
+            f"{found:.3f} "
             f"| {before / found - 1:+.1%} | {running / found - 1:+.2%} |"
         )
 

@@ -1,7 +1,9 @@
-"""Campaigns: processor time of one case, for members of one plant as one array and for the other tasks.
+"""Campaigns: processor time of one case, for members of one plant as one array and for the other
+tasks.
 
-The peer of an array is every case by itself; error: the largest relative difference of the worst sensitivity. Times of whole
-campaigns, with one worker and with two, stand in docs/how-to/campaign.md.
+The peer of an array is every case by itself; error: the largest relative difference of the worst
+sensitivity. Times of whole campaigns, with one worker and with two, stand in
+docs/how-to/campaign.md.
 """
 
 from __future__ import annotations
@@ -9,12 +11,16 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from ambrose.campaigns.plan import plan_of
-from ambrose.campaigns.run import bases_of, fixed_of
-from ambrose.campaigns.tasks import PEAK, compute
+from ambrose.annexes.campaigns.plan import plan_of
+from ambrose.annexes.campaigns.run import bases_of, fixed_of
+from ambrose.annexes.campaigns.tasks import PEAK, compute
 
 _HEAD = {"machine": "seal-rig", "controller": "pid"}
-_TASKS = (("simulate", 4, {"scenario": "levitation"}), ("verify", 2, {}), ("design", 2, {"method": "tuned"}))
+_TASKS = (
+    ("simulate", 4, {"scenario": "levitation"}),
+    ("verify", 2, {}),
+    ("design", 2, {"method": "tuned"}),
+)
 
 
 def run() -> list[dict[str, Any]]:
@@ -41,15 +47,28 @@ def _array(members: int) -> dict[str, Any]:
     start = time.process_time()
     alone = [compute("screen", [case], bases, fixed)[0] for case in cases[::6]]
     peer = (time.process_time() - start) / len(alone)
-    off = max(abs(a.values[PEAK] / b.values[PEAK] - 1) for a, b in zip(together[::6], alone, strict=True))
+    off = max(
+        abs(a.values[PEAK] / b.values[PEAK] - 1) for a, b in zip(together[::6], alone, strict=True)
+    )
     return {
-        "name": f"campaign: screen, {members} members", "ours": ours, "peer": peer, "peer_name": "alone", "error": off,
+        "name": f"campaign: screen, {members} members",
+        "ours": ours,
+        "peer": peer,
+        "peer_name": "alone",
+        "error": off,
         "target": "per case, processor time",
-    }  # fmt: skip
+    }
 
 
 def _task(task: str, count: int, head: dict[str, Any]) -> dict[str, Any]:
-    vary = {"machine.bearing.*.negative_stiffness": {"from": 0.95, "to": 1.05, "count": count, "times": True}}
+    vary = {
+        "machine.bearing.*.negative_stiffness": {
+            "from": 0.95,
+            "to": 1.05,
+            "count": count,
+            "times": True,
+        }
+    }
     cases, bases, fixed = _cases(task, dict(head), vary)
     if task == "simulate":
         compute(task, cases[:1], bases, fixed)  # compiles
@@ -58,6 +77,10 @@ def _task(task: str, count: int, head: dict[str, Any]) -> dict[str, Any]:
     ours = (time.process_time() - start) / count
     failed = [row.failure for row in rows if row.failure]
     return {
-        "name": f"campaign: {task}", "ours": ours, "peer": None, "peer_name": "", "error": float(len(failed)),
+        "name": f"campaign: {task}",
+        "ours": ours,
+        "peer": None,
+        "peer_name": "",
+        "error": float(len(failed)),
         "target": "per case; error: failed cases",
-    }  # fmt: skip
+    }

@@ -1,9 +1,9 @@
-"""Generated C: a step of the 24-state 4 x 4 mu controller of the seal rig against dense matrices in C and the flop floor, code
-generation, single precision against double, and the code in the loop: the nonlinear rig run by it and by the law in Python.
-Skipped (no rows) without a C compiler.
+"""Generated C: a step of the 24-state 4 x 4 mu controller of the seal rig against dense matrices in
+C and the flop floor, code generation, single precision against double, and the code in the loop:
+the nonlinear rig run by it and by the law in Python. Skipped (no rows) without a C compiler.
 
-The dense peer is the same controller, as c2d gives it, in two nested loops over row-major matrices; both compiled with gcc -O2
-and with -O3 -march=native.
+The dense peer is the same controller, as c2d gives it, in two nested loops over row-major matrices;
+both compiled with gcc -O2 and with -O3 -march=native.
 """
 
 from __future__ import annotations
@@ -21,26 +21,26 @@ import numpy as np
 
 from ambrose import design as tuned
 from ambrose import load_machine
+from ambrose.code.block.fixed import ControlBlock, build_block
+from ambrose.code.block.fixed_point import to_fixed_point
+from ambrose.code.block.scheduled import build_scheduled_block
+from ambrose.code.block.supervised import supervise
+from ambrose.code.c.code import Arithmetic, generate
+from ambrose.code.c.compiled import CompiledBlock, read_law
+from ambrose.code.fmu.archive import generate_fmus
+from ambrose.code.mat import generate_mat
+from ambrose.code.pipeline import machine_limits
+from ambrose.code.sampled import Deployment, deploy, deploy_scheduled
+from ambrose.code.structured_text import generate_structured_text
 from ambrose.core.statespace import StateSpace
-from ambrose.deployment.block.fixed import ControlBlock, build_block
-from ambrose.deployment.block.fixed_point import to_fixed_point
-from ambrose.deployment.block.scheduled import build_scheduled_block
-from ambrose.deployment.block.supervised import supervise
-from ambrose.deployment.c.code import Arithmetic, generate
-from ambrose.deployment.c.compiled import CompiledBlock, read_law
-from ambrose.deployment.discretisation.deployment import Deployment, deploy, deploy_scheduled
-from ambrose.deployment.fmu.archive import generate_fmus
-from ambrose.deployment.mat import generate_mat
-from ambrose.deployment.pipeline import machine_limits
-from ambrose.deployment.structured_text import generate_structured_text
+from ambrose.judge.result import Provenance, Synthesis
+from ambrose.law.supervision import Limits
 from ambrose.machine.machine import Machine
-from ambrose.plant.assemble import assemble
-from ambrose.plant.supervision import Limits
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.scenario import Scenario, load_scenario
-from ambrose.simulation.trace import Trace
+from ambrose.model.assemble import assemble
+from ambrose.rig import virtual_rig
+from ambrose.rig.scenario import Scenario, load_scenario
+from ambrose.rig.trace import Trace
 from ambrose.synthesis.design import design
-from ambrose.synthesis.result import Provenance, Synthesis
 
 STEPS = 2_000_000
 _SAMPLES = 20_000
@@ -120,18 +120,33 @@ def run() -> list[dict[str, Any]]:
 
 def _steps(block: ControlBlock) -> list[dict[str, Any]]:
     coefficients = (block.increment, block.B, block.C, block.D)
-    floor = 2 * sum(int(np.count_nonzero(part)) for part in coefficients)  # no arrangement of the realisation avoids these
+    # no arrangement of the realisation avoids these
+    floor = 2 * sum(int(np.count_nonzero(part)) for part in coefficients)
     peak = _peak()
     rows = []
     for flags in (["-O2"], ["-O3", "-march=native"]):
-        dense = _timed(_dense_files(block.system), flags, "dense.h", "", "dense_step(noise[k % 1024], u);", "double")
+        dense = _timed(
+            _dense_files(block.system),
+            flags,
+            "dense.h",
+            "",
+            "dense_step(noise[k % 1024], u);",
+            "double",
+        )
         for arithmetic, real in _REAL.items():
-            setup, call = "static rig_block block; rig_init(&block);", "(void)rig_step(&block, noise[k % 1024], 0, u);"
+            setup, call = (
+                "static rig_block block; rig_init(&block);",
+                "(void)rig_step(&block, noise[k % 1024], 0, u);",
+            )
             ours = _timed(generate(block, arithmetic), flags, "rig.h", setup, call, real)
-            text = f"floor {floor} flops: {floor / peak * 1e9:.3g} ns at the {peak / 1e9:.3g} Gflop/s measured without vectors"
+            text = (
+                f"floor {floor} flops: {floor / peak * 1e9:.3g} ns at the {peak / 1e9:.3g} Gflop/s "
+                "measured without vectors"
+            )
             rows.append(
                 {
-                    "name": f"C step, {block.n_states} states 4 x 4, {arithmetic}, gcc {' '.join(flags)}",
+                    "name": f"C step, {block.n_states} states 4 x 4, {arithmetic}, gcc "
+                    f"{' '.join(flags)}",
                     "ours": ours,
                     "peer": dense,
                     "peer_name": "dense loops in C, double, no limits or checks",
@@ -143,35 +158,71 @@ def _steps(block: ControlBlock) -> list[dict[str, Any]]:
 
 
 def _scheduled_steps(machine: Machine) -> list[dict[str, Any]]:
-    """A controller scheduled over pressure, and the same with a fixed one beside it, against the schedule frozen at the nominal
-    pressure."""
+    """A controller scheduled over pressure, and the same with a fixed one beside it, against the
+    schedule frozen at the nominal pressure.
+    """
     made = design(assemble(machine), "lpv", pressures=(0.0, 4.08e5), rate=1e4)
     frozen = build_block(deploy(made.controller, 1e-4, 1e-4, force=True), "rig", 0.5e-3, 4.0)
-    block = build_scheduled_block(deploy_scheduled(made, 1e-4, 1e-4, force=True), "rig", 0.5e-3, 4.0)
+    block = build_scheduled_block(
+        deploy_scheduled(made, 1e-4, 1e-4, force=True), "rig", 0.5e-3, 4.0
+    )
     law = tuned(machine, rate=1e4, order=12).controller
     fixed = build_block(deploy(law, 1e-4, 1e-4, force=True), "rig", 0.5e-3, 4.0)
-    beside = supervise(block, fixed, Limits(0.0, 4.08e5, 2e4, rate=80e5, noise=4e3, stuck=0.01, band=4e4))
+    beside = supervise(
+        block, fixed, Limits(0.0, 4.08e5, 2e4, rate=80e5, noise=4e3, stuck=0.01, band=4e4)
+    )
     setup, rows = "static rig_block block; rig_init(&block);", []
     for flags in (["-O2"], ["-O3", "-march=native"]):
         call = "(void)rig_step(&block, noise[k % 1024], 0, 1e5 + 100.0 * (k % 1024), u);"
         ours = _timed(generate(block), flags, "rig.h", setup, call, "double")
-        peer = _timed(generate(frozen), flags, "rig.h", setup, "(void)rig_step(&block, noise[k % 1024], 0, u);", "double")
+        peer = _timed(
+            generate(frozen),
+            flags,
+            "rig.h",
+            setup,
+            "(void)rig_step(&block, noise[k % 1024], 0, u);",
+            "double",
+        )
         ranks = " and ".join(map(str, block.changes.ranks))
-        rows.append({
-            "name": f"C step scheduled over pressure, {block.n_states} states 4 x 4, double, gcc {' '.join(flags)}",
-            "ours": ours, "peer": peer, "peer_name": "the same controller frozen", "error": f"changes of rank {ranks}",
-            "target": "below twice the peer",
-        })  # fmt: skip
+        rows.append(
+            {
+                "name": f"C step scheduled over pressure, {block.n_states} states 4 x 4, double, "
+                f"gcc {' '.join(flags)}",
+                "ours": ours,
+                "peer": peer,
+                "peer_name": "the same controller frozen",
+                "error": f"changes of rank {ranks}",
+                "target": "below twice the peer",
+            }
+        )
         call = (
-            "(void)rig_step(&block, noise[k % 1024], 0, 1e5 + 100.0 * (k % 1024 < 512 ? k % 1024 : 1023 - k % 1024), 0, -1, u);"
+            "(void)rig_step(&block, noise[k % 1024], 0, 1e5 + 100.0 * (k % 1024 < 512 ? k % 1024 : "
+            "1023 - k % 1024), 0, -1, u);"
         )
         both = _timed(generate(beside), flags, "rig.h", setup, call, "double")
-        alone = _timed(generate(fixed), flags, "rig.h", setup, "(void)rig_step(&block, noise[k % 1024], 0, u);", "double")
-        times = f"{both / ours:.2f} times the schedule, {both / alone:.2f} times the fixed one alone ({1e9 * alone:.0f} ns)"
-        rows.append({
-            "name": f"C step of that schedule with a fixed one of {fixed.n_states} states beside it, gcc {' '.join(flags)}",
-            "ours": both, "peer": peer, "peer_name": "the schedule frozen", "error": times, "target": "below 3 times the peer",
-        })  # fmt: skip
+        alone = _timed(
+            generate(fixed),
+            flags,
+            "rig.h",
+            setup,
+            "(void)rig_step(&block, noise[k % 1024], 0, u);",
+            "double",
+        )
+        times = (
+            f"{both / ours:.2f} times the schedule, {both / alone:.2f} times the fixed one alone "
+            f"({1e9 * alone:.0f} ns)"
+        )
+        rows.append(
+            {
+                "name": f"C step of that schedule with a fixed one of {fixed.n_states} states "
+                f"beside it, gcc {' '.join(flags)}",
+                "ours": both,
+                "peer": peer,
+                "peer_name": "the schedule frozen",
+                "error": times,
+                "target": "below 3 times the peer",
+            }
+        )
     return rows
 
 
@@ -182,35 +233,60 @@ def _dense_files(K: StateSpace) -> dict[str, str]:
 
     # a dense state matrix, as c2d of a controller in the coordinates of its synthesis has it
     Q = np.linalg.qr(np.random.default_rng(0).normal(0, 1, K.A.shape))[0]
-    tables = [table("A", Q @ K.A @ Q.T), table("B", Q @ K.B), table("C", K.C @ Q.T), table("D", K.D)]
+    tables = [
+        table("A", Q @ K.A @ Q.T),
+        table("B", Q @ K.B),
+        table("C", K.C @ Q.T),
+        table("D", K.D),
+    ]
     return {"dense.h": f"#define N {K.n_states}\n" + "".join(tables) + _DENSE}
 
 
-def _timed(files: dict[str, str], flags: list[str], include: str, setup: str, call: str, real: str) -> float:
+def _timed(
+    files: dict[str, str], flags: list[str], include: str, setup: str, call: str, real: str
+) -> float:
     """Least CPU seconds of a step over five runs."""
     timer = _TIMER.replace("INCLUDE", include).replace("SETUP", setup).replace("CALL", call)
     timer = timer.replace("REAL", real).replace("STEPS", str(STEPS))
     with tempfile.TemporaryDirectory() as folder:
         for name, text in {**files, "timer.c": timer}.items():
             (Path(folder) / name).write_text(text)
-        sources = [name for name in (*files, "timer.c") if name.endswith(".c") and not name.endswith("_test.c")]
+        sources = [
+            name
+            for name in (*files, "timer.c")
+            if name.endswith(".c") and not name.endswith("_test.c")
+        ]
         subprocess.run(["gcc", "-std=c11", *flags, *sources, "-o", "timer"], cwd=folder, check=True)
-        found = [subprocess.run([f"{folder}/timer"], capture_output=True, text=True, check=True).stdout for _ in range(5)]
+        found = [
+            subprocess.run([f"{folder}/timer"], capture_output=True, text=True, check=True).stdout
+            for _ in range(5)
+        ]
     return min(float(text.split()[0]) for text in found)
 
 
 def _peak() -> float:
-    """Scalar multiply-adds a second of this processor with gcc -O2: eight independent chains, two flops each."""
+    """Scalar multiply-adds a second of this processor with gcc -O2: eight independent chains, two
+    flops each.
+    """
     chains = "".join(f"static double x{i} = {i}.5;" for i in range(8))
-    code = _TIMER.replace('#include "INCLUDE"', chains).replace("SETUP", "u[0] = 0; double " + ", ".join(
-        f"a{i} = x{i}" for i in range(8)) + ", f = 1.0 - 1e-9, g = noise[0][0] + 1e-9;")  # fmt: skip
+    code = _TIMER.replace('#include "INCLUDE"', chains).replace(
+        "SETUP",
+        "u[0] = 0; double "
+        + ", ".join(f"a{i} = x{i}" for i in range(8))
+        + ", f = 1.0 - 1e-9, g = noise[0][0] + 1e-9;",
+    )
     code = code.replace("CALL", "".join(f"a{i} = a{i} * f + g;" for i in range(8)))
-    code = code.replace("sum += u[0];", "").replace("(double)sum", "(double)sum + " + "+".join(f"a{i}" for i in range(8)))
+    code = code.replace("sum += u[0];", "").replace(
+        "(double)sum", "(double)sum + " + "+".join(f"a{i}" for i in range(8))
+    )
     code = code.replace("REAL", "double").replace("STEPS", str(10 * STEPS))
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "peak.c").write_text(code)
         subprocess.run(["gcc", "-std=c11", "-O2", "peak.c", "-o", "peak"], cwd=folder, check=True)
-        found = [subprocess.run([f"{folder}/peak"], capture_output=True, text=True, check=True).stdout for _ in range(3)]
+        found = [
+            subprocess.run([f"{folder}/peak"], capture_output=True, text=True, check=True).stdout
+            for _ in range(3)
+        ]
     return 16 / min(float(text.split()[0]) for text in found)
 
 
@@ -233,7 +309,9 @@ def _generation(block: ControlBlock) -> dict[str, Any]:
 
 def _other_targets(deployment: Deployment, block: ControlBlock) -> list[dict[str, Any]]:
     """CPU seconds of writing the other targets; the FMUs' includes the compiler's."""
-    file = Synthesis(deployment.source, "mu", provenance=Provenance(date="2026-01-01T00:00:00+00:00"))
+    file = Synthesis(
+        deployment.source, "mu", provenance=Provenance(date="2026-01-01T00:00:00+00:00")
+    )
     targets = {
         "MAT-file, script, vectors": lambda: generate_mat(block, deployment, file),
         "structured text, test program, vectors": lambda: generate_structured_text(block),
@@ -249,7 +327,13 @@ def _other_targets(deployment: Deployment, block: ControlBlock) -> list[dict[str
             files = write()
             found.append(_cpu() - start)
         size = sum(len(content) for content in files.values()) / 1024
-        row = {"name": f"generation: {name}", "ours": min(found), "peer": None, "peer_name": "", "error": f"{size:.0f} KiB"}
+        row = {
+            "name": f"generation: {name}",
+            "ours": min(found),
+            "peer": None,
+            "peer_name": "",
+            "error": f"{size:.0f} KiB",
+        }
         rows.append({**row, "target": "< 1 s"})
     return rows
 
@@ -261,7 +345,9 @@ def _cpu() -> float:
 
 
 def _precision(block: ControlBlock) -> dict[str, Any]:
-    """Compiled single precision and fixed point against compiled double precision, relative to the current limit."""
+    """Compiled single precision and fixed point against compiled double precision, relative to the
+    current limit.
+    """
     rng = np.random.default_rng(0)
     fixed = to_fixed_point(block)
     one = 1 << fixed.signal_bits
@@ -279,7 +365,8 @@ def _precision(block: ControlBlock) -> dict[str, Any]:
         "ours": seconds,
         "peer": None,
         "peer_name": "double",
-        "error": f"float {off:.2g}, fixed32 {fixed_off:.2g} (bound {(fixed.error / limit).max():.2g})",
+        "error": f"float {off:.2g}, fixed32 {fixed_off:.2g} (bound "
+        f"{(fixed.error / limit).max():.2g})",
         "target": "",
     }
 
@@ -291,7 +378,16 @@ def _played(block: ControlBlock, arithmetic: Arithmetic, errors: np.ndarray) -> 
         for name, text in generate(block, arithmetic).items():
             (Path(folder) / name).write_text(text)
         library = f"{folder}/{block.name}.so"
-        command = ["gcc", "-std=c99", "-O2", "-shared", "-fPIC", f"{folder}/{block.name}.c", "-o", library]
+        command = [
+            "gcc",
+            "-std=c99",
+            "-O2",
+            "-shared",
+            "-fPIC",
+            f"{folder}/{block.name}.c",
+            "-o",
+            library,
+        ]
         subprocess.run(command, check=True)
         loaded = ctypes.CDLL(library)
     step = getattr(loaded, f"{block.name}_step")
@@ -303,7 +399,9 @@ def _played(block: ControlBlock, arithmetic: Arithmetic, errors: np.ndarray) -> 
 
 
 def _in_the_loop(machine: Machine, block: ControlBlock) -> list[dict[str, Any]]:
-    """Seconds of one simulated second on the nonlinear rig under a pulse, from C and from the law compiled into the rig."""
+    """Seconds of one simulated second on the nonlinear rig under a pulse, from C and from the law
+    compiled into the rig.
+    """
     scenario = replace(load_scenario("impulse-parallel"), duration=1.0)
     names = [f"y_{axis}" for axis in machine.axes]
     law, trace = _run(machine, block.system, scenario)
@@ -312,10 +410,14 @@ def _in_the_loop(machine: Machine, block: ControlBlock) -> list[dict[str, Any]]:
     for arithmetic in (*_REAL, "fixed32"):
         code, trace = _run(machine, CompiledBlock(block, arithmetic), scenario)
         apart = float(np.abs(trace.record.select(names).values - meant).max())
-        accuracy = f"{1 / code:.3g} s/s, law {1 / law:.3g} s/s; {apart:.2g} m apart of {np.abs(meant).max():.2g} m"
+        accuracy = (
+            f"{1 / code:.3g} s/s, law {1 / law:.3g} s/s; {apart:.2g} m apart of "
+            f"{np.abs(meant).max():.2g} m"
+        )
         rows.append(
             {
-                "name": f"software in the loop: 1 s of the rig, {block.n_states} states, {arithmetic}",
+                "name": f"software in the loop: 1 s of the rig, {block.n_states} states, "
+                f"{arithmetic}",
                 "ours": code,
                 "peer": law,
                 "peer_name": "the law, compiled with the rig",
@@ -327,13 +429,17 @@ def _in_the_loop(machine: Machine, block: ControlBlock) -> list[dict[str, Any]]:
 
 
 def _run(machine: Machine, controller: Any, scenario: Scenario) -> tuple[float, Trace]:
-    """Least seconds of three runs after a first per simulated second, without the start, and the last trace."""
+    """Least seconds of three runs after a first per simulated second, without the start, and the
+    last trace.
+    """
     traces = [virtual_rig.run(machine, controller, scenario) for _ in range(4)]
     return min(trace.run_time for trace in traces[1:]) / scenario.duration, traces[-1]
 
 
 def _read_back(block: ControlBlock) -> dict[str, Any]:
-    """CPU seconds of compiling the block and reading its law back out of the running code; how far it is from the design's."""
+    """CPU seconds of compiling the block and reading its law back out of the running code; how far
+    it is from the design's.
+    """
     apart, found = {}, []
     for arithmetic in _REAL:
         begin = _cpu()
@@ -342,10 +448,12 @@ def _read_back(block: ControlBlock) -> dict[str, Any]:
         pairs = [(getattr(law, letter), getattr(block.system, letter)) for letter in "ABCD"]
         apart[arithmetic] = max(float(np.abs(a - b).max() / np.abs(b).max()) for a, b in pairs)
     return {
-        "name": f"compiled, and the law of {block.n_states} states read back out of the running code",
+        "name": f"compiled, and the law of {block.n_states} states read back out of the running "
+        "code",
         "ours": found[0],
         "peer": None,
         "peer_name": "",
-        "error": ", ".join(f"{name} {value:.2g}" for name, value in apart.items()) + " of each matrix's largest entry",
+        "error": ", ".join(f"{name} {value:.2g}" for name, value in apart.items())
+        + " of each matrix's largest entry",
         "target": "",
     }

@@ -1,8 +1,8 @@
-"""mu synthesis of the published P5 plant with a D of first order (24 states), the same polished at order 12, and the
-turboexpander with eight real parameters.
+"""mu synthesis of the published P5 plant with a D of first order (24 states), the same polished at
+order 12, and the turboexpander with eight real parameters.
 
-The peer, dkpy, has no real blocks and no repeated ones: it gets full complex blocks of the same size, two D-K iterations, D of
-order 1, and 30 frequencies. It is skipped where it is not installed.
+The peer, dkpy, has no real blocks and no repeated ones: it gets full complex blocks of the same
+size, two D-K iterations, D of order 1, and 30 frequencies. It is skipped where it is not installed.
 """
 
 from __future__ import annotations
@@ -17,17 +17,19 @@ import numpy as np
 from ambrose import load_machine
 from ambrose.core.lft import GeneralizedPlant, close_uncertainty, lft
 from ambrose.core.statespace import StateSpace, is_stable
+from ambrose.law.design_problem import design_plant, with_performance_block
 from ambrose.machine.parameters import operating_point
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import reduce
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import reduce
 from ambrose.synthesis.fixed_order.polish import polish_synthesis
 from ambrose.synthesis.mu.synthesis import mu_synthesis
-from ambrose.synthesis.problem import design_plant, with_performance_block
 from benchmarks.published_p5 import published_p5_problem
 
 
 def run() -> list[dict[str, Any]]:
-    """One row per problem: name, ours [s], peer [s] or None, peer_name, error (what was reached), target."""
+    """One row per problem: name, ours [s], peer [s] or None, peer_name, error (what was reached),
+    target.
+    """
     return [_published(), _polished(), _eight_reals()]
 
 
@@ -41,7 +43,10 @@ def _published() -> dict[str, Any]:
     plant = published_p5_problem()
     seconds, result = min((_timed(plant, order=1) for _ in range(3)), key=lambda item: item[0])
     steps = ", ".join(f"{row['gamma']:.3f}" for row in result.history)
-    text = f"order {result.controller.n_states}, complex mu {steps}; mixed {result.certificate.margins['mu_mixed']:.3f}"
+    text = (
+        f"order {result.controller.n_states}, complex mu {steps}; mixed "
+        f"{result.certificate.margins['mu_mixed']:.3f}"
+    )
     peer = _dkpy(plant)
     if peer is not None:
         text += f"; peer's mu {peer[1]:.3f}"
@@ -78,10 +83,15 @@ def _polished() -> dict[str, Any]:
 
 def _eight_reals() -> dict[str, Any]:
     machine = load_machine("turboexpander")
-    plant = design_plant(reduce(assemble(machine, operating_point(machine, "140 Hz (P3)"))), uncertain=True)
+    plant = design_plant(
+        reduce(assemble(machine, operating_point(machine, "140 Hz (P3)"))), uncertain=True
+    )
     seconds, result = _timed(plant, order=1, iterations=2)
     corners = _unstable(plant, result.controller)
-    text = f"order {result.controller.n_states}, complex mu {result.gamma:.3f}, {corners} of 256 corners unstable"
+    text = (
+        f"order {result.controller.n_states}, complex mu {result.gamma:.3f}, {corners} of 256 "
+        "corners unstable"
+    )
     return {
         "name": "D-K: turboexpander, 8 reals + full 8x8, 20 states",
         "ours": seconds,
@@ -123,7 +133,9 @@ def _dkpy(plant: GeneralizedPlant) -> tuple[float, float] | None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             system = control.ss(plant.system.A, plant.system.B, plant.system.C, plant.system.D)
-            found = iteration.synthesize(system, len(plant.y), len(plant.u), np.geomspace(1e-3, 1e4, 30), blocks)
+            found = iteration.synthesize(
+                system, len(plant.y), len(plant.u), np.geomspace(1e-3, 1e4, 30), blocks
+            )
         return time.perf_counter() - start, float(np.max(found[2]))
     except Exception as error:  # a peer that fails is a row without a peer, said so
         print(f"dkpy failed: {error}")

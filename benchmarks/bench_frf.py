@@ -1,4 +1,6 @@
-"""Measured frequency responses and seal coefficients, beside what scipy's averages give in closed loop."""
+"""Measured frequency responses and seal coefficients, beside what scipy's averages give in closed
+loop.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +18,11 @@ from ambrose.core.statespace import select
 from ambrose.identification.frf import spectral as frf
 from ambrose.identification.frf.phasors import steps_of
 from ambrose.identification.seal import stepped_sine
+from ambrose.law.loop import closed_loop
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.reduce import free_mode_reduction
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.record.record import Record
 from ambrose.synthesis.pid import pid_controller
 from benchmarks import waveforms
 
@@ -29,18 +31,24 @@ BAND = (10 * HZ, 140 * HZ)
 
 
 def run() -> list[dict[str, Any]]:
-    """One row per case: name, ours [s], peer [s] or None, peer name, error (largest, relative), target."""
+    """One row per case: name, ours [s], peer [s] or None, peer name, error (largest, relative),
+    target.
+    """
     return [_chirps(0.0), _chirps(1e-6), _stepped()]
 
 
 def _plant() -> Any:
-    return free_mode_reduction(assemble(load_machine("seal-rig"), OperatingPoint(seal_pressure=1e5)), 1)
+    return free_mode_reduction(
+        assemble(load_machine("seal-rig"), OperatingPoint(seal_pressure=1e5)), 1
+    )
 
 
 def _records(noise: float) -> list[Record]:
     """A chirp of 20 s on each axis in turn."""
     plant = _plant()
-    loop = closed_loop(plant, c2d(pid_controller(plant.machine.controller, plant.machine), DT, "tustin", delay=DT))
+    loop = closed_loop(
+        plant, c2d(pid_controller(plant.machine.controller, plant.machine), DT, "tustin", delay=DT)
+    )
     e, y, u, d = ([f"{kind}_{axis}" for axis in plant.axes] for kind in "eyud")
     wave, made = 0.1 * waveforms.chirp(2 * HZ, 150 * HZ, 200_000, DT), []
     for i in range(4):
@@ -48,7 +56,9 @@ def _records(noise: float) -> list[Record]:
         drive[i] = wave
         drive[4:] = noise * np.random.default_rng(i).standard_normal((4, len(wave)))
         values = np.vstack([simulate(select(loop, [*e, *d], [*y, *u]), drive), drive[:4]])
-        made.append(Record("seal-rig", 1 / DT, (*y, *u, *e), ("m",) * 4 + ("A",) * 8, values, plant.point))
+        made.append(
+            Record("seal-rig", 1 / DT, (*y, *u, *e), ("m",) * 4 + ("A",) * 8, values, plant.point)
+        )
     return made
 
 
@@ -64,9 +74,13 @@ def _chirps(noise: float) -> dict[str, Any]:
     theirs = np.abs(np.abs(np.einsum("wii->wi", averaged[near]) / exact) - 1).max()
     what = f"plant 4x4 from chirps, {1e6 * noise:g} um noise"
     return {
-        "name": what, "ours": ours, "peer": peer, "peer_name": f"scipy csd, H1: error {100 * theirs:.1f} %",
-        "error": float(error), "target": "0.26 %, 10 to 140 Hz, without noise",
-    }  # fmt: skip
+        "name": what,
+        "ours": ours,
+        "peer": peer,
+        "peer_name": f"scipy csd, H1: error {100 * theirs:.1f} %",
+        "error": float(error),
+        "target": "0.26 %, 10 to 140 Hz, without noise",
+    }
 
 
 def _scipy(records: list[Record], axes: tuple[str, ...]) -> np.ndarray:
@@ -84,24 +98,43 @@ def _scipy(records: list[Record], axes: tuple[str, ...]) -> np.ndarray:
 
 
 def _stepped() -> dict[str, Any]:
-    """Two records of ten frequencies, 1.2 s each, exact steady sines: the time of the evaluation."""
+    """Two records of ten frequencies, 1.2 s each, exact steady sines: the time of the
+    evaluation.
+    """
     machine = load_machine("seal-rig")
     plant = assemble(machine, OperatingPoint(seal_pressure=1e5))
-    loop = closed_loop(plant, c2d(pid_controller(machine.controller, machine), DT, "tustin", delay=DT))
+    loop = closed_loop(
+        plant, c2d(pid_controller(machine.controller, machine), DT, "tustin", delay=DT)
+    )
     frequencies = HZ * np.arange(5.0, 100.0, 10.0)
     names = [f"{kind}_{axis}" for kind in "yi" for axis in machine.axes]
-    H = frequency_response(select(loop, [f"e_{axis}" for axis in machine.axes], names), frequencies).values
+    H = frequency_response(
+        select(loop, [f"e_{axis}" for axis in machine.axes], names), frequencies
+    ).values
     t, records = np.arange(12_000) * DT, []
     for drive in (np.array([0.1, 0, 0.1, 0]), np.array([0, 0.1, 0, 0.1])):
-        values = np.hstack([np.real((h @ drive)[:, None] * np.exp(1j * w * t)) for h, w in zip(H, frequencies, strict=True)])
-        records.append(Record("seal-rig", 1 / DT, tuple(names), ("m",) * 4 + ("A",) * 4, values, plant.point))
+        values = np.hstack(
+            [
+                np.real((h @ drive)[:, None] * np.exp(1j * w * t))
+                for h, w in zip(H, frequencies, strict=True)
+            ]
+        )
+        records.append(
+            Record("seal-rig", 1 / DT, tuple(names), ("m",) * 4 + ("A",) * 4, values, plant.point)
+        )
     steps = steps_of(frequencies.tolist(), 1.2)
-    ours, fit = _seconds(lambda: stepped_sine.identify(machine, records, steps=steps, reference=False))
+    ours, fit = _seconds(
+        lambda: stepped_sine.identify(machine, records, steps=steps, reference=False)
+    )
     k = 3.203e6 / 2.04
     return {
-        "name": "seal, 10 frequencies, eight entries", "ours": ours, "peer": None, "peer_name": "",
-        "error": float(np.abs(fit.values[:, 1] / k - 1).max()), "target": "1e-3 of k",
-    }  # fmt: skip
+        "name": "seal, 10 frequencies, eight entries",
+        "ours": ours,
+        "peer": None,
+        "peer_name": "",
+        "error": float(np.abs(fit.values[:, 1] / k - 1).max()),
+        "target": "1e-3 of k",
+    }
 
 
 def _seconds(job: Any, repeats: int = 2) -> tuple[float, Any]:

@@ -1,7 +1,9 @@
-"""Closed-loop identification, beside python-control's forced_response with scipy's least_squares and finite differences.
+"""Closed-loop identification, beside python-control's forced_response with scipy's least_squares
+and finite differences.
 
-CPU seconds, the least of a few runs: everything from the record to the finished result, model building included. The peer
-simulates the same sampled loop on the whole record, from the same start; it runs once.
+CPU seconds, the least of a few runs: everything from the record to the finished result, model
+building included. The peer simulates the same sampled loop on the whole record, from the same
+start; it runs once.
 """
 
 from __future__ import annotations
@@ -20,21 +22,29 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
-from ambrose.identification.output_error.closed_loop import LeastSquares, ParameterEstimate, identify
+from ambrose.identification.output_error.closed_loop import (
+    LeastSquares,
+    ParameterEstimate,
+    identify,
+)
 from ambrose.identification.output_error.loop_model import over_weights
 from ambrose.identification.output_error.normal_equations import normal_equations
 from ambrose.identification.output_error.problem import FitOptions, build_experiment
 from ambrose.identification.parameters import expand, nominal_values
+from ambrose.law.loop import closed_loop
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.reduce import free_mode_reduction
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.record.record import Record
 from ambrose.synthesis.pid import pid_synthesis
 from benchmarks import waveforms
 
 DT, PERIOD = 1e-4, 5110
-NINE = ("bearing.*.force_per_current.*", "bearing.*.negative_stiffness.*", "amplifier.natural_frequency")
+NINE = (
+    "bearing.*.force_per_current.*",
+    "bearing.*.negative_stiffness.*",
+    "amplifier.natural_frequency",
+)
 REST = (
     "amplifier.damping",
     "coupling.*.stiffness.*",
@@ -50,7 +60,9 @@ Y, E = tuple(f"y_{a}" for a in AXES), tuple(f"e_{a}" for a in AXES)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Case:
-    """A loop of some size: bending modes per plane, samples of computing delay, distinct excitations or one for all axes."""
+    """A loop of some size: bending modes per plane, samples of computing delay, distinct
+    excitations or one for all axes.
+    """
 
     machine: Machine
     controller: StateSpace
@@ -61,29 +73,53 @@ class Case:
     @property
     def loop(self) -> StateSpace:
         plant = free_mode_reduction(assemble(self.machine), self.bending)
-        return select(closed_loop(plant, c2d(self.controller, DT, "tustin", delay=self.delay * DT)), E, Y)
+        return select(
+            closed_loop(plant, c2d(self.controller, DT, "tustin", delay=self.delay * DT)), E, Y
+        )
 
     def record(self, seconds: float, noise: float = 1e-7) -> Record:
         k = round(seconds / DT)
-        e = np.stack([0.1 * waveforms.prbs(9, 10, k, shift=127 * i * self.distinct) for i in range(4)])
+        e = np.stack(
+            [0.1 * waveforms.prbs(9, 10, k, shift=127 * i * self.distinct) for i in range(4)]
+        )
         y = simulate(self.loop, e)
         y += noise * np.random.default_rng(1).standard_normal(y.shape)
         return Record(
-            self.machine.name, 1 / DT, (*Y, *E), ("m",) * 4 + ("A",) * 4, np.vstack([y, e]), assemble(self.machine).point
+            self.machine.name,
+            1 / DT,
+            (*Y, *E),
+            ("m",) * 4 + ("A",) * 4,
+            np.vstack([y, e]),
+            assemble(self.machine).point,
         )
 
-    def identify(self, record: Record, start: dict[str, float], period: float | None = None) -> ParameterEstimate:
-        arguments = {"start": start, "bending_modes": self.bending, "computing_delay": self.delay, "period": period}
+    def identify(
+        self, record: Record, start: dict[str, float], period: float | None = None
+    ) -> ParameterEstimate:
+        arguments = {
+            "start": start,
+            "bending_modes": self.bending,
+            "computing_delay": self.delay,
+            "period": period,
+        }
         return identify(self.machine, record, self.controller, NINE, **arguments)  # type: ignore[arg-type]
 
 
 def case(bending: int, delay: int, distinct: bool) -> Case:
     machine = load_machine("seal-rig")
-    return Case(machine, pid_synthesis(free_mode_reduction(assemble(machine), 1)).controller, bending, delay, distinct)
+    return Case(
+        machine,
+        pid_synthesis(free_mode_reduction(assemble(machine), 1)).controller,
+        bending,
+        delay,
+        distinct,
+    )
 
 
 def run() -> list[dict[str, Any]]:
-    """One row per question: name, ours and peer [CPU s], peer name, error in words, and the target."""
+    """One row per question: name, ours and peer [CPU s], peer name, error in words, and the
+    target.
+    """
     small = case(0, 0, True)
     record = small.record(5.0)
     peer, note = finite_differences(small, record)
@@ -93,13 +129,30 @@ def run() -> list[dict[str, Any]]:
         seconds, error = timed(small, record, period)
         way = "time domain" if period is None else "periodic, 9 periods"
         rows.append(
-            row(f"9 parameters, 24 states, 4 excitations, 5 s: {way}", seconds, peer, name, f"{error}; peer {note}", target)
+            row(
+                f"9 parameters, 24 states, 4 excitations, 5 s: {way}",
+                seconds,
+                peer,
+                name,
+                f"{error}; peer {note}",
+                target,
+            )
         )
     seconds = cpu_seconds(partial(values_only, small, record))[0]
     rows.append(
-        row("the same, time domain, without covariance and tests, as the peer", seconds, peer, name, f"peer {note}", ">= 80x")
+        row(
+            "the same, time domain, without covariance and tests, as the peer",
+            seconds,
+            peer,
+            name,
+            f"peer {note}",
+            ">= 80x",
+        )
     )
-    for other, what in ((case(1, 1, True), "32 states, 4 excitations"), (case(1, 1, False), "32 states, 1 excitation")):
+    for other, what in (
+        (case(1, 1, True), "32 states, 4 excitations"),
+        (case(1, 1, False), "32 states, 1 excitation"),
+    ):
         data = other.record(5.0)
         for period, way in ((None, "time domain"), (PERIOD * DT, "periodic")):
             seconds, error = timed(other, data, period)
@@ -107,8 +160,17 @@ def run() -> list[dict[str, Any]]:
     return [*rows, *against_parameters(small), *against_length(small), starts(small)]
 
 
-def row(name: str, ours: float, peer: float | None, peer_name: str, error: str, target: str = "") -> dict[str, Any]:
-    return {"name": name, "ours": ours, "peer": peer, "peer_name": peer_name, "error": error, "target": target}
+def row(
+    name: str, ours: float, peer: float | None, peer_name: str, error: str, target: str = ""
+) -> dict[str, Any]:
+    return {
+        "name": name,
+        "ours": ours,
+        "peer": peer,
+        "peer_name": peer_name,
+        "error": error,
+        "target": target,
+    }
 
 
 def cpu_seconds(job: Callable[[], Any], repeats: int = 5) -> tuple[float, Any]:
@@ -132,7 +194,11 @@ def begin(chosen: Case, seed: int = 5, width: float = 0.1) -> tuple[np.ndarray, 
 def timed(chosen: Case, record: Record, period: float | None) -> tuple[float, str]:
     truth, start = begin(chosen)
     seconds, found = cpu_seconds(lambda: chosen.identify(record, start, period))
-    return seconds, f"{np.abs((found.values - truth) / found.standard_deviations).max():.1f} sd, {found.iterations} steps"
+    return (
+        seconds,
+        f"{np.abs((found.values - truth) / found.standard_deviations).max():.1f} sd, "
+        f"{found.iterations} steps",
+    )
 
 
 def values_only(chosen: Case, record: Record) -> np.ndarray:
@@ -149,7 +215,12 @@ def finite_differences(chosen: Case, record: Record) -> tuple[float, str]:
     from scipy.optimize import least_squares
 
     k, calls = record.values.shape[1], 0
-    options = FitOptions(bending_modes=chosen.bending, computing_delay=chosen.delay, initial_state=False, offset=False)
+    options = FitOptions(
+        bending_modes=chosen.bending,
+        computing_delay=chosen.delay,
+        initial_state=False,
+        offset=False,
+    )
     given = build_experiment(chosen.machine, record, chosen.controller, NINE, options)
     truth, start = begin(chosen)
     time_axis, e = np.arange(k) * DT, record.values[4:, :k]
@@ -169,7 +240,9 @@ def finite_differences(chosen: Case, record: Record) -> tuple[float, str]:
 
 
 def against_parameters(chosen: Case) -> list[dict[str, Any]]:
-    """One pass (cost, J'J, J'r, initial state and offsets) over 5 s; beyond the 24 that this machine has, some twice."""
+    """One pass (cost, J'J, J'r, initial state and offsets) over 5 s; beyond the 24 that this
+    machine has, some twice.
+    """
     record = chosen.record(5.0)
     options = FitOptions(bending_modes=0, computing_delay=0)
     given = build_experiment(chosen.machine, record, chosen.controller, (*NINE, *REST), options)
@@ -199,7 +272,9 @@ def against_length(chosen: Case) -> list[dict[str, Any]]:
 
 
 def starts(chosen: Case, count: int = 40) -> dict[str, Any]:
-    """From starts up to 30 % away in every parameter: how many lead to the truth; those with an unstable loop are refused."""
+    """From starts up to 30 % away in every parameter: how many lead to the truth; those with an
+    unstable loop are refused.
+    """
     record = chosen.record(0.2, noise=0.0)
     truth, _ = begin(chosen)
     reached = refused = seed = 0
@@ -214,9 +289,23 @@ def starts(chosen: Case, count: int = 40) -> dict[str, Any]:
             continue
         reached += bool(np.abs(found.values / truth - 1).max() < 1e-6)
     mean = (time.process_time() - begun) / seed
-    return row("starts +-30 %, 0.2 s without noise", mean, None, "", f"{reached}/{count} exact, {refused} unstable", "all")
+    return row(
+        "starts +-30 %, 0.2 s without noise",
+        mean,
+        None,
+        "",
+        f"{reached}/{count} exact, {refused} unstable",
+        "all",
+    )
 
 
 if __name__ == "__main__":
     for line in run():
-        print(line["name"], f"{line['ours']:.4f}", line["peer"], line["error"], line["target"], sep="  |  ")
+        print(
+            line["name"],
+            f"{line['ours']:.4f}",
+            line["peer"],
+            line["error"],
+            line["target"],
+            sep="  |  ",
+        )

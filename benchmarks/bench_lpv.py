@@ -1,8 +1,10 @@
-"""LPV synthesis with its verification; the same inequalities through cvxpy; growth with states and grid points.
+"""LPV synthesis with its verification; the same inequalities through cvxpy; growth with states and
+grid points.
 
-Plants: the turboexpander's design problem from 20 to 300 Hz (20 states); for growth a chain of oscillators whose springs follow
-the parameter. The peer solves the first pass only (the smallest gamma), with cvxpy's default solver or Clarabel; its error is
-the relative difference of gamma. All times are processor time.
+Plants: the turboexpander's design problem from 20 to 300 Hz (20 states); for growth a chain of
+oscillators whose springs follow the parameter. The peer solves the first pass only (the smallest
+gamma), with cvxpy's default solver or Clarabel; its error is the relative difference of gamma. All
+times are processor time.
 """
 
 from __future__ import annotations
@@ -15,16 +17,16 @@ from typing import Any
 import numpy as np
 
 from ambrose import load_machine
+from ambrose.annexes.scheduled.lpv.family import scaled_family
+from ambrose.annexes.scheduled.lpv.inequalities import Shape, program
+from ambrose.annexes.scheduled.lpv.machine import plants_along
+from ambrose.annexes.scheduled.lpv.synthesis import lpv_synthesis
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.matrix_inequalities.semidefinite import Inequality, minimise
 from ambrose.core.statespace import StateSpace
+from ambrose.law.scheduling import BOTH, SPEED, Scheduling
 from ambrose.machine.parameters import operating_point
-from ambrose.plant.assemble import assemble
-from ambrose.plant.scheduling import BOTH, SPEED, Scheduling
-from ambrose.synthesis.lpv.family import scaled_family
-from ambrose.synthesis.lpv.inequalities import Shape, program
-from ambrose.synthesis.lpv.machine import plants_along
-from ambrose.synthesis.lpv.synthesis import lpv_synthesis
+from ambrose.model.assemble import assemble
 
 POINTS = 8
 
@@ -34,46 +36,102 @@ def run() -> list[dict[str, Any]]:
     machine = load_machine("turboexpander")
     plant_at = plants_along(assemble(machine, operating_point(machine, "140 Hz")))
     speeds = 2 * np.pi * np.linspace(20, 300, POINTS)
-    rows = [_whole("turboexpander, 20 states, 8 points, any rate", plant_at, speeds, None, "< 30 s")]
-    rows.append(_whole("turboexpander, 20 states, 8 points, 1760 rad/s^2", plant_at, speeds, 1760.0))
+    rows = [
+        _whole("turboexpander, 20 states, 8 points, any rate", plant_at, speeds, None, "< 30 s")
+    ]
+    rows.append(
+        _whole("turboexpander, 20 states, 8 points, 1760 rad/s^2", plant_at, speeds, 1760.0)
+    )
     both = plants_along(assemble(machine, operating_point(machine, "140 Hz")), BOTH)
     rectangle = (2 * np.pi * np.array([0.0, 262.5, 525.0]), np.array([0.0, 19.25e5, 38.5e5]))
-    rows.append(_whole("turboexpander, 20 states, 3 x 3 points, any rate", both, rectangle, None, "< 30 s", BOTH))
-    rows.append(_against_cvxpy("first pass, turboexpander, 20 states, 8 points", plant_at, speeds, "CLARABEL"))
-    rows.append(_against_cvxpy("first pass, chain, 8 states, 4 points", _chain(2), np.linspace(0, 1, 4), None))
-    rows.append(_against_cvxpy("first pass, chain, 8 states, 4 points", _chain(2), np.linspace(0, 1, 4), "CLARABEL"))
-    for series, sizes in {"states": ((2, POINTS), (4, POINTS), (7, POINTS)), "points": ((4, 3), (4, 6), (4, 15))}.items():
+    rows.append(
+        _whole(
+            "turboexpander, 20 states, 3 x 3 points, any rate",
+            both,
+            rectangle,
+            None,
+            "< 30 s",
+            BOTH,
+        )
+    )
+    rows.append(
+        _against_cvxpy(
+            "first pass, turboexpander, 20 states, 8 points", plant_at, speeds, "CLARABEL"
+        )
+    )
+    rows.append(
+        _against_cvxpy(
+            "first pass, chain, 8 states, 4 points", _chain(2), np.linspace(0, 1, 4), None
+        )
+    )
+    rows.append(
+        _against_cvxpy(
+            "first pass, chain, 8 states, 4 points", _chain(2), np.linspace(0, 1, 4), "CLARABEL"
+        )
+    )
+    for series, sizes in {
+        "states": ((2, POINTS), (4, POINTS), (7, POINTS)),
+        "points": ((4, 3), (4, 6), (4, 15)),
+    }.items():
         for masses, count in sizes:
-            row = _whole(f"chain, {4 * masses} states, {count} points", _chain(masses), np.linspace(0, 1, count))
+            row = _whole(
+                f"chain, {4 * masses} states, {count} points",
+                _chain(masses),
+                np.linspace(0, 1, count),
+            )
             size = count if series == "points" else 4 * masses
             rows.append({**row, "series": f"LPV synthesis over {series}", "size": size})
     return rows
 
 
 def _chain(masses: int) -> Callable[[float], GeneralizedPlant]:
-    """Masses in a row between springs that stiffen with p, with a lagging actuator and an error weight each: 4 states."""
+    """Masses in a row between springs that stiffen with p, with a lagging actuator and an error
+    weight each: 4 states.
+    """
     n = masses
     laplace = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
     eye, zero = np.eye(n), np.zeros((n, n))
 
     def at(p: float) -> GeneralizedPlant:
-        A = np.block([
-            [zero, eye, zero, zero],
-            [-(1 + 2 * p) * laplace + 0.5 * eye, -0.05 * laplace, eye, zero],
-            [zero, zero, -10 * eye, zero],
-            [-eye, zero, zero, -0.02 * eye],
-        ])  # fmt: skip
-        B = np.block([[zero, zero, zero], [zero, zero, zero], [10 * eye, zero, 10 * eye], [zero, -0.1 * eye, zero]])
-        C = np.block([[zero, zero, zero, 0.2 * eye], [zero, zero, zero, zero], [-eye, zero, zero, zero]])
+        A = np.block(
+            [
+                [zero, eye, zero, zero],
+                [-(1 + 2 * p) * laplace + 0.5 * eye, -0.05 * laplace, eye, zero],
+                [zero, zero, -10 * eye, zero],
+                [-eye, zero, zero, -0.02 * eye],
+            ]
+        )
+        B = np.block(
+            [
+                [zero, zero, zero],
+                [zero, zero, zero],
+                [10 * eye, zero, 10 * eye],
+                [zero, -0.1 * eye, zero],
+            ]
+        )
+        C = np.block(
+            [[zero, zero, zero, 0.2 * eye], [zero, zero, zero, zero], [-eye, zero, zero, zero]]
+        )
         D = np.block([[zero, zero, zero], [zero, zero, 0.2 * eye], [zero, -0.1 * eye, zero]])
         s = StateSpace(A, B, C, D)
-        return GeneralizedPlant(s, s.inputs[: 2 * n], s.inputs[2 * n :], s.outputs[: 2 * n], s.outputs[2 * n :])
+        return GeneralizedPlant(
+            s, s.inputs[: 2 * n], s.inputs[2 * n :], s.outputs[: 2 * n], s.outputs[2 * n :]
+        )
 
     return at
 
 
-def _row(name: str, ours: float, peer: float | None, peer_name: str, error: float | str, target: str = "") -> dict[str, Any]:
-    return {"name": f"lpv: {name}", "ours": ours, "peer": peer, "peer_name": peer_name, "error": error, "target": target}
+def _row(
+    name: str, ours: float, peer: float | None, peer_name: str, error: float | str, target: str = ""
+) -> dict[str, Any]:
+    return {
+        "name": f"lpv: {name}",
+        "ours": ours,
+        "peer": peer,
+        "peer_name": peer_name,
+        "error": error,
+        "target": target,
+    }
 
 
 def _whole(
@@ -85,11 +143,15 @@ def _whole(
     along: Scheduling = SPEED,
 ) -> dict[str, Any]:
     start = time.process_time()
-    result = lpv_synthesis(plant_at, grid, rate=rate, backoff=1.1, parameter=along.name, unit=along.unit)
+    result = lpv_synthesis(
+        plant_at, grid, rate=rate, backoff=1.1, parameter=along.name, unit=along.unit
+    )
     spent = time.process_time() - start
     m = result.certificate.margins
     ratio = m["gamma_optimal"] / m["pointwise_largest"]
-    said = f"gamma {ratio:.3f} of pointwise, fastest pole {result.certificate.fastest_pole:.2g} rad/s"
+    said = (
+        f"gamma {ratio:.3f} of pointwise, fastest pole {result.certificate.fastest_pole:.2g} rad/s"
+    )
     return _row(name, spent, None, "", said, target)
 
 
@@ -110,11 +172,17 @@ def _against_cvxpy(
     try:
         value, solver = _cvxpy(cvxpy, cost, items, solver)
     except Exception as error:
-        return _row(name, spent, None, f"cvxpy ({str(error).strip().splitlines()[0][:50]})", ours.gap)
-    return _row(name, spent, time.process_time() - start, f"cvxpy, {solver}", abs(value / ours.value - 1))
+        return _row(
+            name, spent, None, f"cvxpy ({str(error).strip().splitlines()[0][:50]})", ours.gap
+        )
+    return _row(
+        name, spent, time.process_time() - start, f"cvxpy, {solver}", abs(value / ours.value - 1)
+    )
 
 
-def _cvxpy(cvxpy: Any, cost: np.ndarray, items: list[Inequality], solver: str | None) -> tuple[float, str]:
+def _cvxpy(
+    cvxpy: Any, cost: np.ndarray, items: list[Inequality], solver: str | None
+) -> tuple[float, str]:
     """The value and the solver that cvxpy chose; matrices as affine functions of x."""
     x = cvxpy.Variable(len(cost))
     constraints = []

@@ -1,8 +1,10 @@
-"""Mixed structured singular value over 100 frequencies, beside SLICOT's AB13MD (slycot) and dkpy's LMI bisection.
+"""Mixed structured singular value over 100 frequencies, beside SLICOT's AB13MD (slycot) and dkpy's
+LMI bisection.
 
-Neither peer can do the first case: AB13MD has no repeated real block and dkpy no real block at all. They get the nearest
-problem they can represent, named in the row: AB13MD independent reals, dkpy complex blocks. dkpy is timed at two frequencies
-and scaled to 100 (its cost is one bisection per frequency). Slow peers are skipped where they are not installed.
+Neither peer can do the first case: AB13MD has no repeated real block and dkpy no real block at all.
+They get the nearest problem they can represent, named in the row: AB13MD independent reals, dkpy
+complex blocks. dkpy is timed at two frequencies and scaled to 100 (its cost is one bisection per
+frequency). Slow peers are skipped where they are not installed.
 """
 
 from __future__ import annotations
@@ -24,7 +26,9 @@ FREQUENCIES = 100
 
 
 def run() -> list[dict[str, Any]]:
-    """One row per case: name, ours [s], peer [s] or None, peer name, error (or the gap between upper and lower bound)."""
+    """One row per case: name, ours [s], peer [s] or None, peer name, error (or the gap between
+    upper and lower bound).
+    """
     repeated: list[Block] = [RealBlock("k", 2), FullBlock("performance", 8, 8)]
     eight: list[Block] = [*(RealBlock(f"k{i}") for i in range(8)), FullBlock("performance", 8, 8)]
     rows = []
@@ -42,7 +46,9 @@ def _system(channels: int) -> StateSpace:
     """Twelve modes between 1 and 100 rad/s with 2 to 20 % damping, seen by all channels. Seeded."""
     rng = np.random.default_rng(channels)
     A = np.zeros((24, 24))
-    for i, (w, zeta) in enumerate(zip(np.geomspace(1, 100, 12), rng.uniform(0.02, 0.2, 12), strict=True)):
+    for i, (w, zeta) in enumerate(
+        zip(np.geomspace(1, 100, 12), rng.uniform(0.02, 0.2, 12), strict=True)
+    ):
         A[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = w * np.array([[-zeta, 1], [-1, -zeta]])
     B, C = rng.standard_normal((24, channels)), rng.standard_normal((channels, 24))
     return StateSpace(A, B, C, 0.1 * rng.standard_normal((channels, channels)))
@@ -64,7 +70,11 @@ def _against_peers(name: str, M: np.ndarray, blocks: list[Block]) -> list[dict[s
     rows = [_row(f"{name}: upper and lower, largest gap", both_s, None, "", float(both.gap.max()))]
     independent: list[Block] = []
     for block in blocks:
-        independent += [RealBlock(f"{block.name}{i}") for i in range(block.n_w)] if isinstance(block, RealBlock) else [block]
+        independent += (
+            [RealBlock(f"{block.name}{i}") for i in range(block.n_w)]
+            if isinstance(block, RealBlock)
+            else [block]
+        )
     same = len(independent) == len(blocks)
     peer = _ab13md(M, independent)
     label = "slycot AB13MD" if same else "slycot AB13MD (independent reals)"
@@ -73,12 +83,20 @@ def _against_peers(name: str, M: np.ndarray, blocks: list[Block]) -> list[dict[s
     lmi = _dkpy(M[:2], blocks)
     error = float(np.abs(complex_only.upper[:2] / lmi[1] - 1).max()) if lmi else None
     rows.append(
-        _row(f"{name}: complex upper", complex_s, lmi[0] * len(M) / 2 if lmi else None, "dkpy (2 points, scaled)", error)
+        _row(
+            f"{name}: complex upper",
+            complex_s,
+            lmi[0] * len(M) / 2 if lmi else None,
+            "dkpy (2 points, scaled)",
+            error,
+        )
     )
     return rows
 
 
-def _over_frequency(name: str, system: StateSpace, blocks: list[Block], omega: np.ndarray) -> dict[str, Any]:
+def _over_frequency(
+    name: str, system: StateSpace, blocks: list[Block], omega: np.ndarray
+) -> dict[str, Any]:
     """The peak, then its proof 1 % above on [0, infinity); error: 0 when proved, else 1."""
 
     def work() -> float:
@@ -93,11 +111,25 @@ def _growth(blocks: list[Block], count: int) -> dict[str, Any]:
     system = _system(sum(block.n_z for block in blocks))
     M = frequency_response(system, np.geomspace(0.3, 300, count)).values
     seconds, result = _timed(lambda: mu_bounds(M, blocks), 1)
-    return _row(f"delta I_2 + full 8x8, {count} frequencies, upper and lower", seconds, None, "", float(result.gap.max()))
+    return _row(
+        f"delta I_2 + full 8x8, {count} frequencies, upper and lower",
+        seconds,
+        None,
+        "",
+        float(result.gap.max()),
+    )
 
 
-def _row(name: str, ours: float, peer: float | None, peer_name: str, error: float | None) -> dict[str, Any]:
-    return {"name": f"mu: {name}", "ours": ours, "peer": peer, "peer_name": peer_name, "error": error}
+def _row(
+    name: str, ours: float, peer: float | None, peer_name: str, error: float | None
+) -> dict[str, Any]:
+    return {
+        "name": f"mu: {name}",
+        "ours": ours,
+        "peer": peer,
+        "peer_name": peer_name,
+        "error": error,
+    }
 
 
 def _ab13md(M: np.ndarray, blocks: list[Block]) -> tuple[float, np.ndarray] | None:
@@ -118,10 +150,11 @@ def _dkpy(M: np.ndarray, blocks: list[Block]) -> tuple[float, np.ndarray] | None
     except ImportError:
         return None
     structure = [
-        dkpy.ComplexDiagonalBlock(block.n_w) if isinstance(block, RealBlock) and block.n_w > 1
+        dkpy.ComplexDiagonalBlock(block.n_w)
+        if isinstance(block, RealBlock) and block.n_w > 1
         else dkpy.ComplexFullBlock(block.n_w, block.n_z)
         for block in blocks
-    ]  # fmt: skip
+    ]
     method = dkpy.SsvLmiBisection(n_jobs=None)
     response = np.moveaxis(M, 0, -1)
     try:

@@ -1,4 +1,6 @@
-"""H-infinity norm, frequency response and matrix equations, beside slycot, python-control and scipy."""
+"""H-infinity norm, frequency response and matrix equations, beside slycot, python-control and
+scipy.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ from ambrose.core.statespace import StateSpace
 
 
 def run() -> list[dict[str, Any]]:
-    """One row per task: name, ours and peer [s] (medians; peer None where it is not installed), peer_name, error (relative)."""
+    """One row per task: name, ours and peer [s] (medians; peer None where it is not installed),
+    peer_name, error (relative).
+    """
     return [
         *(hinf(n) for n in (8, 20)),
         {**hinf(40), "target": "< 0.05 s"},
@@ -37,23 +41,31 @@ def median_time(function: Callable[[], Any], repeats: int = 7) -> tuple[float, A
     return float(np.median(times)), result
 
 
-def row(name: str, ours: float, peer: float | None, peer_name: str, error: float | None) -> dict[str, Any]:
+def row(
+    name: str, ours: float, peer: float | None, peer_name: str, error: float | None
+) -> dict[str, Any]:
     return {"name": name, "ours": ours, "peer": peer, "peer_name": peer_name, "error": error}
 
 
 def lightly_damped(n: int, m: int = 4) -> StateSpace:
-    """n / 2 modes of 1 .. 1000 rad/s with damping ratios 1e-5 .. 1e-1 behind an orthogonal transformation."""
+    """n / 2 modes of 1 .. 1000 rad/s with damping ratios 1e-5 .. 1e-1 behind an orthogonal
+    transformation.
+    """
     rng = np.random.default_rng(n)
     A = np.zeros((n, n))
     for i in range(0, n, 2):
         omega, zeta = 10 ** rng.uniform(0, 3), 10 ** rng.uniform(-5, -1)
         A[i : i + 2, i : i + 2] = [[-zeta * omega, omega], [-omega, -zeta * omega]]
     Q = np.linalg.qr(rng.standard_normal((n, n)))[0]
-    return StateSpace(Q @ A @ Q.T, rng.standard_normal((n, m)), rng.standard_normal((m, n)), np.zeros((m, m)))
+    return StateSpace(
+        Q @ A @ Q.T, rng.standard_normal((n, m)), rng.standard_normal((m, n)), np.zeros((m, m))
+    )
 
 
 def hinf(n: int, repeats: int = 7) -> dict[str, Any]:
-    """slycot's AB13DD through its own interface, if it is installed (it is a test tool only: GPL)."""
+    """slycot's AB13DD through its own interface, if it is installed (it is a test tool only:
+    GPL).
+    """
     system = lightly_damped(n)
     ours, norm = median_time(lambda: hinf_norm(system), repeats)
     name = f"H-infinity norm, n = {n}, 4 x 4, lightly damped"
@@ -83,9 +95,17 @@ def response(n: int, points: int) -> dict[str, Any]:
         return row(name, ours, None, "python-control", None)
     their_system = system.to_control()
     start = time.perf_counter()
-    theirs = control.frequency_response(their_system, omega, squeeze=False).complex.transpose(2, 0, 1)
+    theirs = control.frequency_response(their_system, omega, squeeze=False).complex.transpose(
+        2, 0, 1
+    )
     peer = time.perf_counter() - start
-    return row(name, ours, peer, "python-control", float(np.abs(values - theirs).max() / np.abs(theirs).max()))
+    return row(
+        name,
+        ours,
+        peer,
+        "python-control",
+        float(np.abs(values - theirs).max() / np.abs(theirs).max()),
+    )
 
 
 def riccati_equation(n: int) -> dict[str, Any]:
@@ -95,10 +115,19 @@ def riccati_equation(n: int) -> dict[str, Any]:
     G, Q = B @ B.T, C.T @ C
     ours, solution = median_time(lambda: solve_riccati(A, G, Q))
     peer, X = median_time(lambda: sla.solve_continuous_are(A, B, Q, np.eye(4)))
-    return row(f"Riccati equation, n = {n}", ours, peer, "scipy", float(np.abs(solution.X - X).max() / np.abs(X).max()))
+    return row(
+        f"Riccati equation, n = {n}",
+        ours,
+        peer,
+        "scipy",
+        float(np.abs(solution.X - X).max() / np.abs(X).max()),
+    )
 
 
 if __name__ == "__main__":
     for line in run():
         peer = "-" if line["peer"] is None else f"{line['peer']:.4f} s"
-        print(f"{line['name']:62s} {line['ours']:.4f} s   {line['peer_name']}: {peer}   error {line['error']}")
+        print(
+            f"{line['name']:62s} {line['ours']:.4f} s   {line['peer_name']}: {peer}   error "
+            f"{line['error']}"
+        )

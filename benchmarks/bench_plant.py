@@ -1,4 +1,6 @@
-"""Assembly and reduction against the number of nodes; closed-loop frequency response; import time; the whole verification."""
+"""Assembly and reduction against the number of nodes; closed-loop frequency response; import time;
+the whole verification.
+"""
 
 from __future__ import annotations
 
@@ -13,17 +15,17 @@ from typing import Any
 import numpy as np
 
 from ambrose import load_machine
+from ambrose.chain.plants import facts
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import poles, select
-from ambrose.evaluation.verdict import verify_controller
+from ambrose.judge import nominal
+from ambrose.judge.verdict import verify_controller
+from ambrose.law.loop import closed_loop
 from ambrose.machine.machine import Machine
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.reduce import modal_reduction
-from ambrose.stages.plants import facts
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import modal_reduction
 from ambrose.synthesis.design import design
 from ambrose.synthesis.pid import pid_controller
-from ambrose.verification import nominal
 
 
 def seconds(action: Callable[[], Any], runs: int = 7) -> float:
@@ -40,7 +42,10 @@ def seconds(action: Callable[[], Any], runs: int = 7) -> float:
 def refined(machine: Machine, nodes: int) -> Machine:
     """The machine with about ``nodes`` nodes, every section refined alike."""
     factor = (nodes - 1) / sum(s.elements for s in machine.shaft)
-    return replace(machine, shaft=tuple(replace(s, elements=max(1, round(s.elements * factor))) for s in machine.shaft))
+    return replace(
+        machine,
+        shaft=tuple(replace(s, elements=max(1, round(s.elements * factor))) for s in machine.shaft),
+    )
 
 
 def run() -> list[dict[str, Any]]:
@@ -69,7 +74,12 @@ def run() -> list[dict[str, Any]]:
     )
     command = [sys.executable, "-c", "import ambrose"]
     bare = seconds(lambda: subprocess.run([sys.executable, "-c", "pass"], check=True))
-    rows.append({**_row("import ambrose", seconds(lambda: subprocess.run(command, check=True)) - bare), "target": "< 0.5"})
+    rows.append(
+        {
+            **_row("import ambrose", seconds(lambda: subprocess.run(command, check=True)) - bare),
+            "target": "< 0.5",
+        }
+    )
     return rows
 
 
@@ -78,17 +88,25 @@ def both(machine: Machine) -> None:
 
 
 def _poles(machine: Machine, nodes: int) -> dict[str, Any]:
-    """The full plant's poles, beside those in all modes of the mesh; error: of the poles below 1e4 rad/s, relative."""
+    """The full plant's poles, beside those in all modes of the mesh; error: of the poles below 1e4
+    rad/s, relative.
+    """
     machine = refined(machine, nodes)
     found = {}
     for every_mode in (False, True):
         plant = assemble(machine, every_mode=every_mode)  # the modes are known from here on
-        spent = seconds(lambda every=every_mode: poles(assemble(machine, every_mode=every).system), 3)
+        spent = seconds(
+            lambda every=every_mode: poles(assemble(machine, every_mode=every).system), 3
+        )
         values = np.sort_complex(poles(plant.rotor))
         found[every_mode] = spent, values[np.abs(values) < 1e4]
     (ours, slow), (theirs, exact) = found[False], found[True]
     row = _row(f"assembly and poles, turboexpander, {nodes - 1} elements", ours)
-    return row | {"peer": theirs, "peer_name": "all modes", "error": float(np.abs(slow / exact - 1).max())}
+    return row | {
+        "peer": theirs,
+        "peer_name": "all modes",
+        "error": float(np.abs(slow / exact - 1).max()),
+    }
 
 
 def _front_door(machine: Machine) -> list[dict[str, Any]]:

@@ -1,4 +1,6 @@
-"""Time responses, sensitivities, records and run-ups, beside python-control and plain ways of doing the same."""
+"""Time responses, sensitivities, records and run-ups, beside python-control and plain ways of doing
+the same.
+"""
 
 from __future__ import annotations
 
@@ -17,26 +19,30 @@ from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, select
 from ambrose.identification.output_error.lifted import lift, stream
+from ambrose.law.loop import closed_loop
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record.files import read_record, write_record
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.reduce import free_mode_reduction
-from ambrose.simulation import linear
-from ambrose.simulation.scenario import load_scenario
-from ambrose.simulation.trace import Trace
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.record.files import read_record, write_record
+from ambrose.record.record import Record
+from ambrose.rig import linear
+from ambrose.rig.scenario import load_scenario
+from ambrose.rig.trace import Trace
 from ambrose.synthesis.pid import pid_controller
 
 DT = 1e-4
 
 
 def run() -> list[dict[str, Any]]:
-    """One row per case: name, ours [s], peer [s] or None, peer name, error (largest difference over the largest value)."""
+    """One row per case: name, ours [s], peer [s] or None, peer name, error (largest difference over
+    the largest value).
+    """
     full, reduced = _loop(None), _loop(0)
     return [
         _against_control("336-state loop, 5,000 samples, 1 input, 4 outputs", full, 5_000),
-        _against_control(f"{reduced.n_states}-state loop, 50,000 samples, 1 input, 4 outputs", reduced, 50_000),
+        _against_control(
+            f"{reduced.n_states}-state loop, 50,000 samples, 1 input, 4 outputs", reduced, 50_000
+        ),
         _against_stepping(f"{reduced.n_states}-state loop, 1,000,000 samples", reduced, 1_000_000),
         _impulse(full),
         _sensitivity(reduced),
@@ -64,7 +70,9 @@ def _seconds(job: Callable[[], Any], repeats: int = 3) -> tuple[float, Any]:
     return best, result
 
 
-def _row(name: str, ours: float, peer: float | None, peer_name: str, error: float) -> dict[str, Any]:
+def _row(
+    name: str, ours: float, peer: float | None, peer_name: str, error: float
+) -> dict[str, Any]:
     return {"name": name, "ours": ours, "peer": peer, "peer_name": peer_name, "error": error}
 
 
@@ -77,13 +85,17 @@ def _difference(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def _against_control(name: str, loop: StateSpace, k: int) -> dict[str, Any]:
-    """Against forced_response of the held model: the only way to get an exact answer from python-control."""
+    """Against forced_response of the held model: the only way to get an exact answer from
+    python-control.
+    """
     import control
 
     u, t = _excitation(k), np.arange(k) * DT
     ours, y = _seconds(lambda: simulate(loop, u, DT))
     system = loop.to_control()
-    peer, other = _seconds(lambda: control.forced_response(control.c2d(system, DT, "zoh"), t, u).outputs, 1)
+    peer, other = _seconds(
+        lambda: control.forced_response(control.c2d(system, DT, "zoh"), t, u).outputs, 1
+    )
     return _row(name, ours, peer, "python-control c2d + forced_response", _difference(y, other))
 
 
@@ -100,7 +112,13 @@ def _against_stepping(name: str, loop: StateSpace, k: int) -> dict[str, Any]:
         return held.C @ states.T
 
     peer, other = _seconds(step, 1)
-    return _row(name, ours, peer * k / part, "numpy, sample by sample (extrapolated)", _difference(y[:, :part], other))
+    return _row(
+        name,
+        ours,
+        peer * k / part,
+        "numpy, sample by sample (extrapolated)",
+        _difference(y[:, :part], other),
+    )
 
 
 def _impulse(loop: StateSpace) -> dict[str, Any]:
@@ -117,16 +135,27 @@ def _impulse(loop: StateSpace) -> dict[str, Any]:
 
     peer, other = _seconds(powers, 1)
     return _row(
-        "impulse response, 336 states, 2,000 samples", ours, peer, "scipy expm, sample by sample", _difference(y[:, 0], other)
+        "impulse response, 336 states, 2,000 samples",
+        ours,
+        peer,
+        "scipy expm, sample by sample",
+        _difference(y[:, 0], other),
     )
 
 
 def _sensitivity(loop: StateSpace) -> dict[str, Any]:
-    """Nine parameters, 5 s at 10 kHz, against central differences of our own simulation; error: of the differences."""
+    """Nine parameters, 5 s at 10 kHz, against central differences of our own simulation; error: of
+    the differences.
+    """
     rng, k = np.random.default_rng(1), 50_000
     u = _excitation(k)
     directions = [
-        SystemDerivative(1e-3 * rng.standard_normal(loop.A.shape) * np.abs(loop.A), 0 * loop.B, 0 * loop.C, 0 * loop.D)
+        SystemDerivative(
+            1e-3 * rng.standard_normal(loop.A.shape) * np.abs(loop.A),
+            0 * loop.B,
+            0 * loop.C,
+            0 * loop.D,
+        )
         for _ in range(9)
     ]
 
@@ -134,9 +163,13 @@ def _sensitivity(loop: StateSpace) -> dict[str, Any]:
         dA, dB = (np.array([getattr(d, letter) for d in directions]) for letter in "AB")
         A, B, dA, dB = held_derivative(loop.A, loop.B, dA, dB, DT)
         sampled = StateSpace(A, B, loop.C, loop.D, dt=DT)
-        lifted = lift(sampled, [SystemDerivative(a, b, 0 * loop.C, 0 * loop.D) for a, b in zip(dA, dB, strict=True)])
+        lifted = lift(
+            sampled,
+            [SystemDerivative(a, b, 0 * loop.C, 0 * loop.D) for a, b in zip(dA, dB, strict=True)],
+        )
         pieces = [
-            F.transpose(0, 2, 1, 3).reshape(len(F), len(loop.C), -1) for _, F in stream(lifted, list(u), np.zeros(len(A)))
+            F.transpose(0, 2, 1, 3).reshape(len(F), len(loop.C), -1)
+            for _, F in stream(lifted, list(u), np.zeros(len(A)))
         ]
         return np.concatenate(pieces, axis=2)[1:, :, :k]
 
@@ -153,7 +186,13 @@ def _sensitivity(loop: StateSpace) -> dict[str, Any]:
 
     peer, other = _seconds(differences, 1)
     name = f"exact sensitivities, 9 parameters, {loop.n_states} states, 50,000 samples"
-    return _row(name, ours, peer, "central differences of ambrose's own response (error is theirs)", _difference(other, dy))
+    return _row(
+        name,
+        ours,
+        peer,
+        "central differences of ambrose's own response (error is theirs)",
+        _difference(other, dy),
+    )
 
 
 def _run_up() -> dict[str, Any]:
@@ -162,13 +201,17 @@ def _run_up() -> dict[str, Any]:
     K = pid_controller(machine.controller, machine)
 
     def loop_at(speed: float) -> StateSpace:
-        return closed_loop(free_mode_reduction(assemble(machine, OperatingPoint(speed=speed)), 2), K)
+        return closed_loop(
+            free_mode_reduction(assemble(machine, OperatingPoint(speed=speed)), 2), K
+        )
 
     scenario = load_scenario("run-up")
     ends = [scenario.speed_at(0.0), scenario.speed_at(scenario.duration)]
 
     def run() -> Trace:
-        return linear.run(ScheduledSystem(ends, [loop_at(speed) for speed in ends]), scenario, mass=68.9)
+        return linear.run(
+            ScheduledSystem(ends, [loop_at(speed) for speed in ends]), scenario, mass=68.9
+        )
 
     ours, trace = _seconds(run, 1)
     return _row("run-up 20 to 300 Hz in 1 s, reduced loop", ours, None, "", trace.speed_error)
@@ -184,6 +227,22 @@ def _files() -> list[dict[str, Any]]:
             path = Path(folder) / f"record.{suffix}"
             written, _ = _seconds(lambda path=path: write_record(record, path))
             read, again = _seconds(lambda path=path: read_record(path))
-            rows.append(_row(f"write {suffix} record, 600,000 numbers", written, None, "", _difference(again.values, values)))
-            rows.append(_row(f"read {suffix} record, 600,000 numbers", read, None, "", _difference(again.values, values)))
+            rows.append(
+                _row(
+                    f"write {suffix} record, 600,000 numbers",
+                    written,
+                    None,
+                    "",
+                    _difference(again.values, values),
+                )
+            )
+            rows.append(
+                _row(
+                    f"read {suffix} record, 600,000 numbers",
+                    read,
+                    None,
+                    "",
+                    _difference(again.values, values),
+                )
+            )
     return rows

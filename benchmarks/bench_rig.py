@@ -1,4 +1,6 @@
-"""The virtual rig: simulated time per time of the computer, beside scipy's solve_ivp between the same control samples."""
+"""The virtual rig: simulated time per time of the computer, beside scipy's solve_ivp between the
+same control samples.
+"""
 
 from __future__ import annotations
 
@@ -14,15 +16,15 @@ from typing import Any
 import numpy as np
 
 from ambrose import load_machine
-from ambrose.machine.record.record import Record
-from ambrose.physics import amplifier, coupling, magnet, seal
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.disturbances import Prbs
-from ambrose.simulation.rig.controller import sampled_law
-from ambrose.simulation.rig.equilibrium import levitated_state, measurement
-from ambrose.simulation.rig.inputs import Drive, plan, stretch
-from ambrose.simulation.rig.state import Rig, build, compiled
-from ambrose.simulation.scenario import Scenario
+from ambrose.model.effects import amplifier, coupling, magnet, seal
+from ambrose.record.record import Record
+from ambrose.rig import virtual_rig
+from ambrose.rig.disturbances import Prbs
+from ambrose.rig.engine.controller import sampled_law
+from ambrose.rig.engine.equilibrium import levitated_state, measurement
+from ambrose.rig.engine.inputs import Drive, plan, stretch
+from ambrose.rig.engine.state import Rig, build, compiled
+from ambrose.rig.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
 
 DT = 1e-4
@@ -33,14 +35,14 @@ PID = pid_controller(MACHINE.controller, MACHINE)
 MEMORY = """
 import resource, tempfile, pathlib
 from benchmarks.bench_rig import MACHINE, PID, excited
-from ambrose.simulation import virtual_rig
+from ambrose.rig import virtual_rig
 with tempfile.TemporaryDirectory() as folder:
     trace = virtual_rig.run(MACHINE, PID, excited(60.0), path=pathlib.Path(folder) / "run.h5")
 print(trace.run_time, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 """
 COMPILE = """
 from benchmarks.bench_rig import MACHINE, PID, excited
-from ambrose.simulation import virtual_rig
+from ambrose.rig import virtual_rig
 print(virtual_rig.run(MACHINE, PID, excited(0.01)).compile_time)
 """
 
@@ -52,7 +54,9 @@ def excited(length: float) -> Scenario:
 
 
 def run() -> list[dict[str, Any]]:
-    """Rows as benchmarks/__main__.py wants them; ours is the time for ten simulated seconds unless the name says otherwise."""
+    """Rows as benchmarks/__main__.py wants them; ours is the time for ten simulated seconds unless
+    the name says otherwise.
+    """
     return [*_against_scipy(), *_cost(), _memory(), *_compilation()]
 
 
@@ -69,13 +73,27 @@ def _difference(record: Record, reference: Record) -> float:
 
 
 def _row(
-    name: str, ours: float, error: Any, target: str = "", peer: float | None = None, peer_name: str = ""
+    name: str,
+    ours: float,
+    error: Any,
+    target: str = "",
+    peer: float | None = None,
+    peer_name: str = "",
 ) -> dict[str, Any]:
-    return {"name": name, "ours": ours, "peer": peer, "peer_name": peer_name, "error": error, "target": target}
+    return {
+        "name": name,
+        "ours": ours,
+        "peer": peer,
+        "peer_name": peer_name,
+        "error": error,
+        "target": target,
+    }
 
 
 def _against_scipy() -> list[dict[str, Any]]:
-    """Both at an error of 1e-5 at most. solve_ivp gets the same forces in Python, and then our compiled derivative as well."""
+    """Both at an error of 1e-5 at most. solve_ivp gets the same forces in Python, and then our
+    compiled derivative as well.
+    """
     ours = _seconds(excited(LENGTH))
     short = excited(PEER_LENGTH)
     fine = virtual_rig.run(MACHINE, PID, short, dt=2.5e-6).record
@@ -89,31 +107,44 @@ def _against_scipy() -> list[dict[str, Any]]:
             seconds, other = _scipy(short, method, 1e-4, kind != "Python")
             difference = float(np.abs(other - y[:, : other.shape[1]]).max() / np.abs(y).max())
             if difference <= 1e-5:
-                found.append((seconds * LENGTH / PEER_LENGTH, f"solve_ivp {method}, {kind} derivative, error {difference:.1e}"))
+                found.append(
+                    (
+                        seconds * LENGTH / PEER_LENGTH,
+                        f"solve_ivp {method}, {kind} derivative, error {difference:.1e}",
+                    )
+                )
         peer, name = min(found)
         rows.append(_row(title, ours, error, target, peer, name))
     return rows
 
 
 def _in_python(rig: Rig, drive: Drive) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """dz/dt of state and command by numpy and the force functions of physics: the seal rig at rest, free of contact."""
+    """dz/dt of state and command by numpy and the force functions of physics: the seal rig at rest,
+    free of contact.
+    """
     k, p, a = rig.constants, rig.modes, len(rig.axes)
     rows = drive.seal[0]
 
     def derivative(z: np.ndarray, u: np.ndarray) -> np.ndarray:
-        q, v, amp = z[: 2 * p].reshape(p, 2), z[2 * p : 4 * p].reshape(p, 2), z[4 * p : 4 * p + 2 * a].reshape(a, 2)
+        q = z[: 2 * p].reshape(p, 2)
+        v = z[2 * p : 4 * p].reshape(p, 2)
+        amp = z[4 * p : 4 * p + 2 * a].reshape(a, 2)
         place, velocity = k.shape @ q, k.shape @ v
         force, dz = np.zeros_like(place), np.zeros_like(z)
         for b in range(len(k.magnet)):
             c, s = k.direction[b]
             x, y = place[b]
-            f, g = magnet.force(amp[2 * b, 0], amp[2 * b + 1, 0], c * x + s * y, c * y - s * x, k.magnet[b])
+            f, g = magnet.force(
+                amp[2 * b, 0], amp[2 * b + 1, 0], c * x + s * y, c * y - s * x, k.magnet[b]
+            )
             force[b] += c * f - s * g, s * f + c * g
         b = len(k.magnet)
         for i in range(len(k.coupling)):
             c, s = k.direction[b + i]
             (x, y), (vx, vy) = place[b + i], velocity[b + i]
-            f, g = coupling.force(c * x + s * y, c * y - s * x, c * vx + s * vy, c * vy - s * vx, k.coupling[i])
+            f, g = coupling.force(
+                c * x + s * y, c * y - s * x, c * vx + s * vy, c * vy - s * vx, k.coupling[i]
+            )
             force[b + i] += c * f - s * g, s * f + c * g
         b += len(k.coupling)
         for i in range(len(rows)):
@@ -122,14 +153,20 @@ def _in_python(rig: Rig, drive: Drive) -> Callable[[np.ndarray, np.ndarray], np.
         acceleration = k.shape.T @ force - k.stiffness[:, None] * q - k.damping[:, None] * v
         dz[2 * p : 4 * p] = acceleration.ravel() + k.weight
         for i in range(a):
-            dz[4 * p + 2 * i : 4 * p + 2 * i + 2] = amplifier.derivative(u[i], *amp[i], k.amplifier[i])
+            dz[4 * p + 2 * i : 4 * p + 2 * i + 2] = amplifier.derivative(
+                u[i], *amp[i], k.amplifier[i]
+            )
         return dz
 
     return derivative
 
 
-def _scipy(scenario: Scenario, method: str, rtol: float, with_ours: bool) -> tuple[float, np.ndarray]:
-    """Time [s] and measurements (a, k) of the same run, the machine integrated by solve_ivp from sample to sample."""
+def _scipy(
+    scenario: Scenario, method: str, rtol: float, with_ours: bool
+) -> tuple[float, np.ndarray]:
+    """Time [s] and measurements (a, k) of the same run, the machine integrated by solve_ivp from
+    sample to sample.
+    """
     from scipy.integrate import solve_ivp
 
     rig = build(MACHINE)
@@ -155,7 +192,9 @@ def _scipy(scenario: Scenario, method: str, rtol: float, with_ours: bool) -> tup
         now = held + drive.excitation[:, k]
         held = np.clip(law.C @ x - law.D @ measured[:, k], -law.limit, law.limit)
         x = law.A @ x - law.B @ measured[:, k]
-        z = solve_ivp(derivative, (0.0, DT), z, method=method, rtol=rtol, atol=atol, first_step=DT / 2).y[:, -1]
+        z = solve_ivp(
+            derivative, (0.0, DT), z, method=method, rtol=rtol, atol=atol, first_step=DT / 2
+        ).y[:, -1]
     return time.perf_counter() - begun, measured
 
 
@@ -163,9 +202,17 @@ def _cost() -> list[dict[str, Any]]:
     rows = []
     for modes in (0, 1, 3, 8):
         ours = _seconds(excited(2.0), bending_modes=modes) * LENGTH / 2.0
-        short = [virtual_rig.run(MACHINE, PID, excited(0.05), bending_modes=modes, dt=dt).record for dt in (None, 2e-6)]
+        short = [
+            virtual_rig.run(MACHINE, PID, excited(0.05), bending_modes=modes, dt=dt).record
+            for dt in (None, 2e-6)
+        ]
         target = ">= 60 s/s, error <= 1e-7" if modes == 8 else ">= 120 s/s, error <= 1e-7"
-        found = _row(f"  with {modes} bending modes: {LENGTH / ours:.0f} s/s", ours, _difference(*short), target)
+        found = _row(
+            f"  with {modes} bending modes: {LENGTH / ours:.0f} s/s",
+            ours,
+            _difference(*short),
+            target,
+        )
         rows.append({**found, "series": "virtual rig over displacements", "size": 4 + 2 * modes})
     for rate in (5e3, 10e3, 20e3, 40e3):
         ours = _seconds(replace(excited(2.0), sample_time=1 / rate)) * LENGTH / 2.0
@@ -175,19 +222,28 @@ def _cost() -> list[dict[str, Any]]:
 
 def _memory() -> dict[str, Any]:
     seconds, megabytes = (float(word) for word in _elsewhere(MEMORY).split())
-    return _row("  60 s at 10 kHz, all signals, record on disk", seconds, f"{megabytes:.0f} MB", "< 500 MB")
+    return _row(
+        "  60 s at 10 kHz, all signals, record on disk", seconds, f"{megabytes:.0f} MB", "< 500 MB"
+    )
 
 
 def _compilation() -> list[dict[str, Any]]:
     with tempfile.TemporaryDirectory() as folder:
         cold = float(_elsewhere(COMPILE, NUMBA_CACHE_DIR=folder))
         warm = float(_elsewhere(COMPILE, NUMBA_CACHE_DIR=folder))
-    return [_row("  compiling, once per computer", cold, ""), _row("  the same from the cache, and preparing a run", warm, "")]
+    return [
+        _row("  compiling, once per computer", cold, ""),
+        _row("  the same from the cache, and preparing a run", warm, ""),
+    ]
 
 
 def _elsewhere(program: str, **environment: str) -> str:
     """What a program prints in a process of its own."""
     done = subprocess.run(
-        [sys.executable, "-c", program], env={**os.environ, **environment}, capture_output=True, text=True, check=True
+        [sys.executable, "-c", program],
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        check=True,
     )
     return done.stdout

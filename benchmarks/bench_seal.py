@@ -1,6 +1,8 @@
-"""The hole-pattern seal of P3: bulk flow, a table, the rational model, and coefficients at an operating point.
+"""The hole-pattern seal of P3: bulk flow, a table, the rational model, and coefficients at an
+operating point.
 
-No peer: ROSS 2.3 sets no condition at the seal's exit, so that its coefficients are another problem's (docs/seals.md).
+No peer: ROSS 2.3 sets no condition at the seal's exit, so that its coefficients are another
+problem's (docs/seals.md).
 """
 
 from __future__ import annotations
@@ -14,10 +16,10 @@ import numpy as np
 
 from ambrose import load_machine
 from ambrose.machine.seals import GasSealGeometry
-from ambrose.physics import bulkflow
-from ambrose.physics.gas_seal import described
-from ambrose.physics.seal import coefficients
-from ambrose.physics.seal_rational import linearised, rational
+from ambrose.model.effects import bulkflow
+from ambrose.model.effects.gas_seal import described
+from ambrose.model.effects.seal import coefficients
+from ambrose.model.effects.seal_rational import linearised, rational
 
 HZ = 2 * np.pi
 DROP = 38.5e5
@@ -37,16 +39,33 @@ def run() -> list[dict[str, Any]]:
 
     seconds, flow = _timed(fresh)
     fine = bulkflow.bulk_flow(seal, condition, omega, 400)
-    error = max(np.abs(a / b - 1).max() for a, b in ((flow.K, fine.K), (flow.k, fine.k), (flow.C, fine.C), (flow.c, fine.c)))
-    rows = [_row("bulk flow, 15 frequencies, hole-pattern seal of P3", seconds, f"{error:.1e} from 400 cells", "< 1 s")]
+    error = max(
+        np.abs(a / b - 1).max()
+        for a, b in ((flow.K, fine.K), (flow.k, fine.k), (flow.C, fine.C), (flow.c, fine.c))
+    )
+    rows = [
+        _row(
+            "bulk flow, 15 frequencies, hole-pattern seal of P3",
+            seconds,
+            f"{error:.1e} from 400 cells",
+            "< 1 s",
+        )
+    ]
     states = replace(piston, frequency_dependence="states")
     rational(states, DROP)
     seconds, model = _timed(lambda: rational(states, DROP))
     w = 140.0 * HZ
     found, exact = linearised(model, w), coefficients(piston, DROP, frequency=w)
-    error = abs(complex(found.K - exact.K, w * (found.C - exact.C))) / abs(complex(exact.K, w * exact.C))
+    error = abs(complex(found.K - exact.K, w * (found.C - exact.C))) / abs(
+        complex(exact.K, w * exact.C)
+    )
     rows.append(
-        _row("rational model of it, 3 poles, 2 Hz to 1.5 kHz, flow known", seconds, f"{error:.1e} at 140 Hz", "< 10 ms")
+        _row(
+            "rational model of it, 3 poles, 2 Hz to 1.5 kHz, flow known",
+            seconds,
+            f"{error:.1e} at 140 Hz",
+            "< 10 ms",
+        )
     )
     return rows
 
@@ -61,7 +80,14 @@ def _timed(task: Callable[[], Any]) -> tuple[float, Any]:
 
 
 def _row(name: str, seconds: float, error: str, target: str) -> dict[str, Any]:
-    return {"name": name, "ours": seconds, "peer": None, "peer_name": "none", "error": error, "target": target}
+    return {
+        "name": name,
+        "ours": seconds,
+        "peer": None,
+        "peer_name": "none",
+        "error": error,
+        "target": target,
+    }
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-"""Proofs while the seal pressure moves, fixed and scheduled controllers, beside looking at it at rest on the full plant."""
+"""Proofs while the seal pressure moves, fixed and scheduled controllers, beside looking at it at
+rest on the full plant.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +10,18 @@ from typing import Any
 import numpy as np
 
 from ambrose import design, load_machine
+from ambrose.annexes.scheduled.moving.on_model import check_on_model, scheduled_spans
+from ambrose.annexes.scheduled.moving.pressure import check_pressure, pressure_loop
+from ambrose.annexes.scheduled.moving.spans import FROZEN, pressure_spans
 from ambrose.core.norms import hinf_norm
-from ambrose.plant.assemble import assemble
-from ambrose.plant.timing import Timing
-from ambrose.verification.checks import Checks
-from ambrose.verification.moving.on_model import check_on_model, scheduled_spans
-from ambrose.verification.moving.pressure import check_pressure, pressure_loop
-from ambrose.verification.moving.spans import FROZEN, pressure_spans
+from ambrose.judge.checks import Checks
+from ambrose.law.timing import Timing
+from ambrose.model.assemble import assemble
 
-RATE, PRESSURE_RATE, ERROR = 10_000.0, 2e6, 0.408e5  # Hz; Pa/s; Pa, a fifth of nominal
+# Hz; Pa/s; Pa, a fifth of nominal
+RATE = 10_000.0
+PRESSURE_RATE = 2e6
+ERROR = 0.408e5
 _TIMING = Timing(1 / RATE, 1)
 
 
@@ -32,21 +37,48 @@ def run() -> list[dict[str, Any]]:
         peer = time.process_time() - begun
         begun = time.process_time()
         found = check_pressure(machine, span, law, _TIMING, PRESSURE_RATE)
-        rows.append(_row(f"proof at 20 bar/s, tuned controller, {name}", begun, found, peer, f"{FROZEN} pressures"))
+        rows.append(
+            _row(
+                f"proof at 20 bar/s, tuned controller, {name}",
+                begun,
+                found,
+                peer,
+                f"{FROZEN} pressures",
+            )
+        )
     machine = load_machine("seal-rig")
     law = design(machine, "lpv", pressures=(0.0, span.high), rate=RATE).scheduled
     for error in (0.0, ERROR):
         begun = time.process_time()
-        found = check_on_model(machine, scheduled_spans(machine, law)[0], law, _TIMING, PRESSURE_RATE, error)
+        found = check_on_model(
+            machine, scheduled_spans(machine, law)[0], law, _TIMING, PRESSURE_RATE, error
+        )
         told = f"told to {error / 1e5:g} bar" if error else "told exactly"
-        rows.append(_row(f"proof at 20 bar/s, scheduled controller, seal-rig, 10 kHz, {told}", begun, found, None, ""))
+        rows.append(
+            _row(
+                f"proof at 20 bar/s, scheduled controller, seal-rig, 10 kHz, {told}",
+                begun,
+                found,
+                None,
+                "",
+            )
+        )
     return rows
 
 
-def _row(name: str, begun: float, found: Checks, peer: float | None, peer_name: str) -> dict[str, Any]:
+def _row(
+    name: str, begun: float, found: Checks, peer: float | None, peer_name: str
+) -> dict[str, Any]:
     ours = time.process_time() - begun
     values = {check.name: check.value for check in found.checks}
     above = values["moving.sensitivity.rate"] / values["moving.frozen"] - 1
     beside = peer_name and f"at rest, {peer_name}"
     error, target = f"{above:.2%} above rest", "<= 60 s, 0.5 %"
-    return {"name": name, "ours": ours, "peer": peer, "peer_name": beside, "error": error, "target": target}
+    return {
+        "name": name,
+        "ours": ours,
+        "peer": peer,
+        "peer_name": beside,
+        "error": error,
+        "target": target,
+    }

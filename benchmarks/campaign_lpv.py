@@ -1,7 +1,9 @@
-"""P3.7 and P3.8: LPV against the mu controller of 140 Hz in the turboexpander's spin-up: ``python -m benchmarks.campaign_lpv``.
+"""P3.7 and P3.8: LPV against the mu controller of 140 Hz in the turboexpander's spin-up: ``python
+-m benchmarks.campaign_lpv``.
 
-Prints gamma and poles of the LPV syntheses (any rate, and bounded rate), the settling of every step of the bundled scenario
-"spin-up-steps" on the linear loop and on the virtual rig, and peaks and crossovers over speed. ``-o DIR`` writes the figure.
+Prints gamma and poles of the LPV syntheses (any rate, and bounded rate), the settling of every step
+of the bundled scenario "spin-up-steps" on the linear loop and on the virtual rig, and peaks and
+crossovers over speed. ``-o DIR`` writes the figure.
 """
 
 from __future__ import annotations
@@ -15,17 +17,17 @@ from typing import Any
 import numpy as np
 
 from ambrose import load_machine
+from ambrose.annexes.scheduled.lpv.machine import design_schedule
+from ambrose.judge.loop_response import loop_evaluator
+from ambrose.law.loop import match_controller
 from ambrose.machine.parameters import operating_point
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import match_controller
-from ambrose.plant.model import Plant
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.run_up import spin_up, steps
-from ambrose.simulation.scenario import Scenario, load_scenario
-from ambrose.simulation.trace import Trace
+from ambrose.model.assemble import assemble
+from ambrose.model.plant import Plant
+from ambrose.rig import virtual_rig
+from ambrose.rig.run_up import spin_up, steps
+from ambrose.rig.scenario import Scenario, load_scenario
+from ambrose.rig.trace import Trace
 from ambrose.synthesis.design import design
-from ambrose.synthesis.lpv.machine import design_schedule
-from ambrose.verification.loop_response import loop_evaluator
 
 HZ = 2 * np.pi
 SPEEDS_HZ = (20, 25, 30, 35, 60, 100, 140, 180, 220, 260, 300)
@@ -47,8 +49,13 @@ def main() -> None:
     controllers = {"LPV": lpv.scheduled, "mu of 140 Hz": mu.controller}
     scenario = load_scenario("spin-up-steps")
     alone = each_alone(scenario)
-    linear, apart = ({name: spin_up(plant, K, s) for name, K in controllers.items()} for s in (scenario, alone))
-    rig = {name: virtual_rig.run(machine, K, scenario, point=plant.point) for name, K in controllers.items()}
+    linear, apart = (
+        {name: spin_up(plant, K, s) for name, K in controllers.items()} for s in (scenario, alone)
+    )
+    rig = {
+        name: virtual_rig.run(machine, K, scenario, point=plant.point)
+        for name, K in controllers.items()
+    }
     for where, traces, what in (
         ("linear", linear, scenario),
         ("rig", rig, scenario),
@@ -61,10 +68,17 @@ def main() -> None:
                     f"  {s.start:.2f} s {s.speed / HZ:5.0f} Hz  peak {1e6 * s.peak:5.2f} um  "
                     f"settles in {1e3 * s.settling:4.1f} ms  {s.crossings} crossings"
                 )
-    print("speed [Hz], then per controller: peak of sigma_max(S_o), of one axis, frequency [Hz] where sigma_max(S_o) passes 1")
+    print(
+        "speed [Hz], then per controller: peak of sigma_max(S_o), of one axis, frequency [Hz] "
+        "where sigma_max(S_o) passes 1"
+    )
     for hz in SPEEDS_HZ:
         print(
-            f"  {hz:4d}", *(f"{name}: " + " ".join(f"{x:.2f}" for x in _peaks(plant, K, hz)) for name, K in controllers.items())
+            f"  {hz:4d}",
+            *(
+                f"{name}: " + " ".join(f"{x:.2f}" for x in _peaks(plant, K, hz))
+                for name, K in controllers.items()
+            ),
         )
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
@@ -72,28 +86,40 @@ def main() -> None:
 
 
 def each_alone(scenario: Scenario) -> Scenario:
-    """The other reading of P3's "alternating": every pulse twice as long and twice as rare, so that force up, output up, force
-    down, output down follow each other and no two steps fall together. In the bundled scenario the force drops as the output
-    rises."""
-    pulses = [replace(p, duration=2 * p.duration, every=2 * p.every) for p in scenario.pulses if p.every is not None]
+    """The other reading of P3's "alternating": every pulse twice as long and twice as rare, so that
+    force up, output up, force down, output down follow each other and no two steps fall together.
+    In the bundled scenario the force drops as the output rises.
+    """
+    pulses = [
+        replace(p, duration=2 * p.duration, every=2 * p.every)
+        for p in scenario.pulses
+        if p.every is not None
+    ]
     return replace(scenario, pulses=tuple(pulses))
 
 
 def _tell(name: str, result: Any) -> None:
     margins = {key: round(value, 4) for key, value in result.certificate.margins.items()}
     print(
-        f"{name}: {result.status}, gamma {result.gamma:.4f}, {result.controller.n_states} states, fastest pole "
+        f"{name}: {result.status}, gamma {result.gamma:.4f}, {result.controller.n_states} states, "
+        "fastest pole "
         f"{result.certificate.fastest_pole:.3g} rad/s, {margins}"
     )
 
 
 def _peaks(plant: Plant, controller: Any, hz: float) -> tuple[float, float, float]:
-    """Peak of the largest singular value of S_o, of its largest diagonal entry, and its crossing of 1 [Hz]."""
+    """Peak of the largest singular value of S_o, of its largest diagonal entry, and its crossing of
+    1 [Hz].
+    """
     here = assemble(plant.machine, replace(plant.point, speed=HZ * hz))
     omega = HZ * np.geomspace(1, 2000, 1500)
     S = loop_evaluator(here, match_controller(controller, here))(omega).output_sensitivity()
     largest = np.linalg.norm(S, 2, axis=(1, 2))
-    return float(largest.max()), float(np.abs(np.einsum("kii->ki", S)).max()), float(omega[np.argmax(largest > 1)] / HZ)
+    return (
+        float(largest.max()),
+        float(np.abs(np.einsum("kii->ki", S)).max()),
+        float(omega[np.argmax(largest > 1)] / HZ),
+    )
 
 
 def _draw(linear: Mapping[str, Trace], rig: Mapping[str, Trace], path: Path) -> Path:
@@ -101,21 +127,43 @@ def _draw(linear: Mapping[str, Trace], rig: Mapping[str, Trace], path: Path) -> 
     from plotly.subplots import make_subplots
 
     titles = ["Spin-up from 20 to 300 Hz, linear loop"]
-    titles += [f"{part} 100 ms, {where}" for where in ("linear loop", "virtual rig") for part in ("first", "last")]
+    titles += [
+        f"{part} 100 ms, {where}"
+        for where in ("linear loop", "virtual rig")
+        for part in ("first", "last")
+    ]
     figure = make_subplots(
-        rows=3, cols=2, specs=[[{"colspan": 2}, None], [{}, {}], [{}, {}]], subplot_titles=titles, vertical_spacing=0.1
+        rows=3,
+        cols=2,
+        specs=[[{"colspan": 2}, None], [{}, {}], [{}, {}]],
+        subplot_titles=titles,
+        vertical_spacing=0.1,
     )
-    places = [(1, 1, linear, (0, 1000)), *((row, 1 + k, traces, span) for row, traces in ((2, linear), (3, rig))
-              for k, span in enumerate(((0, 100), (900, 1000))))]  # fmt: skip
+    places = [
+        (1, 1, linear, (0, 1000)),
+        *(
+            (row, 1 + k, traces, span)
+            for row, traces in ((2, linear), (3, rig))
+            for k, span in enumerate(((0, 100), (900, 1000)))
+        ),
+    ]
     for row, column, traces, (first, last) in places:
         for name, trace in traces.items():
             time, y = 1e3 * trace.record.time, 1e6 * trace.record.select(["y_A_zeta"]).values[0]
             inside = (time >= first) & (time < last)
             line = {"color": COLOURS[name], "width": 1.5}
-            figure.add_trace(go.Scatter(x=time[inside], y=y[inside], name=name, line=line, showlegend=row == 1), row, column)
+            figure.add_trace(
+                go.Scatter(x=time[inside], y=y[inside], name=name, line=line, showlegend=row == 1),
+                row,
+                column,
+            )
         if row > 1:
             figure.add_vline(
-                x=first + 20, line={"color": "grey", "dash": "dot", "width": 1}, annotation_text="20 ms", row=row, col=column
+                x=first + 20,
+                line={"color": "grey", "dash": "dot", "width": 1},
+                annotation_text="20 ms",
+                row=row,
+                col=column,
             )
     figure.update_xaxes(title_text="time [ms]")
     figure.update_yaxes(title_text="y_A_zeta [um]")

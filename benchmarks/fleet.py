@@ -4,8 +4,8 @@
                                     docs/research/machines.md
     python -m benchmarks.fleet NAME ... --only pid,cycle      some rows, some columns; the rest stays as it is stored
 
-The fleet is discovered: a file more in src/ambrose/machines is a row more here, and a case more in tests/test_fleet.py, which
-runs the same commands.
+The fleet is discovered: a file more in src/ambrose/machines is a row more here, and a case more in
+tests/test_fleet.py, which runs the same commands.
 """
 
 import argparse
@@ -20,8 +20,12 @@ from click.testing import CliRunner
 
 import ambrose as amb
 from ambrose.cli import main
-from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies, mass_properties
-from ambrose.plant.timing import machine_timing
+from ambrose.law.timing import machine_timing
+from ambrose.model.effects.rotor import (
+    finite_element_rotor,
+    free_bending_frequencies,
+    mass_properties,
+)
 
 STORED = Path(__file__).with_name("fleet.json")
 DOCS = Path(__file__).parents[1] / "docs"
@@ -33,30 +37,74 @@ MARKS = {0: "+", 1: "**1**", 2: "**2**"}
 
 
 def commands(machine, folder, levitation="levitation"):
-    """The commands of the chain in their order: {what it is: arguments}. What one writes the next ones read.
+    """The commands of the chain in their order: {what it is: arguments}. What one writes the next
+    ones read.
 
     Tuning is told the rate where the machine file states none.
     """
-    pid, tuned, record = folder / "pid.json", folder / "tuned.json", folder / "prbs.h5"
-    rate = ("--rate-hz", 10_000) if machine and machine_timing(amb.load_machine(machine)) is None else ()
+    pid = folder / "pid.json"
+    tuned = folder / "tuned.json"
+    record = folder / "prbs.h5"
+    rate = (
+        ("--rate-hz", 10_000)
+        if machine and machine_timing(amb.load_machine(machine)) is None
+        else ()
+    )
     return {
         "check": ("check", machine),
         "pid": ("synthesize", machine, "--method", "pid", "-o", pid),
-        "levitation": ("simulate", machine, "--controller", pid, "--scenario", levitation, "-o", folder / "levitation.h5"),
+        "levitation": (
+            "simulate",
+            machine,
+            "--controller",
+            pid,
+            "--scenario",
+            levitation,
+            "-o",
+            folder / "levitation.h5",
+        ),
         "convert": ("convert", folder / "levitation.h5", "-o", folder / "levitation.csv"),
         "export": ("export", pid, "--to", "c", "--machine", machine, "-o", folder / "code"),
         "verify": ("verify", machine, "--controller", pid),
         "prbs": ("simulate", machine, "--controller", pid, "--scenario", "prbs", "-o", record),
-        "identify": ("identify", machine, record, "--controller", pid, "-o", folder / "identified.toml"),
-        "cycle": ("simulate", machine, "--controller", pid, "--scenario", "operating-cycle", "-o", folder / "cycle.h5"),
+        "identify": (
+            "identify",
+            machine,
+            record,
+            "--controller",
+            pid,
+            "-o",
+            folder / "identified.toml",
+        ),
+        "cycle": (
+            "simulate",
+            machine,
+            "--controller",
+            pid,
+            "--scenario",
+            "operating-cycle",
+            "-o",
+            folder / "cycle.h5",
+        ),
         "tuned": ("synthesize", machine, "-o", tuned, *rate),
         "tuned verify": ("verify", machine, "--controller", tuned),
-        "tuned cycle": ("simulate", machine, "--controller", tuned, "--scenario", "operating-cycle", "-o", folder / "tuned.h5"),
+        "tuned cycle": (
+            "simulate",
+            machine,
+            "--controller",
+            tuned,
+            "--scenario",
+            "operating-cycle",
+            "-o",
+            folder / "tuned.h5",
+        ),
     }
 
 
 def call(arguments):
-    """Exit status, seconds, and what was printed as JSON (None: not that) or the message of a refusal."""
+    """Exit status, seconds, and what was printed as JSON (None: not that) or the message of a
+    refusal.
+    """
     start = time.perf_counter()
     done = CliRunner().invoke(main, [*map(str, arguments), "--json"])
     if done.exception is not None and not isinstance(done.exception, SystemExit):
@@ -73,23 +121,38 @@ def oddities(what, status, said):
         return str(said).splitlines()[-1].removeprefix("ambrose: ")
     if "points" in said:
         groups = [*said["points"], *(said["tolerances"] or ())]
-        failed = {check["name"] for group in groups for check in group["checks"] if check.get("passed") is False}
+        failed = {
+            check["name"]
+            for group in groups
+            for check in group["checks"]
+            if check.get("passed") is False
+        }
         return ", ".join(sorted(failed))
     if said.get("method") == "tuned":
         return "; ".join([said["status"], *said["notes"]])
-    words = [said.get("verdict"), said.get("outcome"), *said.get("problems", ()), *said.get("unmet_limits", ())]
+    words = [
+        said.get("verdict"),
+        said.get("outcome"),
+        *said.get("problems", ()),
+        *said.get("unmet_limits", ()),
+    ]
     return "; ".join(str(word) for word in words if word) or str(said.get("status", ""))
 
 
 def outcomes(machine, only=(), progress=print):
-    """The commands on a machine (those that are named; what they read comes first): {what: [status, seconds, oddities]}."""
+    """The commands on a machine (those that are named; what they read comes first): {what: [status,
+    seconds, oddities]}.
+    """
     found = {}
     with tempfile.TemporaryDirectory() as folder:
         for what, arguments in commands(machine, Path(folder)).items():
             if not only or what in only:
                 status, seconds, said = call(arguments)
                 found[what] = [status, round(seconds, 1), oddities(what, status, said)]
-                progress(f"{machine:24} {what:13} {OUTCOMES[status]:14} {seconds:6.1f} s  {found[what][2]}")
+                progress(
+                    f"{machine:24} {what:13} {OUTCOMES[status]:14} {seconds:6.1f} s  "
+                    f"{found[what][2]}"
+                )
     return found
 
 
@@ -100,9 +163,13 @@ def description(name):
     bending = free_bending_frequencies(rotor, 1)[0] / (2 * np.pi)
     bearings = ", ".join(bearing.name for bearing in machine.bearings)
     figures = (
-        f"{mass_properties(rotor).mass:.3g} kg | {bending:.0f} Hz | {machine.operation.speed_range[1] * 30 / np.pi:,.0f} rpm"
+        f"{mass_properties(rotor).mass:.3g} kg | {bending:.0f} Hz | "
+        f"{machine.operation.speed_range[1] * 30 / np.pi:,.0f} rpm"
     )
-    return f"| `{name}` | {machine.description} | {figures} | {bearings} | {len(machine.seals)} | {machine.source} |"
+    return (
+        f"| `{name}` | {machine.description} | {figures} | {bearings} | {len(machine.seals)} | "
+        f"{machine.source} |"
+    )
 
 
 def page(names):
@@ -168,7 +235,9 @@ if __name__ == "__main__":
     asked = parser.parse_args()
     stored = json.loads(STORED.read_text(encoding="utf-8")) if STORED.exists() else {}
     for name in asked.machine or amb.bundled_machines():
-        stored[name] = stored.get(name, {}) | outcomes(name, tuple(filter(None, asked.only.split(","))))
+        stored[name] = stored.get(name, {}) | outcomes(
+            name, tuple(filter(None, asked.only.split(",")))
+        )
         STORED.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
     machines = amb.bundled_machines()
     PAGE.write_text(page(machines), encoding="utf-8")

@@ -1,11 +1,13 @@
-"""Random damage to every kind of file that the command line reads: refused with exit status 2 and a message, or read.
+"""Random damage to every kind of file that the command line reads: refused with exit status 2 and a
+message, or read.
 
     python -m benchmarks.fuzz_files [number of each kind, 1000] [seed, 0]
 
-A kind's files are read in a worker, so that a crash, a hang and memory without end are seen as such; the worker goes on behind
-them. Counted as a breach of the contract: a traceback, an exit status other than 0 and 2 (1 of verify and check), the
-end of the process by a signal, more than 30 s. What kills the reader of a MATLAB, LabVIEW or HDF5 file in the worker is tried
-again the way the command does it, in a process of its own.
+A kind's files are read in a worker, so that a crash, a hang and memory without end are seen as
+such; the worker goes on behind them. Counted as a breach of the contract: a traceback, an exit
+status other than 0 and 2 (1 of verify and check), the end of the process by a signal, more than 30
+s. What kills the reader of a MATLAB, LabVIEW or HDF5 file in the worker is tried again the way the
+command does it, in a process of its own.
 """
 
 from __future__ import annotations
@@ -99,7 +101,21 @@ VALUES = (
     "12345678901",
 )
 TOKENS = (
-    *("0", "-1", "1e308", "-1e308", "1e-320", "nan", "inf", "9" * 400, "1" * 5000, "0x" + "f" * 300, "2147483648", "1e9", '""'),
+    *(
+        "0",
+        "-1",
+        "1e308",
+        "-1e308",
+        "1e-320",
+        "nan",
+        "inf",
+        "9" * 400,
+        "1" * 5000,
+        "0x" + "f" * 300,
+        "2147483648",
+        "1e9",
+        '""',
+    ),
     *(
         '"5 kg"',
         '"1e99 mm"',
@@ -118,7 +134,19 @@ TOKENS = (
         "\0",
         "\ud7ff",
     ),
-    *("a.b.c.d.e.f.g.h.i.j.k.l.m.n = 1\n", "[" * 50, "{a=" * 50, "=", ",", "\n", "#", "é", "﻿", "1979-05-27", "a" * 300),
+    *(
+        "a.b.c.d.e.f.g.h.i.j.k.l.m.n = 1\n",
+        "[" * 50,
+        "{a=" * 50,
+        "=",
+        ",",
+        "\n",
+        "#",
+        "é",
+        "﻿",
+        "1979-05-27",
+        "a" * 300,
+    ),
 )
 
 
@@ -130,10 +158,10 @@ def originals(folder: Path) -> dict[str, list[bytes]]:
 
     import ambrose as amb
     from ambrose.core.scheduled import ScheduledSystem
-    from ambrose.machine.record.files import write_record
-    from ambrose.machine.record.record import Record
-    from ambrose.synthesis.controller_file import write_controller
-    from ambrose.synthesis.result import Synthesis
+    from ambrose.judge.controller_file import write_controller
+    from ambrose.judge.result import Synthesis
+    from ambrose.record.files import write_record
+    from ambrose.record.record import Record
 
     machine = folder / "tiny.toml"
     machine.write_text(MACHINE)
@@ -144,16 +172,32 @@ def originals(folder: Path) -> dict[str, list[bytes]]:
     laws = [pid, Synthesis(law, "lpv", scheduled=scheduled)]
     found["controller"] = [write_controller(folder / "k.json", item).read_bytes() for item in laws]
     wave = np.sin(np.arange(50.0))
-    record = Record("tiny", 1e3, ("y_A_zeta", "i_A_zeta"), ("m", "A"), np.array([wave, wave]), notes=(("by", "x"),))
+    record = Record(
+        "tiny",
+        1e3,
+        ("y_A_zeta", "i_A_zeta"),
+        ("m", "A"),
+        np.array([wave, wave]),
+        notes=(("by", "x"),),
+    )
     found["csv"] = [write_record(record, folder / "r.csv").read_bytes()]
     old = folder / "old.h5"
     with h5py.File(old, "w", libver="earliest") as file:
-        file.attrs.update({key: value for key, value in record.attributes.items() if value is not None})
+        file.attrs.update(
+            {key: value for key, value in record.attributes.items() if value is not None}
+        )
         for name, unit, row in zip(record.signals, record.units, record.values, strict=True):
-            data = file.create_dataset(f"signals/{name}", data=row, chunks=(16,), compression="gzip", shuffle=True)
+            data = file.create_dataset(
+                f"signals/{name}", data=row, chunks=(16,), compression="gzip", shuffle=True
+            )
             data.attrs["unit"] = unit
     found["hdf5"] = [write_record(record, folder / "r.h5").read_bytes(), old.read_bytes()]
-    variables = {"y": wave, "log": {"a": wave, "c": np.array([wave, "text"], object)}, "z": np.eye(3), "t": "text"}
+    variables = {
+        "y": wave,
+        "log": {"a": wave, "c": np.array([wave, "text"], object)},
+        "z": np.eye(3),
+        "t": "text",
+    }
     for name, packed in (("a", False), ("b", True)):
         scipy.io.savemat(folder / f"{name}.mat", variables, do_compression=packed)
     scipy.io.savemat(folder / "c.mat", {"y": wave}, format="4")
@@ -166,13 +210,17 @@ def originals(folder: Path) -> dict[str, list[bytes]]:
         return found
     with TdmsWriter(folder / "r.tdms") as writer:
         for _ in range(2):
-            writer.write_segment([ChannelObject("g", "y", wave, {"wf_increment": 1e-3, "unit_string": "m"})])
+            writer.write_segment(
+                [ChannelObject("g", "y", wave, {"wf_increment": 1e-3, "unit_string": "m"})]
+            )
     found["tdms"] = [(folder / "r.tdms").read_bytes()]
     return found
 
 
 def mutated(data: bytes, chance: random.Random, *, text: bool) -> bytes:
-    """The same with one to six random changes: bits, slices and numbers, and in a text tokens, lines and values."""
+    """The same with one to six random changes: bits, slices and numbers, and in a text tokens,
+    lines and values.
+    """
     for _ in range(chance.choice((1, 1, 1, 2, 3, 6))):
         at, size = chance.randrange(len(data) + 1), chance.choice((1, 2, 4, 8, 60, 400))
         other = chance.randrange(len(data) + 1)
@@ -180,7 +228,9 @@ def mutated(data: bytes, chance: random.Random, *, text: bool) -> bytes:
         if text and chance.random() < 0.6:  # another number: the form stays, the physics may not
             numbers = [*re.finditer(rb"(?<![\w.])-?\d[\d.]*(?:e[+-]?\d+)?(?![\w.])", data)]
             place = chance.choice(numbers) if numbers else re.search(rb"$", data)
-            value = chance.choice((chance.choice(VALUES).encode(), chance.choice(numbers)[0] if numbers else b"1"))
+            value = chance.choice(
+                (chance.choice(VALUES).encode(), chance.choice(numbers)[0] if numbers else b"1")
+            )
             data = data[: place.start()] + value + data[place.end() :]  # type: ignore[union-attr]
         elif way == 0 and data:
             at = min(at, len(data) - 1)
@@ -192,19 +242,40 @@ def mutated(data: bytes, chance: random.Random, *, text: bool) -> bytes:
         elif way == 3:
             data = data[:at] + data[other : other + size] + data[at + size :]
         elif way == 4 and not text:
-            number = chance.choice((0, 1, 255, 2**31 - 1, 2**31, 2**32 - 1, 2**40, 2**63, 2**64 - 1, chance.getrandbits(64)))
+            number = chance.choice(
+                (
+                    0,
+                    1,
+                    255,
+                    2**31 - 1,
+                    2**31,
+                    2**32 - 1,
+                    2**40,
+                    2**63,
+                    2**64 - 1,
+                    chance.getrandbits(64),
+                )
+            )
             data = (
-                data[:at] + number.to_bytes(8, "little")[: chance.choice((1, 2, 4, 8))] + data[at + chance.choice((1, 4, 8)) :]
+                data[:at]
+                + number.to_bytes(8, "little")[: chance.choice((1, 2, 4, 8))]
+                + data[at + chance.choice((1, 4, 8)) :]
             )
         elif way == 4 and chance.random() < 0.2:
             data = data[:at]
         elif text:
             token = chance.choice(TOKENS).encode("utf-8", "surrogatepass")
-            places = list(re.finditer(rb'-?\d[\d.eE+-]*|"[^"\n]*"|\w+' if way < 8 else rb"[^\n]*\n", data))
+            places = list(
+                re.finditer(rb'-?\d[\d.eE+-]*|"[^"\n]*"|\w+' if way < 8 else rb"[^\n]*\n", data)
+            )
             if places:
                 place = chance.choice(places)
                 swap = chance.choice(places)[0] if way in {5, 8} else token
-                data = data[: place.start()] + swap + data[place.end() if way != 9 else place.start() :]
+                data = (
+                    data[: place.start()]
+                    + swap
+                    + data[place.end() if way != 9 else place.start() :]
+                )
     return data
 
 
@@ -222,9 +293,9 @@ def judge(kind: str, path: Path, folder: Path, *, apart: bool = False) -> str:
     from click.testing import CliRunner
 
     from ambrose.cli import main
-    from ambrose.machine.record import apart as process
-    from ambrose.machine.record import foreign
-    from ambrose.machine.record.mat_tdms import read_variables
+    from ambrose.record import apart as process
+    from ambrose.record import foreign
+    from ambrose.record.mat_tdms import read_variables
 
     commands = {
         "machine": ["check", str(path)],
@@ -233,16 +304,24 @@ def judge(kind: str, path: Path, folder: Path, *, apart: bool = False) -> str:
     columns = folder / f"{kind}.map.toml"
     given = ["--columns", str(columns)] if columns.exists() else []
     arguments = commands.get(kind, ["convert", str(path), *given, "-o", str(folder / "out.h5")])
-    here = mock.patch.object(foreign, "variables_of", lambda path, names: nullcontext(list(read_variables(path, names))))
+    here = mock.patch.object(
+        foreign, "variables_of", lambda path, names: nullcontext(list(read_variables(path, names)))
+    )
     untried = mock.patch.object(process, "try_record", lambda path: None)
     with nullcontext() if apart else here, nullcontext() if apart else untried:
         result = CliRunner().invoke(main, arguments)
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         return f"traceback: {result.exception!r:.150}"
     if result.exit_code == 2:
-        return "refused" if "ambrose: " in result.output else f"status 2 without a message: {result.output:.150}"
+        return (
+            "refused"
+            if "ambrose: " in result.output
+            else f"status 2 without a message: {result.output:.150}"
+        )
     return (
-        "read" if result.exit_code in ({0, 1} if kind in {"controller", "machine"} else {0}) else f"status {result.exit_code}"
+        "read"
+        if result.exit_code in ({0, 1} if kind in {"controller", "machine"} else {0})
+        else f"status {result.exit_code}"
     )
 
 
@@ -254,7 +333,7 @@ def place(kind: str, folder: Path) -> Path:
 
 def work(kind: str, folder: Path, seed: int, first: int, last: int) -> None:
     """What a worker does: judge one case after the other, and tell each."""
-    from ambrose.machine.record.apart import _MEMORY, _limit
+    from ambrose.record.apart import _MEMORY, _limit
 
     if kind in {"mat", "tdms"}:
         _limit(_MEMORY, 7200)
@@ -272,9 +351,17 @@ def campaign(kind: str, folder: Path, seed: int, count: int) -> tuple[Counter[st
     tally: Counter[str] = Counter()
     breaches, number = [], 0
     while number < count:
-        command = [sys.executable, "-W", "ignore", "-m", __name__ if __name__ != "__main__" else "benchmarks.fuzz_files"]
+        command = [
+            sys.executable,
+            "-W",
+            "ignore",
+            "-m",
+            __name__ if __name__ != "__main__" else "benchmarks.fuzz_files",
+        ]
         worker = subprocess.Popen(
-            [*command, "work", kind, str(folder), str(seed), str(number), str(count)], stdout=subprocess.PIPE, text=True
+            [*command, "work", kind, str(folder), str(seed), str(number), str(count)],
+            stdout=subprocess.PIPE,
+            text=True,
         )
         words = ""
         while number < count:
@@ -283,7 +370,9 @@ def campaign(kind: str, folder: Path, seed: int, count: int) -> tuple[Counter[st
                 break
             verdict = json.loads(words.partition(" ")[2])
             tally[verdict if verdict in {"read", "refused"} else "breach"] += 1
-            breaches += [f"{kind} {number}: {verdict}"] if verdict not in {"read", "refused"} else []
+            breaches += (
+                [f"{kind} {number}: {verdict}"] if verdict not in {"read", "refused"} else []
+            )
             number += 1
         worker.kill()
         worker.communicate()  # waits, and closes the pipe

@@ -1,9 +1,11 @@
-"""Coverage and width of the seal monitor's intervals on the nonlinear rig: seal-rig, PID, 10 kHz, 100 nm of noise.
+"""Coverage and width of the seal monitor's intervals on the nonlinear rig: seal-rig, PID, 10 kHz,
+100 nm of noise.
 
 python -m benchmarks.monitor_study [--runs 200] [--case TEXT]           minutes; one row per case
 
-In every run all that the monitor takes as known is drawn anew: k_i of every axis within 3 % and the amplifier's frequency
-within 5 %, uniformly; other noise, another excitation, another unbalance's angle.
+In every run all that the monitor takes as known is drawn anew: k_i of every axis within 3 % and the
+amplifier's frequency within 5 %, uniformly; other noise, another excitation, another unbalance's
+angle.
 """
 
 import argparse
@@ -13,12 +15,12 @@ from functools import cache
 import numpy as np
 
 import ambrose as amb
-from ambrose.identification.seal_monitor.watch import monitor
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import free_mode_reduction
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.disturbances import Prbs, PressureChange, Unbalance
-from ambrose.simulation.scenario import Scenario
+from ambrose.annexes.scheduled.seal_monitor.watch import monitor
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.rig import virtual_rig
+from ambrose.rig.disturbances import Prbs, PressureChange, Unbalance
+from ambrose.rig.scenario import Scenario
 from ambrose.synthesis.pid import pid_synthesis
 
 TIMES = (0.1, 0.5, 2.0)  # [s] after the filters have settled
@@ -66,31 +68,55 @@ def truth(machine, known, rng):
         return machine
     draw = (lambda: rng.uniform(-1, 1)) if known == "drawn" else (lambda: 1.0)
     bearings = tuple(
-        replace(b, force_per_current=tuple(k * (1 + 0.03 * draw()) for k in b.force_per_current)) for b in machine.bearings
+        replace(b, force_per_current=tuple(k * (1 + 0.03 * draw()) for k in b.force_per_current))
+        for b in machine.bearings
     )
     lag = machine.amplifier.natural_frequency * (1 + 0.05 * (draw() if known == "drawn" else 0.0))
-    return replace(machine, bearings=bearings, amplifier=replace(machine.amplifier, natural_frequency=lag))
+    return replace(
+        machine, bearings=bearings, amplifier=replace(machine.amplifier, natural_frequency=lag)
+    )
 
 
 def run(case, seed):
-    """Errors and half widths at TIMES, and the share of all times that the interval holds; in units of the reference."""
+    """Errors and half widths at TIMES, and the share of all times that the interval holds; in units
+    of the reference.
+    """
     machine, law = setting()
     rng = np.random.default_rng(seed)
     nominal = machine.operation.nominal
     duration = 0.8 * bool(case.speed) + 0.45 + TIMES[-1] + 0.05
     driven = [f"e_{axis}" for axis in machine.axes]
     sequences = [Prbs(name, case.amplitude, 1e-3, 9, int(rng.integers(1, 500))) for name in driven]
-    gas = [Prbs(f"f_center_{axis}", case.gas, 8e-4, 14, int(rng.integers(1, 16000))) for axis in "xy"]
+    gas = [
+        Prbs(f"f_center_{axis}", case.gas, 8e-4, 14, int(rng.integers(1, 16000))) for axis in "xy"
+    ]
     wheel = Unbalance("center", grade=2.5e-3, grade_speed=BALANCED, phase=float(rng.uniform(0, 6)))
-    change = PressureChange(0.0, nominal.seal_pressure * (case.share + case.ramp * duration), duration - 1e-3)
+    change = PressureChange(
+        0.0, nominal.seal_pressure * (case.share + case.ramp * duration), duration - 1e-3
+    )
     scenario = Scenario(
-        "watched", duration, sequences=tuple(sequences + gas * bool(case.gas)), speed=case.speed,
-        unbalances=(wheel,) if case.speed else (), pressures=(change,) if case.ramp else (),
-    )  # fmt: skip
-    point = replace(nominal, speed=case.speed, seal_pressure=case.share * nominal.seal_pressure, label="")
-    record = virtual_rig.run(truth(machine, case.known, rng), law, scenario, point=point, seed=seed).record
+        "watched",
+        duration,
+        sequences=tuple(sequences + gas * bool(case.gas)),
+        speed=case.speed,
+        unbalances=(wheel,) if case.speed else (),
+        pressures=(change,) if case.ramp else (),
+    )
+    point = replace(
+        nominal, speed=case.speed, seal_pressure=case.share * nominal.seal_pressure, label=""
+    )
+    record = virtual_rig.run(
+        truth(machine, case.known, rng), law, scenario, point=point, seed=seed
+    ).record
     told = replace(record, point=point)
-    found = monitor(machine, law, told, unknown=case.unknown.split(","), rate=case.rate, bending_modes=case.modes)
+    found = monitor(
+        machine,
+        law,
+        told,
+        unknown=case.unknown.split(","),
+        rate=case.rate,
+        bending_modes=case.modes,
+    )
     true = case.share + case.ramp * (found.time - record.start_time)
     errors = found.values / found.reference - true[:, None]
     widths = found.half_widths / found.reference
@@ -104,7 +130,10 @@ def main():
     parser.add_argument("--runs", type=int, default=200)
     parser.add_argument("--case", default="")
     arguments = parser.parse_args()
-    print("| case | +- after 0.1 / 0.5 / 2 s | scatter (2 sd) | held | held at all times |\n|---|---|---|---|---|")
+    print(
+        "| case | +- after 0.1 / 0.5 / 2 s | scatter (2 sd) | held | held at all times "
+        "|\n|---|---|---|---|---|"
+    )
     for title in [title for title in CASES if arguments.case in title]:
         found = [run(CASES[title], seed) for seed in range(arguments.runs)]
         errors, widths, always = (np.array([row[i] for row in found]) for i in range(3))
@@ -117,7 +146,11 @@ def main():
                 " / ".join(f"{x:.3f}" for x in 2 * np.nanstd(e, axis=0)),
                 " / ".join(f"{100 * h[s].mean():.1f}" for h, s in zip(held.T, said.T, strict=True)),
             ]
-            print(f"| {title}: {name} | {show[0]} | {show[1]} | {show[2]} % | {100 * always[:, j].mean():.1f} % |", flush=True)
+            print(
+                f"| {title}: {name} | {show[0]} | {show[1]} | {show[2]} % | "
+                f"{100 * always[:, j].mean():.1f} % |",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

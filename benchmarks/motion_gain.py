@@ -1,11 +1,13 @@
-"""The largest energy gain of a sampled loop along a motion of its pressure that goes round, and motions that raise it.
+"""The largest energy gain of a sampled loop along a motion of its pressure that goes round, and
+motions that raise it.
 
-Plant and controller are read between neighbours of tables: the plant over delta, -1 .. 1 of the span, the controller over
-what it is told. The gain is the largest singular value of d -> y + d over one round, both going round with the motion
-(Lanczos; before the round the loop runs in for a while, so that states go round, too); its slope over every sample of the
-motion comes from the same two passes. ``ascend`` goes up that slope by conditional gradients (Frank & Wolfe 1956, Naval
-Research Logistics Quarterly 3): the motion that a slope favours most within range and rate is found by dynamic programming,
-and every step towards it keeps both.
+Plant and controller are read between neighbours of tables: the plant over delta, -1 .. 1 of the
+span, the controller over what it is told. The gain is the largest singular value of d -> y + d over
+one round, both going round with the motion (Lanczos; before the round the loop runs in for a while,
+so that states go round, too); its slope over every sample of the motion comes from the same two
+passes. ``ascend`` goes up that slope by conditional gradients (Frank & Wolfe 1956, Naval Research
+Logistics Quarterly 3): the motion that a slope favours most within range and rate is found by
+dynamic programming, and every step towards it keeps both.
 """
 
 from __future__ import annotations
@@ -27,8 +29,9 @@ _NODES = 400  # values of delta among which the favoured motion is sought, about
 
 @dataclass(frozen=True, eq=False)
 class Tables:
-    """A loop over places in tables, transposed: states and currents to states (l, n + m, n) of the plant at values of delta,
-    states and errors to states and currents (t, k + p, k + m) of the controller at values told; C (p, n) of y.
+    """A loop over places in tables, transposed: states and currents to states (l, n + m, n) of the
+    plant at values of delta, states and errors to states and currents (t, k + p, k + m) of the
+    controller at values told; C (p, n) of y.
 
     before: samples for which the loop runs in.
     """
@@ -44,7 +47,13 @@ class Tables:
         return (motion.delta + 1) / 2 * (len(self.plant) - 1), (told + 1) / 2 * (len(self.law) - 1)
 
 
-def tables(loop: VaryingLoop, deltas: np.ndarray, laws: list[StateSpace], before: int, kind: type = np.float32) -> Tables:
+def tables(
+    loop: VaryingLoop,
+    deltas: np.ndarray,
+    laws: list[StateSpace],
+    before: int,
+    kind: type = np.float32,
+) -> Tables:
     """Of a loop with sampled controllers: one of them, or one for every value that may be told."""
     plant = replace(loop, controller=None)
     sampled = [c2d(plant.closed(np.full(loop.parameters, delta)), loop.dt) for delta in deltas]
@@ -55,7 +64,9 @@ def tables(loop: VaryingLoop, deltas: np.ndarray, laws: list[StateSpace], before
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """delta (samples,) in -1 .. 1 and by how much what is told of it is off (samples,), in the same units."""
+    """delta (samples,) in -1 .. 1 and by how much what is told of it is off (samples,), in the same
+    units.
+    """
 
     delta: np.ndarray
     error: np.ndarray | None = None
@@ -86,9 +97,16 @@ def _apply_back(table, place, v, out):
 
 @njit(fastmath=True)
 def _forward(plant, law, C, before, place, told, d):
-    """States and currents (s, n + m), controller's states and errors (s, k + p), y + d (s, p), after running in."""
-    samples, p, n, k = len(d), C.shape[0], C.shape[1], law.shape[1] - C.shape[0]
-    X, Z, Y = np.zeros((samples, plant.shape[1]), d.dtype), np.zeros((samples, k + p), d.dtype), np.zeros_like(d)
+    """States and currents (s, n + m), controller's states and errors (s, k + p), y + d (s, p),
+    after running in.
+    """
+    samples = len(d)
+    p = C.shape[0]
+    n = C.shape[1]
+    k = law.shape[1] - C.shape[0]
+    X = np.zeros((samples, plant.shape[1]), d.dtype)
+    Z = np.zeros((samples, k + p), d.dtype)
+    Y = np.zeros_like(d)
     x, z = np.zeros(plant.shape[1], d.dtype), np.zeros(k + p, d.dtype)
     new, fresh = np.zeros(n, d.dtype), np.zeros(law.shape[2], d.dtype)
     for s in range(-before, samples):
@@ -108,9 +126,16 @@ def _forward(plant, law, C, before, place, told, d):
 
 @njit(fastmath=True)
 def _backward(plant, law, C, before, place, told, Y):
-    """The adjoint at Y: of d (s, p), of the plant's next states (s, n), of the controller's and the currents (s, k + m)."""
-    samples, p, n, k = len(Y), C.shape[0], C.shape[1], law.shape[1] - C.shape[0]
-    out, over_x, over_z = np.zeros_like(Y), np.zeros((samples, n), Y.dtype), np.zeros((samples, law.shape[2]), Y.dtype)
+    """The adjoint at Y: of d (s, p), of the plant's next states (s, n), of the controller's and the
+    currents (s, k + m).
+    """
+    samples = len(Y)
+    p = C.shape[0]
+    n = C.shape[1]
+    k = law.shape[1] - C.shape[0]
+    out = np.zeros_like(Y)
+    over_x = np.zeros((samples, n), Y.dtype)
+    over_z = np.zeros((samples, law.shape[2]), Y.dtype)
     x, z = np.zeros(n, Y.dtype), np.zeros(law.shape[2], Y.dtype)
     new, fresh = np.zeros(plant.shape[1], Y.dtype), np.zeros(k + p, Y.dtype)
     for s in range(samples + before - 1, -1, -1):
@@ -118,7 +143,9 @@ def _backward(plant, law, C, before, place, told, Y):
         _apply_back(plant, place[at], x, new)
         z[k:] = new[n:]
         _apply_back(law, told[at], z, fresh)
-        over_x[at], over_z[at], x[:] = x, z, new[:n]
+        over_x[at] = x
+        over_z[at] = z
+        x[:] = new[:n]
         for a in range(p):
             out[at, a] = Y[at, a] - fresh[k + a]
             for b in range(n):
@@ -141,7 +168,9 @@ def _slopes(table, place, v, over):
 
 @dataclass(frozen=True, eq=False)
 class Gain:
-    """The gain along a motion, the disturbance (samples, p) that has it, and its slopes over delta and over what is told."""
+    """The gain along a motion, the disturbance (samples, p) that has it, and its slopes over delta
+    and over what is told.
+    """
 
     value: float
     disturbance: np.ndarray
@@ -149,10 +178,20 @@ class Gain:
     over_told: np.ndarray
 
 
-def gain(on: Tables, places: tuple[np.ndarray, np.ndarray], start: np.ndarray, steps: int, slopes: bool = False) -> Gain:
-    """By Lanczos from a disturbance ``start``; as large as the disturbance that was found makes it."""
+def gain(
+    on: Tables,
+    places: tuple[np.ndarray, np.ndarray],
+    start: np.ndarray,
+    steps: int,
+    slopes: bool = False,
+) -> Gain:
+    """By Lanczos from a disturbance ``start``; as large as the disturbance that was found makes
+    it.
+    """
     parts = (on.plant, on.law, on.C, on.before, *places)
-    basis, diagonal, beside = [(start / np.linalg.norm(start)).astype(on.C.dtype)], [], []
+    basis = [(start / np.linalg.norm(start)).astype(on.C.dtype)]
+    diagonal = []
+    beside = []
     for _ in range(steps):
         w = _backward(*parts, _forward(*parts, basis[-1])[2])[0]
         diagonal.append(float((w * basis[-1]).sum()))
@@ -170,8 +209,17 @@ def gain(on: Tables, places: tuple[np.ndarray, np.ndarray], start: np.ndarray, s
     if not slopes:
         return Gain(value, best, none, none)
     _, over_x, over_z = _backward(*parts, Y)
-    of_law = _slopes(on.law, places[1], Z, over_z) * (len(on.law) - 1) / 2 / value if len(on.law) > 1 else np.zeros(len(Y))
-    return Gain(value, best, _slopes(on.plant, places[0], X, over_x) * (len(on.plant) - 1) / 2 / value + of_law, of_law)
+    of_law = (
+        _slopes(on.law, places[1], Z, over_z) * (len(on.law) - 1) / 2 / value
+        if len(on.law) > 1
+        else np.zeros(len(Y))
+    )
+    return Gain(
+        value,
+        best,
+        _slopes(on.plant, places[0], X, over_x) * (len(on.plant) - 1) / 2 / value + of_law,
+        of_law,
+    )
 
 
 def closed(on: Tables, held: Motion, dt: float) -> StateSpace:
@@ -187,7 +235,9 @@ def growth(on: Tables, places: np.ndarray) -> float:
     """Spectral radius of one round, at the same places in both tables."""
     n, k = on.C.shape[1], on.law.shape[1] - on.C.shape[0]
     whole = np.eye(n + k)
-    for moved, told in zip(*_matrices(on, places, places if len(on.law) > 1 else 0 * places), strict=True):
+    for moved, told in zip(
+        *_matrices(on, places, places if len(on.law) > 1 else 0 * places), strict=True
+    ):
         whole = _step(moved, told, on.C, k)[0] @ whole
     return float(np.abs(np.linalg.eigvals(whole)).max())
 
@@ -201,16 +251,25 @@ def _matrices(on: Tables, *places: np.ndarray) -> list[list[np.ndarray]]:
     return found
 
 
-def _step(moved: np.ndarray, told: np.ndarray, C: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarray]:
+def _step(
+    moved: np.ndarray, told: np.ndarray, C: np.ndarray, k: int
+) -> tuple[np.ndarray, np.ndarray]:
     """States (x, z) from sample to sample, and what d adds, with u = K(-(C x + d))."""
     n = C.shape[1]
-    P, Q, A, B, C_k, D = moved[:n].T, moved[n:].T, told[:k, :k].T, told[k:, :k].T, told[:k, k:].T, told[k:, k:].T
+    P = moved[:n].T
+    Q = moved[n:].T
+    A = told[:k, :k].T
+    B = told[k:, :k].T
+    C_k = told[:k, k:].T
+    D = told[k:, k:].T
     return np.block([[P - Q @ D @ C, Q @ C_k], [-B @ C, A]]), np.vstack([-Q @ D, -B])
 
 
 @njit
 def _favoured(weights, levels, first):
-    """The walk over levels, by at most one a step, from ``first`` back to it, with the largest sum of weights times level."""
+    """The walk over levels, by at most one a step, from ``first`` back to it, with the largest sum
+    of weights times level.
+    """
     steps = len(weights)
     value, choice = np.full(levels, -np.inf), np.zeros((steps, levels), np.int8)
     value[first] = 0.0
@@ -231,7 +290,9 @@ def _favoured(weights, levels, first):
 
 
 def favoured(slope: np.ndarray, first: float, rate: float) -> np.ndarray:
-    """The motion (samples,) from ``first`` to it, at most ``rate`` a sample, with nearly the largest sum of slope delta."""
+    """The motion (samples,) from ``first`` to it, at most ``rate`` a sample, with nearly the
+    largest sum of slope delta.
+    """
     if not np.isfinite(rate):
         return np.where(slope == 0, first, np.sign(slope))
     samples = len(slope)
@@ -240,7 +301,8 @@ def favoured(slope: np.ndarray, first: float, rate: float) -> np.ndarray:
     below = int((first + 1) / step)
     levels = below + int((1 - first) / step) + 1
     ends = np.minimum(np.arange(1, -(-samples // block) + 1) * block, samples)
-    whole = len(ends) - (ends[-1] - (ends[-2] if len(ends) > 1 else 0) < block)  # a shorter last block stands still
+    # a shorter last block stands still
+    whole = len(ends) - (ends[-1] - (ends[-2] if len(ends) > 1 else 0) < block)
     sums = np.add.reduceat(slope, np.r_[0, ends[:-1]])
     walk = _favoured((sums[:whole] + np.r_[sums[1:whole], 0.0]) / 2, levels, below)
     nodes = first + (walk - below) * step
@@ -248,9 +310,17 @@ def favoured(slope: np.ndarray, first: float, rate: float) -> np.ndarray:
 
 
 def ascend(
-    on: Tables, motion: Motion, start: np.ndarray, rate: float, error: float, rng: np.random.Generator, most: int = 40
+    on: Tables,
+    motion: Motion,
+    start: np.ndarray,
+    rate: float,
+    error: float,
+    rng: np.random.Generator,
+    most: int = 40,
 ) -> tuple[Gain, Motion]:
-    """Up the slope from a motion, at most ``rate`` [1/sample] fast and told within ``error``, both in units of delta."""
+    """Up the slope from a motion, at most ``rate`` [1/sample] fast and told within ``error``, both
+    in units of delta.
+    """
     here, tries = gain(on, on.places(motion), start, 12, True), 0
     for _ in range(most):
         shift = int(rng.integers(len(motion.delta)))
@@ -263,7 +333,9 @@ def ascend(
                 trial = replace(trial, error=motion.error + share * (wrong - motion.error))
             there = gain(on, on.places(trial), here.disturbance, 4, True)
             if there.value > (1 + _LEAST) * here.value:
-                here, motion, tries = there, trial, 0
+                here = there
+                motion = trial
+                tries = 0
                 break
         else:
             tries += 1

@@ -1,4 +1,5 @@
-"""Identification of a machine that runs: intervals and scatter beside standstill, and deliberate mistakes, flagged or not.
+"""Identification of a machine that runs: intervals and scatter beside standstill, and deliberate
+mistakes, flagged or not.
 
 python -m benchmarks.running_study coverage    seal rig, linear (0.4 s, 100 nm of noise) and rig (2 s): half an hour
 python -m benchmarks.running_study mistakes              virtual rig, 2 s: minutes; --without: as if nothing turned
@@ -17,33 +18,48 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
 from ambrose.identification.parameters import COVERAGE, expand, nominal_values
 from ambrose.identification.validation.operating_load import machine_at_load
-from ambrose.machine.record.record import Record
-from ambrose.physics.rotor import finite_element_rotor, mass_properties
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop, match_controller
-from ambrose.plant.reduce import free_mode_reduction
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.disturbances import Unbalance
-from ambrose.simulation.scenario import load_scenario
+from ambrose.law.loop import closed_loop, match_controller
+from ambrose.model.assemble import assemble
+from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.record.record import Record
+from ambrose.rig import virtual_rig
+from ambrose.rig.disturbances import Unbalance
+from ambrose.rig.scenario import load_scenario
 from ambrose.synthesis.pid import pid_synthesis
 from benchmarks import waveforms
 
-DT, SPEED, BALANCED = 1e-4, 2 * np.pi * 50, 2 * np.pi * 500  # the machine file balances for 500 Hz
-UNKNOWN = ("bearing.*.force_per_current.*", "bearing.*.negative_stiffness.*", "amplifier.natural_frequency")
+# the machine file balances for 500 Hz
+DT = 1e-4
+SPEED = 2 * np.pi * 50
+BALANCED = 2 * np.pi * 500
+UNKNOWN = (
+    "bearing.*.force_per_current.*",
+    "bearing.*.negative_stiffness.*",
+    "amplifier.natural_frequency",
+)
 
 
 @cache
 def setting():
     machine = amb.load_machine("seal-rig")
     plant = free_mode_reduction(assemble(machine), 3)
-    return machine, pid_synthesis(plant).controller, mass_properties(finite_element_rotor(machine)).mass
+    return (
+        machine,
+        pid_synthesis(plant).controller,
+        mass_properties(finite_element_rotor(machine)).mass,
+    )
 
 
 @cache
 def clean(grade, speed, modes, k):
-    """y of the linear loop under four PRBS and an unbalance of an ISO grade [m/s] at the middle; the excitations."""
+    """y of the linear loop under four PRBS and an unbalance of an ISO grade [m/s] at the middle;
+    the excitations.
+    """
     machine, law, mass = setting()
-    plant = free_mode_reduction(assemble(machine, replace(assemble(machine).point, speed=speed)), modes)
+    plant = free_mode_reduction(
+        assemble(machine, replace(assemble(machine).point, speed=speed)), modes
+    )
     e = np.stack([0.1 * waveforms.prbs(9, 10, k, shift=127 * i) for i in range(4)])
     angle = speed * np.arange(k) * DT
     force = grade * mass * speed**2 / BALANCED * np.stack([np.cos(angle), np.sin(angle)])
@@ -59,20 +75,33 @@ def linear(grade, speed, told, modes, seed, k=4000):
     y, e, plant, names = clean(grade, speed, modes, k)
     point = replace(plant.point, speed=told * speed)
     y = y + 1e-7 * np.random.default_rng(seed).standard_normal(y.shape)
-    data = Record(machine.name, 1 / DT, tuple(names), ("A",) * 4 + ("m",) * 4, np.vstack([e, y]), point)
+    data = Record(
+        machine.name, 1 / DT, tuple(names), ("A",) * 4 + ("m",) * 4, np.vstack([e, y]), point
+    )
     return data, nominal_values(plant, expand(machine, UNKNOWN))
 
 
 def nonlinear(grade, speed, modes, seed, duration=2.0):
-    """A record of the rig, with other noise and another unbalance's angle for every seed; the values at its static load."""
+    """A record of the rig, with other noise and another unbalance's angle for every seed; the
+    values at its static load.
+    """
     machine, law, _ = setting()
     unbalance = Unbalance("center", grade=grade, grade_speed=BALANCED, phase=float(seed))
-    scenario = replace(load_scenario("prbs"), speed=speed, duration=duration, unbalances=(unbalance,) if speed else ())
+    scenario = replace(
+        load_scenario("prbs"),
+        speed=speed,
+        duration=duration,
+        unbalances=(unbalance,) if speed else (),
+    )
     data = virtual_rig.run(machine, law, scenario, bending_modes=modes, seed=seed).record
     machine = machine_at_load(machine, [data])
     data, rng = seen(data), np.random.default_rng(seed)
-    noise = [1e-7 * (name[0] == "y") * rng.standard_normal(data.values.shape[1]) for name in data.signals]
-    return replace(data, values=data.values + noise), nominal_values(assemble(machine, data.point), expand(machine, UNKNOWN))
+    noise = [
+        1e-7 * (name[0] == "y") * rng.standard_normal(data.values.shape[1]) for name in data.signals
+    ]
+    return replace(data, values=data.values + noise), nominal_values(
+        assemble(machine, data.point), expand(machine, UNKNOWN)
+    )
 
 
 CASES = {
@@ -103,25 +132,39 @@ CASES = {
 
 
 def coverage(runs, chosen):
-    """Stated and observed deviations, intervals that hold the truth, and how many correct records end with status 0."""
+    """Stated and observed deviations, intervals that hold the truth, and how many correct records
+    end with status 0.
+    """
     machine, law, _ = setting()
     for title in [title for title in CASES if chosen in title]:
-        found, truths, good = [], [], 0
+        found = []
+        truths = []
+        good = 0
         for seed in range(runs):
             data, truth = CASES[title](seed)
             options = {"harmonics": 0} if title.endswith("nothing taken out") else {}
             if ", model " in title:
                 options["bending_modes"] = int(title[-1])
             done = amb.identify(machine, data, law, unknown=UNKNOWN, **options)
-            found, truths, good = [*found, done.result], [*truths, truth], good + done.passed
+            found = [*found, done.result]
+            truths = [*truths, truth]
+            good = good + done.passed
         truth = np.array(truths)
-        values, stated = (np.array([getattr(one, name) for one in found]) for name in ("values", "standard_deviations"))
-        errors, deviations = 100 * (values / truth - 1), 100 * np.mean(stated / np.abs(values), axis=0)
+        values, stated = (
+            np.array([getattr(one, name) for one in found])
+            for name in ("values", "standard_deviations")
+        )
+        errors, deviations = (
+            100 * (values / truth - 1),
+            100 * np.mean(stated / np.abs(values), axis=0),
+        )
         ratio = deviations / errors.std(axis=0, ddof=1)
         held = np.abs(values - truth) <= COVERAGE * stated
         print(
-            f"| {title} | {deviations.min():.3f} to {deviations.max():.3f} | {ratio.min():.2f} to {ratio.max():.2f} | "
-            f"{np.abs(errors.mean(axis=0)).max():.3f} | {100 * held.mean():.0f} % | {100 * good / runs:.0f} % |",
+            f"| {title} | {deviations.min():.3f} to {deviations.max():.3f} | {ratio.min():.2f} to "
+            f"{ratio.max():.2f} | "
+            f"{np.abs(errors.mean(axis=0)).max():.3f} | {100 * held.mean():.0f} % | "
+            f"{100 * good / runs:.0f} % |",
             flush=True,
         )
 
@@ -135,7 +178,9 @@ def filtered(law, corner):
     n, a = law.n_states, law.B.shape[1]
     A = np.block([[law.A, corner * law.B], [np.zeros((a, n)), -corner * np.eye(a)]])
     B = np.vstack([np.zeros((n, a)), np.eye(a)])
-    return StateSpace(A, B, np.hstack([law.C, corner * law.D]), np.zeros((len(law.C), a)), law.inputs, law.outputs)
+    return StateSpace(
+        A, B, np.hstack([law.C, corner * law.D]), np.zeros((len(law.C), a)), law.inputs, law.outputs
+    )
 
 
 def seen(trace):
@@ -145,7 +190,12 @@ def seen(trace):
 
 def mistakes(without):
     machine, law, _ = setting()
-    heavy = replace(machine, shaft=tuple(replace(s, material=replace(s.material, density=1.1 * 7850)) for s in machine.shaft))
+    heavy = replace(
+        machine,
+        shaft=tuple(
+            replace(s, material=replace(s.material, density=1.1 * 7850)) for s in machine.shaft
+        ),
+    )
 
     def late(data):
         values = data.values.copy()
@@ -159,9 +209,13 @@ def mistakes(without):
         return replace(data, values=values)
 
     def told_less(data):
-        return replace(data, point=replace(data.point, seal_pressure=data.point.seal_pressure / 2.5))
+        return replace(
+            data, point=replace(data.point, seal_pressure=data.point.seal_pressure / 2.5)
+        )
 
-    cases = {  # the rig's machine and law, what else it has, what becomes of the record, the machine that is told
+    # the rig's machine and law, what else it has, what becomes of the record, the machine that is
+    # told
+    cases = {
         "none": (machine, law, {}, None, machine),
         "two samples of delay not told": (machine, law, {"computing_delay": 3}, None, machine),
         "excitation recorded a sample late": (machine, law, {}, late, machine),
@@ -177,9 +231,13 @@ def mistakes(without):
         texts = []
         for speed in (0.0, SPEED):
             scenario = replace(
-                load_scenario("prbs"), speed=speed, duration=2.0,
-                unbalances=(Unbalance("center", grade=6.3e-3, grade_speed=BALANCED),) if speed else (),
-            )  # fmt: skip
+                load_scenario("prbs"),
+                speed=speed,
+                duration=2.0,
+                unbalances=(Unbalance("center", grade=6.3e-3, grade_speed=BALANCED),)
+                if speed
+                else (),
+            )
             data = seen(virtual_rig.run(real, ran, scenario, bending_modes=3, **options).record)
             data = data if spoilt is None else spoilt(data)
             try:
@@ -191,8 +249,15 @@ def mistakes(without):
             reference.setdefault(speed, values)
             off = {path: abs(value / reference[speed][path] - 1) for path, value in values.items()}
             path = max(off, key=off.__getitem__)
-            codes = ", ".join(sorted({str(finding.code) for finding in done.findings})) or "**not flagged**"
-            shares = [abs(test.correlation) / test.limit * test.visible for test in done.result.tests if not test.passed]
+            codes = (
+                ", ".join(sorted({str(finding.code) for finding in done.findings}))
+                or "**not flagged**"
+            )
+            shares = [
+                abs(test.correlation) / test.limit * test.visible
+                for test in done.result.tests
+                if not test.passed
+            ]
             share = f"; {100 * max(shares):.2g} % of a response" if shares else ""
             texts.append(f"{codes}{share}; {100 * off[path]:.2g} % ({path})")
         print(f"| {title} | {' | '.join(texts)} |", flush=True)

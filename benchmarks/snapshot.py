@@ -1,11 +1,12 @@
-"""What the program says, every number of it: both bundled machines through every command, compared before and after a change.
+"""What the program says, every number of it: both bundled machines through every command, compared
+before and after a change.
 
 python -m benchmarks.snapshot -o before.json [--quick]    # minutes; --quick leaves the studies out
 python -m benchmarks.snapshot --compare before.json after.json
 
-It sees the command line only, so that it outlives any move of the code behind it. Files are taken apart to their leaves: JSON
-and TOML by key, records by signal (hash, range, mean), code by the numbers in it, pages by their count. Dates and versions are
-left out.
+It sees the command line only, so that it outlives any move of the code behind it. Files are taken
+apart to their leaves: JSON and TOML by key, records by signal (hash, range, mean), code by the
+numbers in it, pages by their count. Dates and versions are left out.
 """
 
 from __future__ import annotations
@@ -34,26 +35,62 @@ _NUMBER = re.compile(r"-?\d+\.?\d*(?:[eE][-+]?\d+)?")
 _UNSTABLE_KEYS = {"date", "package_version", "created"}
 _ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
-STUDIES = [["study", name, "-o", f"{name}-study", "--json"] for name in ("seal-rig", "turboexpander")]
+STUDIES = [
+    ["study", name, "-o", f"{name}-study", "--json"] for name in ("seal-rig", "turboexpander")
+]
 
 
 def commands(*, quick: bool) -> Iterator[tuple[str, list[str]]]:
-    """(name, arguments) of every run; later ones take what earlier ones left in the working folder."""
+    """(name, arguments) of every run; later ones take what earlier ones left in the working
+    folder.
+    """
     yield "machines", ["machines", "--json"]
     for machine in ("seal-rig", "turboexpander"):
         yield f"{machine} check", ["check", machine, "--json"]
         yield f"{machine} pid", ["synthesize", machine, "-o", f"{machine}-pid.json", "--json"]
-        yield f"{machine} hinf", ["synthesize", machine, "--method", "hinf", "-o", f"{machine}-hinf.json", "--json"]
-        yield f"{machine} verify", ["verify", machine, "--controller", f"{machine}-pid.json", "--json"]
-        yield f"{machine} verify hinf", ["verify", machine, "--controller", f"{machine}-hinf.json", "--json"]
+        yield (
+            f"{machine} hinf",
+            ["synthesize", machine, "--method", "hinf", "-o", f"{machine}-hinf.json", "--json"],
+        )
+        yield (
+            f"{machine} verify",
+            ["verify", machine, "--controller", f"{machine}-pid.json", "--json"],
+        )
+        yield (
+            f"{machine} verify hinf",
+            ["verify", machine, "--controller", f"{machine}-hinf.json", "--json"],
+        )
         for scenario in ("levitation", "impulse-parallel"):
-            run = ["simulate", machine, "--controller", f"{machine}-pid.json", "--scenario", scenario, "--json"]
-            yield f"{machine} {scenario}", [*run, "-o", f"{machine}-{scenario}.h5", "--report", f"{machine}-{scenario}.html"]
+            run = [
+                "simulate",
+                machine,
+                "--controller",
+                f"{machine}-pid.json",
+                "--scenario",
+                scenario,
+                "--json",
+            ]
+            yield (
+                f"{machine} {scenario}",
+                [*run, "-o", f"{machine}-{scenario}.h5", "--report", f"{machine}-{scenario}.html"],
+            )
             if scenario != "levitation":
-                yield f"{machine} {scenario} linear", [*run, "--linear", "-o", f"{machine}-{scenario}-linear.csv"]
+                yield (
+                    f"{machine} {scenario} linear",
+                    [*run, "--linear", "-o", f"{machine}-{scenario}-linear.csv"],
+                )
         for target in ("c", "mat", "fmu", "st"):
             options = ["--sources-only"] if target == "fmu" else []
-            export = ["export", f"{machine}-pid.json", "--to", target, "-o", f"{machine}-{target}", "--force", "--json"]
+            export = [
+                "export",
+                f"{machine}-pid.json",
+                "--to",
+                target,
+                "-o",
+                f"{machine}-{target}",
+                "--force",
+                "--json",
+            ]
             yield f"{machine} export {target}", [*export, *options]
         fixed = [
             "export",
@@ -73,20 +110,62 @@ def commands(*, quick: bool) -> Iterator[tuple[str, list[str]]]:
     yield "prbs", [*rig, "--scenario", "prbs", "-o", "prbs.h5"]
     yield "convert", ["convert", "prbs.h5", "-o", "prbs.csv", "--json"]
     for method in ("closed-loop", "youla"):
-        found = [*learn, "prbs.h5", "--method", method, "--controller", "seal-rig-pid.json", "-o", f"{method}.toml"]
+        found = [
+            *learn,
+            "prbs.h5",
+            "--method",
+            method,
+            "--controller",
+            "seal-rig-pid.json",
+            "-o",
+            f"{method}.toml",
+        ]
         yield f"identify {method}", [*found, "--report", f"{method}.html"]
     yield "static loads", [*rig, "--scenario", "static-loads-both", "-o", "static.h5"]
-    yield "identify static", [*learn, "static.h5", "--method", "static", "-o", "static.toml", "--report", "static.html"]
+    yield (
+        "identify static",
+        [*learn, "static.h5", "--method", "static", "-o", "static.toml", "--report", "static.html"],
+    )
     if quick:
         return
     for study in STUDIES:
         yield " ".join(study[:2]), study
-    yield "verify lpv", ["verify", "turboexpander", "--controller", "turboexpander-study/controller-lpv.json", "--json"]
-    lpv = ["export", "turboexpander-study/controller-lpv.json", "--to", "c", "-o", "lpv-c", "--force", "--json"]
+    yield (
+        "verify lpv",
+        [
+            "verify",
+            "turboexpander",
+            "--controller",
+            "turboexpander-study/controller-lpv.json",
+            "--json",
+        ],
+    )
+    lpv = [
+        "export",
+        "turboexpander-study/controller-lpv.json",
+        "--to",
+        "c",
+        "-o",
+        "lpv-c",
+        "--force",
+        "--json",
+    ]
     yield "export lpv", lpv
     yield (
         "lowered",
-        ["synthesize", "seal-rig", "--method", "hinf", "--rate-hz", "10000", "--loss", "5", "-o", "low.json", "--json"],
+        [
+            "synthesize",
+            "seal-rig",
+            "--method",
+            "hinf",
+            "--rate-hz",
+            "10000",
+            "--loss",
+            "5",
+            "-o",
+            "low.json",
+            "--json",
+        ],
     )
     again = [*STUDIES[0][:3], "seal-rig-study", "--json"]
     yield "study seal-rig, resumed", again
@@ -99,12 +178,22 @@ def take(path: Path, *, quick: bool) -> None:
         for name, arguments in commands(quick=quick):
             begin = time.perf_counter()
             done = subprocess.run(
-                [str(Path(sys.executable).with_name("ambrose")), *arguments], cwd=folder, env=os.environ | _ENVIRONMENT,
-                capture_output=True, text=True, check=False,
-            )  # fmt: skip
-            print(f"{name}: exit {done.returncode}, {time.perf_counter() - begin:.1f} s", file=sys.stderr, flush=True)
+                [str(Path(sys.executable).with_name("ambrose")), *arguments],
+                cwd=folder,
+                env=os.environ | _ENVIRONMENT,
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+            print(
+                f"{name}: exit {done.returncode}, {time.perf_counter() - begin:.1f} s",
+                file=sys.stderr,
+                flush=True,
+            )
             leaves[f"{name}/exit"] = done.returncode
-            answer = json.loads(done.stdout) if done.returncode != 2 else done.stderr.splitlines()[-1]
+            answer = (
+                json.loads(done.stdout) if done.returncode != 2 else done.stderr.splitlines()[-1]
+            )
             leaves |= dict(flattened(f"{name}/stdout", answer))
             if "resumed" in name:
                 for file in sorted(Path(folder, "seal-rig-study").glob("*.json")):
@@ -117,19 +206,32 @@ def take(path: Path, *, quick: bool) -> None:
 
 
 def flattened(name: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Nested data as (path, leaf); floats by their shortest exact text, long number rows by their hash and range."""
+    """Nested data as (path, leaf); floats by their shortest exact text, long number rows by their
+    hash and range.
+    """
     if isinstance(value, dict):
         for key, item in value.items():
             if key not in _UNSTABLE_KEYS:
                 yield from flattened(f"{name}/{key}", item)
-    elif isinstance(value, list) and len(value) > 40 and all(isinstance(item, int | float) for item in value):
+    elif (
+        isinstance(value, list)
+        and len(value) > 40
+        and all(isinstance(item, int | float) for item in value)
+    ):
         yield from of_array(name, np.array(value, dtype=float))
     elif isinstance(value, list):
         yield f"{name}/length", len(value)
         for i, item in enumerate(value):
             yield from flattened(f"{name}/{i}", item)
     else:
-        yield name, repr(value) if isinstance(value, float) else _DATES.sub("DATE", value) if isinstance(value, str) else value
+        yield (
+            name,
+            repr(value)
+            if isinstance(value, float)
+            else _DATES.sub("DATE", value)
+            if isinstance(value, str)
+            else value,
+        )
 
 
 def of_array(name: str, values: np.ndarray) -> Iterator[tuple[str, Any]]:
@@ -156,9 +258,13 @@ def of_file(name: str, path: Path) -> Iterator[tuple[str, Any]]:
     elif kind == ".fmu":
         with zipfile.ZipFile(path) as archive:
             for member in sorted(archive.namelist()):
-                yield from of_text(f"{name}/{member}", archive.read(member).decode(errors="replace"))
+                yield from of_text(
+                    f"{name}/{member}", archive.read(member).decode(errors="replace")
+                )
     elif kind == ".html":  # the numbers of a page, without the plotting library
-        text = re.sub(r"<script[^>]*>[^<]{200000,}</script>", "", _DATES.sub("DATE", path.read_text()))
+        text = re.sub(
+            r"<script[^>]*>[^<]{200000,}</script>", "", _DATES.sub("DATE", path.read_text())
+        )
         numbers = _NUMBER.findall(text)
         yield f"{name}/numbers", len(numbers)
     else:
@@ -167,7 +273,12 @@ def of_file(name: str, path: Path) -> Iterator[tuple[str, Any]]:
 
 def of_text(name: str, text: str) -> Iterator[tuple[str, Any]]:
     """A text by its numbers: names and comments may change, vectors and matrices may not."""
-    numbers = [float(number) for number in _NUMBER.findall(_DATES.sub("DATE", re.sub(r"[0-9a-f]{12,}|0\.\d+\.\d+", "", text)))]
+    numbers = [
+        float(number)
+        for number in _NUMBER.findall(
+            _DATES.sub("DATE", re.sub(r"[0-9a-f]{12,}|0\.\d+\.\d+", "", text))
+        )
+    ]
     yield from of_array(name, np.array(numbers))
 
 
@@ -183,7 +294,9 @@ def compare(before: Path, after: Path) -> int:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("-o", "--output", type=Path, default=Path("snapshot.json"))
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--compare", type=Path, nargs=2, metavar=("BEFORE", "AFTER"))

@@ -1,12 +1,14 @@
-"""Worst cases over a box of real parameters against the truth: random loops, most of them with lightly damped modes.
+"""Worst cases over a box of real parameters against the truth: random loops, most of them with
+lightly damped modes.
 
 python -m benchmarks.worst_case_truth [systems] [first]
 
-The truth is brute force that shares nothing with what it judges: eigenvalues of the perturbed state matrix, and gains from the
-perturbed matrices at their own poles, over a dense grid of the box (one or two parameters) or corners and random points (three
-or four); from the best, simplex search on the exact H-infinity norm (Hamiltonian test), or on the spectral abscissa. The box is
-scaled to 0.3 to 0.97 of the margin found. Printed at the end: how often a bound lies below the truth (must be never), and how
-often and by how much a search misses it.
+The truth is brute force that shares nothing with what it judges: eigenvalues of the perturbed state
+matrix, and gains from the perturbed matrices at their own poles, over a dense grid of the box (one
+or two parameters) or corners and random points (three or four); from the best, simplex search on
+the exact H-infinity norm (Hamiltonian test), or on the spectral abscissa. The box is scaled to 0.3
+to 0.97 of the margin found. Printed at the end: how often a bound lies below the truth (must be
+never), and how often and by how much a search misses it.
 """
 
 from __future__ import annotations
@@ -34,10 +36,14 @@ _REFINED = 2
 
 
 def light_modes(rng: np.random.Generator, parameters: int) -> StateSpace:
-    """Modes of 0.1 to 5 % damping; the parameters move stiffness, damping and cross-coupling of several at once, a lot."""
+    """Modes of 0.1 to 5 % damping; the parameters move stiffness, damping and cross-coupling of
+    several at once, a lot.
+    """
     modes = int(rng.integers(1, 5))
     omega, zeta = np.exp(rng.uniform(0, 3, modes)), 10 ** rng.uniform(-3, -1.3, modes)
-    A = np.block([[np.zeros((modes, modes)), np.diag(omega)], [-np.diag(omega), -np.diag(2 * zeta * omega)]])
+    A = np.block(
+        [[np.zeros((modes, modes)), np.diag(omega)], [-np.diag(omega), -np.diag(2 * zeta * omega)]]
+    )
     repeats = rng.integers(1, 3, parameters)
     n = int(repeats.sum())
     B = np.vstack([np.zeros((modes, n)), rng.normal(size=(modes, n))])
@@ -77,13 +83,20 @@ def scaled(loop: BoxLoop, factor: float) -> BoxLoop:
     return box_loop(StateSpace(s.A, s.B, grow * s.C, grow * s.D), loop.blocks)
 
 
-def members(loop: BoxLoop, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def members(
+    loop: BoxLoop, delta: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The matrices of the perturbed loops (d, ...), by the formula of the upper LFT."""
     s, n = loop.system, len(loop.owner)
     wide = delta[:, loop.owner][:, :, None] * np.eye(n)
     inner = wide @ np.linalg.inv(np.eye(n) - s.D[:n, :n] @ wide)
     left, right = s.B[:, :n] @ inner, s.D[n:, :n] @ inner
-    return s.A + left @ s.C[:n], s.B[:, n:] + left @ s.D[:n, n:], s.C[n:] + right @ s.C[:n], s.D[n:, n:] + right @ s.D[:n, n:]
+    return (
+        s.A + left @ s.C[:n],
+        s.B[:, n:] + left @ s.D[:n, n:],
+        s.C[n:] + right @ s.C[:n],
+        s.D[n:, n:] + right @ s.D[:n, n:],
+    )
 
 
 def points(loop: BoxLoop, rng: np.random.Generator) -> np.ndarray:
@@ -92,7 +105,9 @@ def points(loop: BoxLoop, rng: np.random.Generator) -> np.ndarray:
     if k in _GRID:
         return np.array(list(product(np.linspace(-1, 1, _GRID[k]), repeat=k)))
     some = rng.uniform(-1, 1, (_POINTS, k))
-    some[: _POINTS // 2] = np.where(rng.random((_POINTS // 2, k)) < 0.6, np.sign(some[: _POINTS // 2]), some[: _POINTS // 2])
+    some[: _POINTS // 2] = np.where(
+        rng.random((_POINTS // 2, k)) < 0.6, np.sign(some[: _POINTS // 2]), some[: _POINTS // 2]
+    )
     return np.vstack([np.array(list(product((-1.0, 0.0, 1.0), repeat=k))), some])
 
 
@@ -103,7 +118,9 @@ def abscissa(loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
 
 
 def true_margin(loop: BoxLoop, found: float, rng: np.random.Generator) -> float:
-    """The smallest factor below ``found`` (20 where none was found) at which brute force finds an unstable member."""
+    """The smallest factor below ``found`` (20 where none was found) at which brute force finds an
+    unstable member.
+    """
     best = found
     for _ in range(4):
         size = 0.995 * min(best, 20.0)
@@ -115,9 +132,14 @@ def true_margin(loop: BoxLoop, found: float, rng: np.random.Generator) -> float:
                 break
             result = minimize(
                 lambda x, size=size: -abscissa(loop, np.clip(x, -size, size)[None])[0],
-                seed, method="Nelder-Mead", options={"maxfev": 40 * loop.parameters},
-            )  # fmt: skip
-            tried, values = np.vstack([tried, np.clip(result.x, -size, size)]), np.append(values, -result.fun)
+                seed,
+                method="Nelder-Mead",
+                options={"maxfev": 40 * loop.parameters},
+            )
+            tried, values = (
+                np.vstack([tried, np.clip(result.x, -size, size)]),
+                np.append(values, -result.fun),
+            )
         bad = tried[values >= 0]
         if not len(bad):
             return best
@@ -142,7 +164,12 @@ def true_gain(loop: BoxLoop, rng: np.random.Generator) -> float:
 
     best = 0.0
     for i in np.argsort(-gain)[:_REFINED]:
-        simplex = np.vstack([tried[i], tried[i] + 0.03 * np.where(tried[i] > 0, -1, 1)[:, None] * np.eye(loop.parameters)])
+        simplex = np.vstack(
+            [
+                tried[i],
+                tried[i] + 0.03 * np.where(tried[i] > 0, -1, 1)[:, None] * np.eye(loop.parameters),
+            ]
+        )
         options = {"maxfev": 20 * loop.parameters, "initial_simplex": simplex}
         result = minimize(norm, tried[i], method="Nelder-Mead", options=options)
         best = max(best, -float(result.fun))
@@ -173,9 +200,12 @@ def compare(seed: int) -> Row:
     box = scaled(loop, rng.uniform(0.3, 0.97) * stable)
     worst = worst_gain(box)
     bound = proved_gain(box, worst.value)
-    if bound.value > 1.01 * worst.value:  # as verification does: search where the proof says it may be
+    # as verification does: search where the proof says it may be
+    if bound.value > 1.01 * worst.value:
         worst = max(worst, worst_gain(box, also=(bound.frequency,)), key=lambda item: item.value)
-    return Row(loop.parameters, margin.factor, proved, truth, worst.value, bound.value, true_gain(box, rng))
+    return Row(
+        loop.parameters, margin.factor, proved, truth, worst.value, bound.value, true_gain(box, rng)
+    )
 
 
 def report(rows: list[Row]) -> list[str]:
@@ -187,12 +217,18 @@ def report(rows: list[Row]) -> list[str]:
     short = np.array([1 - r.proved / r.margin_truth for r in finite])
     return [
         f"{len(rows)} systems, {len(finite)} of them can be destabilised within 20 boxes",
-        f"margin found too high by > 1 %: {(high > 0.01).sum()}, > 5 %: {(high > 0.05).sum()}, most {high.max(initial=0):.2%}",
-        f"margin proved above the truth: {(short < -1e-6).sum()}; proved within 2 % of the truth: {(short < 0.02).mean():.1%}, "
-        f"within 10 %: {(short < 0.1).mean():.1%}, nothing proved: {sum(r.proved == 0 for r in rows)}",
-        f"gain found too low by > 1 %: {(low > 0.01).sum()}, > 5 %: {(low > 0.05).sum()}, most {low.max():.2%}",
-        f"gain bound below the truth: {(gap < -1e-6).sum()}; not proved: {sum(not np.isfinite(r.bound) for r in rows)}; "
-        f"above the larger of search and truth by > 1 %: {(gap > 0.01).sum()}, > 10 %: {(gap > 0.1).sum()}, "
+        f"margin found too high by > 1 %: {(high > 0.01).sum()}, > 5 %: {(high > 0.05).sum()}, "
+        f"most {high.max(initial=0):.2%}",
+        f"margin proved above the truth: {(short < -1e-6).sum()}; proved within 2 % of the truth: "
+        f"{(short < 0.02).mean():.1%}, "
+        f"within 10 %: {(short < 0.1).mean():.1%}, nothing proved: "
+        f"{sum(r.proved == 0 for r in rows)}",
+        f"gain found too low by > 1 %: {(low > 0.01).sum()}, > 5 %: {(low > 0.05).sum()}, most "
+        f"{low.max():.2%}",
+        f"gain bound below the truth: {(gap < -1e-6).sum()}; not proved: "
+        f"{sum(not np.isfinite(r.bound) for r in rows)}; "
+        f"above the larger of search and truth by > 1 %: {(gap > 0.01).sum()}, > 10 %: "
+        f"{(gap > 0.1).sum()}, "
         f"median {np.median(gap):.2%}",
     ]
 
@@ -206,7 +242,9 @@ def main() -> None:
         row = compare(seed)
         rows.append(row)
         off = row.margin / row.margin_truth > 1.01 or row.worst < 0.99 * row.gain_truth
-        wrong = row.proved > row.margin_truth * (1 + 1e-6) or row.bound < row.gain_truth * (1 - 1e-6)
+        wrong = row.proved > row.margin_truth * (1 + 1e-6) or row.bound < row.gain_truth * (
+            1 - 1e-6
+        )
         if off or wrong or not np.isfinite(row.bound) or not row.proved:
             print(f"seed {seed}: {'WRONG ' * wrong}{row}", flush=True)
     for line in report(rows):

@@ -1,4 +1,6 @@
-"""What turns docs/, examples/, notebooks/ and the docstrings into the site; mkdocs calls ``hooks``. READ hooks.py FIRST."""
+"""What turns docs/, examples/, notebooks/ and the docstrings into the site; mkdocs calls ``hooks``.
+READ hooks.py FIRST.
+"""
 
 from pathlib import Path
 

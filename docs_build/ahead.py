@@ -18,7 +18,9 @@ def run():
 
 
 def failure(path):
-    """Why a notebook or an example does not run; "" where it does. In words: some exceptions do not pass between processes."""
+    """Why a notebook or an example does not run; "" where it does. In words: some exceptions do not
+    pass between processes.
+    """
     try:
         (cells_of if path.suffix == ".ipynb" else run_of)(path)
     except (Exception, SystemExit) as error:

@@ -1,8 +1,10 @@
-"""Code blocks of docs/*.md and README.md: every ```python and ```console block runs as printed, page by page, in order.
+"""Code blocks of docs/*.md and README.md: every ```python and ```console block runs as printed,
+page by page, in order.
 
 ```python                 runs in the page's namespace; an exception fails the test
 ```console                `$ command`, then what it prints; `...` stands for anything. `ambrose` runs in this process,
-                          other programs where they are installed. Exit status 2 only where the page shows its message
+                          other programs where they are installed. Exit status 2 only where the page
+                          shows its message
 <!-- files: pid.json -->  before the first block: files that the page's commands find in their folder (FILES)
 <!-- python: ... -->      runs, but is not shown
 <!-- run: stored -->      a ```console block that takes too long for the tests: compared with docs/outputs.json
@@ -37,11 +39,13 @@ FILES = {  # name -> the command that makes it; made once and copied
     "hinf.json": "ambrose synthesize seal-rig --method hinf -o hinf.json",
     "controller.json": "ambrose synthesize seal-rig --method pid -o controller.json",
     "prbs.h5": "ambrose simulate seal-rig --controller pid.json --scenario prbs -o prbs.h5",
-    "loads.h5": "ambrose simulate seal-rig --controller pid.json --scenario static-loads-both -o loads.h5",
+    "loads.h5": "ambrose simulate seal-rig --controller pid.json --scenario static-loads-both -o "
+    "loads.h5",
 }
 _NEEDS = {"prbs.h5": ["pid.json"], "loads.h5": ["pid.json"]}
 _BLOCK = re.compile(
-    r"^<!-- (?P<mark>files|python|run): ?(?P<note>.*?)-->|^```(?P<kind>\w+)(?P<rest>[^\n]*)\n(?P<text>.*?)^```$",
+    r"^<!-- (?P<mark>files|python|run): "
+    r"?(?P<note>.*?)-->|^```(?P<kind>\w+)(?P<rest>[^\n]*)\n(?P<text>.*?)^```$",
     re.DOTALL | re.MULTILINE,
 )
 _SAME = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
@@ -49,7 +53,9 @@ _SAME = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 
 @dataclass(frozen=True)
 class Block:
-    """A piece of a page. kind: python, console, files or file (of that title); mark: "", "stored" or "no"; line: its place."""
+    """A piece of a page. kind: python, console, files or file (of that title); mark: "", "stored"
+    or "no"; line: its place.
+    """
 
     kind: str
     text: str
@@ -64,7 +70,9 @@ class Differs(AssertionError):
 
 def pages():
     """Every page whose blocks run, by its name in docs/."""
-    return {"README.md": ROOT / "README.md"} | {path.relative_to(DOCS).as_posix(): path for path in sorted(DOCS.rglob("*.md"))}
+    return {"README.md": ROOT / "README.md"} | {
+        path.relative_to(DOCS).as_posix(): path for path in sorted(DOCS.rglob("*.md"))
+    }
 
 
 def blocks(text):
@@ -98,7 +106,9 @@ def commands(text):
         elif pairs:
             pairs[-1][1] += line + "\n"
         else:
-            raise Differs(f"a console block begins with {line!r}; it must begin with a command, '$ ...'")
+            raise Differs(
+                f"a console block begins with {line!r}; it must begin with a command, '$ ...'"
+            )
     return [(command, printed) for command, printed in pairs]
 
 
@@ -107,7 +117,9 @@ def stored_outputs():
 
 
 def run_page(name, cache):
-    """Runs the blocks of a page in a folder of their own; ``cache``: where files for several pages lie. Raises Differs."""
+    """Runs the blocks of a page in a folder of their own; ``cache``: where files for several pages
+    lie. Raises Differs.
+    """
     parts = blocks(pages()[name].read_text(encoding="utf-8"))
     if not any(block.kind in ("python", "console") and block.mark != "no" for block in parts):
         return 0
@@ -121,7 +133,9 @@ def run_page(name, cache):
             except Differs:
                 raise
             except Exception as error:
-                raise Differs(f"{name}:{block.line}: {type(error).__name__}: {error}\n{block.text}") from error
+                raise Differs(
+                    f"{name}:{block.line}: {type(error).__name__}: {error}\n{block.text}"
+                ) from error
             done += 1
     return done
 
@@ -137,16 +151,24 @@ def run_block(block, namespace, cache):
             exec(compile(block.text, f"line {block.line}", "exec", dont_inherit=True), namespace)
     else:
         for command, printed in commands(block.text):
-            status, output = (0, stored_outputs().get(command)) if block.mark == "stored" else run_command(command)
+            status, output = (
+                (0, stored_outputs().get(command))
+                if block.mark == "stored"
+                else run_command(command)
+            )
             compare(command, printed, status, output)
 
 
 def compare(command, printed, status, output):
-    """Raises Differs unless the command ended and printed as the page shows; a page may show nothing of what is printed."""
+    """Raises Differs unless the command ended and printed as the page shows; a page may show
+    nothing of what is printed.
+    """
     if output is None:
         if status != "stored":
             return  # a program that is not installed here
-        raise Differs(f"$ {command}\nis not in docs/outputs.json; run python -m docs_build.blocks --stored")
+        raise Differs(
+            f"$ {command}\nis not in docs/outputs.json; run python -m docs_build.blocks --stored"
+        )
     if status not in (0, 1) and not printed.startswith("ambrose: "):
         raise Differs(f"$ {command}\nended with exit status {status}:\n{output}")
     if printed.strip() and not doctest.OutputChecker().check_output(printed, output, _SAME):
@@ -154,7 +176,9 @@ def compare(command, printed, status, output):
 
 
 def run_command(command):
-    """(exit status, standard output; the message of a refusal). Standard error holds progress, which pages do not show."""
+    """(exit status, standard output; the message of a refusal). Standard error holds progress,
+    which pages do not show.
+    """
     words = shlex.split(command, comments=True)
     if words[0] == "ambrose":
         from ambrose.cli import main
@@ -186,9 +210,20 @@ def make_file(name, cache):
 
 def quoted_commands(text):
     """Every `ambrose ...` of a page, shown as a block, in a table or in a sentence."""
-    shown = [command for block in blocks(text) if block.kind == "console" for command, _ in commands(block.text)]
-    words = re.findall(r"`(ambrose [a-z][^`\n]*)`", text) + re.findall(r"^ *(ambrose [a-z].*)$", text, re.MULTILINE)
-    return [command for command in shown + words if command.startswith("ambrose ") and "..." not in command]
+    shown = [
+        command
+        for block in blocks(text)
+        if block.kind == "console"
+        for command, _ in commands(block.text)
+    ]
+    words = re.findall(r"`(ambrose [a-z][^`\n]*)`", text) + re.findall(
+        r"^ *(ambrose [a-z].*)$", text, re.MULTILINE
+    )
+    return [
+        command
+        for command in shown + words
+        if command.startswith("ambrose ") and "..." not in command
+    ]
 
 
 def stored_commands():
@@ -203,7 +238,9 @@ def stored_commands():
 
 
 def store(cache):
-    """Runs the stored commands, page by page in one folder each, and writes what they print to docs/outputs.json."""
+    """Runs the stored commands, page by page in one folder each, and writes what they print to
+    docs/outputs.json.
+    """
     outputs = {}
     for name in dict.fromkeys(page for page, _ in stored_commands()):
         with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
@@ -219,9 +256,15 @@ def store(cache):
 
 
 def main(arguments=None):
-    parser = argparse.ArgumentParser(prog="python -m docs_build.blocks", description="Run the code blocks of docs/.")
+    parser = argparse.ArgumentParser(
+        prog="python -m docs_build.blocks", description="Run the code blocks of docs/."
+    )
     parser.add_argument("names", nargs="*", help="pages; default: all")
-    parser.add_argument("--stored", action="store_true", help="run the stored commands anew and write docs/outputs.json")
+    parser.add_argument(
+        "--stored",
+        action="store_true",
+        help="run the stored commands anew and write docs/outputs.json",
+    )
     options = parser.parse_args(arguments)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with tempfile.TemporaryDirectory() as cache:

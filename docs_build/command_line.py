@@ -18,18 +18,35 @@ def page():
     """reference/command-line.md."""
     main = importlib.import_module("ambrose.cli").main
     parts = [HEAD, f"```text\n{main.get_help(click.Context(main, info_name='ambrose'))}\n```\n"]
-    return "\n".join([*parts, *(section(name, command) for name, command in sorted(main.commands.items()))])
+    return "\n".join(
+        [*parts, *(section(name, command) for name, command in sorted(main.commands.items()))]
+    )
 
 
 def section(name, command):
     """A command: what it does, how it is called, a row per option."""
     context = click.Context(command, info_name=f"ambrose {name}")
     usage = " ".join(command.collect_usage_pieces(context))
-    rows = [row(parameter, context) for parameter in command.get_params(context) if isinstance(parameter, click.Option)]
-    options = "\n".join(["| option | meaning |", "|---|---|", *rows])
-    return (
-        f"## ambrose {name}\n\n{escaped(inspect.cleandoc(command.help))}\n\n```text\nambrose {name} {usage}\n```\n\n{options}\n"
+    options = "\n\n".join(
+        table(title, rows, context) for title, rows in groups(command, context).items()
     )
+    return (
+        f"## ambrose {name}\n\n{escaped(inspect.cleandoc(command.help))}\n\n```text\nambrose "
+        f"{name} {usage}\n```\n\n{options}\n"
+    )
+
+
+def groups(command, context):
+    """{title: options} of a command; one group without a title where it has none."""
+    if hasattr(command, "grouped"):
+        return command.grouped(context)
+    return {"": [item for item in command.get_params(context) if isinstance(item, click.Option)]}
+
+
+def table(title, options, context):
+    """A group of options, a row for each."""
+    heading = f"| {title[:1].lower()}{title[1:] or 'option'} | meaning |"
+    return "\n".join([heading, "|---|---|", *(row(option, context) for option in options)])
 
 
 def row(option, context):

@@ -1,4 +1,5 @@
-"""Numbers in the pages: each stands in docs/figures.json with the command that made it, and the text only names it.
+"""Numbers in the pages: each stands in docs/figures.json with the command that made it, and the
+text only names it.
 
     {{ check.mass:.1f }}                          the number, as Python formats it
     {{ hinf.sensitivity.nominal*1e3:.0f }}        times a factor: ms for s, um for m
@@ -7,7 +8,8 @@
     python -m docs_build.figures --write          ... and store them
     python -m docs_build.figures --slow --write   the studies and sampled designs too: some minutes
 
-`tests/docs/test_figures.py` computes the quick ones anew; a page that names a figure which is not stored does not build.
+`tests/docs/test_figures.py` computes the quick ones anew; a page that names a figure which is not
+stored does not build.
 """
 
 import argparse
@@ -52,7 +54,8 @@ def lookup(key, figures):
     except KeyError:
         known = ", ".join(figures.get(group, figures))
         raise UnknownFigure(
-            f"the figure {key} is not in docs/figures.json, which has {known}; add it to docs_build/recipes.py and run "
+            f"the figure {key} is not in docs/figures.json, which has {known}; add it to "
+            "docs_build/recipes.py and run "
             "python -m docs_build.figures --write"
         ) from None
 
@@ -81,7 +84,9 @@ def differences(old, new):
 
 
 def main(arguments=None):
-    parser = argparse.ArgumentParser(prog="python -m docs_build.figures", description="Compute the figures of docs/ anew.")
+    parser = argparse.ArgumentParser(
+        prog="python -m docs_build.figures", description="Compute the figures of docs/ anew."
+    )
     parser.add_argument("groups", nargs="*", help="groups to compute; default: the quick ones")
     parser.add_argument("--slow", action="store_true", help="the slow groups, too")
     parser.add_argument("--write", action="store_true", help="store them in docs/figures.json")

@@ -82,7 +82,10 @@ def of_example(path):
 def html_of(figure):
     """A plotly figure as a piece of a page that has the library already."""
     return figure.to_html(
-        full_html=False, include_plotlyjs=False, default_width="100%", config={"responsive": True, "displayModeBar": False}
+        full_html=False,
+        include_plotlyjs=False,
+        default_width="100%",
+        config={"responsive": True, "displayModeBar": False},
     )
 
 
@@ -108,7 +111,9 @@ def indented(text):
 
 
 def kept(source, make, draft):
-    """What ``make`` gives, as JSON; kept until the source or the package changes. ``draft``: what a draft shows."""
+    """What ``make`` gives, as JSON; kept until the source or the package changes. ``draft``: what a
+    draft shows.
+    """
     if os.environ.get("DRAFT"):
         return draft
     path = CACHE / f"{hashlib.sha256((source + _package()).encode()).hexdigest()}.json"
@@ -124,7 +129,9 @@ def kept(source, make, draft):
 
 def _package():
     digest = hashlib.sha256()
-    for path in sorted([*(ROOT / "src").rglob("*.py"), *(ROOT / "src").rglob("*.toml"), *EXAMPLES.iterdir()]):
+    for path in sorted(
+        [*(ROOT / "src").rglob("*.py"), *(ROOT / "src").rglob("*.toml"), *EXAMPLES.iterdir()]
+    ):
         if path.is_file():
             digest.update(path.read_bytes())
     return digest.hexdigest()

@@ -1,4 +1,5 @@
-"""The hooks of mkdocs.yml: generated pages join those of docs/, and every ``{{ figure }}`` becomes its number.
+"""The hooks of mkdocs.yml: generated pages join those of docs/, and every ``{{ figure }}`` becomes
+its number.
 
 docs_build/figures.py      stored results, and the numbers in the text that come from them
 docs_build/blocks.py       code blocks of the pages, run by tests/docs/test_blocks.py
@@ -28,7 +29,9 @@ def on_config(config):
     for section in config.nav:
         for pages in section.values():
             if isinstance(pages, list) and {"Packages": "reference/packages"} in pages:
-                pages[pages.index({"Packages": "reference/packages"})] = {"Packages": reference.navigation()}
+                pages[pages.index({"Packages": "reference/packages"})] = {
+                    "Packages": reference.navigation()
+                }
     return config
 
 
@@ -61,7 +64,9 @@ def on_page_markdown(markdown, page, config, files):
 
 
 def from_root(name):
-    """A page that stands at the root of the repository, its links turned to where docs/ has them."""
+    """A page that stands at the root of the repository, its links turned to where docs/ has
+    them.
+    """
     text = re.sub(r"\]\(docs/", "](", (ROOT / name).read_text(encoding="utf-8"))
     return re.sub(r"\]\((CONTRIBUTING|CHANGELOG)\.md", lambda match: match[0].lower(), text)
 

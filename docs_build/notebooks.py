@@ -1,4 +1,6 @@
-"""notebooks/*.ipynb -> a page each, executed while the site is built. In git they stand without outputs."""
+"""notebooks/*.ipynb -> a page each, executed while the site is built. In git they stand without
+outputs.
+"""
 
 import html
 import json
@@ -19,7 +21,10 @@ def pages():
 
 def page(path):
     cells = cells_of(path)
-    head = f'<script src="../assets/plotly.min.js"></script>\n\n*This page is `notebooks/{path.name}`, executed.*\n'
+    head = (
+        '<script src="../assets/plotly.min.js"></script>\n\n*This page is '
+        f"`notebooks/{path.name}`, executed.*\n"
+    )
     title, *rest = [of_cell(cell, i) for i, cell in enumerate(cells)]
     return "\n".join([title, head, *rest])
 
@@ -40,9 +45,16 @@ def executed(path):
     environment = {"OPENBLAS_NUM_THREADS": "1", "PLOTLY_RENDERER": "plotly_mimetype"}
     os.environ.update({name: os.environ.get(name, value) for name, value in environment.items()})
     with tempfile.TemporaryDirectory() as folder:
-        NotebookClient(notebook, timeout=TIMEOUT, kernel_name="python3", resources={"metadata": {"path": folder}}).execute()
+        NotebookClient(
+            notebook,
+            timeout=TIMEOUT,
+            kernel_name="python3",
+            resources={"metadata": {"path": folder}},
+        ).execute()
     cells = json.loads(nbformat.writes(notebook))["cells"]
-    outputs = [output for cell in cells if cell["cell_type"] == "code" for output in cell["outputs"]]
+    outputs = [
+        output for cell in cells if cell["cell_type"] == "code" for output in cell["outputs"]
+    ]
     if warned := ["".join(output["text"]) for output in outputs if output.get("name") == "stderr"]:
         raise RuntimeError(f"{path.name} warns: {warned[0]}")
     if not any("application/vnd.plotly.v1+json" in output.get("data", {}) for output in outputs):
@@ -54,7 +66,9 @@ def of_cell(cell, number):
     source = "".join(cell["source"])
     if cell["cell_type"] == "markdown":
         return source + "\n"
-    shown = "\n".join(of_output(output, f"cell{number}-{i}") for i, output in enumerate(cell["outputs"]))
+    shown = "\n".join(
+        of_output(output, f"cell{number}-{i}") for i, output in enumerate(cell["outputs"])
+    )
     return f"{fenced(source)}\n\n{shown}\n"
 
 
@@ -64,10 +78,16 @@ def of_output(output, name):
     if "application/vnd.plotly.v1+json" in data:
         figure = data["application/vnd.plotly.v1+json"]
         config = "{responsive: true, displayModeBar: false}"
-        arguments = f'"{name}", {json.dumps(figure["data"])}, {json.dumps(figure["layout"])}, {config}'
+        arguments = (
+            f'"{name}", {json.dumps(figure["data"])}, {json.dumps(figure["layout"])}, {config}'
+        )
         script = f'<div id="{name}"></div><script>Plotly.newPlot({arguments})</script>'
         return f'<div class="plotly-figure" markdown="0">{script}</div>\n'
     if "text/html" in data:
         return f'<div class="cell-output" markdown="0">{"".join(data["text/html"])}</div>\n'
     text = "".join(data.get("text/plain", output.get("text", "")))
-    return f'<div class="cell-output" markdown="0"><pre>{html.escape(text.rstrip())}</pre></div>\n' if text else ""
+    return (
+        f'<div class="cell-output" markdown="0"><pre>{html.escape(text.rstrip())}</pre></div>\n'
+        if text
+        else ""
+    )

@@ -1,7 +1,9 @@
-"""How the figures of the pages are made: a function per group, on the command line as a reader would do it.
+"""How the figures of the pages are made: a function per group, on the command line as a reader
+would do it.
 
-A function gives {name: number or text}. QUICK ones take seconds and are computed anew by the tests; SLOW ones take minutes.
-A study that lies already in $AMBROSE_STUDIES/<machine>-study is read instead of made again.
+A function gives {name: number or text}. QUICK ones take seconds and are computed anew by the tests;
+SLOW ones take minutes. A study that lies already in $AMBROSE_STUDIES/<machine>-study is read
+instead of made again.
 """
 
 import json
@@ -28,7 +30,11 @@ SHORT = {
     "commissioned": "commissioned",
 }
 POINT = {"zero pressure": "zero", "nominal pressure": "nominal", "twice nominal pressure": "twice"}
-QUANTITY = {"sensitivity.output.max": "sensitivity", "unbalance.orbit": "orbit", "impulse.settling": "settling"}
+QUANTITY = {
+    "sensitivity.output.max": "sensitivity",
+    "unbalance.orbit": "orbit",
+    "impulse.settling": "settling",
+}
 ROBUST = {
     "robust.sensitivity.worst": "worst",
     "robust.sensitivity.bound": "bound",
@@ -43,7 +49,9 @@ def ambrose(*arguments, folder=None):
 
 
 def run(*arguments, folder=None):
-    """A command run in this process, in a folder of its own unless one is given. Raises RuntimeError where it refuses."""
+    """A command run in this process, in a folder of its own unless one is given. Raises
+    RuntimeError where it refuses.
+    """
     from ambrose.cli import main
 
     before = Path.cwd()
@@ -53,8 +61,12 @@ def run(*arguments, folder=None):
             done = CliRunner().invoke(main, [str(argument) for argument in arguments])
         finally:
             os.chdir(before)
-    if done.exit_code not in (0, 1) or (done.exception and not isinstance(done.exception, SystemExit)):
-        raise RuntimeError(f"ambrose {' '.join(map(str, arguments))}: {done.stderr or done.exception}")
+    if done.exit_code not in (0, 1) or (
+        done.exception and not isinstance(done.exception, SystemExit)
+    ):
+        raise RuntimeError(
+            f"ambrose {' '.join(map(str, arguments))}: {done.stderr or done.exception}"
+        )
     return done
 
 
@@ -62,7 +74,9 @@ def check(machine):
     printed = ambrose("check", machine)
     bending = np.array(printed["bending_rad_s"]) / (2 * np.pi)
     poles = {
-        f"pole{i}": f"{real:.1f} +- {imag:.1f}j" for i, (real, imag) in enumerate(printed["unstable_poles_rad_s"]) if imag > 0
+        f"pole{i}": f"{real:.1f} +- {imag:.1f}j"
+        for i, (real, imag) in enumerate(printed["unstable_poles_rad_s"])
+        if imag > 0
     }
     sizes = ("rotor_states", "plant_states", "reduced_rotor_states", "reduced_plant_states")
     return {
@@ -76,15 +90,28 @@ def check(machine):
 def synthesis(method):
     """Certificate of a design on the seal rig."""
     with tempfile.TemporaryDirectory() as folder:
-        printed = ambrose("synthesize", "seal-rig", "--method", method, "-o", "controller.json", folder=folder)
-        states = len(json.loads((Path(folder) / "controller.json").read_text(encoding="utf-8"))["A"])
+        printed = ambrose(
+            "synthesize", "seal-rig", "--method", method, "-o", "controller.json", folder=folder
+        )
+        states = len(
+            json.loads((Path(folder) / "controller.json").read_text(encoding="utf-8"))["A"]
+        )
     certificate = printed["certificate"]
-    margins = {name: value for name, value in certificate["margins"].items() if isinstance(value, float)}
-    return {"states": states, "fastest": certificate["fastest_pole"], "norm": certificate["closed_loop_norm"], **margins}
+    margins = {
+        name: value for name, value in certificate["margins"].items() if isinstance(value, float)
+    }
+    return {
+        "states": states,
+        "fastest": certificate["fastest_pole"],
+        "norm": certificate["closed_loop_norm"],
+        **margins,
+    }
 
 
 def study(machine):
-    """Every controller of a study: <controller>.<point>.<quantity>, <controller>.<worst, bound, margin, proved>, ..."""
+    """Every controller of a study: <controller>.<point>.<quantity>, <controller>.<worst, bound,
+    margin, proved>, ...
+    """
     with tempfile.TemporaryDirectory() as scratch:
         made = Path(os.environ.get("AMBROSE_STUDIES", scratch)) / f"{machine}-study"
         if not (made / "checks.json").exists():
@@ -104,13 +131,20 @@ def study(machine):
     commissioned = result.get("commissioned") or {}
     for checks in commissioned.get("sampled", []):
         if checks["label"] in POINT:
-            figures[f"sampled.{POINT[checks['label']]}"] = value_of(checks, "sensitivity.output.max")
+            figures[f"sampled.{POINT[checks['label']]}"] = value_of(
+                checks, "sensitivity.output.max"
+            )
     for title, loops in result.get("run_up", {}).items():
         name = SHORT.get(title, title)
         for loop, windows in loops.items():
             settling = [window["settling_s"] for window in windows]
-            figures |= {f"run_up.{name}.{loop}.{end}": settling[at] for end, at in (("first", 0), ("last", -1))}
-            figures[f"run_up.{name}.{loop}.longest"] = max(settling, key=lambda value: np.inf if value == "inf" else value)
+            figures |= {
+                f"run_up.{name}.{loop}.{end}": settling[at]
+                for end, at in (("first", 0), ("last", -1))
+            }
+            figures[f"run_up.{name}.{loop}.longest"] = max(
+                settling, key=lambda value: np.inf if value == "inf" else value
+            )
     return figures
 
 
@@ -119,12 +153,21 @@ def of_controller(controller):
     for checks in controller["points"]:
         point = POINT.get(checks["label"])
         if point:
-            figures |= {f"{point}.{short}": value_of(checks, long) for long, short in QUANTITY.items()}
+            figures |= {
+                f"{point}.{short}": value_of(checks, long) for long, short in QUANTITY.items()
+            }
     for short in ("orbit", "settling"):
-        values = [value for key, value in figures.items() if key.endswith(short) and not isinstance(value, str)]
+        values = [
+            value
+            for key, value in figures.items()
+            if key.endswith(short) and not isinstance(value, str)
+        ]
         figures |= {f"{short}": max(values)} if values else {}
-    robust = next(iter(controller["boxes"]), {"checks": []})  # around the first point that has tolerances
-    return figures | {short: value_of(robust, long) for long, short in ROBUST.items() if has(robust, long)}
+    # around the first point that has tolerances
+    robust = next(iter(controller["boxes"]), {"checks": []})
+    return figures | {
+        short: value_of(robust, long) for long, short in ROBUST.items() if has(robust, long)
+    }
 
 
 def has(checks, name):
@@ -138,7 +181,9 @@ def value_of(checks, name):
 
 
 def sampled_designs(machine="seal-rig-k-only"):
-    """Designs for the sampled loop: states and worst sensitivity at each pressure, as the header of the C code states it."""
+    """Designs for the sampled loop: states and worst sensitivity at each pressure, as the header of
+    the C code states it.
+    """
     designs = {
         "mu": ["mu"],
         "mu_sampled": ["mu", "--rate-hz", "10000"],
@@ -149,7 +194,9 @@ def sampled_designs(machine="seal-rig-k-only"):
     figures = {}
     for name, options in designs.items():
         with tempfile.TemporaryDirectory() as folder:
-            ambrose("synthesize", machine, "--method", *options, "-o", "controller.json", folder=folder)
+            ambrose(
+                "synthesize", machine, "--method", *options, "-o", "controller.json", folder=folder
+            )
             law = json.loads((Path(folder) / "controller.json").read_text(encoding="utf-8"))
             ambrose("export", "controller.json", "--to", "c", "-o", "code", folder=folder)
             header = (Path(folder) / "code" / "controller.h").read_text(encoding="utf-8")
@@ -234,11 +281,20 @@ def gas_seal():
     from ambrose.physics.bulkflow import Friction, SealCondition, SealGeometry, air, bulk_flow
 
     seal = SealGeometry(
-        length=0.0857, diameter=0.11474, inlet_clearance=0.2115e-3, exit_clearance=0.2102e-3,
-        hole_depth=3.3e-3, hole_area_ratio=0.684, stator_friction=Friction(0.02, 0.0),
-    )  # fmt: skip
+        length=0.0857,
+        diameter=0.11474,
+        inlet_clearance=0.2115e-3,
+        exit_clearance=0.2102e-3,
+        hole_depth=3.3e-3,
+        hole_area_ratio=0.684,
+        stator_friction=Friction(0.02, 0.0),
+    )
     condition = SealCondition(
-        inlet_pressure=70e5, exit_pressure=31.5e5, temperature=290.55, speed=20200 * np.pi / 30, gas=air(290.55)
+        inlet_pressure=70e5,
+        exit_pressure=31.5e5,
+        temperature=290.55,
+        speed=20200 * np.pi / 30,
+        gas=air(290.55),
     )
     hz = [20, 140, 300]
     omega = 2 * np.pi * np.array(hz)

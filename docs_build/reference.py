@@ -1,4 +1,6 @@
-"""The Python reference: the front door name by name, then every package with its modules, for mkdocstrings to fill in."""
+"""The Python reference: the front door name by name, then every package with its modules, for
+mkdocstrings to fill in.
+"""
 
 import importlib
 import inspect
@@ -17,7 +19,9 @@ quantity, its value, what is required and the remedy.
 
 
 def packages():
-    """Dotted name of every folder with modules -> its modules, in order of name: the root comes first."""
+    """Dotted name of every folder with modules -> its modules, in order of name: the root comes
+    first.
+    """
     found = {}
     for path in sorted(PACKAGE.rglob("*.py")):
         if path.name == "__init__.py" or "templates" in path.parts:
@@ -28,25 +32,33 @@ def packages():
 
 
 def navigation():
-    return [{name.removeprefix("ambrose."): f"reference/api/packages/{name}.md"} for name in packages()]
+    return [
+        {name.removeprefix("ambrose."): f"reference/api/packages/{name}.md"} for name in packages()
+    ]
 
 
 def pages():
     result = {"reference/api/index.md": front_door()}
     for name, modules in packages().items():
         heading = f"# `{name}`\n"
-        result[f"reference/api/packages/{name}.md"] = "\n".join([heading, *(f"::: {module}\n" for module in modules)])
+        result[f"reference/api/packages/{name}.md"] = "\n".join(
+            [heading, *(f"::: {module}\n" for module in modules)]
+        )
     return result
 
 
 def front_door():
-    """A table of all public names with the first sentence of what each is, linked to its full description."""
+    """A table of all public names with the first sentence of what each is, linked to its full
+    description.
+    """
     ambrose = importlib.import_module("ambrose")
     rows = {"functions": [], "nouns": [], "errors": []}
     for name in sorted(set(ambrose.__all__) - {"__version__"}):
         item = inspect.unwrap(getattr(ambrose, name))
         kind = "functions" if inspect.isfunction(item) else "errors" if is_error(item) else "nouns"
-        rows[kind].append(f"| [`{name}`][{item.__module__}.{item.__qualname__}] | {first_sentence(item)} |")
+        rows[kind].append(
+            f"| [`{name}`][{item.__module__}.{item.__qualname__}] | {first_sentence(item)} |"
+        )
     tables = [
         f"## {kind.capitalize()}\n\n| name | what it is |\n|---|---|\n" + "\n".join(lines) + "\n"
         for kind, lines in rows.items()

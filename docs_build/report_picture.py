@@ -1,6 +1,8 @@
-"""``python -m docs_build.report_picture out/seal-rig/report.html``: the picture of the report on the first page.
+"""``python -m docs_build.report_picture out/seal-rig/report.html``: the picture of the report on
+the first page.
 
-It carries the stored figures that it shows in a text chunk of the PNG: tests/docs/test_figures.py notices when it is stale.
+It carries the stored figures that it shows in a text chunk of the PNG: tests/docs/test_figures.py
+notices when it is stale.
 """
 
 import json
@@ -23,8 +25,12 @@ KEYWORD = b"figures\0"
 def shown():
     """{controller: its worst sensitivity as the report prints it}, of the stored study."""
     study = stored()["study"]
-    worst = {key.removesuffix(".worst"): value for key, value in study.items() if key.endswith(".worst")}
-    return {name: value if isinstance(value, str) else f"{value:.3g}" for name, value in worst.items()}
+    worst = {
+        key.removesuffix(".worst"): value for key, value in study.items() if key.endswith(".worst")
+    }
+    return {
+        name: value if isinstance(value, str) else f"{value:.3g}" for name, value in worst.items()
+    }
 
 
 def chunks(data):
@@ -38,14 +44,24 @@ def chunks(data):
 
 def carried(path=PICTURE):
     """What a picture says that it shows; {} where it says nothing."""
-    texts = (content for kind, content in chunks(path.read_bytes()) if kind == b"tEXt" and content.startswith(KEYWORD))
+    texts = (
+        content
+        for kind, content in chunks(path.read_bytes())
+        if kind == b"tEXt" and content.startswith(KEYWORD)
+    )
     return json.loads(next(texts, KEYWORD + b"{}").removeprefix(KEYWORD))
 
 
 def stamped(data, figures):
     """A PNG with the figures in a text chunk, before its last chunk."""
     body = b"tEXt" + KEYWORD + json.dumps(figures).encode("ascii")
-    return data[:-12] + struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body)) + data[-12:]
+    return (
+        data[:-12]
+        + struct.pack(">I", len(body) - 4)
+        + body
+        + struct.pack(">I", zlib.crc32(body))
+        + data[-12:]
+    )
 
 
 def main(report):
@@ -58,10 +74,19 @@ def main(report):
     with tempfile.TemporaryDirectory() as folder:
         raw = Path(folder) / "report.png"
         subprocess.run(
-            [browser, "--headless", "--no-sandbox", "--hide-scrollbars", "--virtual-time-budget=3000", f"--window-size={SIZE}",
-             f"--screenshot={raw}", Path(report).resolve().as_uri()],
-            check=True, capture_output=True,
-        )  # fmt: skip
+            [
+                browser,
+                "--headless",
+                "--no-sandbox",
+                "--hide-scrollbars",
+                "--virtual-time-budget=3000",
+                f"--window-size={SIZE}",
+                f"--screenshot={raw}",
+                Path(report).resolve().as_uri(),
+            ],
+            check=True,
+            capture_output=True,
+        )
         PICTURE.write_bytes(stamped(raw.read_bytes(), figures))
 
 

@@ -1,4 +1,5 @@
-"""The page of the scenario file, from the classes that its tables become and what the reader knows of their keys.
+"""The page of the scenario file, from the classes that its tables become and what the reader knows
+of their keys.
 
 python -m docs_build.scenario_file      writes docs/scenario-file.md anew
 """
@@ -7,8 +8,8 @@ import inspect
 from dataclasses import MISSING, fields
 
 from ambrose.machine.units import DIMENSIONS
-from ambrose.simulation import scenario as reader
-from ambrose.simulation.machine_terms import _QUANTITIES
+from ambrose.rig import scenario as reader
+from ambrose.rig.machine_terms import _QUANTITIES
 from docs_build import DOCS
 
 HEAD = """# Scenario file
@@ -47,12 +48,22 @@ def section(title, kind, leave_out=frozenset()):
     """A table: what it is, and a row per key."""
     words = " ".join(inspect.cleandoc(kind.__doc__).replace("``", "`").split())
     rows = [row(item) for item in fields(kind) if item.name not in leave_out]
-    return f"## {title}\n\n{words}\n\n" + "\n".join(["| key | unit | default |", "|---|---|---|", *rows]) + "\n"
+    return (
+        f"## {title}\n\n{words}\n\n"
+        + "\n".join(["| key | unit | default |", "|---|---|---|", *rows])
+        + "\n"
+    )
 
 
 def row(item):
     required = item.default is MISSING and item.default_factory is MISSING
-    default = "required" if required else "" if item.default is None or item.default == "" else f"{item.default}"
+    default = (
+        "required"
+        if required
+        else ""
+        if item.default is None or item.default == ""
+        else f"{item.default}"
+    )
     return f"| `{item.name}` | {unit(item.name)} | {default} |"
 
 

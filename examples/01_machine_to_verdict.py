@@ -1,12 +1,16 @@
-"""From a bundled machine to a verdict: assemble, reduce, design the reference PID, verify on the full flexible model."""
+"""From a bundled machine to a verdict: assemble, reduce, design the reference PID, verify on the
+full flexible model.
+"""
 
 import ambrose as amb
 
 machine = amb.load_machine("seal-rig")
-plant = amb.assemble(machine, "nominal pressure")  # 40 nodes, 144 rotor states and 8 amplifier states
+# 40 nodes, 144 rotor states and 8 amplifier states
+plant = amb.assemble(machine, "nominal pressure")
 small = amb.reduce(plant, 0)  # 8 rotor states: what controllers are designed on
 pid = amb.design(machine, "pid")
-verdict = amb.verify(machine, pid, tolerances=False)  # on the full plant, bending modes included, at every operating point
+# on the full plant, bending modes included, at every operating point
+verdict = amb.verify(machine, pid, tolerances=False)
 
 
 def picture():
@@ -18,6 +22,9 @@ if __name__ == "__main__":
     for checks in verdict.points:
         if checks.stable:
             peak = checks["sensitivity.output.max"]
-            print(f"{checks.label}: stable, largest sensitivity {peak.value:.2f} {peak.detail}, zone {peak.zone}")
+            print(
+                f"{checks.label}: stable, largest sensitivity {peak.value:.2f} {peak.detail}, "
+                f"zone {peak.zone}"
+            )
         else:
             print(f"{checks.label}: {checks.checks[0].detail}")

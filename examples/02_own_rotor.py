@@ -19,4 +19,7 @@ def picture():
 
 if __name__ == "__main__":
     print(f"{mass:.1f} kg, free bending at {bending_hz[0]:.0f} and {bending_hz[1]:.0f} Hz")
-    print(f"PID: {result.status}, largest sensitivity {result.certificate.margins.get('sensitivity_peak', np.inf):.2f}")
+    print(
+        f"PID: {result.status}, largest sensitivity "
+        f"{result.certificate.margins.get('sensitivity_peak', np.inf):.2f}"
+    )

@@ -1,4 +1,6 @@
-"""Bundled machines on a coarse mesh, for tests that compare computations with each other: a quarter of the states."""
+"""Bundled machines on a coarse mesh, for tests that compare computations with each other: a quarter
+of the states.
+"""
 
 from dataclasses import replace
 

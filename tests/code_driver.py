@@ -1,4 +1,6 @@
-"""Compiles generated code with a driver that replays a file of samples, and runs it: the block from C, for comparison."""
+"""Compiles generated code with a driver that replays a file of samples, and runs it: the block from
+C, for comparison.
+"""
 
 import functools
 import shutil
@@ -8,15 +10,17 @@ from pathlib import Path
 
 import numpy as np
 
-from ambrose.deployment.block.block import Block
-from ambrose.deployment.block.fixed import ControlBlock
-from ambrose.deployment.block.scheduled import ScheduledBlock
-from ambrose.deployment.c.code import generate
+from ambrose.code.block.block import Block
+from ambrose.code.block.fixed import ControlBlock
+from ambrose.code.block.scheduled import ScheduledBlock
+from ambrose.code.c.code import generate
 
 FLAGS = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-Wconversion", "-Wshadow"]
 SANITIZERS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g"]
 TYPES = {"double": np.float64, "float": np.float32, "fixed32": np.int32, "fixed16": np.int16}
-STEP, TRACK, RESET = 0, 1, 2
+STEP = 0
+TRACK = 1
+RESET = 2
 _DRIVER = """
 #include <stdio.h>
 #include "NAME.h"
@@ -57,15 +61,24 @@ def compilers() -> list[str]:
 
 @functools.cache
 def sanitizers(compiler: str) -> tuple[str, ...]:
-    """SANITIZERS, or nothing where the compiler is installed without their libraries (clang often is)."""
+    """SANITIZERS, or nothing where the compiler is installed without their libraries (clang often
+    is).
+    """
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "empty.c").write_text("int main(void) { return 0; }\n")
-        done = subprocess.run([compiler, *SANITIZERS, "empty.c"], cwd=folder, capture_output=True, check=False)
+        done = subprocess.run(
+            [compiler, *SANITIZERS, "empty.c"], cwd=folder, capture_output=True, check=False
+        )
     return tuple(SANITIZERS) if done.returncode == 0 else ()
 
 
 def compiled(
-    block: Block, arithmetic: str, directory: Path, compiler: str, flags: list[str] | None = None, **settings: float
+    block: Block,
+    arithmetic: str,
+    directory: Path,
+    compiler: str,
+    flags: list[str] | None = None,
+    **settings: float,
 ) -> Path:
     """The driver's executable; the compiler's complaints are the test's failure."""
     directory.mkdir(exist_ok=True)
@@ -75,17 +88,33 @@ def compiled(
     track = "NAME_track(&block, r.error, r.valid, SPEED r.current);"
     code = _DRIVER if "_track(" in files[f"{block.name}.h"] else _DRIVER.replace(track, "return 1;")
     speed = "r.speed," if isinstance(block, ScheduledBlock) else ""
-    code = code.replace("SPEED", speed).replace("PREFIX", block.name.upper()).replace("NAME", block.name)
-    kind = {"double": "double", "float": "float", "fixed32": "int32_t", "fixed16": "int16_t"}[arithmetic]
+    code = (
+        code.replace("SPEED", speed)
+        .replace("PREFIX", block.name.upper())
+        .replace("NAME", block.name)
+    )
+    kind = {"double": "double", "float": "float", "fixed32": "int32_t", "fixed16": "int16_t"}[
+        arithmetic
+    ]
     (directory / "driver.c").write_text(code.replace("TYPE", kind))
     target = directory / f"run-{compiler}"
     sources = [str(directory / f"{block.name}.c"), str(directory / "driver.c")]
-    build(compiler, [*(["-O1", *sanitizers(compiler)] if flags is None else flags), *sources, "-o", str(target)])
+    build(
+        compiler,
+        [
+            *(["-O1", *sanitizers(compiler)] if flags is None else flags),
+            *sources,
+            "-o",
+            str(target),
+        ],
+    )
     return target
 
 
 def build(compiler: str, arguments: list[str]) -> None:
-    done = subprocess.run([compiler, *FLAGS, *arguments], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [compiler, *FLAGS, *arguments], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
 
 
@@ -99,10 +128,21 @@ def replay(
     outputs: int = 4,
     speeds: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Currents (k, p) and status (k,) of the compiled block over errors (k, m), and speeds (k,) if it is scheduled."""
+    """Currents (k, p) and status (k,) of the compiled block over errors (k, m), and speeds (k,) if
+    it is scheduled.
+    """
     count, inputs = errors.shape
     kind = TYPES[arithmetic]
-    rows = np.zeros(count, [("e", kind, inputs), ("u", kind, outputs), ("v", kind), ("valid", "u1", inputs), ("op", "u1")])
+    rows = np.zeros(
+        count,
+        [
+            ("e", kind, inputs),
+            ("u", kind, outputs),
+            ("v", kind),
+            ("valid", "u1", inputs),
+            ("op", "u1"),
+        ],
+    )
     with np.errstate(over="ignore", invalid="ignore"):
         rows["e"], rows["v"] = errors, 0 if speeds is None else speeds
     rows["valid"] = 1 if valid is None else valid
@@ -116,8 +156,9 @@ def replay(
 
 
 def adversarial(block: ControlBlock, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Errors (count, m) and flags: noise of all sizes, long saturation, worst-case switching, NaN, infinity, denormals, any
-    bit pattern, values beside the limit, silence."""
+    """Errors (count, m) and flags: noise of all sizes, long saturation, worst-case switching, NaN,
+    infinity, denormals, any bit pattern, values beside the limit, silence.
+    """
     rng = np.random.default_rng(seed)
     m, limit = len(block.inputs), block.error_limit
     e = np.empty((count, m))
@@ -127,7 +168,11 @@ def adversarial(block: ControlBlock, count: int, seed: int = 0) -> tuple[np.ndar
         k = int(min(rng.integers(20, 800), count - start))
         rows, kind = slice(start, start + k), int(rng.integers(0, 12))
         if kind == 5:
-            e[rows] = np.where(rng.random((k, m)) < 0.3, rng.choice([np.nan, np.inf, -np.inf, 1e300], (k, m)), 0.01 * limit)
+            e[rows] = np.where(
+                rng.random((k, m)) < 0.3,
+                rng.choice([np.nan, np.inf, -np.inf, 1e300], (k, m)),
+                0.01 * limit,
+            )
         elif kind == 6:
             e[rows] = rng.choice([5e-324, -5e-324, 2e-308, 1e-310, -0.0, 1e-45, 1e-39], (k, m))
         elif kind == 7:
@@ -158,7 +203,9 @@ def _ordinary(block: ControlBlock, kind: int, k: int, rng: np.random.Generator) 
 
 
 def worst_case(block: ControlBlock, count: int, rng: np.random.Generator) -> np.ndarray:
-    """The switching of all inputs that drives one output furthest after ``count`` samples: the impulse response's signs."""
+    """The switching of all inputs that drives one output furthest after ``count`` samples: the
+    impulse response's signs.
+    """
     row = block.C[rng.integers(len(block.outputs))]
     signs = np.empty((count, len(block.inputs)))
     A = np.eye(block.n_states) + block.increment

@@ -1,6 +1,8 @@
-"""Everywhere in the tests: shapes stated in docstrings are checked, `tests/` (random_systems) and `benchmarks` are importable.
+"""Everywhere in the tests: shapes stated in docstrings are checked, `tests/` (random_systems) and
+`benchmarks` are importable.
 
-On CI Hypothesis repeats the same cases, so that a verdict depends on the commit alone; at a desk it looks for new ones.
+On CI Hypothesis repeats the same cases, so that a verdict depends on the commit alone; at a desk it
+looks for new ones.
 """
 
 import os
@@ -10,7 +12,8 @@ from pathlib import Path
 from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parent))
-sys.path.append(str(Path(__file__).parents[1]))  # the campaigns are commands and no part of the package
+# the campaigns are commands and no part of the package
+sys.path.append(str(Path(__file__).parents[1]))
 
 import shape_contract
 

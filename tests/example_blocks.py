@@ -1,20 +1,33 @@
-"""Control blocks for the tests of what is written from them: no synthesis, so that they take no time."""
+"""Control blocks for the tests of what is written from them: no synthesis, so that they take no
+time.
+"""
 
 import numpy as np
 import scipy.linalg as sla
 
 from ambrose import StateSpace
-from ambrose.deployment.block.fixed import ControlBlock, build_block
-from ambrose.deployment.discretisation.deployment import deploy
+from ambrose.code.block.fixed import ControlBlock, build_block
+from ambrose.code.sampled import deploy
 
-ERROR, CURRENT, DT = 0.5e-3, 4.0, 1e-4
+ERROR = 0.5e-3
+CURRENT = 4.0
+DT = 1e-4
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
-_PAIRS = ((60.0, 200.0), (90.0, 700.0), (150.0, 1500.0), (300.0, 3000.0), (900.0, 5000.0), (2500.0, 9000.0))
+_PAIRS = (
+    (60.0, 200.0),
+    (90.0, 700.0),
+    (150.0, 1500.0),
+    (300.0, 3000.0),
+    (900.0, 5000.0),
+    (2500.0, 9000.0),
+)
 _REAL = (40.0, 55.0, 400.0, 800.0, 3000.0, 5000.0, 8000.0, 11000.0)
 
 
 def rig_controller() -> StateSpace:
-    """24 states, 4 errors, 4 currents: four integrators, six oscillations, eight real poles; as large as the seal rig's."""
+    """24 states, 4 errors, 4 currents: four integrators, six oscillations, eight real poles; as
+    large as the seal rig's.
+    """
     rng = np.random.default_rng(5)
     blocks = [np.zeros((4, 4)), *([[-a, w], [-w, -a]] for a, w in _PAIRS), *([[-a]] for a in _REAL)]
     A = sla.block_diag(*blocks)
@@ -35,7 +48,9 @@ def small_controller() -> StateSpace:
     return StateSpace(A, B, C, [[0.0, 0.0]], ["err_x", "err_y"], ["u_x"])
 
 
-def small_block(delay: int = 1, name: str = "small", system: StateSpace | None = None) -> ControlBlock:
+def small_block(
+    delay: int = 1, name: str = "small", system: StateSpace | None = None
+) -> ControlBlock:
     K = small_controller() if system is None else system
     return build_block(deploy(K, DT, delay * DT, force=True), name, 1e-3, 2.0)
 

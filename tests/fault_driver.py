@@ -1,7 +1,8 @@
-"""python fault_driver.py FOLDER [KIND ...], with faults.c preloaded: all ways of writing, failed and killed at each operation;
-of the kinds that are named only killed, at every third operation.
+"""python fault_driver.py FOLDER [KIND ...], with faults.c preloaded: all ways of writing, failed
+and killed at each operation; of the kinds that are named only killed, at every third operation.
 
-Prints a line for each: what was written, how it failed, at which operation, how the writer ended, what stands there afterwards.
+Prints a line for each: what was written, how it failed, at which operation, how the writer ended,
+what stands there afterwards.
 """
 
 from __future__ import annotations
@@ -16,14 +17,19 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.atomic_write import INTERRUPTED, write_files, write_text
-from ambrose.machine.record.files import read_record, write_record
-from ambrose.machine.record.record import Record
-from ambrose.machine.record.writer import RecordWriter, partial_path
+from ambrose.record.files import read_record, write_record
+from ambrose.record.record import Record
+from ambrose.record.writer import RecordWriter, partial_path
 
 FAULTS = ctypes.CDLL(None)
 MODES = ("once", "from there on", "killed")
-SIGNALS, UNITS, CHUNK = ("y_A", "i_B"), ("m", "A"), 8
-SETS = {"old": {"a.c": "old a", "b.h": "old b"}, "new": {"a.c": b"new a", "b.h": "new b", "c.txt": "new c"}}
+SIGNALS = ("y_A", "i_B")
+UNITS = ("m", "A")
+CHUNK = 8
+SETS = {
+    "old": {"a.c": "old a", "b.h": "old b"},
+    "new": {"a.c": b"new a", "b.h": "new b", "c.txt": "new c"},
+}
 
 
 def values(tag):
@@ -53,7 +59,13 @@ def record_state(path):
 
 def stream(folder, tag):
     with RecordWriter(
-        folder / "run.h5", "m", 1e3, SIGNALS, UNITS, notes=tuple((f"n{i}", "x") for i in range(9)), chunk=CHUNK
+        folder / "run.h5",
+        "m",
+        1e3,
+        SIGNALS,
+        UNITS,
+        notes=tuple((f"n{i}", "x") for i in range(9)),
+        chunk=CHUNK,
     ) as w:
         for start in range(0, 20, 5):
             w.append(values(tag)[:, start : start + 5])
@@ -95,9 +107,14 @@ def folder_state(folder):
 
 
 def set_there(code):
-    there = {path.name: path.read_bytes() for path in code.iterdir() if path.is_file() and path.name != "other"}
+    there = {
+        path.name: path.read_bytes()
+        for path in code.iterdir()
+        if path.is_file() and path.name != "other"
+    }
     wanted = {
-        tag: {name: c if isinstance(c, bytes) else c.encode() for name, c in files.items()} for tag, files in SETS.items()
+        tag: {name: c if isinstance(c, bytes) else c.encode() for name, c in files.items()}
+        for tag, files in SETS.items()
     }
     return next((tag for tag in SETS if there == wanted[tag]), f"mixed {sorted(there)}")
 
@@ -143,7 +160,11 @@ def main(root, *kinds):
         ended, total = attempt(write, shutil.copytree(base, folder, dirs_exist_ok=True), -1, "once")
         if ended != "done":
             raise SystemExit(f"{kind} fails without a fault: {ended}")
-        for mode, n in ((mode, n) for mode in (MODES[-1:] if kinds else MODES) for n in range(0, total, 3 if kinds else 1)):
+        for mode, n in (
+            (mode, n)
+            for mode in (MODES[-1:] if kinds else MODES)
+            for n in range(0, total, 3 if kinds else 1)
+        ):
             shutil.rmtree(folder)
             shutil.copytree(base, folder)
             ended, _ = attempt(write, folder, n, mode)

@@ -1,4 +1,6 @@
-"""Runs an FMU through FMPy (an importer that is not ours), FMI 2.0 or 3.0 alike, sample by sample."""
+"""Runs an FMU through FMPy (an importer that is not ours), FMI 2.0 or 3.0 alike, sample by
+sample.
+"""
 
 from __future__ import annotations
 
@@ -25,9 +27,11 @@ class Player:
     def loaded(self, token: str | None = None) -> Any:
         make = FMU3Slave if self.three else FMU2Slave
         found = make(
-            guid=token or self.description.guid, unzipDirectory=self.folder, instanceName="one",
+            guid=token or self.description.guid,
+            unzipDirectory=self.folder,
+            instanceName="one",
             modelIdentifier=self.description.coSimulation.modelIdentifier,
-        )  # fmt: skip
+        )
         found.instantiate()
         return found
 
@@ -41,13 +45,17 @@ class Player:
         self.fmu.exitInitializationMode()
 
     def set(self, names: list[str], values: Any) -> None:
-        (self.fmu.setFloat64 if self.three else self.fmu.setReal)([self.refs[n] for n in names], list(values))
+        (self.fmu.setFloat64 if self.three else self.fmu.setReal)(
+            [self.refs[n] for n in names], list(values)
+        )
 
     def set_flags(self, names: list[str], values: Any) -> None:
         self.fmu.setBoolean([self.refs[n] for n in names], [bool(v) for v in values])
 
     def get(self, names: list[str]) -> list[float]:
-        return (self.fmu.getFloat64 if self.three else self.fmu.getReal)([self.refs[n] for n in names])
+        return (self.fmu.getFloat64 if self.three else self.fmu.getReal)(
+            [self.refs[n] for n in names]
+        )
 
     def get_flags(self, names: list[str]) -> list[bool]:
         return [bool(v) for v in self.fmu.getBoolean([self.refs[n] for n in names])]
@@ -69,7 +77,9 @@ class Player:
         return (self.fmu.serializeFMUState if self.three else self.fmu.serializeFMUstate)(state)
 
     def from_bytes(self, content: bytes) -> Any:
-        return (self.fmu.deserializeFMUState if self.three else self.fmu.deSerializeFMUstate)(content)
+        return (self.fmu.deserializeFMUState if self.three else self.fmu.deSerializeFMUstate)(
+            content
+        )
 
     def play(
         self,
@@ -79,8 +89,9 @@ class Player:
         direct: bool = False,
         told: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Currents (k, p) and status (k,): read after each step, or, where they answer at once, before it. told (k,): what a
-        scheduled block is told."""
+        """Currents (k, p) and status (k,): read after each step, or, where they answer at once,
+        before it. told (k,): what a scheduled block is told.
+        """
         inputs, outputs = list(block.inputs), list(block.outputs)
         flags, every = [f"valid_{name}" for name in inputs], ["held", "fault", "limited"]
         every += [] if told is None else ["clamped", f"{block.along.name}_held", "behind"]

@@ -1,12 +1,14 @@
-"""The seal rig as a linear plant without bending modes, and its PID at 10 kHz: what records of identification are made of."""
+"""The seal rig as a linear plant without bending modes, and its PID at 10 kHz: what records of
+identification are made of.
+"""
 
 from functools import cache
 
 from ambrose import load_machine
 from ambrose.core.sampling import c2d
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import match_controller
-from ambrose.plant.reduce import free_mode_reduction
+from ambrose.law.loop import match_controller
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import free_mode_reduction
 from ambrose.synthesis.pid import pid_synthesis
 
 DT = 1e-4

@@ -1,9 +1,12 @@
-"""While testing, docstrings are believed and checked: ``omega (w,) [rad/s]`` is a promise about the argument's shape.
+"""While testing, docstrings are believed and checked: ``omega (w,) [rad/s]`` is a promise about the
+argument's shape.
 
-``install()`` (called by conftest before any test imports the package) hooks the import of the packages below. Each public
-function whose docstring states shapes is wrapped: after a call that succeeded, the arrays it was given are compared with
-the stated shapes (``y (p, k) or (k,)`` allows both); letters must agree within one call, and a letter that is itself an
-integer argument (``count``) has its value. Calls that raise are left alone, for refusing a shape is the function's right.
+``install()`` (called by conftest before any test imports the package) hooks the import of the
+packages below. Each public function whose docstring states shapes is wrapped: after a call that
+succeeded, the arrays it was given are compared with the stated shapes (``y (p, k) or (k,)`` allows
+both); letters must agree within one call, and a letter that is itself an integer argument
+(``count``) has its value. Calls that raise are left alone, for refusing a shape is the function's
+right.
 """
 
 from __future__ import annotations
@@ -20,24 +23,34 @@ from typing import Any
 
 import numpy as np
 
-PACKAGES = ("ambrose.core", "ambrose.physics", "ambrose.plant")
+PACKAGES = ("ambrose.core", "ambrose.model.effects", "ambrose.model")
 _STATED = re.compile(r"\b([A-Za-z_]\w*) (\([^()]*\)(?: or \([^()]*\))*)")
-_PART = re.compile(r"\.\.\.|\d+|[a-z]\w?|[a-z]_\w+|[\da-z ]+ [+*-] [\da-z ]{1,3}")  # not a word of prose
+# not a word of prose
+_PART = re.compile(r"\.\.\.|\d+|[a-z]\w?|[a-z]_\w+|[\da-z ]+ [+*-] [\da-z ]{1,3}")
 
 
 def stated_shapes(function: Callable[..., Any]) -> dict[str, list[str]]:
-    """Parameter name -> allowed shapes, for every ``name (shape)`` in the docstring whose name is a parameter."""
+    """Parameter name -> allowed shapes, for every ``name (shape)`` in the docstring whose name is a
+    parameter.
+    """
     parameters = inspect.signature(function).parameters
     shapes: dict[str, list[str]] = {}
-    for name, text in _STATED.findall(function.__doc__ or ""):
-        choices = [[part.strip() for part in shape.split(",") if part.strip()] for shape in re.findall(r"\((.*?)\)", text)]
-        if name in parameters and all(_PART.fullmatch(part) or part in parameters for parts in choices for part in parts):
+    for name, text in _STATED.findall(" ".join((function.__doc__ or "").split())):
+        choices = [
+            [part.strip() for part in shape.split(",") if part.strip()]
+            for shape in re.findall(r"\((.*?)\)", text)
+        ]
+        if name in parameters and all(
+            _PART.fullmatch(part) or part in parameters for parts in choices for part in parts
+        ):
             shapes.setdefault(name, [f"({', '.join(parts)})" for parts in choices])
     return shapes
 
 
 def checked(function: Callable[..., Any]) -> Callable[..., Any]:
-    """``function``, or a wrapper that raises AssertionError when a docstring's shape proves to be a lie."""
+    """``function``, or a wrapper that raises AssertionError when a docstring's shape proves to be a
+    lie.
+    """
     from ambrose.core.checks import match_shape
 
     shapes = stated_shapes(function)
@@ -49,7 +62,11 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
     def wrapper(*args: Any, **kwargs: Any) -> Any:
         result = function(*args, **kwargs)
         arguments = signature.bind(*args, **kwargs).arguments
-        sizes = {name: int(value) for name, value in arguments.items() if isinstance(value, int | np.integer)}
+        sizes = {
+            name: int(value)
+            for name, value in arguments.items()
+            if isinstance(value, int | np.integer)
+        }
         for name, choices in shapes.items():
             if arguments.get(name) is None:
                 continue
@@ -57,10 +74,16 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
                 actual = np.shape(arguments[name])
             except ValueError:  # ragged: not an array
                 continue
-            fitting = [trial for shape in choices if match_shape(actual, shape, trial := dict(sizes))]
+            fitting = [
+                trial for shape in choices if match_shape(actual, shape, trial := dict(sizes))
+            ]
             if not fitting:
-                given = f"{function.__module__}.{function.__qualname__} took {name} with shape {actual}"
-                raise AssertionError(f"{given}, but its docstring says {' or '.join(choices)} (known: {sizes})")
+                given = (
+                    f"{function.__module__}.{function.__qualname__} took {name} with shape {actual}"
+                )
+                raise AssertionError(
+                    f"{given}, but its docstring says {' or '.join(choices)} (known: {sizes})"
+                )
             sizes = fitting[0]
         return result
 
@@ -70,7 +93,11 @@ def checked(function: Callable[..., Any]) -> Callable[..., Any]:
 def wrap_module(module: ModuleType) -> None:
     """Put the check around the public functions that are defined in ``module``."""
     for name, thing in list(vars(module).items()):
-        if inspect.isfunction(thing) and not name.startswith("_") and thing.__module__ == module.__name__:
+        if (
+            inspect.isfunction(thing)
+            and not name.startswith("_")
+            and thing.__module__ == module.__name__
+        ):
             setattr(module, name, checked(thing))
 
 
@@ -82,7 +109,10 @@ class _Loader(importlib.machinery.SourceFileLoader):
 
 class _Finder(importlib.abc.MetaPathFinder):
     def find_spec(self, fullname: str, path: Any, target: ModuleType | None = None) -> Any:
-        if not fullname.startswith(tuple(f"{package}." for package in PACKAGES)) or fullname == "ambrose.core.checks":
+        if (
+            not fullname.startswith(tuple(f"{package}." for package in PACKAGES))
+            or fullname == "ambrose.core.checks"
+        ):
             return None
         spec = importlib.machinery.PathFinder.find_spec(fullname, path, target)
         if spec is not None and isinstance(spec.loader, importlib.machinery.SourceFileLoader):
@@ -91,9 +121,15 @@ class _Finder(importlib.abc.MetaPathFinder):
 
 
 def install() -> None:
-    """Hook the import system, once; modules that are imported already would escape, so there must be none."""
+    """Hook the import system, once; modules that are imported already would escape, so there must
+    be none.
+    """
     if any(isinstance(finder, _Finder) for finder in sys.meta_path):
         return
-    if early := [name for name in sys.modules if name.startswith(tuple(f"{package}." for package in PACKAGES))]:
+    if early := [
+        name
+        for name in sys.modules
+        if name.startswith(tuple(f"{package}." for package in PACKAGES))
+    ]:
         raise RuntimeError(f"{early[0]} was imported before the shape contract; install it first")
     sys.meta_path.insert(0, _Finder())

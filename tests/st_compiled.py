@@ -1,4 +1,5 @@
-"""Structured text through MATIEC's iec2c (a compiler that is not ours) to C, and that run over a file of samples.
+"""Structured text through MATIEC's iec2c (a compiler that is not ours) to C, and that run over a
+file of samples.
 
 MATIEC is no package: build it from its repository and set MATIEC to the folder with iec2c and lib/.
 """
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ambrose.deployment.block.fixed import ControlBlock
+from ambrose.code.block.fixed import ControlBlock
 
 HOME = Path(os.environ.get("MATIEC", "/nonexistent"))
 AVAILABLE = (HOME / "iec2c").exists() and shutil.which("gcc") is not None
@@ -35,13 +36,20 @@ BOOL __DEBUG;
 
 
 def translated(files: dict[str, str], name: str, folder: Path) -> None:
-    """The C of the function block and its test program in ``folder``; the compiler's complaints are the test's failure."""
+    """The C of the function block and its test program in ``folder``; the compiler's complaints are
+    the test's failure.
+    """
     source = folder / "all.st"
-    source.write_text(files[f"{name}.st"] + files[f"{name}_test.st"] + _CONFIGURATION.replace("NAME", name))
+    source.write_text(
+        files[f"{name}.st"] + files[f"{name}_test.st"] + _CONFIGURATION.replace("NAME", name)
+    )
     done = subprocess.run(
         [str(HOME / "iec2c"), "-I", str(HOME / "lib"), "-T", str(folder), str(source)],
-        capture_output=True, text=True, check=False, timeout=60,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
     assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -65,14 +73,27 @@ int main(void)
 
 
 def replay(
-    block: ControlBlock, folder: Path, errors: np.ndarray, valid: np.ndarray, kind: str = "double",
-    track: np.ndarray | None = None, given: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    block: ControlBlock,
+    folder: Path,
+    errors: np.ndarray,
+    valid: np.ndarray,
+    kind: str = "double",
+    track: np.ndarray | None = None,
+    given: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
     """Currents (k, p) and status (k,) of the function block over errors (k, m)."""
-    m, p, upper = len(block.inputs), len(block.outputs), block.name.upper()
-    sets = [f"fb.{s.upper()}.value = r.e[{j}]; fb.VALID_{s.upper()}.value = r.valid[{j}];" for j, s in enumerate(block.inputs)]
+    m = len(block.inputs)
+    p = len(block.outputs)
+    upper = block.name.upper()
+    sets = [
+        f"fb.{s.upper()}.value = r.e[{j}]; fb.VALID_{s.upper()}.value = r.valid[{j}];"
+        for j, s in enumerate(block.inputs)
+    ]
     if track is not None:
-        sets += ["fb.TRACK.value = r.track;", *(f"fb.GIVEN_{s.upper()}.value = r.u[{i}];" for i, s in enumerate(block.outputs))]
+        sets += [
+            "fb.TRACK.value = r.track;",
+            *(f"fb.GIVEN_{s.upper()}.value = r.u[{i}];" for i, s in enumerate(block.outputs)),
+        ]
     gets = [f"r.u[{i}] = fb.{s.upper()}.value;" for i, s in enumerate(block.outputs)]
     code = f"""{_HEAD}
 #pragma pack(push, 1)
@@ -96,7 +117,9 @@ int main(void)
 }}
 """
     number = np.float64 if kind == "double" else np.float32
-    rows = np.zeros(len(errors), [("e", number, m), ("u", number, p), ("valid", "u1", m), ("track", "u1")])
+    rows = np.zeros(
+        len(errors), [("e", number, m), ("u", number, p), ("valid", "u1", m), ("track", "u1")]
+    )
     with np.errstate(over="ignore", invalid="ignore"):
         rows["e"] = errors
     rows["valid"] = valid
@@ -112,26 +135,39 @@ def _run(code: str, folder: Path, given: bytes) -> bytes:
     build = ["gcc", "-w", "-O1", "-I", str(HOME / "lib" / "C"), "driver.c", "-o", "driver", "-lm"]
     done = subprocess.run(build, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    return subprocess.run([str(folder / "driver")], input=given, capture_output=True, check=True, timeout=120).stdout
+    return subprocess.run(
+        [str(folder / "driver")], input=given, capture_output=True, check=True, timeout=120
+    ).stdout
 
 
 STRUCPP = Path(os.environ.get("STRUCPP", "/nonexistent"))
 STRUCPP_AVAILABLE = (
-    (STRUCPP / "dist/node/cli.js").exists() and shutil.which("g++") is not None and shutil.which("node") is not None
+    (STRUCPP / "dist/node/cli.js").exists()
+    and shutil.which("g++") is not None
+    and shutil.which("node") is not None
 )
 STRUCPP_REASON = "no STruC++: set the environment variable STRUCPP to its built repository"
 
 
 def replay_strucpp(
     files: dict[str, str], block: ControlBlock, folder: Path, errors: np.ndarray, valid: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, tuple[int, int, bool]]:  # fmt: skip
-    """Through STruC++ to C++17: currents (k, p), status (k,), and what the test program has after 100 cycles."""
-    m, p, name = len(block.inputs), len(block.outputs), block.name
+) -> tuple[np.ndarray, np.ndarray, tuple[int, int, bool]]:
+    """Through STruC++ to C++17: currents (k, p), status (k,), and what the test program has after
+    100 cycles.
+    """
+    m = len(block.inputs)
+    p = len(block.outputs)
+    name = block.name
     (folder / "all.st").write_text(files[f"{name}.st"] + files[f"{name}_test.st"])
     translate = ["node", str(STRUCPP / "dist/node/cli.js"), "all.st", "-o", "all.cpp"]
-    done = subprocess.run(translate, cwd=folder, capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run(
+        translate, cwd=folder, capture_output=True, text=True, check=False, timeout=60
+    )
     assert done.returncode == 0, done.stdout + done.stderr
-    sets = [f"fb.{s.upper()} = r.e[{j}]; fb.VALID_{s.upper()} = r.valid[{j}] != 0;" for j, s in enumerate(block.inputs)]
+    sets = [
+        f"fb.{s.upper()} = r.e[{j}]; fb.VALID_{s.upper()} = r.valid[{j}] != 0;"
+        for j, s in enumerate(block.inputs)
+    ]
     gets = [f"r.u[{i}] = static_cast<double>(fb.{s.upper()});" for i, s in enumerate(block.outputs)]
     (folder / "main.cpp").write_text(f"""#include <cstdio>
 #include "all.hpp"
@@ -164,7 +200,9 @@ int main()
     assert done.returncode == 0, done.stderr[-3000:]
     rows = np.zeros(len(errors), [("e", float, m), ("u", float, p), ("valid", "u1", m)])
     rows["e"], rows["valid"] = errors, valid
-    out = subprocess.run([str(folder / "driver")], input=rows.tobytes(), capture_output=True, check=True, timeout=120).stdout
+    out = subprocess.run(
+        [str(folder / "driver")], input=rows.tobytes(), capture_output=True, check=True, timeout=120
+    ).stdout
     samples, wrong, finished = np.frombuffer(out[:12], "u4").tolist()
     found = np.frombuffer(out[12:], [("u", float, p), ("status", "u4")])
     assert len(found) == len(errors)

@@ -1,7 +1,8 @@
-"""Runs structured text in Python: blark's parser (not ours) makes the tree, this turns it into Python functions.
+"""Runs structured text in Python: blark's parser (not ours) makes the tree, this turns it into
+Python functions.
 
-Covers what the export writes: declarations with initial values, arrays, assignments, IF, FOR, arithmetic, comparisons, logic.
-Numbers are doubles, as LREAL.
+Covers what the export writes: declarations with initial values, arrays, assignments, IF, FOR,
+arithmetic, comparisons, logic. Numbers are doubles, as LREAL.
 """
 
 from __future__ import annotations
@@ -15,8 +16,9 @@ _OPS = {"<>": "!=", "=": "==", "AND": "and", "OR": "or"}
 
 
 def parsed(source: str) -> Any:
-    """The first unit of the source as blark's dataclasses; a syntax error fails the test. Comments are checked by hand: the
-    parser is slow with them."""
+    """The first unit of the source as blark's dataclasses; a syntax error fails the test. Comments
+    are checked by hand: the parser is slow with them.
+    """
     plain = re.sub(r"\(\*.*?\*\)", "", source, flags=re.DOTALL)
     assert "(*" not in plain and "*)" not in plain
     result = parse_source_code(plain, parser=new_parser())
@@ -25,7 +27,9 @@ def parsed(source: str) -> Any:
 
 
 class FunctionBlock:
-    """An instance: variables by name in ``v`` (arrays as dictionaries), called with inputs as keywords."""
+    """An instance: variables by name in ``v`` (arrays as dictionaries), called with inputs as
+    keywords.
+    """
 
     def __init__(self, unit: Any) -> None:
         self.v: dict[str, Any] = {}
@@ -36,7 +40,8 @@ class FunctionBlock:
                 self.inputs |= set(names)
         lines = ["def body(v):", *_statements(unit.body.statements, 1)]
         scope: dict[str, Any] = {}
-        exec(compile("\n".join(lines), "structured text", "exec"), scope)  # our own generated text, parsed and translated
+        # our own generated text, parsed and translated
+        exec(compile("\n".join(lines), "structured text", "exec"), scope)
         self.body = scope["body"]
 
     def __call__(self, **inputs: Any) -> dict[str, Any]:
@@ -59,8 +64,18 @@ def _initial(init: Any) -> Any:
         places: list[tuple[int, ...]] = [()]
         for span in spans:
             places = [(*place, i) for place in places for i in span]
-        zero: Any = False if str(init.spec.type.type_name) == "BOOL" else 0 if str(init.spec.type.type_name) == "INT" else 0.0
-        values = [zero] * len(places) if init.value is None else [eval(text) for text in _flat(init.value)]
+        zero: Any = (
+            False
+            if str(init.spec.type.type_name) == "BOOL"
+            else 0
+            if str(init.spec.type.type_name) == "INT"
+            else 0.0
+        )
+        values = (
+            [zero] * len(places)
+            if init.value is None
+            else [eval(text) for text in _flat(init.value)]
+        )
         assert len(values) == len(places), "an array and its initial values differ in size"
         return dict(zip(places, values, strict=True))
     if init.value is not None:
@@ -84,16 +99,25 @@ def _statements(nodes: Any, depth: int) -> list[str]:
             lines.append(f"{pad}{_expression(target)} = {_expression(node.expression)}")
         elif kind == "ForStatement":
             span = f"range({_expression(node.from_)}, {_expression(node.to)} + 1)"
-            lines += [f"{pad}for v['{node.control.name}'] in {span}:", *_statements(node.statements.statements, depth + 1)]
+            lines += [
+                f"{pad}for v['{node.control.name}'] in {span}:",
+                *_statements(node.statements.statements, depth + 1),
+            ]
         elif kind == "IfStatement":
-            lines += [f"{pad}if {_expression(node.if_expression)}:", *_statements(node.statements.statements, depth + 1)]
+            lines += [
+                f"{pad}if {_expression(node.if_expression)}:",
+                *_statements(node.statements.statements, depth + 1),
+            ]
             for other in node.else_ifs:
                 lines += [
                     f"{pad}elif {_expression(other.if_expression)}:",
                     *_statements(other.statements.statements, depth + 1),
                 ]
             if node.else_clause is not None:
-                lines += [f"{pad}else:", *_statements(node.else_clause.statements.statements, depth + 1)]
+                lines += [
+                    f"{pad}else:",
+                    *_statements(node.else_clause.statements.statements, depth + 1),
+                ]
         else:
             raise NotImplementedError(kind)
     return lines
@@ -105,7 +129,9 @@ def _expression(node: Any) -> str:
         return f"v['{node.name}']"
     if kind == "MultiElementVariable":
         (subscripts,) = node.elements
-        return f"v['{node.name.name}'][({', '.join(_expression(s) for s in subscripts.subscripts)},)]"
+        return (
+            f"v['{node.name.name}'][({', '.join(_expression(s) for s in subscripts.subscripts)},)]"
+        )
     if kind in {"Real", "Integer"}:
         return str(node.value)
     if kind == "Boolean":
@@ -115,5 +141,8 @@ def _expression(node: Any) -> str:
     if kind == "UnaryOperation":
         return f"({'not' if str(node.op) == 'NOT' else str(node.op)} {_expression(node.expr)})"
     if kind == "BinaryOperation":
-        return f"({_expression(node.left)} {_OPS.get(str(node.op), str(node.op))} {_expression(node.right)})"
+        return (
+            f"({_expression(node.left)} {_OPS.get(str(node.op), str(node.op))} "
+            f"{_expression(node.right)})"
+        )
     raise NotImplementedError(kind)

@@ -1,4 +1,6 @@
-"""The history of `make bench`: what fell against its peer is named, whatever the computer; growth as an exponent."""
+"""The history of `make bench`: what fell against its peer is named, whatever the computer; growth
+as an exponent.
+"""
 
 import sys
 import xml.etree.ElementTree as ET
@@ -11,10 +13,22 @@ from benchmarks.__main__ import main
 
 
 def rows(slow=1.0, computer=1.0):
-    """Two figures on a computer that takes ``computer`` times as long; the first ``slow`` times as long as it should."""
+    """Two figures on a computer that takes ``computer`` times as long; the first ``slow`` times as
+    long as it should.
+    """
     return [
-        {"module": "bench_norms", "name": "norm, n = 8", "ours": 1e-3 * slow * computer, "peer": 2e-3 * computer},
-        {"module": "bench_rig", "name": "  with 3 modes: 120 s/s", "ours": 0.1 * computer, "peer": None},
+        {
+            "module": "bench_norms",
+            "name": "norm, n = 8",
+            "ours": 1e-3 * slow * computer,
+            "peer": 2e-3 * computer,
+        },
+        {
+            "module": "bench_rig",
+            "name": "  with 3 modes: 120 s/s",
+            "ours": 0.1 * computer,
+            "peer": None,
+        },
     ]
 
 
@@ -38,7 +52,11 @@ def test_names_stay_when_speeds_change():
 @pytest.mark.parametrize("power", [0.5, 1.0, 3.0])
 def test_exponent_of_a_series(power):
     series = [{"ours": 2e-3 * n**power, "series": "over n", "size": n} for n in (10, 40, 90)]
-    others = [{"ours": 1.0, "series": "two only", "size": 1}, {"ours": 2.0, "series": "two only", "size": 2}, {"ours": 1.0}]
+    others = [
+        {"ours": 1.0, "series": "two only", "size": 1},
+        {"ours": 2.0, "series": "two only", "size": 2},
+        {"ours": 1.0},
+    ]
     assert history.exponents([*series, *others]) == {"over n": pytest.approx(power)}
 
 
@@ -56,14 +74,20 @@ def test_runs_are_kept_and_drawn(tmp_path, monkeypatch):
 
 
 def test_make_bench_names_a_made_up_fall(tmp_path, monkeypatch, capsys):
-    """The whole of `python -m benchmarks norms` with given figures: in the third run one takes 1.4 times as long."""
+    """The whole of `python -m benchmarks norms` with given figures: in the third run one takes 1.4
+    times as long.
+    """
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(history, "yardstick", lambda: 0.01)
     for slow in (1.0, 1.1, 1.4):
         given = SimpleNamespace(run=lambda slow=slow: rows(slow=slow, computer=1 / slow))
         monkeypatch.setitem(sys.modules, "benchmarks.bench_norms", given)
         assert main(["norms"]) == 0
-        named = [line for line in capsys.readouterr().out.splitlines() if line.startswith("slower against its peer")]
+        named = [
+            line
+            for line in capsys.readouterr().out.splitlines()
+            if line.startswith("slower against its peer")
+        ]
         assert len(named) == (slow == 1.4)
     assert named[0].endswith("norms: norm, n = 8") and "the factor 0.7" in named[0]
     runs = history.read(tmp_path / "benchmarks.jsonl")

@@ -1,4 +1,6 @@
-"""Where commands write: refused before the work begins if it cannot be written, and what fails at the end loses no result."""
+"""Where commands write: refused before the work begins if it cannot be written, and what fails at
+the end loses no result.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +13,10 @@ from click.testing import CliRunner
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import static_gain
+from ambrose.judge.controller_file import read_controller, write_controller
+from ambrose.judge.result import Synthesis
 from ambrose.machine.claim import claimed
 from ambrose.machine.file.toml import bundled_machines
-from ambrose.synthesis.controller_file import read_controller, write_controller
-from ambrose.synthesis.result import Synthesis
 
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
 
@@ -37,34 +39,80 @@ def never(monkeypatch):
     def begun(*arguments, **options):
         raise AssertionError("begun")
 
-    for place in ("evaluation.trial.simulate_scenario", "synthesis.design.design", "evaluation.plants.plant_at",
-                  "identification.pipeline.identify", "machine.record.files.read_record"):  # fmt: skip
+    for place in (
+        "rig.trial.simulate_scenario",
+        "synthesis.design.design",
+        "judge.plants.plant_at",
+        "identification.pipeline.identify",
+        "record.files.read_record",
+    ):
         monkeypatch.setattr(f"ambrose.{place}", begun)
 
 
-SIMULATE = ["simulate", "seal-rig", "--controller", "{tmp}/law.json", "--scenario", "impulse-parallel"]
+SIMULATE = [
+    "simulate",
+    "seal-rig",
+    "--controller",
+    "{tmp}/law.json",
+    "--scenario",
+    "impulse-parallel",
+]
 BAD = {
-    "a controller that is a machine file": (["synthesize", "seal-rig", "-o", "{tmp}/m.toml"], "must be a file *.json"),
-    "a report that is a machine file": ([*SIMULATE, "-o", "{tmp}/r.h5", "--report", "{tmp}/m.toml"], "must be a file *.html"),
-    "a report in no folder": ([*SIMULATE, "-o", "{tmp}/r.h5", "--report", "{tmp}/none/r.html"], "not a directory"),
-    "a report that is a folder": ([*SIMULATE, "-o", "{tmp}/r.h5", "--report", "{tmp}"], "path of the report"),
-    "a report over the record": ([*SIMULATE, "-o", "{tmp}/r.h5", "--report", "{tmp}/x/../r.h5"], "another name"),
-    "a record of no known kind": ([*SIMULATE, "--linear", "-o", "{tmp}/r.txt"], "suffix"),
-    "a controller in no folder": (["synthesize", "seal-rig", "-o", "{tmp}/none/c.json"], "not a directory"),
-    "a machine file in no folder": (
-        ["identify", "seal-rig", "r.h5", "--method", "static", "-o", "{tmp}/none/m.toml"], "not a directory"
+    "a controller that is a machine file": (
+        ["synthesize", "seal-rig", "-o", "{tmp}/m.toml"],
+        "must be a file *.json",
     ),
-    "an identification's report in no folder": (
-        ["identify", "seal-rig", "r.h5", "--method", "static", "-o", "{tmp}/m.toml", "--report", "{tmp}/none/r.html"],
+    "a report that is a machine file": (
+        [*SIMULATE, "-o", "{tmp}/r.h5", "--report", "{tmp}/m.toml"],
+        "must be a file *.html",
+    ),
+    "a report in no folder": (
+        [*SIMULATE, "-o", "{tmp}/r.h5", "--report", "{tmp}/none/r.html"],
         "not a directory",
     ),
-    "a converted record in no folder": (["convert", "r.h5", "-o", "{tmp}/none/r.csv"], "not a directory"),
-}  # fmt: skip
+    "a report that is a folder": (
+        [*SIMULATE, "-o", "{tmp}/r.h5", "--report", "{tmp}"],
+        "path of the report",
+    ),
+    "a report over the record": (
+        [*SIMULATE, "-o", "{tmp}/r.h5", "--report", "{tmp}/x/../r.h5"],
+        "another name",
+    ),
+    "a record of no known kind": ([*SIMULATE, "--linear", "-o", "{tmp}/r.txt"], "suffix"),
+    "a controller in no folder": (
+        ["synthesize", "seal-rig", "-o", "{tmp}/none/c.json"],
+        "not a directory",
+    ),
+    "a machine file in no folder": (
+        ["identify", "seal-rig", "r.h5", "--method", "static", "-o", "{tmp}/none/m.toml"],
+        "not a directory",
+    ),
+    "an identification's report in no folder": (
+        [
+            "identify",
+            "seal-rig",
+            "r.h5",
+            "--method",
+            "static",
+            "-o",
+            "{tmp}/m.toml",
+            "--report",
+            "{tmp}/none/r.html",
+        ],
+        "not a directory",
+    ),
+    "a converted record in no folder": (
+        ["convert", "r.h5", "-o", "{tmp}/none/r.csv"],
+        "not a directory",
+    ),
+}
 
 
 @pytest.mark.parametrize("case", BAD)
 def test_a_place_that_cannot_be_written_is_refused_before_the_work(case, law, never, tmp_path):
-    """A simulation, an identification ran to its end first; a report replaced the record of its own run."""
+    """A simulation, an identification ran to its end first; a report replaced the record of its own
+    run.
+    """
     arguments, words = BAD[case]
     (tmp_path / "x").mkdir()
     before = sorted(tmp_path.iterdir())
@@ -85,7 +133,12 @@ def test_what_another_run_writes_is_refused_before_the_work(arguments, law, neve
     """Both ran; the last one to end was what remained."""
     place = tmp_path / ("out.h5" if arguments[0] == "simulate" else "out")
     with claimed(place, "file"):
-        done = call(*(argument.format(tmp=tmp_path).replace("/out", f"/{place.name}") for argument in arguments))
+        done = call(
+            *(
+                argument.format(tmp=tmp_path).replace("/out", f"/{place.name}")
+                for argument in arguments
+            )
+        )
     assert done.exit_code == 2 and "another run is writing" in done.stderr
 
 
@@ -99,9 +152,9 @@ def test_a_controller_that_cannot_be_written_in_the_end_is_written_elsewhere(tmp
             raise InvalidInput("cannot write the controller file: No space left on device")
         return real(place, result)
 
-    monkeypatch.setattr("ambrose.evaluation.plants.plant_at", lambda *arguments: None)
+    monkeypatch.setattr("ambrose.judge.plants.plant_at", lambda *arguments: None)
     monkeypatch.setattr("ambrose.synthesis.design.design", lambda *arguments, **options: made)
-    monkeypatch.setattr("ambrose.synthesis.controller_file.write_controller", full)
+    monkeypatch.setattr("ambrose.judge.controller_file.write_controller", full)
     done = call("synthesize", "seal-rig", "--method", "pid", "-o", path, "--json")
     assert done.exit_code == 2 and json.loads(done.stdout)["method"] == "pid"
     elsewhere = Path(done.stderr.split("it was written to ")[1].split(" instead")[0])
@@ -116,6 +169,8 @@ def test_labels_that_no_record_takes_are_refused_with_the_machine_file(text, tmp
     content = Path(bundled_machines()["seal-rig"]).read_text(encoding="utf-8")
     for old in ('label = "zero pressure"', 'name = "seal-rig"'):
         assert old in content
-        (tmp_path / "m.toml").write_text(content.replace(old, f'{old.split(" = ")[0]} = "{text}"'), encoding="utf-8")
+        (tmp_path / "m.toml").write_text(
+            content.replace(old, f'{old.split(" = ")[0]} = "{text}"'), encoding="utf-8"
+        )
         done = call("check", tmp_path / "m.toml")
         assert done.exit_code == 2 and "one line of text without outer spaces" in done.stderr

@@ -1,4 +1,6 @@
-"""`ambrose convert controller`: what comes out runs everywhere; wrong signs and units are noticed."""
+"""`ambrose convert controller`: what comes out runs everywhere; wrong signs and units are
+noticed.
+"""
 
 import json
 from dataclasses import replace
@@ -12,7 +14,7 @@ import ambrose as amb
 from ambrose.cli import main
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
-from ambrose.stages.imported_controller import not_held
+from ambrose.synthesis.imported_controller import not_held
 
 RIG = "turbomolecular-pump"
 DT = 5e-5
@@ -30,12 +32,16 @@ SHORT = "name = 'short'\nduration = '0.3 s'\n" + "".join(
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """A MAT-file of the rig's own controller as a DSP runs it, from displacements in um to mA, without names."""
+    """A MAT-file of the rig's own controller as a DSP runs it, from displacements in um to mA,
+    without names.
+    """
     folder = tmp_path_factory.mktemp("import")
     law = amb.design(RIG, "pid")
     amb.write_controller(folder / "pid.json", law)
     K = c2d(law.controller, DT, "tustin")
-    scipy.io.savemat(folder / "dsp.mat", {"A": K.A, "B": -1e-3 * K.B, "C": K.C, "D": -1e-3 * K.D, "Ts": DT})
+    scipy.io.savemat(
+        folder / "dsp.mat", {"A": K.A, "B": -1e-3 * K.B, "C": K.C, "D": -1e-3 * K.D, "Ts": DT}
+    )
     return folder
 
 
@@ -44,37 +50,74 @@ RIGHT = ("--input", "displacement", "--input-unit", "um", "--output-unit", "mA")
 
 def test_a_controller_with_units_and_sign_is_the_one_that_it_came_from(place):
     path = place / "dsp.json"
-    done = call("convert", "controller", place / "dsp.mat", "--machine", RIG, *RIGHT, "--delay-samples", 1, "-o", path)
+    done = call(
+        "convert",
+        "controller",
+        place / "dsp.mat",
+        "--machine",
+        RIG,
+        *RIGHT,
+        "--delay-samples",
+        1,
+        "-o",
+        path,
+    )
     assert done.exit_code == 0, done.output
-    assert "sampled at 20000 Hz" in done.output and "it holds turbomolecular-pump at every operating point" in done.output
+    assert (
+        "sampled at 20000 Hz" in done.output
+        and "it holds turbomolecular-pump at every operating point" in done.output
+    )
     omega = np.geomspace(1, 2e4, 20)
     back, own = amb.read_controller(path), amb.read_controller(place / "pid.json")
     expected = frequency_response(c2d(own.controller, DT, "tustin"), omega).values
-    np.testing.assert_allclose(frequency_response(back.controller, omega).values, expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        frequency_response(back.controller, omega).values, expected, rtol=1e-9, atol=1e-9
+    )
     assert back.provenance.machine == RIG
 
 
 @pytest.mark.parametrize(
     ("left_out", "words"),
     [
-        (("--input", "displacement"), "of the other sign (--input displacement turns it), it would be stable everywhere"),
+        (
+            ("--input", "displacement"),
+            "of the other sign (--input displacement turns it), it would be stable everywhere",
+        ),
         (("--input-unit", "um"), "in um (--input-unit um), it would be stable everywhere"),
-        (("--input", "displacement", "--input-unit", "um"), "of the other sign (--input displacement turns it) and in um"),
+        (
+            ("--input", "displacement", "--input-unit", "um"),
+            "of the other sign (--input displacement turns it) and in um",
+        ),
     ],
 )
 def test_a_wrong_sign_and_a_wrong_unit_are_noticed(place, tmp_path, left_out, words):
     kept = [word for word in RIGHT if word not in left_out]
-    done = call("convert", "controller", place / "dsp.mat", "--machine", RIG, *kept, "-o", tmp_path / "k.json", "--json")
+    done = call(
+        "convert",
+        "controller",
+        place / "dsp.mat",
+        "--machine",
+        RIG,
+        *kept,
+        "-o",
+        tmp_path / "k.json",
+        "--json",
+    )
     told = json.loads(done.stdout)
     assert done.exit_code == 1 and told["held"] is False and (tmp_path / "k.json").exists()
-    assert any("the loop is unstable at" in problem and words in problem for problem in told["problems"])
+    assert any(
+        "the loop is unstable at" in problem and words in problem for problem in told["problems"]
+    )
 
 
 def test_a_controller_that_no_sign_and_unit_holds(place):
     law = amb.read_controller(place / "pid.json")
     nothing = replace(law, controller=replace_gain(law.controller, 1e-12))
     machine = amb.load_machine(RIG)
-    assert "check the order of the axes" in not_held(machine, nothing)[0] and not_held(machine, law) == []
+    assert (
+        "check the order of the axes" in not_held(machine, nothing)[0]
+        and not_held(machine, law) == []
+    )
 
 
 def replace_gain(K, factor):
@@ -83,16 +126,45 @@ def replace_gain(K, factor):
 
 def test_it_runs_in_verify_simulate_identify_and_export(place):
     path, record = place / "run.json", place / "run.h5"
-    call("convert", "controller", place / "dsp.mat", "--machine", RIG, *RIGHT, "--delay-samples", 1, "-o", path)
+    call(
+        "convert",
+        "controller",
+        place / "dsp.mat",
+        "--machine",
+        RIG,
+        *RIGHT,
+        "--delay-samples",
+        1,
+        "-o",
+        path,
+    )
     short = place / "short.toml"
     short.write_text(SHORT)
-    assert "sampled at 20000 Hz, 1 sample late (the controller's own)" in call("verify", RIG, "--controller", path).stdout
-    assert call("simulate", RIG, "--controller", path, "--scenario", short, "--linear", "-o", record).exit_code == 0
+    assert (
+        "sampled at 20000 Hz, 1 sample late (the controller's own)"
+        in call("verify", RIG, "--controller", path).stdout
+    )
+    assert (
+        call(
+            "simulate", RIG, "--controller", path, "--scenario", short, "--linear", "-o", record
+        ).exit_code
+        == 0
+    )
     unknown = ("--unknown", "bearing.*.negative_stiffness.*")
     done = call("identify", RIG, record, "--controller", path, *unknown, "-o", place / "m.toml")
     assert done.exit_code in (0, 1), done.stderr
-    assert call("export", path, "--to", "mat", "-o", place / "mat", "--machine", RIG, "--force").exit_code in (0, 1)
-    again = call("convert", "controller", place / "mat" / "controller.mat", "--machine", RIG, "-o", place / "again.json")
+    assert call(
+        "export", path, "--to", "mat", "-o", place / "mat", "--machine", RIG, "--force"
+    ).exit_code in (0, 1)
+    again = call(
+        "convert",
+        "controller",
+        place / "mat" / "controller.mat",
+        "--machine",
+        RIG,
+        "-o",
+        place / "again.json",
+    )
     assert again.exit_code == 0, again.output
 
 
@@ -109,18 +181,32 @@ def test_a_continuous_controller_is_sampled(place, tmp_path, method):
     expected = c2d(amb.read_controller(source).controller, DT, method)
     omega = np.geomspace(1, 2e4, 20)
     found = amb.read_controller(tmp_path / "k.json").controller
-    np.testing.assert_allclose(*(frequency_response(one, omega).values for one in (found, expected)), rtol=1e-12)
+    np.testing.assert_allclose(
+        *(frequency_response(one, omega).values for one in (found, expected)), rtol=1e-12
+    )
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("dsp.mat",), "its 4 channels have no names; name their axes in this order (--axes, or --machine)"),
+        (
+            ("dsp.mat",),
+            "its 4 channels have no names; name their axes in this order (--axes, or --machine)",
+        ),
         (("dsp.mat", "--axes", "a,b"), "the number of axes is 2 (a, b), but must be 4"),
-        (("dsp.mat", "--axes", "a,b,c,d", "--machine", RIG), "the axes of the controller is a, b, c, d, but must be those of"),
+        (
+            ("dsp.mat", "--axes", "a,b,c,d", "--machine", RIG),
+            "the axes of the controller is a, b, c, d, but must be those of",
+        ),
         (("pid.json", "--sampling", "tustin"), "--sampling needs the rate"),
-        (("pid.json", "--input-unit", "um"), "input_unit was stated, but a file of this package says it itself"),
-        (("dsp.mat", "--axes", "a,b,c,d", "--sampling", "zoh", "--rate-hz", "20000"), "it is sampled already, at 20000 Hz"),
+        (
+            ("pid.json", "--input-unit", "um"),
+            "input_unit was stated, but a file of this package says it itself",
+        ),
+        (
+            ("dsp.mat", "--axes", "a,b,c,d", "--sampling", "zoh", "--rate-hz", "20000"),
+            "it is sampled already, at 20000 Hz",
+        ),
         (("pid.json", "--prewarp-hz", "100"), "--prewarp-hz goes with --sampling"),
         (("none.csv",), "none.csv"),
     ],

@@ -1,4 +1,6 @@
-"""Verification and simulation of one controller as the front door and the command line call them."""
+"""Verification and simulation of one controller as the front door and the command line call
+them.
+"""
 
 from __future__ import annotations
 
@@ -8,23 +10,23 @@ import numpy as np
 import pytest
 
 from ambrose import load_machine
+from ambrose.chain.study import Study
 from ambrose.core.checks import InvalidInput
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.scheduled import ScheduledSystem
-from ambrose.evaluation.candidate import Candidate, evaluate
-from ambrose.evaluation.trial import simulate_linear, simulate_scenario
-from ambrose.evaluation.verdict import verify_controller
-from ambrose.plant.assemble import assemble
-from ambrose.plant.model import Plant
-from ambrose.plant.reduce import reduce
+from ambrose.judge import nominal
+from ambrose.judge.checks import Check, Checks
+from ambrose.judge.result import Synthesis
+from ambrose.judge.verdict import verify_controller
+from ambrose.model.assemble import assemble
+from ambrose.model.plant import Plant
+from ambrose.model.reduce import reduce
 from ambrose.report.comparison.envelope import decision
 from ambrose.report.comparison.tables import verdicts_of
-from ambrose.simulation.scenario import load_scenario
+from ambrose.rig.candidate import Candidate, evaluate
+from ambrose.rig.scenario import load_scenario
+from ambrose.rig.trial import simulate_linear, simulate_scenario
 from ambrose.synthesis.pid import pid_controller, pid_synthesis
-from ambrose.synthesis.result import Synthesis
-from ambrose.verification import nominal
-from ambrose.verification.checks import Check, Checks
-from ambrose.workflow import Study
 from coarse import coarse
 
 LOW, HIGH = 2 * np.pi * 20.0, 2 * np.pi * 140.0
@@ -58,8 +60,12 @@ def test_points_beyond_a_schedule_are_named_and_nothing_is_passed(coarse, schedu
     assert [checks.label for checks in verification.points] == ["140 Hz (P3)"]
     assert verification.left_out == ("300 Hz (P3)", "standstill")
     assert not verification.passed
-    met = tuple(replace(checks, checks=()) for checks in verification.points)  # the one point meets everything
-    assert replace(verification, points=met, left_out=()).passed and not replace(verification, points=met).passed
+    # the one point meets everything
+    met = tuple(replace(checks, checks=()) for checks in verification.points)
+    assert (
+        replace(verification, points=met, left_out=()).passed
+        and not replace(verification, points=met).passed
+    )
     with pytest.raises(InvalidInput, match="scheduled range"):
         verify_controller(coarse, schedule, ["standstill"])
 
@@ -77,8 +83,10 @@ def test_a_rate_verifies_the_controller_as_it_runs(small, made):
     assert verification.points[0].to_dict() == nominal.check(small, late).to_dict()
     one = replace(small.machine, tolerances=small.machine.tolerances[:1])
     box = verify_controller(replace(small, machine=one), made.controller, rate=8000.0).tolerances
-    assert box is not None and box["sampled.stability.box"].value >= 0  # nothing was said of the tolerances before
-    own = c2d(made.controller, 1 / 8000, "tustin")  # a sampled law is known to run at its own rate, and late as any other
+    # nothing was said of the tolerances before
+    assert box is not None and box["sampled.stability.box"].value >= 0
+    # a sampled law is known to run at its own rate, and late as any other
+    own = c2d(made.controller, 1 / 8000, "tustin")
     for law, samples in ((own, None), (late, 0)):
         same = verify_controller(small, law, tolerances=False, delay_samples=samples)
         assert same.points[0].to_dict() == nominal.check(small, late).to_dict()
@@ -109,23 +117,34 @@ def test_the_linear_plant_turns_as_fast_as_the_scenario_says(coarse):
     law = pid_controller(coarse.controller, coarse)
     events = replace(load_scenario("unbalance"), speed=HIGH, duration=0.05)
     points = [replace(coarse.operation.points[0], speed=speed) for speed in (0.0, HIGH)]
-    still, turning = (simulate_linear(assemble(coarse, point), law, events).record for point in points)
+    still, turning = (
+        simulate_linear(assemble(coarse, point), law, events).record for point in points
+    )
     np.testing.assert_allclose(still.values, turning.values, rtol=0, atol=1e-12)
 
 
 def test_evaluation_keeps_what_a_schedule_leaves_out(coarse, schedule, made, monkeypatch):
-    monkeypatch.setattr("ambrose.evaluation.candidate.run_on_rig", lambda plant, program, scenario, timing: None)
-    monkeypatch.setattr("ambrose.evaluation.candidate.SCENARIOS", ("impulse-parallel",))
-    monkeypatch.setattr("ambrose.evaluation.candidate.simulate_linear", lambda plant, law, scenario, timing: None)
+    monkeypatch.setattr(
+        "ambrose.rig.candidate.run_on_rig", lambda plant, program, scenario, timing: None
+    )
+    monkeypatch.setattr("ambrose.rig.candidate.SCENARIOS", ("impulse-parallel",))
+    monkeypatch.setattr(
+        "ambrose.rig.candidate.simulate_linear", lambda plant, law, scenario, timing: None
+    )
     bare = replace(coarse, tolerances=())
     labels = ("standstill", "140 Hz (P3)")
-    plants = [reduce(assemble(bare, point), 1) for point in bare.operation.points if point.label in labels]
+    plants = [
+        reduce(assemble(bare, point), 1) for point in bare.operation.points if point.label in labels
+    ]
     candidate = evaluate("LPV", replace(made, scheduled=schedule), plants)
     assert candidate.left_out == ("standstill",)
-    assert [label for label, _ in candidate.traces] == ["140 Hz (P3)"] * 2  # on the linear loop and on the rig
+    # on the linear loop and on the rig
+    assert [label for label, _ in candidate.traces] == ["140 Hz (P3)"] * 2
 
 
-def candidate(name: str, made: Synthesis, passed: bool, left_out: tuple[str, ...] = ()) -> Candidate:
+def candidate(
+    name: str, made: Synthesis, passed: bool, left_out: tuple[str, ...] = ()
+) -> Candidate:
     check = Check("sensitivity.output.max", "Peak", 2.0, "-", 3.0 if passed else 1.0, "<=", passed)
     return Candidate(name, made, (Checks("nominal pressure", True, (check,)),), left_out=left_out)
 
@@ -135,8 +154,14 @@ def test_a_candidate_that_leaves_a_point_out_does_not_pass(made):
     partial = candidate("LPV", made, True, ("standstill",))
     assert not partial.passed
     assert decision([partial]).passed is False
-    assert "it is not evaluated at standstill, which its schedule does not cover" in decision([partial]).text
-    assert "not covered by its schedule: standstill" in verdicts_of([partial], ("nominal pressure",))[0].text
+    assert (
+        "it is not evaluated at standstill, which its schedule does not cover"
+        in decision([partial]).text
+    )
+    assert (
+        "not covered by its schedule: standstill"
+        in verdicts_of([partial], ("nominal pressure",))[0].text
+    )
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,9 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 
 @pytest.fixture
 def example(capfd):
-    """The names of an example after it ran as a program, which has to print something, and no warnings."""
+    """The names of an example after it ran as a program, which has to print something, and no
+    warnings.
+    """
 
     def run(name):
         names = runpy.run_path(str(EXAMPLES / name), run_name="__main__")
@@ -28,7 +30,8 @@ def example(capfd):
 
 def test_machine_to_verdict(example):
     verdict = example("01_machine_to_verdict.py")["verdict"]
-    assert [checks.stable for checks in verdict.points] == [True, True, False]  # nominal, zero, twice nominal pressure
+    # nominal, zero, twice nominal pressure
+    assert [checks.stable for checks in verdict.points] == [True, True, False]
     peak = verdict["nominal pressure"]["sensitivity.output.max"]
     assert peak.zone == "D"
     assert verdict["zero pressure"].passed
@@ -38,22 +41,30 @@ def test_own_rotor(example):
     found = example("02_own_rotor.py")
     assert found["mass"] == pytest.approx(8 + 7850 * np.pi / 4 * 0.04**2 * 0.6, rel=1e-9)
     assert found["result"].status == "verified"
-    # Free-free beam with a mass in the middle: the first mode falls below that of the bare shaft, 22.373 sqrt(EI/(rho A L^4)).
+    # Free-free beam with a mass in the middle: the first mode falls below that of the bare shaft,
+    # 22.373 sqrt(EI/(rho A L^4)).
     bare = 22.373 / (2 * np.pi) * np.sqrt(2.1e11 * 0.04**2 / 16 / 7850) / 0.6**2
     assert 0.6 * bare < found["bending_hz"][0] < bare
 
 
 def test_seal_pressure(example):
     found = example("03_seal_pressure.py")
-    assert 0 < found["limit_full"] < 1  # P5.5: stable at nominal, unstable at twice the nominal stiffness
+    # P5.5: stable at nominal, unstable at twice the nominal stiffness
+    assert 0 < found["limit_full"] < 1
     assert found["limit"] == pytest.approx(found["limit_full"], abs=1e-3)
 
 
 def test_three_controllers(example):
     verdicts = example("04_three_controllers.py")["verdicts"]
-    margin = {method: verdict.tolerances["robust.stability.margin"].value for method, verdict in verdicts.items()}
+    margin = {
+        method: verdict.tolerances["robust.stability.margin"].value
+        for method, verdict in verdicts.items()
+    }
     assert margin["pid"] < 1 < margin["hinf"] < margin["mu"]
-    worst = {method: verdict.tolerances["robust.sensitivity.worst"].value for method, verdict in verdicts.items()}
+    worst = {
+        method: verdict.tolerances["robust.sensitivity.worst"].value
+        for method, verdict in verdicts.items()
+    }
     assert worst["mu"] < worst["hinf"]
 
 
@@ -76,7 +87,8 @@ def test_identify(example):
     identification, machine = found["identification"], found["machine"]
     values = [parameter.value for parameter in identification.parameters]
     truth = [*machine.bearings[0].force_per_current, *machine.bearings[1].force_per_current]
-    assert values[:4] == pytest.approx(truth, rel=0.03)  # the weight has moved the working point: K_i -2, K_s +14 %
+    # the weight has moved the working point: K_i -2, K_s +14 %
+    assert values[:4] == pytest.approx(truth, rel=0.03)
     assert values[-1] == pytest.approx(machine.seals[0].k, rel=0.01)
     assert len(identification.machine.tolerances) == 10
     assert found["refusal"].startswith("channels are mixed up: y_A_zeta and y_A_eta are swapped")
@@ -87,7 +99,8 @@ def test_lpv(example):
     margins = found["margins"]
     assert found["lpv"].status == "verified"
     assert 1 <= margins["gamma_optimal"] / margins["pointwise_largest"] < 1.1
-    assert margins["full_sensitivity_peak"] < 3  # zone A of ISO 14839-3 on the full plant at every speed
+    # zone A of ISO 14839-3 on the full plant at every speed
+    assert margins["full_sensitivity_peak"] < 3
     assert max(window.settling for window in found["windows"]) < 0.02  # P3.7
     assert [trace.outcome for trace in found["traces"].values()] == ["completed", "diverged"]
 
@@ -96,10 +109,15 @@ def test_deploy(example):
     found = example("09_deploy.py")
     deployment, verdict = found["deployment"], found["verdict"]
     assert deployment.problems == ()
-    for designed in deployment.checks:  # what was read back out of the running code is what was designed
+    # what was read back out of the running code is what was designed
+    for designed in deployment.checks:
         peak = verdict[designed.label]["sensitivity.output.max"].value
         assert peak == pytest.approx(designed["sensitivity.output.max"].value, rel=1e-9)
-    assert [checks["sensitivity.output.max"].passed for checks in verdict.points] == [True, False, False]
+    assert [checks["sensitivity.output.max"].passed for checks in verdict.points] == [
+        True,
+        False,
+        False,
+    ]
     assert [trace.outcome for trace in found["runs"].values()] == ["completed"] * 3
     assert "unstable at twice nominal pressure" in found["refusal"]
     assert "malloc" not in found["files"]["seal_rig.c"]
@@ -107,4 +125,6 @@ def test_deploy(example):
 
 def test_every_example_is_tried_above():
     text = Path(__file__).read_text(encoding="utf-8")
-    assert [path.name for path in EXAMPLES.glob("*.py") if f'example("{path.name}")' not in text] == []
+    assert [
+        path.name for path in EXAMPLES.glob("*.py") if f'example("{path.name}")' not in text
+    ] == []

@@ -1,21 +1,27 @@
-"""Every bundled machine goes through every command. The fleet is discovered from src/ambrose/machines."""
+"""Every bundled machine goes through every command. The fleet is discovered from
+src/ambrose/machines.
+"""
 
 import pytest
 from benchmarks.fleet import PAGE, call, commands, description, outcomes
 
 import ambrose as amb
-from ambrose.physics.rotor import displacement_row, finite_element_rotor, free_modes
+from ambrose.model.effects.rotor import displacement_row, finite_element_rotor, free_modes
 
 FLEET = list(amb.bundled_machines())
 
 
 def test_the_fleet_is_what_issue_and_page_say():
-    """At least twelve machines; three bearings, no seal, no A and B, sensors beyond a bending node are among them."""
+    """At least twelve machines; three bearings, no seal, no A and B, sensors beyond a bending node
+    are among them.
+    """
     machines = {name: amb.load_machine(name) for name in FLEET}
     assert len(machines) >= 12
     assert {len(machine.bearings) for machine in machines.values()} >= {2, 3}
     assert any(not machine.seals for machine in machines.values())
-    others = [m for m in machines.values() if not {"A", "B"} & {bearing.name for bearing in m.bearings}]
+    others = [
+        m for m in machines.values() if not {"A", "B"} & {bearing.name for bearing in m.bearings}
+    ]
     assert len(others) >= 10
     for name, machine in machines.items():
         assert machine.name == name
@@ -23,16 +29,22 @@ def test_the_fleet_is_what_issue_and_page_say():
         assert machine.controller is not None and machine.tolerances
         assert machine.requirements.sensitivity_peak is not None
         assert len(machine.operation.points) >= 2
-        assert any(point.speed == 0 and point.seal_pressure == 0 for point in machine.operation.points)
+        assert any(
+            point.speed == 0 and point.seal_pressure == 0 for point in machine.operation.points
+        )
 
 
 def test_a_node_stands_between_magnets_and_sensors_of_one_machine():
-    """What the sensors of outboard-sensor-rotor see of the first bending mode has the other sign of what its magnets do."""
+    """What the sensors of outboard-sensor-rotor see of the first bending mode has the other sign of
+    what its magnets do.
+    """
     machine = amb.load_machine("outboard-sensor-rotor")
     rotor = finite_element_rotor(machine)
     shape = free_modes(rotor, 1).shapes[:, 4]
     for bearing, sensor in zip(machine.bearings, machine.sensors, strict=True):
-        at_magnet, at_sensor = (displacement_row(rotor, item.position, 0.0) @ shape for item in (bearing, sensor))
+        at_magnet, at_sensor = (
+            displacement_row(rotor, item.position, 0.0) @ shape for item in (bearing, sensor)
+        )
         assert sensor.bearing == bearing.name and at_magnet * at_sensor < 0
 
 
@@ -43,9 +55,11 @@ def test_the_page_lists_every_machine_with_its_source():
 
 
 LIGHT = ("check", "pid", "levitation")
-SHORT = 'name = "short-levitation"\nduration = "0.4 s"\ninitial = "resting"\n'  # the bundled one, and no longer than it takes
+# the bundled one, and no longer than it takes
+SHORT = 'name = "short-levitation"\nduration = "0.4 s"\ninitial = "resting"\n'
 MANY_SEALS = 4  # from here on a machine's certificate takes seconds
-KNOWN = {"seal-rig", "seal-rig-k-only", "turboexpander"}  # levitated and verified by many other tests
+# levitated and verified by many other tests
+KNOWN = {"seal-rig", "seal-rig-k-only", "turboexpander"}
 
 OTHERS = {
     "flywheel",
@@ -67,9 +81,11 @@ def heavy(name):
 
 @pytest.mark.parametrize("name", [heavy(name) for name in FLEET])
 def test_every_machine_is_checked_and_held_and_lifted_by_its_own_controller(name, tmp_path):
-    """Status 0 throughout: certified at every operating point, and free of the touchdown bearings on the virtual rig.
+    """Status 0 throughout: certified at every operating point, and free of the touchdown bearings
+    on the virtual rig.
 
-    But for one that was certified as continuous, with the note that it would not hold at the rate of the rig: nor does it.
+    But for one that was certified as continuous, with the note that it would not hold at the rate
+    of the rig: nor does it.
     """
     short = tmp_path / "short.toml"
     short.write_text(SHORT, encoding="utf-8")
@@ -83,7 +99,9 @@ def test_every_machine_is_checked_and_held_and_lifted_by_its_own_controller(name
 
 
 def test_what_only_the_rig_knows_is_refused_in_words(tmp_path):
-    """It was called a range of speeds that does not ascend, because the change of speed was looked at first."""
+    """It was called a range of speeds that does not ascend, because the change of speed was looked
+    at first.
+    """
     steps = commands("flywheel", tmp_path)
     assert call(steps["pid"])[0] == 0
     status, _, said = call((*steps["cycle"], "--linear"))
@@ -110,8 +128,12 @@ def test_the_rest_of_the_chain_with_the_file_s_controller(name, tmp_path):
 @pytest.mark.study
 @pytest.mark.parametrize("name", FLEET)
 def test_every_command_on_every_machine(name):
-    """Half an hour of docs/reference/machines.md: nothing is refused but a controller that does not hold its machine at the
-    rate that is assumed for it, and records of it."""
+    """Half an hour of docs/reference/machines.md: nothing is refused but a controller that does not
+    hold its machine at the rate that is assumed for it, and records of it.
+    """
     for what, (status, _, text) in outcomes(name, progress=lambda line: None).items():
         lost = what == "export" and "the sampled loop is unstable" in text
-        assert status in {0, 1} or lost or (name, what) == ("turboexpander", "identify"), (what, text)
+        assert status in {0, 1} or lost or (name, what) == ("turboexpander", "identify"), (
+            what,
+            text,
+        )

@@ -1,4 +1,6 @@
-"""``import ambrose as amb``: the chain through the front door, what its results show, what wrong input is answered."""
+"""``import ambrose as amb``: the chain through the front door, what its results show, what wrong
+input is answered.
+"""
 
 import json
 import subprocess
@@ -10,7 +12,7 @@ import numpy as np
 import pytest
 
 import ambrose as amb
-from ambrose.plant.assemble import assemble as plant_assemble
+from ambrose.model.assemble import assemble as plant_assemble
 
 POINT = "nominal pressure"
 
@@ -42,9 +44,18 @@ def run(machine, pid):
 
 def test_dir_lists_the_front_door_and_nothing_else():
     names = dir(amb)
-    assert {"assemble", "design", "verify", "simulate", "identify", "export", "study", "plot", "Machine", "StateSpace"} <= set(
-        names
-    )
+    assert {
+        "assemble",
+        "design",
+        "verify",
+        "simulate",
+        "identify",
+        "export",
+        "study",
+        "plot",
+        "Machine",
+        "StateSpace",
+    } <= set(names)
     for name in names:
         assert getattr(amb, name) is not None
         if callable(getattr(amb, name)):
@@ -52,13 +63,23 @@ def test_dir_lists_the_front_door_and_nothing_else():
 
 
 def test_import_is_light():
-    code = "import sys, ambrose; print([m for m in ('numpy', 'scipy', 'plotly', 'numba', 'pandas') if m in sys.modules])"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == "[]"
+    code = (
+        "import sys, ambrose; print([m for m in ('numpy', 'scipy', 'plotly', 'numba', 'pandas') if "
+        "m in sys.modules])"
+    )
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stdout.strip()
+        == "[]"
+    )
 
 
 def test_operating_points_by_label_by_noun_and_by_keyword(machine):
     by_label = amb.assemble(machine, "twice")
-    noun = next(point for point in machine.operation.points if point.label == "twice nominal pressure")
+    noun = next(
+        point for point in machine.operation.points if point.label == "twice nominal pressure"
+    )
     by_keyword = amb.assemble(machine, POINT, seal_pressure=noun.seal_pressure)
     for other in (amb.assemble(machine, noun), by_keyword, plant_assemble(machine, "twice")):
         np.testing.assert_array_equal(by_label.system.A, other.system.A)
@@ -87,9 +108,14 @@ def test_a_control_system_goes_in_and_out(machine, pid):
 def test_order_of_the_signals_does_not_matter(machine, pid):
     K, turned = pid.controller, [2, 0, 3, 1]
     other = amb.StateSpace(
-        K.A, K.B[:, turned], K.C[turned], K.D[np.ix_(turned, turned)],
-        inputs=[K.inputs[i] for i in turned], outputs=[K.outputs[i] for i in turned], dt=K.dt,
-    )  # fmt: skip
+        K.A,
+        K.B[:, turned],
+        K.C[turned],
+        K.D[np.ix_(turned, turned)],
+        inputs=[K.inputs[i] for i in turned],
+        outputs=[K.outputs[i] for i in turned],
+        dt=K.dt,
+    )
     first, second = (amb.verify(machine, law, points=POINT, tolerances=False) for law in (K, other))
     assert second.passed == first.passed
     value = first.worst["sensitivity.output.max"].value
@@ -156,8 +182,8 @@ WRONG = [
     (lambda m, c: amb.study(m, 3), "directory is 3"),
     (lambda m, c: amb.study(m, progress="x"), "progress is 'x'"),
     (lambda m, c: amb.export(c, None, to="c"), "directory is None"),
-    (lambda m, c: amb.export(c, "code", to=[]), "to is of type list"),
-    (lambda m, c: amb.export(c, "code", to="c", options={}), "options is of type dict"),
+    (lambda m, c: amb.export(c, "code", to=[]), "target is '[]', but must be one of c, mat"),
+    (lambda m, c: amb.export(c, "code", to="c", options={}), "there is no option 'options'"),
     (lambda m, c: amb.export("a\0b", "code", to="c"), "null"),
     (lambda m, c: amb.simulate(m, c, 3), "scenario"),
     (lambda m, c: amb.load_scenario(None), "path of the scenario is NoneType"),
@@ -170,9 +196,15 @@ WRONG = [
     (lambda m, c: amb.reduce(amb.assemble(m), np.zeros(3)), "bending_modes is of type ndarray"),
     (lambda m, c: amb.write_controller("c.json", c, "machine"), "machine is 'machine'"),
     (lambda m, c: amb.write_controller(3, c), "path"),
-    (lambda m, c: amb.Plant(m, "nominal", c.controller, c.controller, ()), "point is 'nominal', but must be an OperatingPoint"),
+    (
+        lambda m, c: amb.Plant(m, "nominal", c.controller, c.controller, ()),
+        "point is 'nominal', but must be an OperatingPoint",
+    ),
     (lambda m, c: amb.Verification(("x",)), "points[0] is 'x', but must be a Checks"),
-    (lambda m, c: amb.Trace(None, "s", True, "completed", ""), "record is None, but must be a Record"),
+    (
+        lambda m, c: amb.Trace(None, "s", True, "completed", ""),
+        "record is None, but must be a Record",
+    ),
     (lambda m, c: amb.Scenario("s", 1.0, pulses=("x",)), "pulses[0] is 'x'"),
     (lambda m, c: amb.StateSpace([[0.0]], [[0.0]], [[0.0]], [[0.0]], 3), "inputs is 3"),
     (lambda m, c: amb.GeneralizedPlant(c.controller, 3, [], [], []), "w is 3"),

@@ -1,4 +1,6 @@
-"""`ambrose map`: where stability ends against eigenvalues one by one, families against loops closed one by one, page, JSON."""
+"""`ambrose map`: where stability ends against eigenvalues one by one, families against loops closed
+one by one, page, JSON.
+"""
 
 import json
 from dataclasses import replace
@@ -14,11 +16,11 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import poles, select
-from ambrose.evaluation.family import explore
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.timing import timing_of
-from ambrose.plant.unbalance import residual_unbalance
-from ambrose.verification.family.poles import pole_map
+from ambrose.judge.exploration import explore
+from ambrose.judge.family.poles import pole_map
+from ambrose.law.loop import closed_loop
+from ambrose.law.timing import timing_of
+from ambrose.model.unbalance import residual_unbalance
 
 BAR = 1e5
 
@@ -34,8 +36,12 @@ def law(name):
 
 @pytest.mark.parametrize("rate", [None, 1e4])
 def test_where_stability_ends_over_pressure(rate):
-    """Just below the end the loop is stable, just above it is not: eigenvalues of loops assembled here."""
-    found = explore(amb.load_machine("seal-rig"), law("seal-rig"), parts=["poles"], rate=rate).maps[0]
+    """Just below the end the loop is stable, just above it is not: eigenvalues of loops assembled
+    here.
+    """
+    found = explore(amb.load_machine("seal-rig"), law("seal-rig"), parts=["poles"], rate=rate).maps[
+        0
+    ]
     ((end, above),) = found.ends
     assert found.over == "pressure" and not above and 2.04 * BAR < end < 4.08 * BAR
 
@@ -43,7 +49,12 @@ def test_where_stability_ends_over_pressure(rate):
         plant = amb.assemble("seal-rig", seal_pressure=pressure)
         if rate is None:
             return poles(closed_loop(plant, law("seal-rig").law)).real.max()
-        return np.abs(poles(closed_loop(plant, c2d(law("seal-rig").law, 1e-4, "tustin", delay=1e-4)))).max() - 1
+        return (
+            np.abs(
+                poles(closed_loop(plant, c2d(law("seal-rig").law, 1e-4, "tustin", delay=1e-4)))
+            ).max()
+            - 1
+        )
 
     step = found.values[1] - found.values[0]
     assert abscissa(end - step / 500) < 0 < abscissa(end + step / 500)
@@ -51,9 +62,21 @@ def test_where_stability_ends_over_pressure(rate):
 
 
 def test_sampled_poles_are_shown_as_continuous_ones():
-    """At 10 kHz the slow poles of the sampled loop lie within some percent of those of the late continuous one."""
-    slow = [explore(amb.load_machine("three-bearing-train"), law("three-bearing-train"), parts=["poles"], rate=r,
-                    reach={"speed": (0.0, 100.0)}).maps[0].poles[0] for r in (2e4, 2e5)]  # fmt: skip
+    """At 10 kHz the slow poles of the sampled loop lie within some percent of those of the late
+    continuous one.
+    """
+    slow = [
+        explore(
+            amb.load_machine("three-bearing-train"),
+            law("three-bearing-train"),
+            parts=["poles"],
+            rate=r,
+            reach={"speed": (0.0, 100.0)},
+        )
+        .maps[0]
+        .poles[0]
+        for r in (2e4, 2e5)
+    ]
     low = [np.sort_complex(p[(p.imag > 50) & (p.imag < 400)]) for p in slow]
     assert len(low[0]) and np.allclose(low[0].imag, low[1].imag, rtol=0.05)
 
@@ -63,27 +86,54 @@ def test_unbalance_over_the_tolerances_holds_the_nominal_and_its_own_members():
     found = explore(machine, law("three-bearing-train"), parts=["pulses", "unbalance"], bound=True)
     worst, force = found.unbalance, residual_unbalance(machine)
     assert found.pulses.stable.all() and found.stable
-    assert (worst.found >= worst.nominal * (1 - 1e-9)).all() and (worst.bound >= worst.found * (1 - 1e-6)).all()
+    assert (worst.found >= worst.nominal * (1 - 1e-9)).all() and (
+        worst.bound >= worst.found * (1 - 1e-6)
+    ).all()
     plant = amb.assemble(machine)
     late = timing_of(machine, law("three-bearing-train")).late(law("three-bearing-train").law)
     k = int(worst.found.argmax())
     T = frequency_response(
-        select(closed_loop(plant, late), plant.bearing_named("f"), plant.bearing_named("q")), worst.speeds[[k]]
+        select(closed_loop(plant, late), plant.bearing_named("f"), plant.bearing_named("q")),
+        worst.speeds[[k]],
     ).values[0]
-    assert np.linalg.norm(T, 2) * force.force(worst.speeds[k]) == pytest.approx(worst.nominal[k], rel=0.02)
+    assert np.linalg.norm(T, 2) * force.force(worst.speeds[k]) == pytest.approx(
+        worst.nominal[k], rel=0.02
+    )
 
 
 @pytest.mark.parametrize("name", ["seal-rig", "three-bearing-train"])
 def test_command_and_page(name, tmp_path):
-    assert call("synthesize", name, "--method", "pid", "-o", tmp_path / "pid.json", "--json").exit_code == 0
-    done = call("map", name, "--controller", tmp_path / "pid.json", "-o", tmp_path / "map.html", "--json")
+    assert (
+        call("synthesize", name, "--method", "pid", "-o", tmp_path / "pid.json", "--json").exit_code
+        == 0
+    )
+    done = call(
+        "map", name, "--controller", tmp_path / "pid.json", "-o", tmp_path / "map.html", "--json"
+    )
     told = json.loads(done.stdout)
-    assert done.exit_code == (0 if told["stable"] else 1) == {"seal-rig": 1, "three-bearing-train": 0}[name]
-    assert {m["over"] for m in told["maps"]} == {"seal-rig": {"pressure"}, "three-bearing-train": {"speed", "pressure"}}[name]
+    assert (
+        done.exit_code
+        == (0 if told["stable"] else 1)
+        == {"seal-rig": 1, "three-bearing-train": 0}[name]
+    )
+    assert {m["over"] for m in told["maps"]} == {
+        "seal-rig": {"pressure"},
+        "three-bearing-train": {"speed", "pressure"},
+    }[name]
     assert ("unbalance" in told) == (name == "three-bearing-train")
     assert told["pulses"]["members"] >= told["pulses"]["stable"] > 10
     assert "The loop over its range" in (tmp_path / "map.html").read_text()
-    words = call("map", name, "--controller", tmp_path / "pid.json", "--what", "poles", "--pressure-bar", "0", "4")
+    words = call(
+        "map",
+        name,
+        "--controller",
+        tmp_path / "pid.json",
+        "--what",
+        "poles",
+        "--pressure-bar",
+        "0",
+        "4",
+    )
     assert ("loses stability at 2.9" in words.stdout) == (name == "seal-rig"), words.stdout
 
 

@@ -1,4 +1,6 @@
-"""What is handed out: one version everywhere, lower bounds that were tried, and a wheel that works outside the checkout."""
+"""What is handed out: one version everywhere, lower bounds that were tried, and a wheel that works
+outside the checkout.
+"""
 
 import json
 import os
@@ -23,7 +25,9 @@ DATA_SUFFIXES = {".toml", ".json", ".j2", ".typed"}
 
 def bounds(*extras):
     """{package: its lower bound} of the dependencies and of these extras."""
-    listed = PROJECT["dependencies"] + [line for extra in extras for line in PROJECT["optional-dependencies"][extra]]
+    listed = PROJECT["dependencies"] + [
+        line for extra in extras for line in PROJECT["optional-dependencies"][extra]
+    ]
     return dict(re.fullmatch(r"([\w-]+)(?:\[\w+\])?>=([\d.]+)", line).groups() for line in listed)
 
 
@@ -43,7 +47,10 @@ def test_version_has_one_place():
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert re.search(r"^version: (.+)$", citation, re.M)[1] == ambrose.__version__
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    assert re.search(r"^## (?:\[?Unreleased\]?|(\d\S+))", changelog, re.M)[1] in (None, ambrose.__version__)
+    assert re.search(r"^## (?:\[?Unreleased\]?|(\d\S+))", changelog, re.M)[1] in (
+        None,
+        ambrose.__version__,
+    )
 
 
 def test_hooks_have_the_pinned_linter():
@@ -53,12 +60,21 @@ def test_hooks_have_the_pinned_linter():
 
 def test_oldest_constraints_are_the_lower_bounds():
     lint = {"ruff", "mypy", "import-linter"}  # no test needs them
-    wanted = {name: release(bound) for name, bound in bounds("dev", "lmi", "tdms").items() if name not in lint}
-    assert {name: release(version) for name, version in pins("constraints-oldest.txt").items()} == wanted
+    wanted = {
+        name: release(bound)
+        for name, bound in bounds("dev", "lmi", "tdms").items()
+        if name not in lint
+    }
+    assert {
+        name: release(version) for name, version in pins("constraints-oldest.txt").items()
+    } == wanted
 
 
 def test_every_dependency_is_pinned_within_its_bound():
-    pinned = {name.lower().replace("_", "-"): release(version) for name, version in pins("constraints.txt").items()}
+    pinned = {
+        name.lower().replace("_", "-"): release(version)
+        for name, version in pins("constraints.txt").items()
+    }
     for name, bound in bounds(*PROJECT["optional-dependencies"]).items():
         assert pinned[name.lower()] >= release(bound), name
 
@@ -66,8 +82,20 @@ def test_every_dependency_is_pinned_within_its_bound():
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
     directory = tmp_path_factory.mktemp("wheel")
-    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check", "--no-deps", "--no-index",
-               "--no-build-isolation", "--wheel-dir", str(directory), str(ROOT)]  # fmt: skip
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        "--quiet",
+        "--disable-pip-version-check",
+        "--no-deps",
+        "--no-index",
+        "--no-build-isolation",
+        "--wheel-dir",
+        str(directory),
+        str(ROOT),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     (path,) = directory.glob("*.whl")
@@ -76,33 +104,60 @@ def wheel(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def installed(wheel, tmp_path_factory):
-    """A virtual environment that holds the wheel and sees the dependencies, but not the checkout: run(*command) -> output.
+    """A virtual environment that holds the wheel and sees the dependencies, but not the checkout:
+    run(*command) -> output.
 
-    The dependencies come through a path file, and path files within such a folder (the editable install) are not read.
+    The dependencies come through a path file, and path files within such a folder (the editable
+    install) are not read.
     """
     directory = tmp_path_factory.mktemp("installed")
-    environment = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "COV_"))}
+    environment = {
+        key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "COV_"))
+    }
     environment |= {"PYTHONUTF8": "1", "OPENBLAS_NUM_THREADS": "1"}
-    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(directory / "venv")], check=True)
+    subprocess.run(
+        [sys.executable, "-m", "venv", "--without-pip", str(directory / "venv")], check=True
+    )
     python = directory / "venv" / SCRIPTS / "python"
     subprocess.run(
-        [sys.executable, "-m", "pip", "--python", str(python), "install", "--quiet", "--disable-pip-version-check",
-         "--no-deps", "--no-index", str(wheel)],
-        check=True, env=environment,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "pip",
+            "--python",
+            str(python),
+            "install",
+            "--quiet",
+            "--disable-pip-version-check",
+            "--no-deps",
+            "--no-index",
+            str(wheel),
+        ],
+        check=True,
+        env=environment,
+    )
     code = "import sysconfig; print(sysconfig.get_path('purelib'))"
     site = Path(
-        subprocess.run([python, "-c", code], capture_output=True, text=True, check=True, env=environment).stdout.strip()
+        subprocess.run(
+            [python, "-c", code], capture_output=True, text=True, check=True, env=environment
+        ).stdout.strip()
     )
-    dependencies = [path for path in sys.path if Path(path).name in {"site-packages", "dist-packages"}]
+    dependencies = [
+        path for path in sys.path if Path(path).name in {"site-packages", "dist-packages"}
+    ]
     (site / "dependencies.pth").write_text("\n".join(dependencies) + "\n", encoding="utf-8")
 
     def run(command, *arguments, status=0):
         path = directory / "venv" / SCRIPTS / command
         done = subprocess.run(
-            [str(path), *map(str, arguments)], cwd=directory, env=environment, capture_output=True, text=True, check=False,
+            [str(path), *map(str, arguments)],
+            cwd=directory,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
             encoding="utf-8",
-        )  # fmt: skip
+        )
         assert done.returncode == status, done.stderr
         return done.stdout
 
@@ -126,24 +181,43 @@ def test_wheel_holds_the_package_and_its_data(wheel):
 
 @pytest.mark.wheel
 def test_wheel_works_outside_the_checkout(installed):
-    code = "import ambrose, importlib.metadata; print(ambrose.__file__); print(importlib.metadata.version('ambrose'))"
+    code = (
+        "import ambrose, importlib.metadata; print(ambrose.__file__); "
+        "print(importlib.metadata.version('ambrose'))"
+    )
     place, version = installed("python", "-c", code).splitlines()
     assert Path(place).is_relative_to(installed.site)
     assert version == ambrose.__version__
     assert installed("ambrose", "--version").split()[-1] == version
-    assert set(json.loads(installed("ambrose", "machines", "--json"))) == set(ambrose.bundled_machines())
+    assert set(json.loads(installed("ambrose", "machines", "--json"))) == set(
+        ambrose.bundled_machines()
+    )
     assert json.loads(installed("ambrose", "check", "seal-rig", "--json"))["rotor_states"] == 144
-    code = "from ambrose.simulation.scenario import bundled_scenarios; print(*bundled_scenarios())"
+    code = "from ambrose.rig.scenario import bundled_scenarios; print(*bundled_scenarios())"
     assert {"levitation", "prbs", "run-up"} <= set(installed("python", "-c", code).split())
 
-    # A tenth of the time without tolerances. The PID whirls at twice the nominal pressure: forced, and status 1 says so.
+    # A tenth of the time without tolerances. The PID whirls at twice the nominal pressure: forced,
+    # and status 1 says so.
     text = (installed.site / "ambrose" / "machines" / "seal-rig.toml").read_text(encoding="utf-8")
-    (installed.directory / "rig.toml").write_text(text[: text.index("[[tolerance]]")], encoding="utf-8")
+    (installed.directory / "rig.toml").write_text(
+        text[: text.index("[[tolerance]]")], encoding="utf-8"
+    )
     installed("ambrose", "synthesize", "rig.toml", "--method", "pid", "-o", "pid.json")
     arguments = ["--machine", "rig.toml", "--to", "c", "-o", "code", "--force", "--json"]
     done = json.loads(installed("ambrose", "export", "pid.json", *arguments, status=1))
     assert {"controller.c", "controller.h"} <= {Path(path).name for path in done["files"]}
-    arguments = ["--scenario", "impulse-parallel", "--linear", "-o", "record.csv", "--report", "run.html", "--json"]
-    done = json.loads(installed("ambrose", "simulate", "rig.toml", "--controller", "pid.json", *arguments))
+    arguments = [
+        "--scenario",
+        "impulse-parallel",
+        "--linear",
+        "-o",
+        "record.csv",
+        "--report",
+        "run.html",
+        "--json",
+    ]
+    done = json.loads(
+        installed("ambrose", "simulate", "rig.toml", "--controller", "pid.json", *arguments)
+    )
     assert done["outcome"] == "completed"
     assert "</html>" in (installed.directory / "run.html").read_text(encoding="utf-8")

@@ -1,4 +1,6 @@
-"""Whatever a terminal, a text, a link or a special file does: one line, the right exit status, nothing lost, no traceback."""
+"""Whatever a terminal, a text, a link or a special file does: one line, the right exit status,
+nothing lost, no traceback.
+"""
 
 import errno
 import io
@@ -15,22 +17,25 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from ambrose.cli import main, terminal
-from ambrose.cli.terminal import _encoding, print_table, say
+from ambrose import terminal
+from ambrose.cli import main
+from ambrose.code.block.names import check_identifier
 from ambrose.core.checks import InvalidInput
-from ambrose.deployment.block.names import check_identifier
 from ambrose.identification.result import Provenance, as_comment
 from ambrose.machine.atomic_write import write_files, write_text
 from ambrose.machine.ordinary_file import check_source, file_name
-from ambrose.machine.record import apart
-from ambrose.machine.record.files import read_record, write_record
-from ambrose.machine.record.record import Record
-from ambrose.machine.record.writer import RecordWriter, partial_path
+from ambrose.record import apart
+from ambrose.record.files import read_record, write_record
+from ambrose.record.record import Record
+from ambrose.record.writer import RecordWriter, partial_path
+from ambrose.terminal import _encoding, print_table, say
 
 SMALL = (Path(__file__).parent / "machine" / "small.toml").read_text(encoding="utf-8")
 STEERING = "\x1b[31m\x9b\x07\x08\r\x7f\x85\u202e\u2066\u2028\u200b\ufeff"
 NASTY = STEERING + "\nSPOOFED\n[/x] [red]danger[/red] :smile:"
-POSIX = pytest.mark.skipif(os.name != "posix", reason="pipes in the file system, /dev and /proc are POSIX")
+POSIX = pytest.mark.skipif(
+    os.name != "posix", reason="pipes in the file system, /dev and /proc are POSIX"
+)
 
 
 def call(*arguments, charset="utf-8"):
@@ -41,7 +46,11 @@ def call(*arguments, charset="utf-8"):
 
 def described(path, text):
     """A machine file with that description."""
-    quoted = '"' + "".join(c if c.isprintable() and c not in '"\\' else f"\\u{ord(c):04x}" for c in text) + '"'
+    quoted = (
+        '"'
+        + "".join(c if c.isprintable() and c not in '"\\' else f"\\u{ord(c):04x}" for c in text)
+        + '"'
+    )
     changed = SMALL.replace('"Two bearings, a disc, a seal and a coupling"', quoted)
     path.write_text(changed, encoding="utf-8")
     return path
@@ -90,11 +99,16 @@ def test_a_text_is_text_on_one_line_of_its_own(tmp_path):
         assert not set(STEERING.replace("[31m", "")) & set(out + err)
         assert not [line for line in (out + err).splitlines() if line.strip().startswith("SPOOFED")]
         if expected == 1:
-            assert all(words in out for words in ("[/x]", "[red]danger[/red]", ":smile:", "\\x1b[31m", "\\nSPOOFED"))
+            assert all(
+                words in out
+                for words in ("[/x]", "[red]danger[/red]", ":smile:", "\\x1b[31m", "\\nSPOOFED")
+            )
 
 
 def test_a_message_of_many_lines_keeps_its_own(tmp_path):
-    (tmp_path / "two.toml").write_text(SMALL.replace('"timoshenko"', '"x\\ny"').replace("turns = 36", 'turns = "a"'))
+    (tmp_path / "two.toml").write_text(
+        SMALL.replace('"timoshenko"', '"x\\ny"').replace("turns = 36", 'turns = "a"')
+    )
     assert len(call("check", tmp_path / "two.toml")[2].splitlines()) == 3
 
 
@@ -137,7 +151,9 @@ class Reluctant(io.RawIOBase):
 def test_the_exit_status_does_not_depend_on_who_listens(out, err, arguments, expected, monkeypatch):
     outlets = Reluctant(out), Reluctant(err)
     for name, raw in zip(("stdout", "stderr"), outlets, strict=True):
-        monkeypatch.setattr(sys, name, io.TextIOWrapper(io.BufferedWriter(raw), "utf-8", write_through=True))
+        monkeypatch.setattr(
+            sys, name, io.TextIOWrapper(io.BufferedWriter(raw), "utf-8", write_through=True)
+        )
     before = sys.stdout, sys.stderr
     with pytest.raises(SystemExit) as stopped:
         main(arguments, prog_name="ambrose")
@@ -163,7 +179,9 @@ def test_closed_descriptors_never_become_a_file_of_results(tmp_path):
     record = Record("m", 10.0, ("y_A",), ("m",), np.arange(9.0)[None])
     write_record(record, tmp_path / "r.h5")
     command = f'exec "{sys.executable}" -m ambrose convert r.h5 -o r.csv <&- >&- 2>&-'
-    assert subprocess.run(["sh", "-c", command], check=False, cwd=tmp_path, timeout=60).returncode == 0
+    assert (
+        subprocess.run(["sh", "-c", command], check=False, cwd=tmp_path, timeout=60).returncode == 0
+    )
     assert np.array_equal(read_record(tmp_path / "r.csv").values, record.values)
 
 
@@ -182,7 +200,9 @@ from ambrose.__main__ import main
 sys.argv = ["ambrose", "check", "seal-rig"]
 main()
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60
+    )
     assert done.returncode == 130, done.stderr
     assert done.stderr.strip() == "ambrose: interrupted; what was finished before stays on disk"
 
@@ -204,7 +224,9 @@ from ambrose.__main__ import main
 sys.argv = ["ambrose", "machines"]
 main()
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60
+    )
     assert (done.returncode, done.stderr.count("\n"), done.stdout) == (130, 1, "")
 
 
@@ -224,11 +246,18 @@ def test_an_interruption_within_a_command_is_130(monkeypatch):
 @pytest.mark.parametrize(
     ("name", "plain"),
     [
-        ("seal-rig", "seal-rig"), ("x/../../ESCAPED", "x-.-.-ESCAPED"), ("..", "unnamed"), ("a\\b:c*?", "a-b-c"),
+        ("seal-rig", "seal-rig"),
+        ("x/../../ESCAPED", "x-.-.-ESCAPED"),
+        ("..", "unnamed"),
+        ("a\\b:c*?", "a-b-c"),
         ("\n\x1b", "unnamed"),
-        (".hidden", "hidden"), ("Läufer 机器", "Läufer-机器"), ("n" * 400, "n" * 60), ("a\u202eb", "a-b"), ("v1.5_b", "v1.5_b"),
+        (".hidden", "hidden"),
+        ("Läufer 机器", "Läufer-机器"),
+        ("n" * 400, "n" * 60),
+        ("a\u202eb", "a-b"),
+        ("v1.5_b", "v1.5_b"),
     ],
-)  # fmt: skip
+)
 def test_a_name_becomes_part_of_a_file_name(name, plain):
     assert file_name(name) == plain
 
@@ -238,9 +267,13 @@ def test_a_study_stays_in_its_folder_whatever_the_machine_is_called(tmp_path, mo
     inner.mkdir(parents=True)
     places = []
     monkeypatch.chdir(inner)
-    monkeypatch.setattr("ambrose.workflow.study", lambda machine, place, progress: places.append(place) or 1 / 0)
+    monkeypatch.setattr(
+        "ambrose.chain.study.study", lambda machine, place, progress: places.append(place) or 1 / 0
+    )
     (tmp_path / "m.toml").write_text(SMALL.replace('"small"', '"x/../../ESCAPED"', 1))
-    assert isinstance(CliRunner().invoke(main, ["study", str(tmp_path / "m.toml")]).exception, ZeroDivisionError)
+    assert isinstance(
+        CliRunner().invoke(main, ["study", str(tmp_path / "m.toml")]).exception, ZeroDivisionError
+    )
     assert [(inner / place).resolve().parent for place in places] == [inner.resolve()]
 
 
@@ -292,10 +325,14 @@ def test_nothing_but_a_file_is_replaced(kind, tmp_path):
         lambda: write_files(path, {"a": "x"}),
     )
     for write in writers:
-        with pytest.raises(InvalidInput, match=r"r\.h5: it is (a symbolic link|a pipe|a socket|no folder)"):
+        with pytest.raises(
+            InvalidInput, match=r"r\.h5: it is (a symbolic link|a pipe|a socket|no folder)"
+        ):
             write()
     assert path.lstat() == before
-    assert sorted(p.name for p in tmp_path.iterdir()) == (["r.h5", "target"] if kind == "link" else ["r.h5"])
+    assert sorted(p.name for p in tmp_path.iterdir()) == (
+        ["r.h5", "target"] if kind == "link" else ["r.h5"]
+    )
     assert kind != "link" or (tmp_path / "target").read_text() == "kept"
 
 
@@ -315,7 +352,10 @@ def test_nor_is_the_place_of_a_partial_record(tmp_path):
     "kind",
     [
         *("fifo", "socket", "/dev/zero"),
-        *(pytest.param(place, marks=pytest.mark.campaign) for place in ("/dev/null", "/proc/self/pagemap", "/proc/self/mem")),
+        *(
+            pytest.param(place, marks=pytest.mark.campaign)
+            for place in ("/dev/null", "/proc/self/pagemap", "/proc/self/mem")
+        ),
     ],
 )
 def test_what_is_no_file_is_refused_at_once(kind, tmp_path):
@@ -323,7 +363,8 @@ def test_what_is_no_file_is_refused_at_once(kind, tmp_path):
         pytest.skip("no /proc here")
     table = tmp_path / "map.toml"
     table.write_text(
-        'machine = "m"\nsample_rate_hz = 1\n[point]\nspeed = 0\nseal_pressure = 0\n[[signal]]\nname="y"\nsource="y"\n'
+        'machine = "m"\nsample_rate_hz = 1\n[point]\nspeed = 0\nseal_pressure = '
+        '0\n[[signal]]\nname="y"\nsource="y"\n'
     )
     np.savetxt(tmp_path / "y.mat", [1.0])
     for suffix, arguments in {
@@ -369,26 +410,44 @@ def virtual(file, place, source, shape):
 
 
 OUTSIDE = {
-    "external storage": lambda f: f.create_dataset("signals/y_A", (8,), "f8", external=[("secret.bin", 0, 64)]),
-    "an external link to the group": lambda f: f.__setitem__("signals", h5py.ExternalLink("secret.h5", "/signals")),
-    "a soft link over an external one": lambda f: f.update({
-        "away": h5py.ExternalLink("secret.h5", "/"), "signals": h5py.SoftLink("/away/signals"),
-    }),
-    "an external link to a signal": lambda f: f.__setitem__("signals/y_A", h5py.ExternalLink("secret.h5", "/signals/y_A")),
+    "external storage": lambda f: f.create_dataset(
+        "signals/y_A", (8,), "f8", external=[("secret.bin", 0, 64)]
+    ),
+    "an external link to the group": lambda f: f.__setitem__(
+        "signals", h5py.ExternalLink("secret.h5", "/signals")
+    ),
+    "a soft link over an external one": lambda f: f.update(
+        {
+            "away": h5py.ExternalLink("secret.h5", "/"),
+            "signals": h5py.SoftLink("/away/signals"),
+        }
+    ),
+    "an external link to a signal": lambda f: f.__setitem__(
+        "signals/y_A", h5py.ExternalLink("secret.h5", "/signals/y_A")
+    ),
     "a virtual dataset": lambda f: virtual(f, "signals/y_A", "signals/y_A", (8,)),
     "a soft link to nothing": lambda f: f.__setitem__("signals", h5py.SoftLink("/nothing")),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("how", OUTSIDE)
 @pytest.mark.parametrize("unfinished", [False, pytest.param(True, marks=pytest.mark.campaign)])
 def test_a_record_reads_nothing_outside_itself(how, unfinished, secret, monkeypatch):
-    if how not in {"external storage", "a virtual dataset"}:  # of the others the reader itself, without its trial apart
+    # of the others the reader itself, without its trial apart
+    if how not in {"external storage", "a virtual dataset"}:
         monkeypatch.setattr(apart, "try_record", lambda path: None)
     path = secret / "r.h5"
     with h5py.File(path, "w") as file:
-        file.attrs.update({"format": "ambrose-record", "version": 1, "machine": "m", "sample_rate_hz": 1.0})
-        file.attrs.update({"speed_rad_s": 0.0, "seal_pressure_pa": 0.0, **({"complete": "false"} if unfinished else {})})
+        file.attrs.update(
+            {"format": "ambrose-record", "version": 1, "machine": "m", "sample_rate_hz": 1.0}
+        )
+        file.attrs.update(
+            {
+                "speed_rad_s": 0.0,
+                "seal_pressure_pa": 0.0,
+                **({"complete": "false"} if unfinished else {}),
+            }
+        )
         OUTSIDE[how](file)
         if "link" not in how:
             file["signals/y_A"].attrs["unit"] = "m"
@@ -397,16 +456,22 @@ def test_a_record_reads_nothing_outside_itself(how, unfinished, secret, monkeypa
 
 
 OUTSIDE_MAT = {
-    "external storage": ("v", lambda f: f.create_dataset("v", (1, 8), "f8", external=[("secret.bin", 0, 64)])),
+    "external storage": (
+        "v",
+        lambda f: f.create_dataset("v", (1, 8), "f8", external=[("secret.bin", 0, 64)]),
+    ),
     "an external link": ("v", lambda f: f.__setitem__("v", h5py.ExternalLink("secret.h5", "/v"))),
-    "an external link to a structure": ("log.v", lambda f: f.__setitem__("log", h5py.ExternalLink("secret.h5", "/log"))),
+    "an external link to a structure": (
+        "log.v",
+        lambda f: f.__setitem__("log", h5py.ExternalLink("secret.h5", "/log")),
+    ),
     "a virtual dataset": ("v", lambda f: virtual(f, "v", "v", (1, 8))),
 }
 
 
 @pytest.mark.parametrize("how", OUTSIDE_MAT)
 def test_nor_does_a_file_of_matlab(how, secret):
-    from ambrose.machine.record.foreign import read_foreign
+    from ambrose.record.foreign import read_foreign
 
     source, fill = OUTSIDE_MAT[how]
     with h5py.File(secret / "r.mat", "w") as file:
@@ -427,7 +492,12 @@ def test_an_attribute_that_is_no_text_is_written_as_one(tmp_path):
         h5py.h5a.create(file.id, b"note", kind, space).write(np.array(b"\xff\xfe", "S2"), kind)
         file.attrs.create("other", b"a\xff", dtype=h5py.string_dtype())
     assert call("convert", tmp_path / "r.h5", "-o", tmp_path / "r.csv")[0] == 0
-    assert json.loads(call("convert", tmp_path / "r.csv", "-o", tmp_path / "s.h5", "--json")[1])["samples"] == 3
+    assert (
+        json.loads(call("convert", tmp_path / "r.csv", "-o", tmp_path / "s.h5", "--json")[1])[
+            "samples"
+        ]
+        == 3
+    )
 
 
 def test_say_and_tables_need_no_terminal(capsys):
@@ -441,13 +511,24 @@ def test_say_and_tables_need_no_terminal(capsys):
 def test_an_inherited_deafness_to_interruptions_stays():
     if os.name != "posix":
         pytest.skip("signals are POSIX")
-    code = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); from ambrose.__main__ import main; import sys\n"
+    code = (
+        "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); from ambrose.__main__ import "
+        "main; import sys\n"
+    )
     code += "sys.argv = ['ambrose', '--version']\ntry:\n    main()\nexcept SystemExit:\n    pass\n"
     code += "assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=False, timeout=60).returncode == 0
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, check=False, timeout=60
+        ).returncode
+        == 0
+    )
 
 
-@pytest.mark.parametrize("arguments", [["check", "no-such-machine"], ["check"], ["check", "seal-rig", "--no-such-option"]])
+@pytest.mark.parametrize(
+    "arguments",
+    [["check", "no-such-machine"], ["check"], ["check", "seal-rig", "--no-such-option"]],
+)
 def test_a_refusal_is_one_json_object_as_well(arguments):
     done = CliRunner().invoke(main, [*arguments, "--json"])
     said = json.loads(done.stdout)

@@ -1,44 +1,61 @@
-"""Control of rotors on active magnetic bearings with destabilising seal forces: help(ambrose.api)."""
+"""Control of rotors on active magnetic bearings with destabilising seal forces:
+help(ambrose.api).
+"""
 
 from __future__ import annotations
 
 from importlib import import_module
 
+from ambrose.registry import registered
 from ambrose.version import __version__
 
-TYPE_CHECKING = False  # as type checkers understand it; typing itself is most of the time that this import takes
+# as type checkers understand it; typing itself is most of the time that this import takes
+TYPE_CHECKING = False
 
-_HOME = {  # public name -> module[:name there]; imported on first use, so that ``import ambrose`` stays fast
+# public name -> module[:name there]; imported on first use, so that ``import ambrose`` stays fast
+_HOME = {
     **dict.fromkeys(
-        ("assemble", "campaign", "design", "export", "identify", "monitor", "plot", "reduce", "simulate", "study", "verify"),
+        (
+            "assemble",
+            "design",
+            "export",
+            "identify",
+            "plot",
+            "reduce",
+            "simulate",
+            "study",
+            "verify",
+        ),
         "api",
     ),
     **dict.fromkeys(("bundled_machines", "load_machine"), "machine.file.toml"),
-    **dict.fromkeys(("read_record", "write_record"), "machine.record.files"),
-    **dict.fromkeys(("read_controller", "write_controller"), "synthesis.controller_file"),
-    **dict.fromkeys(("bundled_scenarios", "load_scenario", "Scenario"), "simulation.scenario"),
+    **dict.fromkeys(("read_record", "write_record"), "record.files"),
+    **dict.fromkeys(("read_controller", "write_controller"), "judge.controller_file"),
+    **dict.fromkeys(("bundled_scenarios", "load_scenario", "Scenario"), "rig.scenario"),
     **dict.fromkeys(("RealBlock", "ComplexBlock", "FullBlock", "GeneralizedPlant"), "core.lft"),
-    **dict.fromkeys(("AmbroseError", "InvalidInput", "NumericalFailure", "UnstableSystem"), "core.checks"),
+    **dict.fromkeys(
+        ("AmbroseError", "InvalidInput", "NumericalFailure", "UnstableSystem"), "core.checks"
+    ),
     "Machine": "machine.machine",
     "OperatingPoint": "machine.description",
     "save_machine": "machine.file.update",
-    "new_machine": "stages.new_machine",
-    "Record": "machine.record.record",
+    "new_machine": "chain.new_machine",
+    "Record": "record.record",
     "StateSpace": "core.statespace",
-    "Plant": "plant.model",
-    "Synthesis": "synthesis.result",
-    "Verification": "verification.verification",
-    "Trace": "simulation.trace",
+    "Plant": "model.plant",
+    "Synthesis": "judge.result",
+    "Verification": "judge.verification",
+    "Trace": "rig.trace",
     "Identification": "identification.result",
-    "ExportOptions": "deployment.pipeline",
-    "Study": "workflow",
-    "Campaign": "campaigns.result",
-    **dict.fromkeys(("accept", "Acceptance"), "evaluation.acceptance"),
-    "calibrate": "identification.calibration",
-    "balance": "identification.balancing.correction",
+    **{
+        name: f"synthesis.methods.{name.lower()}"
+        for name in ("Tuned", "Pid", "Hinf", "Mu", "Polish")
+    },
+    **dict.fromkeys(("ClosedLoop", "Youla", "StaticLoads"), "identification.methods"),
+    **dict.fromkeys(("C", "Mat", "Fmu", "St"), "code.targets"),
+    "Study": "chain.study",
     "hinf_synthesis": "synthesis.hinf.synthesis",
     "mu_synthesis": "synthesis.mu.synthesis",
-    "lpv_synthesis": "synthesis.lpv.synthesis",
     "mu_bounds": "core.mu.bounds",
     "hinf_norm": "core.norms",
     "worst_case_gain": "core.worst_case.search",
@@ -46,26 +63,30 @@ _HOME = {  # public name -> module[:name there]; imported on first use, so that 
     "time_response": "core.response:simulate",
     **dict.fromkeys(("connect", "poles", "select", "spectral_abscissa"), "core.statespace"),
     **dict.fromkeys(
-        ("coprime_factors", "injection_gain", "observer_controller", "residual_system"), "core.realisation.coprime"
+        ("coprime_factors", "injection_gain", "observer_controller", "residual_system"),
+        "core.realisation.coprime",
     ),
-    "trade_off": "synthesis.fixed_order.trade_off",
-    **dict.fromkeys(("least", "price"), "sizing.least"),
-    "size": "sizing.map",
+    "trade_off": "synthesis.trade_off",
     "minimal": "core.realisation.zeros",
     "delayed": "core.sampling",
     "lft": "core.lft",
     "mu_peak": "core.mu.bounds",
     "Tolerance": "machine.description",
-    **dict.fromkeys(("finite_element_rotor", "free_bending_frequencies", "mass_properties"), "physics.rotor"),
-    "closed_loop": "plant.loop",
-    "free_mode_reduction": "plant.reduce",
-    "perturbed": "plant.uncertainty",
+    **dict.fromkeys(
+        ("finite_element_rotor", "free_bending_frequencies", "mass_properties"),
+        "model.effects.rotor",
+    ),
+    "closed_loop": "law.loop",
+    "free_mode_reduction": "model.reduce",
+    "perturbed": "model.uncertainty",
     "identify_residual": "identification.youla.identify:identify_injected",
     "finite_response": "identification.youla.impulse_response",
-    "run_up_steps": "simulation.run_up:steps",
-    "with_performance_block": "synthesis.problem",
-    "performance_weight": "synthesis.weights",
-    **dict.fromkeys(("CompiledBlock", "read_law"), "deployment.c.compiled"),
+    "run_up_steps": "rig.run_up:steps",
+    "with_performance_block": "law.design_problem",
+    "performance_weight": "law.weights",
+    **dict.fromkeys(("CompiledBlock", "read_law"), "code.c.compiled"),
+    # what the annexes of this installation add, such as ``accept``, ``campaign``, ``size``
+    **{name: place.removeprefix("ambrose.") for name, place in registered("public").items()},
 }
 
 __all__ = ["__version__", *_HOME]  # noqa: PLE0604
@@ -73,11 +94,12 @@ __all__ = ["__version__", *_HOME]  # noqa: PLE0604
 if TYPE_CHECKING:
     from typing import Any
 
+    from ambrose.annexes.campaigns.front_door import campaign as campaign
+    from ambrose.annexes.scheduled.front_door import monitor as monitor
     from ambrose.api import assemble as assemble
     from ambrose.api import design as design
     from ambrose.api import export as export
     from ambrose.api import identify as identify
-    from ambrose.api import monitor as monitor
     from ambrose.api import plot as plot
     from ambrose.api import reduce as reduce
     from ambrose.api import simulate as simulate
@@ -90,12 +112,17 @@ def __getattr__(name: str) -> Any:
     if name in _HOME:
         module, _, there = _HOME[name].partition(":")
         item = getattr(import_module(f"ambrose.{module}"), there or name)
-        if not isinstance(item, type):  # a function: wrong types are named, and it pickles as what it is called here
+        # a function: wrong types are named, and it pickles as what it is called here
+        if not isinstance(item, type):
             item = import_module("ambrose.core.arguments").names_wrong_types(item)
-            item.__module__, item.__name__, item.__qualname__ = "ambrose", name, name
+            item.__module__ = "ambrose"
+            item.__name__ = name
+            item.__qualname__ = name
         globals()[name] = item
         return item
-    raise AttributeError(f"module 'ambrose' has no attribute {name!r}; dir(ambrose) lists what it has")
+    raise AttributeError(
+        f"module 'ambrose' has no attribute {name!r}; dir(ambrose) lists what it has"
+    )
 
 
 def __dir__() -> list[str]:

@@ -1,7 +1,9 @@
-"""The start of the command `ambrose`, also as `python -m ambrose`: from here on SIGINT ends it with status 130 and one line.
+"""The start of the command `ambrose`, also as `python -m ambrose`: from here on SIGINT ends it with
+status 130 and one line.
 
-An interruption is an exception where Python runs. Libraries can lose it (in a callback, in a destructor), and an import that it
-breaks may fail in other words: the status is 130 all the same, at once or after some seconds.
+An interruption is an exception where Python runs. Libraries can lose it (in a callback, in a
+destructor), and an import that it breaks may fail in other words: the status is 130 all the same,
+at once or after some seconds.
 """
 
 from __future__ import annotations
@@ -48,7 +50,9 @@ def _run(interrupt: Callable[[int, Any], None], asked: list[int]) -> None:
             raise
         if not isinstance(error, SystemExit):  # while importing
             _say()
-        os._exit(130)  # SystemExit would end as a death by SIGINT where the interruption passed through exec() on its way
+        # SystemExit would end as a death by SIGINT where the interruption passed through exec() on
+        # its way
+        os._exit(130)
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 

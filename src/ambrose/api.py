@@ -1,4 +1,5 @@
-"""The front door: what ``import ambrose as amb`` offers, one verb per step of the chain. READ FIRST.
+"""The front door: what ``import ambrose as amb`` offers, one verb per step of the chain. READ
+FIRST.
 
     machine = amb.load_machine("seal-rig")
     result = amb.design(machine, "mu")
@@ -7,9 +8,10 @@
     amb.export(result, "code", to="c")
     amb.plot(verdict)
 
-Each function checks what it is given, then hands over to the package that does the work. A machine may be a ``Machine``, the
-name of a bundled one or the path of a file; a controller a ``Synthesis``, a ``StateSpace`` or anything else with A, B, C, D; an
-operating point its label, the beginning of it, or an ``OperatingPoint``. Everything wrong raises InvalidInput in one sentence.
+Each function checks what it is given, then hands over to the package that does the work. A machine
+may be a ``Machine``, the name of a bundled one or the path of a file; a controller a ``Synthesis``,
+a ``StateSpace`` or anything else with A, B, C, D; an operating point its label, the beginning of
+it, or an ``OperatingPoint``. Everything wrong raises InvalidInput in one sentence.
 """
 
 from __future__ import annotations
@@ -22,17 +24,18 @@ from typing import TYPE_CHECKING, Any
 from ambrose.core.checks import InvalidInput, invalid
 
 if TYPE_CHECKING:
-    from ambrose.campaigns.result import Campaign
-    from ambrose.deployment.pipeline import Delivery, ExportOptions, Target
+    from ambrose.chain.study import Study
+    from ambrose.code.pipeline import Delivery
+    from ambrose.code.targets import Target
     from ambrose.identification.result import Identification
-    from ambrose.identification.seal_monitor.history import SealHistory
+    from ambrose.judge.result import Synthesis
+    from ambrose.judge.verification import Verification
+    from ambrose.law.law import Law
     from ambrose.machine.description import OperatingPoint
     from ambrose.machine.machine import Machine
-    from ambrose.plant.model import Plant
-    from ambrose.simulation.trace import Trace
-    from ambrose.synthesis.result import Synthesis
-    from ambrose.verification.verification import Verification
-    from ambrose.workflow import Study
+    from ambrose.model.plant import Plant
+    from ambrose.rig.trace import Trace
+    from ambrose.synthesis.methods.method import Method
 
 Progress = Callable[[str], None]
 
@@ -41,61 +44,73 @@ def _quiet(stage: str) -> None:
     """Progress that nobody watches."""
 
 
-def assemble(machine: Machine | str, point: OperatingPoint | str | None = None, **values: float) -> Plant:
-    """The full finite-element plant at an operating point: amplifiers, rotor on its bearings and seals, sensors.
+def assemble(
+    machine: Machine | str, point: OperatingPoint | str | None = None, **values: float
+) -> Plant:
+    """The full finite-element plant at an operating point: amplifiers, rotor on its bearings and
+    seals, sensors.
 
-    point: a label or its beginning, or an OperatingPoint; None: the point that designs are made for. values: what differs from
-    it, SI: speed [rad/s], seal_pressure [Pa], bias_current [A]. Raises InvalidInput for an unknown label or value, and where
-    the point lies outside a seal's table or a bearing's measured bias currents.
+    point: a label or its beginning, or an OperatingPoint; None: the point that designs are made
+    for. values: what differs from it, SI: speed [rad/s], seal_pressure [Pa], bias_current [A].
+    Raises InvalidInput for an unknown label or value, and where the point lies outside a seal's
+    table or a bearing's measured bias currents.
     """
     from ambrose.machine.parameters import operating_point
-    from ambrose.plant.assemble import assemble as assembled
+    from ambrose.model.assemble import assemble as assembled
 
     description = machine_of(machine)
     return assembled(description, operating_point(description, point, **values))
 
 
 def reduce(plant: Plant, bending_modes: int | None = None) -> Plant:
-    """The plant with its rotor reduced to rigid-body and ``bending_modes`` per plane; a perturbed plant stays perturbed.
+    """The plant with its rotor reduced to rigid-body and ``bending_modes`` per plane; a perturbed
+    plant stays perturbed.
 
-    None: all bending modes below the frequency to which the plant acts (twice the top speed or the fastest amplifier lag), plus
-    one; ``plant.bending_modes`` says how many that is. Raises InvalidInput.
+    None: all bending modes below the frequency to which the plant acts (twice the top speed or the
+    fastest amplifier lag), plus one; ``plant.bending_modes`` says how many that is. Raises
+    InvalidInput.
     """
-    from ambrose.plant.model import Plant as PlantType
-    from ambrose.plant.reduce import default_bending_modes
-    from ambrose.plant.reduce import reduce as reduced
+    from ambrose.model.plant import Plant as PlantType
+    from ambrose.model.reduce import default_bending_modes
+    from ambrose.model.reduce import reduce as reduced
 
     if not isinstance(plant, PlantType):
-        raise invalid("plant", type(plant).__name__, "a Plant", "assemble(machine, point) gives one")
+        raise invalid(
+            "plant", type(plant).__name__, "a Plant", "assemble(machine, point) gives one"
+        )
     return reduced(plant, default_bending_modes(plant) if bending_modes is None else bending_modes)
 
 
 def design(
     machine: Machine | Plant | str,
-    method: str = "tuned",
+    method: Method | str = "tuned",
     *,
     point: OperatingPoint | str | None = None,
     progress: Progress = _quiet,
     **options: Any,
 ) -> Synthesis:
-    """A controller: for the whole envelope, or by the thesis' methods for one operating point; certified on the full plants.
+    """A controller: for the whole envelope, or by the thesis' methods for one operating point;
+    certified on the full plants.
 
-    method: "tuned" (to the machine's requirements at all its operating points and over the tolerances around each); made for
-    one point are "pid" (the machine's reference controller), "hinf", "mu" (D-K iteration over the tolerances), "polish" (mu
-    refined at fixed order) and "lpv" (scheduled over speed, pressure or both). point: of the machine (None: the one that
-    designs are made for).
-    options, see ``synthesis.options.DesignOptions``: rate [Hz] and delay_samples of the sampled loop that it is for; order of
-    the polished or tuned controller; loss, with a rate: lower the order until the worst sampled sensitivity has risen by this
-    share; bending_modes; match_reference; structure; speeds [rad/s] or pressures [Pa], lowest and highest. A controller
-    that does not hold the full plant comes back with status "unstable". Raises InvalidInput.
+    method: ``Tuned`` (to the machine's requirements at all its operating points and over the
+    tolerances around each); made for one point are ``Pid`` (the machine's reference controller),
+    ``Hinf``, ``Mu`` (D-K iteration over the tolerances), ``Polish`` (mu refined at fixed order) and
+    ``Lpv`` (scheduled over speed, pressure or both); or the name of one, "tuned", its options then
+    by name: ``amb.design(machine, amb.Tuned(order=12))`` is ``amb.design(machine, "tuned",
+    order=12)``. What each has stands with it, help(amb.Tuned). point: of the machine (None: the one
+    that designs are made for). A controller that does not hold the full plant comes back with
+    status "unstable". Raises InvalidInput.
     """
-    from ambrose.plant.model import Plant as PlantType
+    from ambrose.model.plant import Plant as PlantType
     from ambrose.synthesis.design import design as designed
 
     if not isinstance(machine, PlantType):
         machine = assemble(machine, point)
     elif point is not None:
-        raise InvalidInput(f"the plant is at {machine.point.label!r} already; give the machine to choose another point")
+        raise InvalidInput(
+            f"the plant is at {machine.point.label!r} already; give the machine to choose another "
+            "point"
+        )
     return designed(machine, method, progress=progress, **options)
 
 
@@ -112,26 +127,36 @@ def verify(
     speed_rate: float | None = None,
     progress: Progress = _quiet,
 ) -> Verification:
-    """The controller judged on the full plant: at every operating point, and over all tolerances around each.
+    """The controller judged on the full plant: at every operating point, and over all tolerances
+    around each.
 
-    points: of the machine, one or several (None: all, the one that designs are made for first). rate [Hz], delay_samples: the
-    loop as it runs, sampled by Tustin's map and late (None: as the controller or the machine file says; where neither knows a
-    rate the continuous loop is judged). pressure_rate [Pa/s]: the fastest change of the seal pressure, for a proof while it
-    changes (None: the machine file's, or no proof); pressure_error [Pa]: how far off what a controller scheduled over it is
-    told may be; speed_rate [rad/s^2]: the fastest run-up, for a proof while the speed changes. Points that a schedule does not
-    cover are listed as left out, and the verification is not passed. Raises InvalidInput where the controller is not one for
-    this machine.
+    points: of the machine, one or several (None: all, the one that designs are made for first).
+    rate [Hz], delay_samples: the loop as it runs, sampled by Tustin's map and late (None: as the
+    controller or the machine file says; where neither knows a rate the continuous loop is judged).
+    pressure_rate [Pa/s]: the fastest change of the seal pressure, for a proof while it changes
+    (None: the machine file's, or no proof); pressure_error [Pa]: how far off what a controller
+    scheduled over it is told may be; speed_rate [rad/s^2]: the fastest run-up, for a proof while
+    the speed changes. Points that a schedule does not cover are listed as left out, and the
+    verification is not passed. Raises InvalidInput where the controller is not one for this
+    machine.
     """
-    from ambrose.evaluation.verdict import verify_controller
-    from ambrose.plant.model import Plant as PlantType
+    from ambrose.judge.verdict import verify_controller
+    from ambrose.model.plant import Plant as PlantType
 
     place = machine if isinstance(machine, PlantType) else machine_of(machine)
     several: Any = points if points is None or isinstance(points, list | tuple) else [points]
     return verify_controller(
-        place, _read(controller), several, tolerances=tolerances, rate=rate, delay_samples=delay_samples,
-        pressure_rate=pressure_rate, pressure_error=pressure_error, speed_rate=speed_rate,
+        place,
+        controller_of(controller),
+        several,
+        tolerances=tolerances,
+        rate=rate,
+        delay_samples=delay_samples,
+        pressure_rate=pressure_rate,
+        pressure_error=pressure_error,
+        speed_rate=speed_rate,
         progress=progress,
-    )  # fmt: skip
+    )
 
 
 def simulate(
@@ -143,112 +168,95 @@ def simulate(
     linear: bool = False,
     **options: Any,
 ) -> Trace:
-    """A scenario on the nonlinear virtual rig (``linear``: on the linear loop): its record and its outcome.
+    """A scenario on the nonlinear virtual rig (``linear``: on the linear loop): its record and its
+    outcome.
 
-    scenario: the name of a bundled one, the path of a file, or a Scenario. point: where the machine runs (None: the nominal
-    one). options: rate [Hz] and delay_samples of the controller (None: as it or the machine file says); fallback, the fixed
-    controller that takes over from one scheduled over pressure where the reading cannot be trusted, with pressure_rate,
-    pressure_error, stuck_after and estimate as in ``evaluation.trial.simulate_scenario``; others as for
-    ``simulation.virtual_rig.run``: seed, bending_modes, path, second, progress. Raises InvalidInput.
+    scenario: the name of a bundled one, the path of a file, or a Scenario. point: where the machine
+    runs (None: the nominal one). options: rate [Hz] and delay_samples of the controller (None: as
+    it or the machine file says); fallback, the fixed controller that takes over from one scheduled
+    over pressure where the reading cannot be trusted, with pressure_rate, pressure_error,
+    stuck_after and estimate as in ``rig.trial.simulate_scenario``; others as for
+    ``rig.virtual_rig.run``: seed, bending_modes, path, second, progress. Raises InvalidInput.
     """
-    from ambrose.evaluation.trial import simulate_scenario
-    from ambrose.plant.model import Plant as PlantType
+    from ambrose.model.plant import Plant as PlantType
+    from ambrose.rig.trial import simulate_scenario
 
     place = machine if isinstance(machine, PlantType) else machine_of(machine)
-    if isinstance(options.get("fallback"), str | os.PathLike):
-        options["fallback"] = _read(options["fallback"])
-    return simulate_scenario(place, _read(controller), scenario, point=point, linear=linear, **options)
+    for name in ("fallback", "second"):
+        if options.get(name) is not None:
+            options[name] = controller_of(options[name])
+    return simulate_scenario(
+        place, controller_of(controller), scenario, point=point, linear=linear, **options
+    )
 
 
-def identify(machine: Machine | str, records: Any, controller: Any = None, **options: Any) -> Identification:
-    """What closed-loop records tell about the machine: records checked, parameters with intervals, the machine updated.
+def identify(
+    machine: Machine | str, records: Any, controller: Any = None, **options: Any
+) -> Identification:
+    """What closed-loop records tell about the machine: records checked, parameters with intervals,
+    the machine updated.
 
-    records: a Record, a path, or several. controller: the one that ran. options, see ``identification.pipeline.identify``:
-    method "closed-loop", "youla" or "static"; unknown, parameters as the tolerances name them with "*" for every name or axis;
-    start; repeats; seal_form "line" or "table"; seal; progress. Raises InvalidInput that names what is wrong with a record.
+    records: a Record, a path, or several. controller: the one that ran. options, see
+    ``identification.pipeline.identify``: method, ``ClosedLoop``, ``Youla`` or ``StaticLoads`` with
+    its options, or the name of one, "closed-loop", "youla", "static", its options then by name
+    (unknown, parameters as the tolerances name them with "*" for every name or axis; start;
+    seal_form); repeats; progress. Raises InvalidInput that names what is wrong with a record.
     """
     from ambrose.identification.pipeline import identify as identified
 
-    law = None if controller is None else _read(controller)
+    law = None if controller is None else controller_of(controller)
     return identified(machine_of(machine), records, law, **options)
-
-
-def monitor(machine: Machine | str, controller: Any, record: Any, **options: Any) -> SealHistory:
-    """A seal's coefficients against time from one record of the running loop, with intervals and what they say.
-
-    controller: the one that ran. record: a Record or a path, with y_<axis> [m], u_<axis> [A] and a small excitation e_<axis>
-    [A]. options, see ``identification.seal_monitor.watch.seal_monitor``: seal (None: the only one); unknown, such as
-    ("pressure",) or ("k",); window [s]; rate [share of the file's value per s]; doubts; bending_modes; harmonics;
-    computing_delay; progress. Raises InvalidInput.
-    """
-    from ambrose.identification.seal_monitor.watch import monitor as watched
-    from ambrose.machine.record.files import read_record
-
-    read = _read(controller)
-    measured = read_record(Path(record)) if isinstance(record, str | os.PathLike) else record
-    return watched(machine_of(machine), getattr(read, "controller", read), measured, **options)
 
 
 def export(
     controller: Any,
     directory: str | os.PathLike[str],
     *,
-    to: Target,
+    to: Target | str,
     machine: Machine | str | None = None,
-    options: ExportOptions | None = None,
     fallback: Any = None,
+    **options: Any,
 ) -> Delivery:
-    """The controller as files for a target, verified as it will run: "c" (C99), "mat", "fmu" (FMI 2 and 3), "st" (IEC 61131-3).
+    """The controller as files for a target, verified as it will run.
 
-    machine: the one it is for; None: the bundled machine that it was made for. fallback: the fixed controller that takes over
-    from one scheduled over pressure where the reading cannot be trusted (C only). Raises InvalidInput, and UnstableSystem where
-    the sampled loop does not hold the machine.
+    to: ``C`` (C99), ``Mat`` (MATLAB, Octave), ``Fmu`` (FMI 2 and 3), ``St`` (IEC 61131-3), each
+    with its options, ``amb.C(arithmetic="float")``; or the name of one, "c", its options then by
+    name. machine: the one it is for; None: the bundled machine that it was made for. fallback: the
+    fixed controller that takes over from one scheduled over pressure where the reading cannot be
+    trusted (C only). Raises InvalidInput, and UnstableSystem where the sampled loop does not hold
+    the machine.
     """
-    from ambrose.deployment.pipeline import export as exported
-    from ambrose.synthesis.controller_file import read_controller
+    from ambrose.code.pipeline import export as exported
 
-    controller, fallback = (
-        read_controller(item) if isinstance(item, str | os.PathLike) else item for item in (controller, fallback)
-    )
+    other = None if fallback is None else controller_of(fallback)
     description = None if machine is None else machine_of(machine)
-    return exported(controller, Path(directory), to=to, machine=description, options=options, fallback=fallback)
+    return exported(
+        controller_of(controller),
+        Path(directory),
+        to=to,
+        machine=description,
+        fallback=other,
+        **options,
+    )
 
 
-def study(machine: Machine | str, directory: str | os.PathLike[str] = "study", *, progress: Progress = _quiet) -> Study:
-    """The whole chain: every controller that the machine file allows, verified, tried, compared in report.html."""
-    from ambrose.workflow import study as studied
+def study(
+    machine: Machine | str,
+    directory: str | os.PathLike[str] = "study",
+    *,
+    progress: Progress = _quiet,
+) -> Study:
+    """The whole chain: every controller that the machine file allows, verified, tried, compared in
+    report.html.
+    """
+    from ambrose.chain.study import study as studied
 
     return studied(machine_of(machine), Path(directory), progress)
 
 
-def campaign(
-    plan: Any,
-    directory: str | os.PathLike[str] = "campaign",
-    *,
-    engine: str = "processes",
-    workers: int | None = None,
-    progress: Progress = _quiet,
-) -> Campaign:
-    """A plan of many cases computed, and what it gave; what ``directory`` holds of it already is not computed again.
-
-    plan: the path of a plan file, its content as a dict, or a Plan. engine: "processes" on this computer, "dask" for a Dask
-    cluster on it, or the address of a running scheduler. workers: None: one for each processor. In a script call it below
-    ``if __name__ == "__main__"``: the workers import the script. Raises InvalidInput.
-    """
-    from ambrose.campaigns.plan import Plan, plan_of, read_plan
-    from ambrose.campaigns.result import read_campaign
-    from ambrose.campaigns.run import executors, processors, run_plan
-
-    wanted = plan if isinstance(plan, Plan) else plan_of(plan) if isinstance(plan, dict) else read_plan(plan)
-    with executors(engine, workers or processors()) as (make, count):
-        run_plan(wanted, Path(directory), make=make, workers=count, progress=progress)
-    result = read_campaign(wanted, Path(directory))
-    result.write(Path(directory))
-    return result
-
-
 def plot(item: Any) -> Any:
-    """A plotly figure: of a machine, plant, controller, verification, trace, record, identification, response or study.
+    """A plotly figure: of a machine, plant, controller, verification, trace, record,
+    identification, response or study.
 
     Raises InvalidInput for anything else.
     """
@@ -264,23 +272,13 @@ def machine_of(machine: Any) -> Machine:
     return load_machine(machine)
 
 
-def _read(controller: Any) -> Any:
-    """A controller with all that is known of it: a Synthesis, from its file too; else the law. Raises InvalidInput."""
-    from ambrose.synthesis.controller_file import read_controller
+def controller_of(controller: Any) -> Law:
+    """What controls, as a law: of a file what it says; a system of python-control becomes one here,
+    and nowhere below. Raises InvalidInput.
+    """
+    from ambrose.judge.controller_file import read_controller
+    from ambrose.law.law import law_of
 
     if isinstance(controller, str | os.PathLike):
-        controller = read_controller(controller)
-    return controller if hasattr(controller, "law") else law_of(controller)
-
-
-def law_of(controller: Any) -> Any:
-    """What runs: of a Synthesis or a controller file its law, else the system itself. Raises InvalidInput for anything else."""
-    from ambrose.core.scheduled import ScheduledSystem
-    from ambrose.core.statespace import as_statespace
-    from ambrose.plant.control_program import ControlProgram
-
-    if isinstance(controller, str | os.PathLike) or hasattr(controller, "law"):
-        return _read(controller).law
-    if isinstance(controller, ScheduledSystem | ControlProgram):
-        return controller
-    return as_statespace(controller)
+        return read_controller(controller)
+    return law_of(controller, functions=False)

@@ -1,4 +1,6 @@
-"""Wrong types named from annotations: only where a call fails, only what cannot be meant, and defects stay defects."""
+"""Wrong types named from annotations: only where a call fails, only what cannot be meant, and
+defects stay defects.
+"""
 
 from __future__ import annotations
 
@@ -67,10 +69,15 @@ def test_the_first_argument_that_cannot_be_meant_is_named(arguments, words):
 @pytest.mark.parametrize(
     "arguments",
     [
-        {}, {"size": np.float64(2)}, {"size": np.array(2)}, {"names": "bare"}, {"names": ["a"], "pairs": [["a", 1]]},
-        {"anything": object(), "unknown": object()}, {"count": np.int64(3), "progress": print, "path": os.curdir},
+        {},
+        {"size": np.float64(2)},
+        {"size": np.array(2)},
+        {"names": "bare"},
+        {"names": ["a"], "pairs": [["a", 1]]},
+        {"anything": object(), "unknown": object()},
+        {"count": np.int64(3), "progress": print, "path": os.curdir},
     ],
-)  # fmt: skip
+)
 def test_a_defect_stays_where_every_argument_fits(arguments):
     with pytest.raises(TypeError, match="inside"):
         paint(**{"count": 1} | arguments)
@@ -99,7 +106,9 @@ class Unannotated:
 
 
 def test_what_has_no_annotation_is_never_to_blame():
-    with pytest.raises(InvalidInput, match=r"size is 'x', but must be a number; see help\(Unannotated\)"):
+    with pytest.raises(
+        InvalidInput, match=r"size is 'x', but must be a number; see help\(Unannotated\)"
+    ):
         Unannotated(None, "x")
 
 

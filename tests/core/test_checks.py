@@ -18,11 +18,15 @@ from ambrose.core.checks import (
 def test_exceptions_are_also_the_builtin_kinds():
     assert issubclass(InvalidInput, ValueError) and issubclass(UnstableSystem, ValueError)
     assert issubclass(NumericalFailure, ArithmeticError)
-    assert all(issubclass(kind, AmbroseError) for kind in (InvalidInput, NumericalFailure, UnstableSystem))
+    assert all(
+        issubclass(kind, AmbroseError) for kind in (InvalidInput, NumericalFailure, UnstableSystem)
+    )
 
 
 def test_finite_names_the_first_offender():
-    with pytest.raises(InvalidInput, match=r"K\[1, 0\] is nan, but must be finite; .*missing value"):
+    with pytest.raises(
+        InvalidInput, match=r"K\[1, 0\] is nan, but must be finite; .*missing value"
+    ):
         check_finite([[1.0, 2.0], [np.nan, np.inf]], "K")
     with pytest.raises(InvalidInput, match=r"K\[0\] is nan"):
         check_finite([None, 1.0], "K")
@@ -30,7 +34,9 @@ def test_finite_names_the_first_offender():
         check_finite(np.inf, "K")
 
 
-@pytest.mark.parametrize("bad", [[[1], [1, 2]], "abc", ["1.0", "2.0"], {}, object(), np.array(["2020"], "M8")])
+@pytest.mark.parametrize(
+    "bad", [[[1], [1, 2]], "abc", ["1.0", "2.0"], {}, object(), np.array(["2020"], "M8")]
+)
 def test_not_numeric(bad):
     with pytest.raises(InvalidInput, match="x is not numeric"):
         check_finite(bad, "x")
@@ -45,12 +51,22 @@ def test_integers_and_booleans_become_float_and_complex_stays():
 @pytest.mark.parametrize(
     ("actual", "shape", "fits"),
     [
-        ((3, 3), "(n, n)", True), ((3, 2), "(n, n)", False), ((3,), "(n,)", True), ((3,), "(n)", True), ((), "()", True),
-        ((3,), "()", False), ((4, 3, 2), "(..., 3, 2)", True), ((3, 2), "(..., 3, 2)", True), ((2,), "(..., 3, 2)", False),
-        ((5, 2, 2), "(..., n, n)", True), ((5, 2, 3), "(..., n, n)", False), ((2, 2), "(2, 2)", True), ((0, 4), "(n, m)", True),
+        ((3, 3), "(n, n)", True),
+        ((3, 2), "(n, n)", False),
+        ((3,), "(n,)", True),
+        ((3,), "(n)", True),
+        ((), "()", True),
+        ((3,), "()", False),
+        ((4, 3, 2), "(..., 3, 2)", True),
+        ((3, 2), "(..., 3, 2)", True),
+        ((2,), "(..., 3, 2)", False),
+        ((5, 2, 2), "(..., n, n)", True),
+        ((5, 2, 3), "(..., n, n)", False),
+        ((2, 2), "(2, 2)", True),
+        ((0, 4), "(n, m)", True),
         ((7, 3), "(4 + n, n)", True),
     ],
-)  # fmt: skip
+)
 def test_match_shape(actual, shape, fits):
     assert match_shape(actual, shape, {}) is fits
 
@@ -62,11 +78,15 @@ def test_letters_hold_across_calls():
 
 
 def test_shape_message_states_what_is_known():
-    with pytest.raises(InvalidInput, match=r"the shape of B is \(2, 3\), but must be \(n, m\), n = 4"):
+    with pytest.raises(
+        InvalidInput, match=r"the shape of B is \(2, 3\), but must be \(n, m\), n = 4"
+    ):
         check_shape(np.ones((2, 3)), "B", "(n, m)", n=4)
 
 
-@pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf, "1", None, [1.0], 1 + 1j, np.ones((1, 1))])
+@pytest.mark.parametrize(
+    "bad", [0.0, -1.0, np.nan, np.inf, "1", None, [1.0], 1 + 1j, np.ones((1, 1))]
+)
 def test_positive_refuses(bad):
     with pytest.raises(InvalidInput, match="length"):
         check_positive(bad, "length", "give metres")

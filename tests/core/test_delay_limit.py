@@ -1,4 +1,6 @@
-"""The least sensitivity that unstable poles and delay allow, against closed forms and an independent computation."""
+"""The least sensitivity that unstable poles and delay allow, against closed forms and an
+independent computation.
+"""
 
 import numpy as np
 import pytest
@@ -11,11 +13,15 @@ from ambrose.core.delay_limit import least_sensitivity
 
 @pytest.mark.parametrize("p_tau", [0.01, 0.1, 0.5, 1.0, 2.0])
 def test_one_real_pole_is_the_exponential(p_tau):
-    assert least_sensitivity([[p_tau / 3e-4]], [[7.0]], 3e-4) == pytest.approx(np.exp(p_tau), rel=1e-6)
+    assert least_sensitivity([[p_tau / 3e-4]], [[7.0]], 3e-4) == pytest.approx(
+        np.exp(p_tau), rel=1e-6
+    )
 
 
 def by_conjugate_points(poles, tau):
-    """The norm of prod (s + p)/(s - p) on L2[0, tau]: the largest gamma at which the boundary value problem has a solution."""
+    """The norm of prod (s + p)/(s - p) on L2[0, tau]: the largest gamma at which the boundary value
+    problem has a solution.
+    """
     A = np.diag(poles)
     C = np.ones((1, len(poles)))
     B = np.linalg.solve(sla.solve_continuous_lyapunov(A.T, C.T @ C), C.T)
@@ -46,7 +52,9 @@ def test_poles_seen_apart_bind_apart_and_states_do_not_matter():
     apart = least_sensitivity(A, C, 1e-3)
     assert apart == pytest.approx(np.exp(0.3), rel=1e-6)
     T = np.array([[1.0, 2.0, 0.0], [0.0, 3.0, 1.0], [1.0, 0.0, 1.0]])
-    assert least_sensitivity(np.linalg.solve(T, A @ T), C @ T, 1e-3) == pytest.approx(apart, rel=1e-6)
+    assert least_sensitivity(np.linalg.solve(T, A @ T), C @ T, 1e-3) == pytest.approx(
+        apart, rel=1e-6
+    )
 
 
 def test_nothing_binds_a_stable_or_undelayed_loop_and_nothing_holds_what_no_sensor_sees():
@@ -59,7 +67,9 @@ def test_nothing_binds_a_stable_or_undelayed_loop_and_nothing_holds_what_no_sens
 
 
 def test_a_controller_comes_near_it_and_none_below():
-    """1/(s - p), late: S of K = k is |1/(1 + k e^{-s tau}/(s - p))|; the best gain stays above the limit."""
+    """1/(s - p), late: S of K = k is |1/(1 + k e^{-s tau}/(s - p))|; the best gain stays above the
+    limit.
+    """
     p, tau = 200.0, 1e-3
     omega = np.geomspace(1.0, 1e5, 4000)
     G = np.exp(-1j * omega * tau) / (1j * omega - p)

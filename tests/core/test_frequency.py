@@ -1,4 +1,6 @@
-"""Frequency responses against closed forms, dense solves and python-control; next to poles, and with bounded memory."""
+"""Frequency responses against closed forms, dense solves and python-control; next to poles, and
+with bounded memory.
+"""
 
 import json
 import tracemalloc
@@ -32,7 +34,8 @@ def random_matrices(seed, n, m, p):
 
 
 @pytest.mark.parametrize(
-    ("n", "m", "p"), [(1, 1, 1), (2, 3, 1), (5, 1, 4), (16, 2, 2), (17, 2, 2), (34, 3, 2), (35, 1, 1), (100, 4, 4)]
+    ("n", "m", "p"),
+    [(1, 1, 1), (2, 3, 1), (5, 1, 4), (16, 2, 2), (17, 2, 2), (34, 3, 2), (35, 1, 1), (100, 4, 4)],
 )
 @pytest.mark.parametrize("kind", ["real", "complex"])
 def test_against_dense_solves(n, m, p, kind):
@@ -44,8 +47,11 @@ def test_against_dense_solves(n, m, p, kind):
     error = np.abs(transfer_matrix(A, B, C, D, s) - expected).max() / np.abs(expected).max()
     assert error < 1e-12
     form = schur_form(A, B, C, D)
-    np.testing.assert_allclose(np.sort_complex(form.poles), np.sort_complex(np.linalg.eigvals(A)), atol=1e-10)
-    assert np.array_equal(evaluate(form, s), transfer_matrix(A, B, C, D, s))  # the prepared form is the same computation
+    np.testing.assert_allclose(
+        np.sort_complex(form.poles), np.sort_complex(np.linalg.eigvals(A)), atol=1e-10
+    )
+    # the prepared form is the same computation
+    assert np.array_equal(evaluate(form, s), transfer_matrix(A, B, C, D, s))
 
 
 @pytest.mark.parametrize(("n", "m", "p"), [(1, 1, 1), (17, 2, 5), (34, 5, 2), (100, 4, 4)])
@@ -60,7 +66,10 @@ def test_partial_fractions_are_the_same_response(n, m, p, kind):
     expected = evaluate(schur_form(A, B, C, D), s)
     assert np.abs(evaluate(form, s) - expected).max() < 1e-11 * np.abs(expected).max()
     with pytest.raises(InvalidInput, match="is a pole"):
-        evaluate(schur_form(np.diag([1j, -1j]), np.eye(2), np.eye(2), np.zeros((2, 2)), expand=True), np.array([2j, 1j]))
+        evaluate(
+            schur_form(np.diag([1j, -1j]), np.eye(2), np.eye(2), np.zeros((2, 2)), expand=True),
+            np.array([2j, 1j]),
+        )
 
 
 @pytest.mark.parametrize("distance", [0.0, 1e-9, 1e-6])
@@ -68,17 +77,23 @@ def test_poles_without_eigenvectors_of_their_own_stay_in_schur_form(distance):
     A = np.array([[-1.0, 1.0], [0.0, -1.0 - distance]])
     form = schur_form(A, np.eye(2), np.eye(2), np.zeros((2, 2)), expand=True)
     assert form.expansion is None
-    assert evaluate(form, np.array([1j]))[0, 0, 1] == pytest.approx(1 / ((1j + 1) * (1j + 1 + distance)), rel=1e-12)
+    assert evaluate(form, np.array([1j]))[0, 0, 1] == pytest.approx(
+        1 / ((1j + 1) * (1j + 1 + distance)), rel=1e-12
+    )
 
 
 @pytest.mark.parametrize("shape", [(4, 4), (2, 7), (9, 3), (5, 1), (1, 5), (1, 1)])
 @pytest.mark.parametrize("scale", [1.0, 1e-170, 1e170])
 def test_largest_gain_is_the_largest_singular_value(shape, scale):
     rng = np.random.default_rng(3)
-    values = scale * (rng.standard_normal((2, 30, *shape)) + 1j * rng.standard_normal((2, 30, *shape)))
+    values = scale * (
+        rng.standard_normal((2, 30, *shape)) + 1j * rng.standard_normal((2, 30, *shape))
+    )
     values[0, 0] = 0.0
     values[1, :, 1:] *= 1e-9  # the others far below it
-    np.testing.assert_allclose(largest_gain(values), np.linalg.norm(values, 2, axis=(-2, -1)), rtol=1e-14)
+    np.testing.assert_allclose(
+        largest_gain(values), np.linalg.norm(values, 2, axis=(-2, -1)), rtol=1e-14
+    )
     assert largest_gain(values[:, :0]).shape == (2, 0)
 
 
@@ -90,11 +105,15 @@ def test_empty_sides(n, m, p):
 
 
 def test_defective_poles():
-    """A Jordan block has one eigenvector: a diagonalisation would be useless, the Schur form is exact."""
+    """A Jordan block has one eigenvector: a diagonalisation would be useless, the Schur form is
+    exact.
+    """
     n = 6
     A = -np.eye(n) + np.eye(n, k=1)
     omega = np.array([0.0, 0.5, 2.0, 30.0])
-    values = frequency_response(StateSpace(A, np.eye(n)[:, -1:], np.eye(n), np.zeros((n, 1))), omega).values[:, :, 0]
+    values = frequency_response(
+        StateSpace(A, np.eye(n)[:, -1:], np.eye(n), np.zeros((n, 1))), omega
+    ).values[:, :, 0]
     expected = (1 / (1j * omega + 1))[:, None] ** np.arange(n, 0, -1)
     np.testing.assert_allclose(values, expected, rtol=1e-12)
 
@@ -105,11 +124,15 @@ def test_lightly_damped_resonance(zeta, omega_0):
     system = transfer_function([omega_0**2], [1, 2 * zeta * omega_0, omega_0**2])
     omega = omega_0 * np.array([0.0, 0.5, 1 - zeta, 1.0, 1 + 3 * zeta, 10.0])
     exact = 1 / (1 - (omega / omega_0) ** 2 + 2j * zeta * omega / omega_0)
-    np.testing.assert_allclose(frequency_response(system, omega).values[:, 0, 0], exact, rtol=4e-16 / zeta + 1e-13)
+    np.testing.assert_allclose(
+        frequency_response(system, omega).values[:, 0, 0], exact, rtol=4e-16 / zeta + 1e-13
+    )
 
 
 def exact_resonance():
-    """An oscillator with zeta = 2^-20 hidden behind an integer transformation: every entry is a float exactly."""
+    """An oscillator with zeta = 2^-20 hidden behind an integer transformation: every entry is a
+    float exactly.
+    """
     zeta = 2.0**-20
     A = np.zeros((4, 4))
     A[:2, :2], A[2:, 2:] = [[-zeta, 1], [-1, -zeta]], [[-3, 1], [0, -5]]
@@ -132,21 +155,34 @@ def test_the_exact_evaluation_is_exact():
 
 @pytest.mark.parametrize("hidden", [False, True])
 @pytest.mark.parametrize(
-    "A", [[[0.0]], [[0, 1], [0, 0]], [[-1, 1, 0], [0, 0, 1], [0, 0, 0]], [[0, 2], [-2, 0]], np.diag([-1e6, 0.0])]
+    "A",
+    [
+        [[0.0]],
+        [[0, 1], [0, 0]],
+        [[-1, 1, 0], [0, 0, 1], [0, 0, 0]],
+        [[0, 2], [-2, 0]],
+        np.diag([-1e6, 0.0]),
+    ],
 )
 def test_a_pole_is_refused_and_beside_it_is_not(A, hidden):
-    """Integrators keep a residue of rounding in the Schur form; a gain of 1e16 must not be returned for infinity."""
+    """Integrators keep a residue of rounding in the Schur form; a gain of 1e16 must not be returned
+    for infinity.
+    """
     A = np.array(A, float)
     n = len(A)
     at = np.abs(np.linalg.eigvals(A).imag).max()
     if hidden:
         T = np.random.default_rng(3).standard_normal((n, n))
         A = np.linalg.solve(T, A @ T)
-    B, C, D = np.ones((n, 1)), np.ones((1, n)), np.zeros((1, 1))
+    B = np.ones((n, 1))
+    C = np.ones((1, n))
+    D = np.zeros((1, 1))
     with pytest.raises(InvalidInput, match="is a pole of the system; evaluate beside it"):
         frequency_response(StateSpace(A, B, C, D), [5.0, at])
     s = np.array([1j * (at + 1e-3)])
-    np.testing.assert_allclose(frequency_response(StateSpace(A, B, C, D), s.imag).values, dense(A, B, C, D, s), rtol=1e-7)
+    np.testing.assert_allclose(
+        frequency_response(StateSpace(A, B, C, D), s.imag).values, dense(A, B, C, D, s), rtol=1e-7
+    )
 
 
 def test_graded_systems_keep_every_scale():
@@ -173,9 +209,12 @@ def test_sampled_and_nyquist():
     system = StateSpace([[a]], [[1]], [[2]], [[0.5]], dt=dt)
     omega = np.linspace(-np.pi / dt, np.pi / dt, 9)
     expected = 2 / (np.exp(1j * omega * dt) - a) + 0.5
-    np.testing.assert_allclose(frequency_response(system, omega).values[:, 0, 0], expected, rtol=1e-13)
+    np.testing.assert_allclose(
+        frequency_response(system, omega).values[:, 0, 0], expected, rtol=1e-13
+    )
     with pytest.raises(
-        InvalidInput, match=r"highest frequency is 1600 rad/s, but must be at most the Nyquist frequency 1570.8"
+        InvalidInput,
+        match=r"highest frequency is 1600 rad/s, but must be at most the Nyquist frequency 1570.8",
     ):
         frequency_response(system, [1600.0])
     with pytest.raises(InvalidInput, match="is a pole"):
@@ -192,8 +231,12 @@ def test_python_control_agrees():
     A, B, C, D = random_matrices(8, 12, 3, 2)
     A = A - 6 * np.eye(12)
     omega = np.logspace(-1, 2, 20)
-    theirs = control.frequency_response(control.ss(A, B, C, D), omega, squeeze=False).complex.transpose(2, 0, 1)
-    np.testing.assert_allclose(frequency_response(control.ss(A, B, C, D), omega).values, theirs, rtol=1e-10)
+    theirs = control.frequency_response(
+        control.ss(A, B, C, D), omega, squeeze=False
+    ).complex.transpose(2, 0, 1)
+    np.testing.assert_allclose(
+        frequency_response(control.ss(A, B, C, D), omega).values, theirs, rtol=1e-10
+    )
 
 
 class TestFrequencyResponse:
@@ -215,9 +258,13 @@ class TestFrequencyResponse:
     def test_it_shows_itself(self):
         system = rename(StateSpace(*random_matrices(1, 3, 2, 1)), ["a", "b"], ["y"])
         response = frequency_response(system, [0.5, 2.0])
-        assert repr(response).startswith("FrequencyResponse(frequencies=2, range=0.5 to 2 rad/s, peak=")
+        assert repr(response).startswith(
+            "FrequencyResponse(frequencies=2, range=0.5 to 2 rad/s, peak="
+        )
         assert json.loads(json.dumps(response.to_dict()))["imag"] == response.values.imag.tolist()
-        stack = FrequencyResponse(np.stack([response.values, 2 * response.values]), response.omega, ("a", "b"), ("y",))
+        stack = FrequencyResponse(
+            np.stack([response.values, 2 * response.values]), response.omega, ("a", "b"), ("y",)
+        )
         assert stack.max_singular_value().shape == (2, 2)
         assert np.array_equal(stack.select("b").values, stack.values[..., 1:])
         with pytest.raises(InvalidInput, match="take one system"):
@@ -231,7 +278,9 @@ class TestFrequencyResponse:
 
 
 def test_memory_is_bounded():
-    """4 x 4 channels of 100 states at 30,000 frequencies: all states at once would take 192 MB, the answer itself 7.7 MB."""
+    """4 x 4 channels of 100 states at 30,000 frequencies: all states at once would take 192 MB, the
+    answer itself 7.7 MB.
+    """
     A, B, C, D = random_matrices(10, 100, 4, 4)
     omega = np.linspace(0.0, 50.0, 30_000)
     system = StateSpace(A - 12 * np.eye(100), B, C, D)

@@ -29,7 +29,9 @@ def stable(seed, n, dt=None):
 def stable_system(seed, n=6, m=2, p=3, dt=None):
     rng = np.random.default_rng(seed + 1000)
     D = np.zeros((p, m))
-    return StateSpace(stable(seed, n, dt), rng.standard_normal((n, m)), rng.standard_normal((p, n)), D, dt=dt)
+    return StateSpace(
+        stable(seed, n, dt), rng.standard_normal((n, m)), rng.standard_normal((p, n)), D, dt=dt
+    )
 
 
 def scales(n):
@@ -43,7 +45,12 @@ class TestLyapunov:
         Q = np.random.default_rng(n).standard_normal((n, n))
         Q = Q @ Q.T if symmetric else Q
         X, Y = lyapunov(stable(n, n), Q), discrete_lyapunov(stable(n, n, 1.0), Q)
-        np.testing.assert_allclose(X, sla.solve_continuous_lyapunov(stable(n, n), -Q), rtol=1e-9, atol=1e-11 * np.abs(X).max())
+        np.testing.assert_allclose(
+            X,
+            sla.solve_continuous_lyapunov(stable(n, n), -Q),
+            rtol=1e-9,
+            atol=1e-11 * np.abs(X).max(),
+        )
         expected = sla.solve_discrete_lyapunov(stable(n, n, 1.0), Q, method="bilinear")
         np.testing.assert_allclose(Y, expected, rtol=1e-9, atol=1e-11 * np.abs(Y).max())
         assert not symmetric or (np.array_equal(X, X.T) and np.array_equal(Y, Y.T))
@@ -78,10 +85,14 @@ class TestLyapunov:
         if hidden:
             T = np.random.default_rng(1).standard_normal(A.shape)
             A = np.linalg.solve(T, A @ T)
-        with pytest.raises(NumericalFailure, match="no unique solution.*" + (message if not hidden else "with the")):
+        with pytest.raises(
+            NumericalFailure, match="no unique solution.*" + (message if not hidden else "with the")
+        ):
             solve(A, np.eye(len(A)))
 
-    @pytest.mark.parametrize(("A", "Q"), [(np.ones((2, 3)), np.eye(2)), (np.eye(2), np.eye(3)), ([[np.nan]], [[1.0]])])
+    @pytest.mark.parametrize(
+        ("A", "Q"), [(np.ones((2, 3)), np.eye(2)), (np.eye(2), np.eye(3)), ([[np.nan]], [[1.0]])]
+    )
     def test_refuses(self, A, Q):
         with pytest.raises(InvalidInput):
             lyapunov(A, Q)
@@ -91,17 +102,28 @@ class TestRiccati:
     @pytest.mark.parametrize("n", [1, 3, 10, 24])
     def test_lqr_against_scipy(self, n):
         rng = np.random.default_rng(n)
-        A, B, C = rng.standard_normal((n, n)), rng.standard_normal((n, 2)), rng.standard_normal((2, n))
+        A = rng.standard_normal((n, n))
+        B = rng.standard_normal((n, 2))
+        C = rng.standard_normal((2, n))
         solution = solve_riccati(A, B @ B.T, C.T @ C)
         expected = sla.solve_continuous_are(A, B, C.T @ C, np.eye(2))
-        np.testing.assert_allclose(solution.X, expected, rtol=1e-8, atol=1e-10 * np.abs(expected).max())
-        assert solution.solved and solution.residual < 1e-12 and solution.closed_loop_poles.real.max() < 0
         np.testing.assert_allclose(
-            np.sort_complex(solution.closed_loop_poles), np.sort_complex(np.linalg.eigvals(A - B @ B.T @ expected)), rtol=1e-6
+            solution.X, expected, rtol=1e-8, atol=1e-10 * np.abs(expected).max()
+        )
+        assert (
+            solution.solved
+            and solution.residual < 1e-12
+            and solution.closed_loop_poles.real.max() < 0
+        )
+        np.testing.assert_allclose(
+            np.sort_complex(solution.closed_loop_poles),
+            np.sort_complex(np.linalg.eigvals(A - B @ B.T @ expected)),
+            rtol=1e-6,
         )
 
     @pytest.mark.parametrize(
-        ("a", "g", "q"), [(1.0, 2.0, 3.0), (-2.0, -1.0, 3.0), (-2.0, 0.5, -1.0), (3.0, 1.0, 0.0), (-1, 0, 5)]
+        ("a", "g", "q"),
+        [(1.0, 2.0, 3.0), (-2.0, -1.0, 3.0), (-2.0, 0.5, -1.0), (3.0, 1.0, 0.0), (-1, 0, 5)],
     )
     def test_scalar_closed_form_also_indefinite(self, a, g, q):
         """g x^2 - 2 a x - q = 0 with a - g x = -sqrt(a^2 + g q)."""
@@ -115,7 +137,12 @@ class TestRiccati:
         [
             ([[-1.0]], [[-1.0]], [[2.0]], "imaginary-axis eigenvalues"),
             ([[0.0, 1], [-4, 0]], np.zeros((2, 2)), np.eye(2), "imaginary-axis eigenvalues"),
-            ([[0.0, 1], [-4, 0]], np.diag([0, 1.0]), np.zeros((2, 2)), "imaginary-axis eigenvalues"),
+            (
+                [[0.0, 1], [-4, 0]],
+                np.diag([0, 1.0]),
+                np.zeros((2, 2)),
+                "imaginary-axis eigenvalues",
+            ),
             ([[1.0]], [[0.0]], [[1.0]], "X1 singular"),
             (np.diag([1.0, -2.0]), np.diag([0.0, 1.0]), np.eye(2), "X1 singular"),
         ],
@@ -130,18 +157,26 @@ class TestRiccati:
             assert solve_riccati([[-1.0]], [[1 - gamma**-2]], [[1.0]]).solved is solved
 
     def test_gamma_iteration_survives_scaling(self):
-        """Full-information H-infinity control: the smallest gamma must not depend on the units of the states."""
+        """Full-information H-infinity control: the smallest gamma must not depend on the units of
+        the states.
+        """
         rng = np.random.default_rng(7)
         n, t = 8, scales(8)
         A, B1, B2, C = (rng.standard_normal(shape) for shape in ((n, n), (n, 2), (n, 2), (3, n)))
 
         def smallest(t):
-            a, b1, b2, c = A * t / t[:, None], B1 / t[:, None], B2 / t[:, None], C * t
+            a = A * t / t[:, None]
+            b1 = B1 / t[:, None]
+            b2 = B2 / t[:, None]
+            c = C * t
             low, high = 1e-3, 1e3
             while high / low > 1 + 1e-9:
                 gamma = np.sqrt(low * high)
                 solution = solve_riccati(a, b2 @ b2.T - b1 @ b1.T / gamma**2, c.T @ c)
-                good = solution.solved and np.linalg.eigvalsh(solution.X * t[:, None] ** -1 / t).min() > -1e-9
+                good = (
+                    solution.solved
+                    and np.linalg.eigvalsh(solution.X * t[:, None] ** -1 / t).min() > -1e-9
+                )
                 low, high = (low, gamma) if good else (gamma, high)
             return high
 
@@ -149,7 +184,9 @@ class TestRiccati:
 
     @pytest.mark.parametrize("pole", [0.03, 0.002, 1e-4])
     def test_slow_weight_poles_beside_fast_dynamics(self, pole):
-        """Four uncontrollable weights at 0.002 rad/s and a plant of 1e4 rad/s: the slow eigenvalues are lost in the norm."""
+        """Four uncontrollable weights at 0.002 rad/s and a plant of 1e4 rad/s: the slow eigenvalues
+        are lost in the norm.
+        """
         rng = np.random.default_rng(8)
         n = 12
         A = np.zeros((n, n))
@@ -172,7 +209,9 @@ class TestRiccati:
         solution = solve_riccati(A, G, Q)
         if solution.solved:
             X = solution.X
-            assert np.linalg.norm(A.T @ X + X @ A - X @ G @ X + Q) < 1e-7 * (1 + np.linalg.norm(X @ G @ X))
+            assert np.linalg.norm(A.T @ X + X @ A - X @ G @ X + Q) < 1e-7 * (
+                1 + np.linalg.norm(X @ G @ X)
+            )
             assert np.linalg.eigvals(A - G @ X).real.max() < 1e-9 * (1 + np.linalg.norm(G @ X))
 
     @pytest.mark.parametrize(
@@ -201,8 +240,12 @@ class TestGramians:
             left, right = s.A @ P + P @ s.A.T, s.A.T @ Q + Q @ s.A
         else:
             left, right = s.A @ P @ s.A.T - P, s.A.T @ Q @ s.A - Q
-        np.testing.assert_allclose(left, -s.B @ s.B.T, atol=1e-10 * np.abs(P).max() * np.abs(s.A).max())
-        np.testing.assert_allclose(right, -s.C.T @ s.C, atol=1e-10 * np.abs(Q).max() * np.abs(s.A).max())
+        np.testing.assert_allclose(
+            left, -s.B @ s.B.T, atol=1e-10 * np.abs(P).max() * np.abs(s.A).max()
+        )
+        np.testing.assert_allclose(
+            right, -s.C.T @ s.C, atol=1e-10 * np.abs(Q).max() * np.abs(s.A).max()
+        )
 
     def test_uncontrollable_states_have_exact_zeros(self):
         s = StateSpace(np.diag([-1.0, -2.0, -3.0]), [[1.0], [0.0], [1.0]], np.ones((1, 3)), [[0]])
@@ -210,8 +253,12 @@ class TestGramians:
         assert np.array_equal(P[1], np.zeros(3))
         np.testing.assert_allclose(P[[0, 0, 2], [0, 2, 2]], [1 / 2, 1 / 4, 1 / 6], rtol=1e-14)
 
-    @pytest.mark.parametrize(("A", "dt"), [([[0.0]], None), ([[0.0, 3], [-3, 0]], None), ([[1.0]], 0.1), ([[2.0]], 0.1)])
-    @pytest.mark.parametrize("function", [controllability_gramian, observability_gramian, balanced_realization])
+    @pytest.mark.parametrize(
+        ("A", "dt"), [([[0.0]], None), ([[0.0, 3], [-3, 0]], None), ([[1.0]], 0.1), ([[2.0]], 0.1)]
+    )
+    @pytest.mark.parametrize(
+        "function", [controllability_gramian, observability_gramian, balanced_realization]
+    )
     def test_unstable(self, function, A, dt):
         n = len(A)
         with pytest.raises(UnstableSystem, match="not inside the stability region"):
@@ -224,7 +271,9 @@ class TestBalancedRealization:
     def test_gramians_are_equal_and_diagonal(self, dt, scaled):
         s = stable_system(5, 8, dt=dt)
         t = scales(8) if scaled else np.ones(8)
-        s = StateSpace(s.A * t / t[:, None], s.B / t[:, None], s.C * t, np.ones((3, 2)), ["a", "b"], dt=dt)
+        s = StateSpace(
+            s.A * t / t[:, None], s.B / t[:, None], s.C * t, np.ones((3, 2)), ["a", "b"], dt=dt
+        )
         balanced, hankel, T_L, T_R = balanced_realization(s)
         assert balanced.inputs == ("a", "b") and balanced.dt == dt
         assert (np.diff(hankel) <= 0).all() and len(hankel) == balanced.n_states == 8
@@ -236,7 +285,9 @@ class TestBalancedRealization:
         np.testing.assert_allclose(frequency_response(balanced, omega).values, before, rtol=1e-8)
 
     def test_small_hankel_values_keep_their_digits(self):
-        """A = -diag(a), B = C^T = 1: both Gramians are the Cauchy matrix 1/(a_i + a_j), whose determinant is known."""
+        """A = -diag(a), B = C^T = 1: both Gramians are the Cauchy matrix 1/(a_i + a_j), whose
+        determinant is known.
+        """
         a = np.arange(1.0, 9.0)
         s = StateSpace(-np.diag(a), np.ones((8, 1)), np.ones((1, 8)), [[0]])
         hankel = balanced_realization(s)[1]

@@ -7,7 +7,13 @@ import scipy.linalg as sla
 from ambrose.core import mechanical
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
-from ambrose.core.mechanical import SecondOrder, project, to_common_statespace, to_statespace, undamped_modes
+from ambrose.core.mechanical import (
+    SecondOrder,
+    project,
+    to_common_statespace,
+    to_statespace,
+    undamped_modes,
+)
 from ambrose.core.statespace import poles
 
 
@@ -15,25 +21,52 @@ def random_system(seed=0, n=4):
     rng = np.random.default_rng(seed)
     V, G = rng.standard_normal((n, n)), rng.standard_normal((n, n))
     return SecondOrder(
-        V @ V.T + np.eye(n), rng.standard_normal((n, n)), G - G.T, 50 * rng.standard_normal((n, n)),
-        rng.standard_normal((n, 2)), rng.standard_normal((3, n)), rng.standard_normal((1, n)),
-        ("f1", "f2"), ("q1", "q2", "q3"), ("v1",),
-    )  # fmt: skip
+        V @ V.T + np.eye(n),
+        rng.standard_normal((n, n)),
+        G - G.T,
+        50 * rng.standard_normal((n, n)),
+        rng.standard_normal((n, 2)),
+        rng.standard_normal((3, n)),
+        rng.standard_normal((1, n)),
+        ("f1", "f2"),
+        ("q1", "q2", "q3"),
+        ("v1",),
+    )
 
 
 def free_beam(nodes, planes=2, length=1.2, diameter=0.06):
-    """Mass and stiffness of a free Bernoulli-Euler steel shaft (Hermite elements) in one or two planes."""
-    E, rho, area, inertia = 2.1e11, 7850.0, np.pi * diameter**2 / 4, np.pi * diameter**4 / 64
+    """Mass and stiffness of a free Bernoulli-Euler steel shaft (Hermite elements) in one or two
+    planes.
+    """
+    E = 2.1e11
+    rho = 7850.0
+    area = np.pi * diameter**2 / 4
+    inertia = np.pi * diameter**4 / 64
     h = length / (nodes - 1)
     scale = np.outer([1, h, 1, h], [1, h, 1, h])
-    k = E * inertia / h**3 * scale * np.array([[12, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]])
-    m = rho * area * h / 420 * scale * np.array([[156, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4]])
+    k = (
+        E
+        * inertia
+        / h**3
+        * scale
+        * np.array([[12, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]])
+    )
+    m = (
+        rho
+        * area
+        * h
+        / 420
+        * scale
+        * np.array([[156, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4]])
+    )
     M, K = np.zeros((2 * nodes, 2 * nodes)), np.zeros((2 * nodes, 2 * nodes))
     for e in range(nodes - 1):
         part = slice(2 * e, 2 * e + 4)
         M[part, part] += m
         K[part, part] += k
-    theory = np.array([4.730040745, 7.853204624, 10.99560784]) ** 2 * np.sqrt(E * inertia / (rho * area * length**4))
+    theory = np.array([4.730040745, 7.853204624, 10.99560784]) ** 2 * np.sqrt(
+        E * inertia / (rho * area * length**4)
+    )
     return sla.block_diag(*[M] * planes), sla.block_diag(*[K] * planes), theory
 
 
@@ -50,19 +83,33 @@ class TestStateSpace:
             np.testing.assert_allclose(value, np.vstack([s.C @ q, 1j * w * s.Cv @ q]), rtol=1e-10)
 
     def test_spinning_disc_by_hand(self):
-        """J q'' + Omega J_p [[0, 1], [-1, 0]] q' + k q = 0: whirl frequencies -+ g/2 + sqrt((g/2)^2 + k/J), g = Omega J_p/J."""
-        J, Jp, k, speed = 2.0, 3.0, 800.0, 30.0
+        """J q'' + Omega J_p [[0, 1], [-1, 0]] q' + k q = 0: whirl frequencies -+ g/2 + sqrt((g/2)^2
+        + k/J), g = Omega J_p/J.
+        """
+        J = 2.0
+        Jp = 3.0
+        k = 800.0
+        speed = 30.0
         system = SecondOrder(
-            J * np.eye(2), np.zeros((2, 2)), Jp * np.array([[0, 1], [-1, 0]]), k * np.eye(2),
-            np.eye(2), np.eye(2), np.zeros((0, 2)), ("a", "b"), ("x", "y"),
-        )  # fmt: skip
+            J * np.eye(2),
+            np.zeros((2, 2)),
+            Jp * np.array([[0, 1], [-1, 0]]),
+            k * np.eye(2),
+            np.eye(2),
+            np.eye(2),
+            np.zeros((0, 2)),
+            ("a", "b"),
+            ("x", "y"),
+        )
         g = speed * Jp / J
         expected = np.sqrt(g**2 / 4 + k / J) + np.array([-g / 2, g / 2])
         found = np.sort(poles(to_statespace(system, speed)).imag)[2:]
         np.testing.assert_allclose(found, expected, rtol=1e-12)
 
     def test_rigid_poles_of_a_stiff_rotor_keep_six_digits_behind_the_point(self):
-        """In physical coordinates M^-1 K has the norm 1e14; the rigid poles on negative springs: a few hundred rad/s."""
+        """In physical coordinates M^-1 K has the norm 1e14; the rigid poles on negative springs: a
+        few hundred rad/s.
+        """
         M, K, _ = free_beam(40)
         springs = np.zeros(len(M))
         springs[[4, 70, 84, 150]] = -4.0e5
@@ -70,7 +117,9 @@ class TestStateSpace:
         assert np.linalg.norm(np.linalg.solve(M, K), 2) > 1e14
         n = len(M)
         zero = np.zeros((n, n))
-        system = SecondOrder(M, zero, zero, K, np.eye(n, 1), np.eye(1, n), np.zeros((0, n)), ("f",), ("q",))
+        system = SecondOrder(
+            M, zero, zero, K, np.eye(n, 1), np.eye(1, n), np.zeros((0, n)), ("f",), ("q",)
+        )
         found = poles(to_statespace(system))
         rigid = np.sort(found[np.abs(found) < 600].real)
         # oracle: Rayleigh quotients of refined vectors, in extended precision
@@ -84,14 +133,17 @@ class TestStateSpace:
         expected = np.sort(np.concatenate([np.sqrt(squares), -np.sqrt(squares)]))
         assert len(rigid) == 8 and squares.min() > 1e4
         np.testing.assert_allclose(rigid, expected, atol=1e-6)
-        assert np.abs(found[np.abs(found) < 600].imag).max() < 1e-3  # double poles split by the root of rounding at most
+        # double poles split by the root of rounding at most
+        assert np.abs(found[np.abs(found) < 600].imag).max() < 1e-3
 
     def test_project_on_a_full_basis_changes_nothing(self):
         s = random_system(3)
         T = np.random.default_rng(4).standard_normal((4, 4))
         omega = [0.3, 4.0]
         before = frequency_response(to_statespace(s, 10.0), omega).values
-        np.testing.assert_allclose(frequency_response(to_statespace(project(s, T), 10.0), omega).values, before, rtol=1e-9)
+        np.testing.assert_allclose(
+            frequency_response(to_statespace(project(s, T), 10.0), omega).values, before, rtol=1e-9
+        )
         assert project(s, T[:, :2]).n == 2
 
     @pytest.mark.parametrize(
@@ -110,13 +162,30 @@ class TestStateSpace:
     )
     def test_refuses(self, change, message):
         s = random_system()
-        names = ("mass", "damping", "gyroscopic", "stiffness", "B", "C", "Cv", "inputs", "outputs", "velocity_outputs")
+        names = (
+            "mass",
+            "damping",
+            "gyroscopic",
+            "stiffness",
+            "B",
+            "C",
+            "Cv",
+            "inputs",
+            "outputs",
+            "velocity_outputs",
+        )
         with pytest.raises(InvalidInput, match=message):
             SecondOrder(**{name: getattr(s, name) for name in names} | change)
 
     def test_refuses_a_massless_coordinate_and_a_wild_speed(self):
         s = SecondOrder(
-            np.diag([1.0, 0.0]), *[np.zeros((2, 2))] * 3, np.eye(2), np.eye(2), np.zeros((0, 2)), ("a", "b"), ("x", "y")
+            np.diag([1.0, 0.0]),
+            *[np.zeros((2, 2))] * 3,
+            np.eye(2),
+            np.eye(2),
+            np.zeros((0, 2)),
+            ("a", "b"),
+            ("x", "y"),
         )
         with pytest.raises(InvalidInput, match="mass matrix is not positive definite"):
             to_statespace(s)
@@ -132,13 +201,17 @@ class TestUndampedModes:
     @pytest.mark.parametrize("nodes", [20, 80])
     @pytest.mark.parametrize("path", ["dense", "sparse"])
     def test_free_shaft(self, nodes, path, monkeypatch):
-        """Four rigid modes that are zero exactly, then pairs of equal bending modes at the textbook frequencies."""
+        """Four rigid modes that are zero exactly, then pairs of equal bending modes at the textbook
+        frequencies.
+        """
         monkeypatch.setattr(mechanical, "_DENSE_LIMIT", 10**6 if path == "dense" else 0)
         M, K, theory = free_beam(nodes)
         count = 10 if nodes > 20 else 4 + 2 * path.count("dense")
         omega, shapes = undamped_modes(M, K, count)
         assert omega[:4].tolist() == [0.0] * 4
-        np.testing.assert_allclose(omega[4:], np.repeat(theory, 2)[: count - 4], rtol=1e-4 if nodes < 80 else 1e-6)
+        np.testing.assert_allclose(
+            omega[4:], np.repeat(theory, 2)[: count - 4], rtol=1e-4 if nodes < 80 else 1e-6
+        )
         np.testing.assert_allclose(shapes.T @ M @ shapes, np.eye(count), atol=1e-12)
 
     def test_sparse_equals_dense(self, monkeypatch):
@@ -147,14 +220,19 @@ class TestUndampedModes:
         monkeypatch.setattr(mechanical, "_DENSE_LIMIT", 0)
         called = []
         original = mechanical._subspace_iteration
-        monkeypatch.setattr(mechanical, "_subspace_iteration", lambda *a: called.append(original(*a)) or called[-1])
+        monkeypatch.setattr(
+            mechanical, "_subspace_iteration", lambda *a: called.append(original(*a)) or called[-1]
+        )
         omega, shapes = undamped_modes(M, K, 16)
-        assert called[0] is not None  # the iteration converged; nothing fell back to the dense solver
+        # the iteration converged; nothing fell back to the dense solver
+        assert called[0] is not None
         np.testing.assert_allclose(omega[4:], np.sqrt(dense[0][4:]), rtol=1e-7)
         np.testing.assert_allclose(np.sin(sla.subspace_angles(shapes, dense[1])), 0, atol=1e-6)
 
     def test_only_rigid_modes_asked_for(self):
-        """The threshold for zero must not come from the modes asked for, which are all zero here."""
+        """The threshold for zero must not come from the modes asked for, which are all zero
+        here.
+        """
         M, K, _ = free_beam(100)
         assert undamped_modes(M, K, 4)[0].tolist() == [0.0] * 4
         assert undamped_modes(M, K, 1)[0].tolist() == [0.0]
@@ -166,7 +244,8 @@ class TestUndampedModes:
         omega, _ = undamped_modes(M, K + np.diag(soft), 3)
         mass = np.ones(len(M)) * (np.arange(len(M)) % 2 == 0) @ M @ (np.arange(len(M)) % 2 == 0)
         assert omega[0] == pytest.approx(np.sqrt(20.0 / mass), rel=1e-4)
-        assert omega[1] == pytest.approx(np.sqrt(3 * 20.0 / mass), rel=1e-4)  # rod rocking on its ends
+        # rod rocking on its ends
+        assert omega[1] == pytest.approx(np.sqrt(3 * 20.0 / mass), rel=1e-4)
 
     def test_two_masses_by_hand(self):
         omega, shapes = undamped_modes(np.diag([1.0, 2.0]), np.array([[6.0, -6.0], [-6.0, 6.0]]), 2)
@@ -199,11 +278,15 @@ def test_common_states_answer_like_the_scaled_ones_and_mean_the_same_for_other_m
     scales = np.array([1.0, 2.0, 5.0, 30.0])
 
     def system(stiffness):
-        return SecondOrder(M, 0.1 * K, G - G.T, stiffness, B, C, C[:1], ("f1", "f2"), ("a", "b", "c"), ("va",))
+        return SecondOrder(
+            M, 0.1 * K, G - G.T, stiffness, B, C, C[:1], ("f1", "f2"), ("a", "b", "c"), ("va",)
+        )
 
     first, second = to_statespace(system(K), 3.0), to_common_statespace(system(K), 3.0, scales)
     for s in (0.5j, 2j, 1 + 3j):
-        values = [x.C @ np.linalg.solve(s * np.eye(2 * n) - x.A, x.B) + x.D for x in (first, second)]
+        values = [
+            x.C @ np.linalg.solve(s * np.eye(2 * n) - x.A, x.B) + x.D for x in (first, second)
+        ]
         np.testing.assert_allclose(values[0], values[1], rtol=1e-10)
     other = to_common_statespace(system(K - 40 * np.eye(n)), -2.0, scales)
     np.testing.assert_array_equal(other.C, second.C)

@@ -1,7 +1,9 @@
-"""Bounds of mu against truths found another way, on more than a thousand small random problems: upper >= truth >= lower.
+"""Bounds of mu against truths found another way, on more than a thousand small random problems:
+upper >= truth >= lower.
 
-The truth is a fine scan over the real parameters with local refinement (never above mu, up to its own resolution), an exact
-polynomial, a spectral radius, or the closed form for rank-one matrices (Young, Newlin & Doyle 1995).
+The truth is a fine scan over the real parameters with local refinement (never above mu, up to its
+own resolution), an exact polynomial, a spectral radius, or the closed form for rank-one matrices
+(Young, Newlin & Doyle 1995).
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ from ambrose.core.mu.bounds import mu_bounds
 
 pytestmark = pytest.mark.study  # minutes
 
-COUNT = int(os.environ.get("AMBROSE_MU_SCANS", "40"))  # problems per structure; the large run uses 1000
+# problems per structure; the large run uses 1000
+COUNT = int(os.environ.get("AMBROSE_MU_SCANS", "40"))
 
 
 def random_matrices(seed, blocks, count=COUNT):
@@ -44,7 +47,9 @@ def complex_mu(F, kind):
 
 
 def scanned(M, repeats, kind, points, rounds=24):
-    """Largest mu found by scanning real parameters for the smallest max(|q|, 1/mu_c(F(q))), then zooming in on the best."""
+    """Largest mu found by scanning real parameters for the smallest max(|q|, 1/mu_c(F(q))), then
+    zooming in on the best.
+    """
     m = len(repeats)
 
     def size(q):
@@ -59,10 +64,16 @@ def scanned(M, repeats, kind, points, rounds=24):
     values = size(q)
     best = np.inf
     for start in np.argsort(values)[:6]:
-        centre, value, width = q[start], values[start], 2 * limit / points
+        centre = q[start]
+        value = values[start]
+        width = 2 * limit / points
         for _ in range(rounds):
             local = np.clip(
-                centre + width * np.stack(np.meshgrid(*[np.linspace(-1, 1, 7)] * m), axis=-1).reshape(-1, m), -value, value
+                centre
+                + width
+                * np.stack(np.meshgrid(*[np.linspace(-1, 1, 7)] * m), axis=-1).reshape(-1, m),
+                -value,
+                value,
             )
             found = size(local)
             if found.min() < value:
@@ -76,7 +87,8 @@ def is_singular(M, blocks, result):
     """The perturbation returned does what it claims, checked from the definition."""
     for k in np.flatnonzero(result.lower > 0):
         delta = result.delta[k]
-        # residual of the scaled matrix: D commutes with delta, so singularity is unchanged and the numbers are tame
+        # residual of the scaled matrix: D commutes with delta, so singularity is unchanged and the
+        # numbers are tame
         loop = result.D_z[k] @ M[k] @ np.linalg.inv(result.D_w[k]) @ delta
         s = np.linalg.svd(np.eye(len(loop)) - loop, compute_uv=False)
         assert s[-1] < 1e-7 * (1 + np.linalg.norm(loop, 2))
@@ -97,12 +109,32 @@ def is_singular(M, blocks, result):
 SCANNED = {
     "one real, full 2": ([RealBlock("d"), FullBlock("f", 2, 2)], [1], "full", 401),
     "one repeated real, full 2": ([RealBlock("d", 2), FullBlock("f", 2, 2)], [2], "full", 401),
-    "real repeated three times, full 2": ([RealBlock("d", 3), FullBlock("f", 2, 2)], [3], "full", 401),
+    "real repeated three times, full 2": (
+        [RealBlock("d", 3), FullBlock("f", 2, 2)],
+        [3],
+        "full",
+        401,
+    ),
     "one repeated real, full 1 x 3": ([RealBlock("d", 2), FullBlock("f", 3, 1)], [2], "full", 401),
     "one real, repeated complex": ([RealBlock("d", 2), ComplexBlock("c", 2)], [2], "repeated", 401),
-    "two reals, complex scalar": ([RealBlock("d"), RealBlock("e"), ComplexBlock("c")], [1, 1], "full", 61),
-    "two reals, full 2": ([RealBlock("d"), RealBlock("e"), FullBlock("f", 2, 2)], [1, 1], "full", 61),
-    "two reals, one repeated, full 2": ([RealBlock("d", 2), RealBlock("e"), FullBlock("f", 2, 2)], [2, 1], "full", 61),
+    "two reals, complex scalar": (
+        [RealBlock("d"), RealBlock("e"), ComplexBlock("c")],
+        [1, 1],
+        "full",
+        61,
+    ),
+    "two reals, full 2": (
+        [RealBlock("d"), RealBlock("e"), FullBlock("f", 2, 2)],
+        [1, 1],
+        "full",
+        61,
+    ),
+    "two reals, one repeated, full 2": (
+        [RealBlock("d", 2), RealBlock("e"), FullBlock("f", 2, 2)],
+        [2, 1],
+        "full",
+        61,
+    ),
 }
 
 
@@ -114,7 +146,8 @@ def test_scanned_truth_lies_between_the_bounds(name):
     truth = np.array([scanned(m, repeats, kind, points) for m in M])
     assert (result.upper >= truth * (1 - 1e-9)).all()
     assert (result.upper >= result.lower).all()
-    is_singular(M, blocks, result)  # each lower bound carries its proof, so it may beat a scan, which has holes between points
+    # each lower bound carries its proof, so it may beat a scan, which has holes between points
+    is_singular(M, blocks, result)
     assert (result.lower >= truth * (1 - 1e-3)).mean() >= 0.9
 
 
@@ -149,7 +182,9 @@ def test_one_full_block_is_the_largest_singular_value(size):
     ids=["2x2, 2x2", "1x3, 2x1", "scalar, 2x3"],
 )
 def test_two_complex_blocks_equal_the_best_d_scaling(blocks):
-    """With up to three full blocks mu equals inf sigma_max(D M D^-1) (Doyle 1982): one parameter, minimised here by Brent."""
+    """With up to three full blocks mu equals inf sigma_max(D M D^-1) (Doyle 1982): one parameter,
+    minimised here by Brent.
+    """
     M = random_matrices(7, blocks)
     result = mu_bounds(M, blocks, tolerance=1e-7)
 
@@ -158,7 +193,9 @@ def test_two_complex_blocks_equal_the_best_d_scaling(blocks):
         d_w = np.repeat([np.exp(log_d), 1.0], [b.n_w for b in blocks])
         return np.linalg.norm(d_z[:, None] * m / d_w, 2)
 
-    truth = np.array([minimize_scalar(scaled, bracket=(-1, 1), args=(m,), tol=1e-10).fun for m in M])
+    truth = np.array(
+        [minimize_scalar(scaled, bracket=(-1, 1), args=(m,), tol=1e-10).fun for m in M]
+    )
     assert result.upper == pytest.approx(truth, rel=1e-6)
     assert result.lower == pytest.approx(truth, rel=1e-3)
     is_singular(M, blocks, result)
@@ -166,7 +203,9 @@ def test_two_complex_blocks_equal_the_best_d_scaling(blocks):
 
 def two_real_parameters(m):
     """mu for two real scalars, exactly: 1 - a d - b e + c d e = 0 with real d, e."""
-    a, b, c = m[0, 0], m[1, 1], np.linalg.det(m)
+    a = m[0, 0]
+    b = m[1, 1]
+    c = np.linalg.det(m)
     # e = (1 - a d) / (b - c d) must be real: Im((1 - a d) conj(b - c d)) = 0, a quadratic in d
     roots = np.roots([(a * np.conj(c)).imag, (-np.conj(c) - a * np.conj(b)).imag, np.conj(b).imag])
     best = 0.0
@@ -191,14 +230,20 @@ def test_two_real_parameters_alone():
 
 
 def three_real_parameters(m, limit):
-    """mu for three real scalars: one scanned, the other two exact; a few scans with each order of the parameters."""
+    """mu for three real scalars: one scanned, the other two exact; a few scans with each order of
+    the parameters.
+    """
     best = np.inf
     c = np.linspace(-limit, limit, 4001)
     for order in ((0, 1, 2), (1, 2, 0), (0, 2, 1)):
         p = m[np.ix_(order, order)]
         F = p[:2, :2] + (c / (1 - p[2, 2] * c))[:, None, None] * (p[:2, 2:] @ p[2:, :2])
-        a, b, det = F[:, 0, 0], F[:, 1, 1], np.linalg.det(F)
-        A2, A1, A0 = (a * det.conj()).imag, (-det.conj() - a * b.conj()).imag, b.conj().imag
+        a = F[:, 0, 0]
+        b = F[:, 1, 1]
+        det = np.linalg.det(F)
+        A2 = (a * det.conj()).imag
+        A1 = (-det.conj() - a * b.conj()).imag
+        A0 = b.conj().imag
         root = A1**2 - 4 * A2 * A0
         for sign in (1, -1):
             d = (-A1 + sign * np.sqrt(np.maximum(root, 0))) / (2 * A2)
@@ -213,7 +258,12 @@ def test_three_real_parameters_alone():
     rng = np.random.default_rng(3)
     M = rng.standard_normal((COUNT, 3, 3)) + 1j * rng.standard_normal((COUNT, 3, 3))
     result = mu_bounds(M, blocks)
-    truth = np.array([three_real_parameters(m, 3 / max(upper, 1e-3)) for m, upper in zip(M, result.upper, strict=True)])
+    truth = np.array(
+        [
+            three_real_parameters(m, 3 / max(upper, 1e-3))
+            for m, upper in zip(M, result.upper, strict=True)
+        ]
+    )
     assert (result.upper >= truth * (1 - 1e-9)).all()
     is_singular(M, blocks, result)
     assert (result.lower >= truth * (1 - 1e-3)).mean() >= 0.9
@@ -237,15 +287,26 @@ RANK_ONE = [
 ]
 
 
-@pytest.mark.parametrize("blocks", RANK_ONE, ids=lambda blocks: ", ".join(type(b).__name__[:1] + str(b.n_w) for b in blocks))
+@pytest.mark.parametrize(
+    "blocks",
+    RANK_ONE,
+    ids=lambda blocks: ", ".join(type(b).__name__[:1] + str(b.n_w) for b in blocks),
+)
 def test_rank_one_closed_form(blocks):
-    """M = u v^H: mu = max real part reachable by v^H Delta u with zero imaginary part, and the upper bound is exact (Young)."""
+    """M = u v^H: mu = max real part reachable by v^H Delta u with zero imaginary part, and the
+    upper bound is exact (Young).
+    """
     rng = np.random.default_rng(5)
     n_z, n_w = sum(b.n_z for b in blocks), sum(b.n_w for b in blocks)
-    u, v = (rng.standard_normal((COUNT, n)) + 1j * rng.standard_normal((COUNT, n)) for n in (n_z, n_w))
+    u, v = (
+        rng.standard_normal((COUNT, n)) + 1j * rng.standard_normal((COUNT, n)) for n in (n_z, n_w)
+    )
     result = mu_bounds(u[:, :, None] * v[:, None, :].conj(), blocks, tolerance=1e-6)
     for k in range(COUNT):
-        terms, radius, i, j = [], 0.0, 0, 0
+        terms = []
+        radius = 0.0
+        i = 0
+        j = 0
         for block in blocks:
             vi, ui = v[k, i : i + block.n_w], u[k, j : j + block.n_z]
             if isinstance(block, RealBlock):
@@ -256,8 +317,12 @@ def test_rank_one_closed_form(blocks):
                 radius += np.linalg.norm(vi) * np.linalg.norm(ui)
             i, j = i + block.n_w, j + block.n_z
         a = np.array(terms)
-        # support function of (segment sum + disc) in the direction (1, s); its minimum is where the real axis leaves the set
-        support = lambda s, a=a, radius=radius: np.abs(a.real + s * a.imag).sum() + radius * np.hypot(1, s)  # noqa: E731
+
+        # support function of (segment sum + disc) in the direction (1, s); its minimum is where the
+        # real axis leaves the set
+        def support(s, a=a, radius=radius):
+            return np.abs(a.real + s * a.imag).sum() + radius * np.hypot(1, s)
+
         truth = minimize_scalar(support, bracket=(-1, 1), tol=1e-12).fun
         assert result.upper[k] == pytest.approx(truth, rel=1e-4)
         assert result.upper[k] >= truth * (1 - 1e-9)

@@ -21,7 +21,9 @@ def test_one_state_is_exact(a):
 
 
 def test_a_slow_pole_keeps_its_digits():
-    assert peak_gains(np.array([[-1.5e-13]]), np.array([[1.0]]))[0, 0] == pytest.approx(1 / 1.5e-13, rel=1e-12)
+    assert peak_gains(np.array([[-1.5e-13]]), np.array([[1.0]]))[0, 0] == pytest.approx(
+        1 / 1.5e-13, rel=1e-12
+    )
 
 
 @pytest.mark.parametrize("radius", [0.3, 0.9, 0.999, 0.9998])

@@ -1,4 +1,6 @@
-"""How results show themselves: one line at a prompt, a table in a notebook, plain data for a file."""
+"""How results show themselves: one line at a prompt, a table in a notebook, plain data for a
+file.
+"""
 
 import json
 import sys
@@ -27,14 +29,27 @@ class Plain(Presented):
 
 
 NAMES = [f"a signal with a long name, number {k}" for k in range(30)]
-WIDE = StateSpace(-np.eye(3), np.ones((3, 30)), np.ones((30, 3)), np.zeros((30, 30)), NAMES, [f"{n} out" for n in NAMES])
+WIDE = StateSpace(
+    -np.eye(3),
+    np.ones((3, 30)),
+    np.ones((30, 3)),
+    np.zeros((30, 30)),
+    NAMES,
+    [f"{n} out" for n in NAMES],
+)
 LOOP = StateSpace([[-1.0]], [[1.0]], [[0.5]], [[0.0]], ["w"], ["z"])
 BLOCKS = [FullBlock("an uncertainty of many channels", 1, 1)]
 OMEGA = np.geomspace(0.1, 10, 5)
 RESULTS = [
     WIDE,
     ScheduledSystem([100.0, 200.0], [WIDE, WIDE]),
-    GeneralizedPlant(WIDE, NAMES[:20], NAMES[20:], [f"{n} out" for n in NAMES[:20]], [f"{n} out" for n in NAMES[20:]]),
+    GeneralizedPlant(
+        WIDE,
+        NAMES[:20],
+        NAMES[20:],
+        [f"{n} out" for n in NAMES[:20]],
+        [f"{n} out" for n in NAMES[20:]],
+    ),
     frequency_response(WIDE, OMEGA),
     mu_bounds(frequency_response(LOOP, OMEGA).values, BLOCKS),
     mu_peak(LOOP, BLOCKS, OMEGA),
@@ -55,7 +70,9 @@ def test_one_line_and_a_table(result):
         json.dumps(result.to_dict(), allow_nan=False)
 
 
-@pytest.mark.parametrize("block", [RealBlock("seal.k", 2), ComplexBlock("dynamics"), FullBlock("performance", 4, 4)])
+@pytest.mark.parametrize(
+    "block", [RealBlock("seal.k", 2), ComplexBlock("dynamics"), FullBlock("performance", 4, 4)]
+)
 def test_blocks_are_one_line_as_they_are(block):
     assert len(repr(block)) < 100
     assert eval(repr(block)) == block
@@ -68,7 +85,10 @@ def test_without_facts_of_its_own_it_shows_what_is_not_default():
 
 
 def test_plain_data():
-    assert to_plain({"a": (np.float64(1.0), np.inf, None), 2: np.array([[True]])}) == {"a": [1.0, "inf", None], "2": [[True]]}
+    assert to_plain({"a": (np.float64(1.0), np.inf, None), 2: np.array([[True]])}) == {
+        "a": [1.0, "inf", None],
+        "2": [[True]],
+    }
     with pytest.raises(TypeError, match="object is no plain data"):
         to_plain(object())
 

@@ -13,7 +13,9 @@ def random_functions(rng, pairs, reals, count, unit=1.0):
     upper = -rng.uniform(0.5, 100, pairs) + 1j * rng.uniform(3, 900, pairs)
     poles = np.concatenate([upper, upper.conj(), -rng.uniform(2, 500, reals)]) * unit
     r = rng.normal(size=(count, pairs)) + 1j * rng.normal(size=(count, pairs))
-    residues = np.concatenate([r, r.conj(), rng.normal(size=(count, reals))], axis=1) * np.abs(poles)
+    residues = np.concatenate([r, r.conj(), rng.normal(size=(count, reals))], axis=1) * np.abs(
+        poles
+    )
     return poles, residues, rng.normal(size=count)
 
 
@@ -38,7 +40,9 @@ def test_recovers_a_rational_function(seed, unit):
 def test_slope_is_recovered():
     H = 3 + 2e-3j * OMEGA + 50 / (1j * OMEGA + 20)
     fit = fit_rational(OMEGA, H, 1, slope=True)
-    assert (fit.slope[0], fit.constant[0], fit.poles[0].real) == pytest.approx((2e-3, 3, -20), rel=1e-8)
+    assert (fit.slope[0], fit.constant[0], fit.poles[0].real) == pytest.approx(
+        (2e-3, 3, -20), rel=1e-8
+    )
 
 
 @pytest.mark.parametrize("order", range(1, 9))
@@ -67,11 +71,15 @@ def test_real_form_is_the_function():
     A, b, C = fit.real_form()
     by_state = [C @ np.linalg.solve(1j * w * np.eye(6) - A, b) + fit.constant for w in OMEGA]
     np.testing.assert_allclose(np.array(by_state).T, fit.response(OMEGA), rtol=1e-9)
-    np.testing.assert_allclose(np.sort_complex(np.linalg.eigvals(A)), np.sort_complex(fit.poles), rtol=1e-9)
+    np.testing.assert_allclose(
+        np.sort_complex(np.linalg.eigvals(A)), np.sort_complex(fit.poles), rtol=1e-9
+    )
 
 
 def test_given_poles_are_kept_and_the_rest_is_the_best_on_them():
-    """On the poles of a fit the fit comes back; on others' the error is that of linear least squares, larger."""
+    """On the poles of a fit the fit comes back; on others' the error is that of linear least
+    squares, larger.
+    """
     H = np.array([1 / (1 + 1j * OMEGA / 20) + 3, 5 / (4 + 1j * OMEGA)])
     fit = fit_rational(OMEGA, H, 2)
     again = fit_on_poles(OMEGA, H, fit.poles)

@@ -1,4 +1,6 @@
-"""Time responses: against stepping, closed forms, python-control and scipy's expm; derivatives against complex steps."""
+"""Time responses: against stepping, closed forms, python-control and scipy's expm; derivatives
+against complex steps.
+"""
 
 import control
 import numpy as np
@@ -32,7 +34,9 @@ def random_system(n, m, p, seed=0, scale=30.0, dt=None):
         A -= (np.linalg.eigvals(A).real.max(initial=0.0) + 0.1 * scale) * np.eye(n)
     else:
         A *= 0.98 / max(np.abs(np.linalg.eigvals(A)).max(initial=0.0), 1e-9)
-    B, C, D = rng.standard_normal((n, m)), rng.standard_normal((p, n)), rng.standard_normal((p, m))
+    B = rng.standard_normal((n, m))
+    C = rng.standard_normal((p, n))
+    D = rng.standard_normal((p, m))
     return StateSpace(A, B, C, D, dt=dt)
 
 
@@ -63,11 +67,16 @@ def exact_zoh(system, dt):
 def watched(system):
     """The system with its states as outputs."""
     n, m = system.n_states, len(system.inputs)
-    return StateSpace(system.A, system.B, np.eye(n), np.zeros((n, m)), system.inputs, None, system.dt)
+    return StateSpace(
+        system.A, system.B, np.eye(n), np.zeros((n, m)), system.inputs, None, system.dt
+    )
 
 
 @pytest.mark.parametrize("k", [1, 2, 7, 64, 1000, 4097])
-@pytest.mark.parametrize(("n", "m", "p"), [(0, 2, 3), (1, 1, 1), (5, 3, 2), (24, 4, 4), (60, 1, 1), (3, 40, 1), (4, 0, 2)])
+@pytest.mark.parametrize(
+    ("n", "m", "p"),
+    [(0, 2, 3), (1, 1, 1), (5, 3, 2), (24, 4, 4), (60, 1, 1), (3, 40, 1), (4, 0, 2)],
+)
 def test_response_equals_exponential_stepping(n, m, p, k):
     system, dt = random_system(n, m, p, seed=n + k), 3e-3
     rng = np.random.default_rng(k)
@@ -100,7 +109,9 @@ def test_python_control_agrees_on_the_held_model_and_is_wrong_on_the_continuous_
 
 
 def test_free_oscillation_keeps_its_energy():
-    w, dt, k = 300.0, 1e-3, 200_000
+    w = 300.0
+    dt = 1e-3
+    k = 200_000
     x = simulate(watched(oscillator(w)), np.zeros((1, k)), dt, [1.0, 0.0])
     energy = (w * x[0]) ** 2 + x[1] ** 2
     assert np.abs(energy / w**2 - 1).max() < 1e-10
@@ -108,11 +119,15 @@ def test_free_oscillation_keeps_its_energy():
 
 
 def test_step_and_impulse_of_a_damped_oscillator():
-    w, zeta, dt = 200.0, 0.1, 1e-3
+    w = 200.0
+    zeta = 0.1
+    dt = 1e-3
     wd, t = w * np.sqrt(1 - zeta**2), np.arange(500) * dt
     decay = np.exp(-zeta * w * t)
     system = oscillator(w, zeta)
-    assert impulse_response(system, 500, dt)[0, 0] == pytest.approx(decay * np.sin(wd * t) / wd, abs=1e-15)
+    assert impulse_response(system, 500, dt)[0, 0] == pytest.approx(
+        decay * np.sin(wd * t) / wd, abs=1e-15
+    )
     step = (1 - decay * (np.cos(wd * t) + zeta * w / wd * np.sin(wd * t))) / w**2
     assert simulate(system, np.ones((1, 500)), dt)[0] == pytest.approx(step, abs=1e-17)
 
@@ -129,7 +144,8 @@ def test_unit_responses_equal_simulation(samples):
 
 
 def test_defective_and_badly_scaled_systems():
-    chain = StateSpace(np.diag(np.ones(3), 1), np.eye(4)[:, 3:], np.eye(4), np.zeros((4, 1)))  # four integrators in a row
+    # four integrators in a row
+    chain = StateSpace(np.diag(np.ones(3), 1), np.eye(4)[:, 3:], np.eye(4), np.zeros((4, 1)))
     k, dt = 2000, 1e-2
     t = np.arange(k) * dt
     exact = np.array([t**4 / 24, t**3 / 6, t**2 / 2, t])
@@ -138,11 +154,20 @@ def test_defective_and_badly_scaled_systems():
     t = 10.0 ** np.array([-9, -5, 0, 3, 6, 9])
     scaled = StateSpace(system.A * t / t[:, None], system.B / t[:, None], system.C * t, system.D)
     u = np.random.default_rng(0).standard_normal((1, 500))
-    assert simulate(scaled, u, 1e-2) == pytest.approx(simulate(system, u, 1e-2), rel=1e-10, abs=1e-10)
+    assert simulate(scaled, u, 1e-2) == pytest.approx(
+        simulate(system, u, 1e-2), rel=1e-10, abs=1e-10
+    )
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.integers(0, 6), st.integers(1, 3), st.integers(1, 200), st.integers(0, 50), physical(-3, 3), st.integers(0, 10**6))
+@given(
+    st.integers(0, 6),
+    st.integers(1, 3),
+    st.integers(1, 200),
+    st.integers(0, 50),
+    physical(-3, 3),
+    st.integers(0, 10**6),
+)
 def test_linear_and_time_invariant(n, m, k, shift, factor, seed):
     system, dt = random_system(n, m, 2, seed=seed), 2e-3
     u, v = np.random.default_rng(seed).standard_normal((2, m, k))
@@ -158,7 +183,9 @@ def test_future_input_has_no_effect():
     u = np.random.default_rng(3).standard_normal((2, 3000))
     changed = u.copy()
     changed[:, 1234:] = 1e12
-    assert np.array_equal(simulate(system, u, 1e-3)[:, :1234], simulate(system, changed, 1e-3)[:, :1234])
+    assert np.array_equal(
+        simulate(system, u, 1e-3)[:, :1234], simulate(system, changed, 1e-3)[:, :1234]
+    )
 
 
 def test_unstable_response_is_exact_until_it_overflows():
@@ -173,8 +200,12 @@ def test_unstable_response_is_exact_until_it_overflows():
 
 @pytest.mark.parametrize("degree", [0, 1, 3])
 def test_polynomial_inputs_are_exact(degree):
-    """An input that is a polynomial in each interval, against an augmented exponential of the whole interval."""
-    system, dt, k = random_system(4, 2, 3, seed=9), 2e-2, 40
+    """An input that is a polynomial in each interval, against an augmented exponential of the whole
+    interval.
+    """
+    system = random_system(4, 2, 3, seed=9)
+    dt = 2e-2
+    k = 40
     c = np.random.default_rng(4).standard_normal((degree + 1, 2, k))
     sampled = sample_polynomial(system, dt, degree)
     y = simulate(sampled, c.reshape(-1, k))
@@ -208,7 +239,8 @@ def test_hermite_input_converges_with_fourth_order():
         coefficients = hermite(np.sin(w * t)[None], w * np.cos(w * t)[None], dt).reshape(4, k)
         y = simulate(sample_polynomial(system, dt), coefficients)[0]
         generator = sla.expm(
-            np.array([[0, 1, 0, 0], [-(W**2), -0.6 * W, 1, 0], [0, 0, 0, w], [0, 0, -w, 0]]) * t[:k, None, None]
+            np.array([[0, 1, 0, 0], [-(W**2), -0.6 * W, 1, 0], [0, 0, 0, w], [0, 0, -w, 0]])
+            * t[:k, None, None]
         )
         errors.append(np.abs(y - generator[:, 0, 3]).max())
     assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.2)
@@ -224,15 +256,21 @@ def test_piecewise_constant_system_carries_its_state():
         y, states = stepped(part.A, part.B, part.C, part.D, piece, x)
         expected.append(y)
         x = states[:, -1]
-    assert simulate_piecewise(parts, pieces, np.ones(3)) == pytest.approx(np.hstack(expected), abs=1e-11)
-    assert simulate_piecewise([parts[0]] * 3, pieces) == pytest.approx(simulate(parts[0], u), abs=1e-11)
+    assert simulate_piecewise(parts, pieces, np.ones(3)) == pytest.approx(
+        np.hstack(expected), abs=1e-11
+    )
+    assert simulate_piecewise([parts[0]] * 3, pieces) == pytest.approx(
+        simulate(parts[0], u), abs=1e-11
+    )
 
 
 @pytest.mark.parametrize("n", [1, 3, 12, 40])
 @pytest.mark.parametrize("size", [1e-8, 1.0, 1e8])
 def test_exponential_derivative_equals_complex_step(n, size):
     rng = np.random.default_rng(n)
-    A, dA, t = 50 * rng.standard_normal((n, n)) / n**0.5, size * rng.standard_normal((2, 3, n, n)), 0.02
+    A = 50 * rng.standard_normal((n, n)) / n**0.5
+    dA = size * rng.standard_normal((2, 3, n, n))
+    t = 0.02
     E, dE = expm_derivative(A, dA, t)
     h = 1e-30 / size
     step = sla.expm((A + 1j * h * dA) * t).imag / h
@@ -242,7 +280,9 @@ def test_exponential_derivative_equals_complex_step(n, size):
 
 def test_exponential_derivative_of_special_matrices():
     E, dE = expm_derivative(np.zeros((2, 2)), [[0.0, 3.0], [0.0, 0.0]], 2.0)
-    assert np.array_equal(E, np.eye(2)) and dE == pytest.approx(np.array([[0, 6.0], [0, 0]]), rel=1e-15)
+    assert np.array_equal(E, np.eye(2)) and dE == pytest.approx(
+        np.array([[0, 6.0], [0, 0]]), rel=1e-15
+    )
     nilpotent = np.array([[0.0, 1.0], [0.0, 0.0]])  # defective: exp = I + A t
     _, dE = expm_derivative(nilpotent, nilpotent.T)
     assert dE == pytest.approx(np.array([[1 / 2, 1 / 6], [1.0, 1 / 2]]), rel=1e-14)
@@ -270,7 +310,10 @@ def test_response_derivative_equals_complex_step():
     """Of the oracle for identification/output_error."""
     system = random_system(6, 2, 3, seed=12, dt=4e-3)
     rng = np.random.default_rng(7)
-    d = [SystemDerivative(*(rng.standard_normal(getattr(system, x).shape) for x in "ABCD")) for _ in range(3)]
+    d = [
+        SystemDerivative(*(rng.standard_normal(getattr(system, x).shape) for x in "ABCD"))
+        for _ in range(3)
+    ]
     u, x0 = rng.standard_normal((2, 300)), rng.standard_normal(6)
     y, dy = simulate_derivative(system, d, u, x0)
     assert np.array_equal(y, simulate(system, u, x0=x0))
@@ -304,9 +347,17 @@ def test_settling_time_of_an_exponential():
         (lambda s: impulse_response(s, 0, 1e-3), "samples is 0"),
         (lambda s: impulse_response(static_gain([[1.0]]), 5, 1e-3), "D is not zero"),
         (lambda s: simulate_piecewise([], []), "at least one"),
-        (lambda s: simulate_piecewise([c2d(s, 1), static_gain([[1.0]], dt=1.0)], [[[1.0]], [[1.0]]]), "number of states"),
+        (
+            lambda s: simulate_piecewise(
+                [c2d(s, 1), static_gain([[1.0]], dt=1.0)], [[[1.0]], [[1.0]]]
+            ),
+            "number of states",
+        ),
         (lambda s: expm_derivative(s.A, np.zeros((3, 3))), "shape of dA"),
-        (lambda s: held_derivative(s.A, s.B, np.zeros((2, 2, 2)), np.zeros((3, 2, 1)), 1.0), "leading axes"),
+        (
+            lambda s: held_derivative(s.A, s.B, np.zeros((2, 2, 2)), np.zeros((3, 2, 1)), 1.0),
+            "leading axes",
+        ),
         (lambda s: settling_time([0.0, 1.0], [1.0, 0.0], 1.5), "band"),
         (lambda s: settling_time([0.0, 1.0], [1.0, 0.0], start=2.0), "start"),
         (lambda s: settling_time([0.0, 1.0], [1.0, 0.0, 2.0]), "shape of y"),

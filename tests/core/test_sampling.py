@@ -10,7 +10,15 @@ import scipy.signal
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d, pade
-from ambrose.core.statespace import StateSpace, append, is_stable, poles, rename, static_gain, transfer_function
+from ambrose.core.statespace import (
+    StateSpace,
+    append,
+    is_stable,
+    poles,
+    rename,
+    static_gain,
+    transfer_function,
+)
 
 DT = 0.05
 
@@ -44,10 +52,16 @@ def integrated(system, u, dt, delay):
     for start, end in itertools.pairwise(jumps):
         force = system.B @ held((start + end) / 2)
         solution = scipy.integrate.solve_ivp(
-            lambda _, x, f=force: system.A @ x + f, (start, end), states[float(start)], rtol=1e-11, atol=1e-13
+            lambda _, x, f=force: system.A @ x + f,
+            (start, end),
+            states[float(start)],
+            rtol=1e-11,
+            atol=1e-13,
         )
         states[float(end)] = solution.y[:, -1]
-    return np.array([system.C @ states[float(np.round(t, 12))] + system.D @ held(t) for t in samples])
+    return np.array(
+        [system.C @ states[float(np.round(t, 12))] + system.D @ held(t) for t in samples]
+    )
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.3, 0.85, 1.0, 2.0, 2.4])
@@ -56,12 +70,16 @@ def test_zoh_with_any_delay_against_integration(delay):
     u = np.random.default_rng(2).standard_normal((12, 2))
     sampled = c2d(system, DT, delay=delay * DT)
     assert (sampled.inputs, sampled.outputs, sampled.dt) == (("a", "b"), ("x", "y"), DT)
-    np.testing.assert_allclose(recursion(sampled, u), integrated(system, u, DT, delay * DT), atol=1e-9)
+    np.testing.assert_allclose(
+        recursion(sampled, u), integrated(system, u, DT, delay * DT), atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("fraction", [1e-12, 1 - 1e-12])
 def test_almost_whole_delays_add_no_states(fraction):
-    assert c2d(random_system(1), DT, delay=(1 + fraction) * DT).n_states == 3 + 2 * (1 + round(fraction))
+    assert c2d(random_system(1), DT, delay=(1 + fraction) * DT).n_states == 3 + 2 * (
+        1 + round(fraction)
+    )
 
 
 @pytest.mark.parametrize("method", ["zoh", "tustin", "backward-euler"])
@@ -69,11 +87,15 @@ def test_scipy_agrees(method):
     system = random_system(3, n=5)
     ours = c2d(system, DT, method)
     theirs = scipy.signal.cont2discrete(
-        (system.A, system.B, system.C, system.D), DT, {"zoh": "zoh", "tustin": "bilinear"}.get(method, "backward_diff")
+        (system.A, system.B, system.C, system.D),
+        DT,
+        {"zoh": "zoh", "tustin": "bilinear"}.get(method, "backward_diff"),
     )
     theirs = StateSpace(*theirs[:4], dt=DT)
     omega = np.linspace(0, np.pi / DT, 20)
-    np.testing.assert_allclose(frequency_response(ours, omega).values, frequency_response(theirs, omega).values, rtol=1e-10)
+    np.testing.assert_allclose(
+        frequency_response(ours, omega).values, frequency_response(theirs, omega).values, rtol=1e-10
+    )
 
 
 def test_tustin_is_the_bilinear_map_of_the_frequency_axis():
@@ -101,7 +123,9 @@ def test_tustin_with_whole_delays_turns_the_phase():
 
 @pytest.mark.parametrize("method", ["zoh", "tustin", "backward-euler"])
 def test_states_keep_their_meaning_and_scaling_costs_nothing(method):
-    """The same system in states scaled by 1e-9 .. 1e9: the sampled matrices must be the scaled ones."""
+    """The same system in states scaled by 1e-9 .. 1e9: the sampled matrices must be the scaled
+    ones.
+    """
     system = random_system(7, n=6)
     t = 10.0 ** np.array([-9, 9, 0, 4, -4, 7])
     bad = StateSpace(system.A * t / t[:, None], system.B / t[:, None], system.C * t, system.D)
@@ -112,17 +136,27 @@ def test_states_keep_their_meaning_and_scaling_costs_nothing(method):
 
 @pytest.mark.parametrize("method", ["zoh", "tustin"])
 def test_stiff_oscillators_in_physical_units(method):
-    """Modes from 50 to 1e7 rad/s with stiffnesses up to 1e14 (a fine rotor mesh): the slow one keeps its closed form."""
+    """Modes from 50 to 1e7 rad/s with stiffnesses up to 1e14 (a fine rotor mesh): the slow one
+    keeps its closed form.
+    """
     dt, omega_0 = 1e-4, np.array([50.0, 3e3, 1e7])
     A = np.block([[np.zeros((3, 3)), np.eye(3)], [-np.diag(omega_0**2), np.zeros((3, 3))]])
-    system = StateSpace(A, np.vstack([np.zeros((3, 1)), np.ones((3, 1))]), np.eye(3, 6), np.zeros((3, 1)))
+    system = StateSpace(
+        A, np.vstack([np.zeros((3, 1)), np.ones((3, 1))]), np.eye(3, 6), np.zeros((3, 1))
+    )
     sampled = c2d(system, dt, method)
-    z = np.exp(1j * omega_0 * dt) if method == "zoh" else (1 + 0.5j * omega_0 * dt) / (1 - 0.5j * omega_0 * dt)
+    z = (
+        np.exp(1j * omega_0 * dt)
+        if method == "zoh"
+        else (1 + 0.5j * omega_0 * dt) / (1 - 0.5j * omega_0 * dt)
+    )
     found = np.linalg.eigvals(sampled.A)
     for k in (0, 1):
         assert np.abs(found - z[k]).min() < 1e-12
     if method == "zoh":
-        np.testing.assert_allclose(sampled.B[:2, 0], (1 - np.cos(omega_0[:2] * dt)) / omega_0[:2] ** 2, rtol=1e-9)
+        np.testing.assert_allclose(
+            sampled.B[:2, 0], (1 - np.cos(omega_0[:2] * dt)) / omega_0[:2] ** 2, rtol=1e-9
+        )
 
 
 def test_static_gains_and_integrators():
@@ -157,7 +191,9 @@ def test_refuses(arguments, message):
 def test_refuses_what_has_no_equivalent():
     with pytest.raises(InvalidInput, match="sampled already"):
         c2d(c2d(random_system(1), DT), DT)
-    with pytest.raises(InvalidInput, match=r"a pole at 40 rad/s has no sampled equivalent by this map"):
+    with pytest.raises(
+        InvalidInput, match=r"a pole at 40 rad/s has no sampled equivalent by this map"
+    ):
         c2d(StateSpace(2 / DT, 1, 1, 0), DT, "tustin")
 
 
@@ -173,30 +209,39 @@ ZPK = {
 @pytest.mark.parametrize("name", ZPK)
 @pytest.mark.parametrize("prewarp", [None, 2000.0])
 def test_matched_maps_poles_and_zeros(name, prewarp):
-    """z = exp(s dt), those at infinity to -1; sign and gain at rest, or at the frequency, as before."""
+    """z = exp(s dt), those at infinity to -1; sign and gain at rest, or at the frequency, as
+    before.
+    """
     zeros, below, gain = ZPK[name]
     dt, omega = 1e-4, np.geomspace(0.1, 3e4, 40)
     system = transfer_function(*scipy.signal.zpk2tf(zeros, below, gain))
     sampled = c2d(system, dt, "matched", prewarp=prewarp)
     z = np.exp(1j * omega * dt)[:, None]
-    shape = np.prod(z - np.exp(np.array(zeros) * dt), axis=1) * (z[:, 0] + 1) ** (len(below) - len(zeros))
+    shape = np.prod(z - np.exp(np.array(zeros) * dt), axis=1) * (z[:, 0] + 1) ** (
+        len(below) - len(zeros)
+    )
     shape /= np.prod(z - np.exp(np.array(below) * dt), axis=1)
     found, before = (frequency_response(one, omega).values[:, 0, 0] for one in (sampled, system))
     np.testing.assert_allclose(found / shape, np.full(40, (found / shape)[0].real), rtol=1e-8)
     place = 0 if prewarp is None else [prewarp]
     if prewarp is None:
-        assert found[0] / before[0] == pytest.approx(1, abs=1e-4)  # at 0.1 rad/s; half a sample of phase each
+        # at 0.1 rad/s; half a sample of phase each
+        assert found[0] / before[0] == pytest.approx(1, abs=1e-4)
     else:
         at = [abs(frequency_response(one, place).values[0, 0, 0]) for one in (sampled, system)]
         assert at[0] == pytest.approx(at[1], rel=1e-9) and (found[0] / before[0]).real > 0
     np.testing.assert_allclose(
-        np.sort_complex(np.log(poles(sampled) + 0j) / dt), np.sort_complex(np.array(below) + 0j), atol=0.2
+        np.sort_complex(np.log(poles(sampled) + 0j) / dt),
+        np.sort_complex(np.array(below) + 0j),
+        atol=0.2,
     )
 
 
 def test_matched_agrees_with_python_control():
     control = pytest.importorskip("control")
-    zeros, below, gain = ZPK["pid"][0], [-20.0, -4000.0], 3.0
+    zeros = ZPK["pid"][0]
+    below = [-20.0, -4000.0]
+    gain = 3.0
     system = transfer_function(*scipy.signal.zpk2tf(zeros, below, gain))
     theirs = control.sample_system(control.zpk(zeros, below, gain), 1e-4, method="matched")
     omega = np.geomspace(1, 3e4, 20)
@@ -209,9 +254,13 @@ def test_matched_takes_channels_apart_though_their_states_are_mixed():
     two = transfer_function([2.0, 0.0], [1.0, 800.0, 3e5])
     T = np.random.default_rng(0).standard_normal((4, 4))
     whole = append(rename(one, ["a"], ["c"]), rename(two, ["b"], ["d"]))
-    mixed = StateSpace(T @ whole.A @ np.linalg.inv(T), T @ whole.B, whole.C @ np.linalg.inv(T), whole.D)
+    mixed = StateSpace(
+        T @ whole.A @ np.linalg.inv(T), T @ whole.B, whole.C @ np.linalg.inv(T), whole.D
+    )
     omega = np.geomspace(1, 3e4, 20)
-    apart = [frequency_response(c2d(item, 1e-4, "matched"), omega).values[:, 0, 0] for item in (one, two)]
+    apart = [
+        frequency_response(c2d(item, 1e-4, "matched"), omega).values[:, 0, 0] for item in (one, two)
+    ]
     found = frequency_response(c2d(mixed, 1e-4, "matched"), omega).values
     np.testing.assert_allclose(np.diagonal(found, axis1=1, axis2=2).T, apart, rtol=1e-7)
 
@@ -230,13 +279,17 @@ class TestPade:
     def test_order_of_the_phase_error(self, order):
         """The first wrong power of omega tau is 2 order + 1."""
         omega = np.array([0.4, 0.8])
-        error = np.abs(frequency_response(pade(1.0, order), omega).values[:, 0, 0] - np.exp(-1j * omega))
+        error = np.abs(
+            frequency_response(pade(1.0, order), omega).values[:, 0, 0] - np.exp(-1j * omega)
+        )
         assert np.log2(error[1] / error[0]) == pytest.approx(2 * order + 1, abs=0.1)
 
     def test_first_order_by_hand(self):
         assert poles(pade(0.1, 1)) == pytest.approx([-20.0])
 
-    @pytest.mark.parametrize(("delay", "order"), [(0.0, 2), (1.0, 0), (1.0, 1.5), (1.0, 13), (np.nan, 1)])
+    @pytest.mark.parametrize(
+        ("delay", "order"), [(0.0, 2), (1.0, 0), (1.0, 1.5), (1.0, 13), (np.nan, 1)]
+    )
     def test_refuses(self, delay, order):
         with pytest.raises(InvalidInput):
             pade(delay, order)

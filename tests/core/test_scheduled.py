@@ -15,7 +15,9 @@ GRID = [10.0, 20.0, 50.0]
 def member(seed: int, n: int = 3, dt: float | None = None) -> StateSpace:
     rng = np.random.default_rng(seed)
     shapes = ((n, n), (n, 2), (2, n), (2, 2))
-    return StateSpace(*(rng.standard_normal(s) for s in shapes), ["err_a", "err_b"], ["u_a", "u_b"], dt)
+    return StateSpace(
+        *(rng.standard_normal(s) for s in shapes), ["err_a", "err_b"], ["u_a", "u_b"], dt
+    )
 
 
 MEMBERS = [member(i) for i in range(3)]
@@ -28,7 +30,9 @@ def test_grid_points_are_met_exactly_and_between_is_linear():
             np.testing.assert_array_equal(getattr(scheduled.at(value), x), getattr(system, x))
     found = scheduled(30.0)
     for x in "ABCD":
-        np.testing.assert_allclose(getattr(found, x), 2 / 3 * getattr(MEMBERS[1], x) + 1 / 3 * getattr(MEMBERS[2], x))
+        np.testing.assert_allclose(
+            getattr(found, x), 2 / 3 * getattr(MEMBERS[1], x) + 1 / 3 * getattr(MEMBERS[2], x)
+        )
     assert (found.inputs, found.outputs) == (("err_a", "err_b"), ("u_a", "u_b"))
     assert (scheduled.n_states, scheduled.dt, scheduled.range) == (3, None, (10.0, 50.0))
 
@@ -40,7 +44,9 @@ def test_linear_in_between_is_continuous_across_the_grid():
 
 @pytest.mark.parametrize("value", [9.0, 51.0, -1e3])
 def test_outside_is_refused_with_range_and_remedy(value):
-    with pytest.raises(InvalidInput, match=r"the speed is .* rad/s, but must be between 10 and 50 rad/s; .*clamp"):
+    with pytest.raises(
+        InvalidInput, match=r"the speed is .* rad/s, but must be between 10 and 50 rad/s; .*clamp"
+    ):
         ScheduledSystem(GRID, MEMBERS).at(value)
 
 
@@ -110,7 +116,9 @@ def test_a_rectangle_meets_its_points_and_is_linear_in_each_parameter():
         entries = np.array([getattr(s, x) for s in SIX]).reshape(3, 2, *getattr(SIX[0], x).shape)
         oracle = RegularGridInterpolator(AXES, entries)
         for value in np.random.default_rng(1).uniform([10, 0], [50, 4], (20, 2)):
-            np.testing.assert_allclose(getattr(law.at(value), x), oracle(value)[0], rtol=1e-12, atol=1e-14)
+            np.testing.assert_allclose(
+                getattr(law.at(value), x), oracle(value)[0], rtol=1e-12, atol=1e-14
+            )
 
 
 def test_a_rectangle_refuses_or_clamps_each_parameter_by_itself():

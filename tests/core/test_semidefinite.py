@@ -1,4 +1,6 @@
-"""Semidefinite programs against Clarabel, known optima, and statements that hold for every problem."""
+"""Semidefinite programs against Clarabel, known optima, and statements that hold for every
+problem.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ from ambrose.core.matrix_inequalities.semidefinite import Inequality, minimise, 
 
 
 def problem(seed: int) -> tuple[np.ndarray, list[Inequality]]:
-    """Bounded from below and strictly feasible at zero: the cost is what positive definite multipliers give."""
+    """Bounded from below and strictly feasible at zero: the cost is what positive definite
+    multipliers give.
+    """
     rng = np.random.default_rng(seed)
     k, items = 12, []
     cost = np.zeros(k)
@@ -38,7 +42,13 @@ def clarabel_value(cost: np.ndarray, items: list[Inequality]) -> float:
     cones = [clarabel.PSDTriangleConeT(item.side) for item in items]
     square = sparse.csc_matrix((len(cost), len(cost)))
     constant = np.concatenate([item.constant for item in items])
-    return clarabel.DefaultSolver(square, cost, sparse.csc_matrix(np.vstack(rows)), constant, cones, settings).solve().obj_val
+    return (
+        clarabel.DefaultSolver(
+            square, cost, sparse.csc_matrix(np.vstack(rows)), constant, cones, settings
+        )
+        .solve()
+        .obj_val
+    )
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -62,13 +72,18 @@ def test_solution_lies_strictly_inside_and_costs_what_is_said(seed):
 def test_largest_eigenvalue_is_the_smallest_bound():
     M = np.random.default_rng(5).standard_normal((20, 20))
     M = M + M.T
-    found = minimise(np.ones(1), [Inequality(svec(np.eye(20))[:, None], -svec(M), np.array([0]))], tolerance=1e-9)
+    found = minimise(
+        np.ones(1), [Inequality(svec(np.eye(20))[:, None], -svec(M), np.array([0]))], tolerance=1e-9
+    )
     assert found.value == pytest.approx(np.linalg.eigvalsh(M)[-1], rel=1e-8)
 
 
 def test_nothing_satisfies_contradicting_inequalities():
     one = np.ones((1, 1))
-    found = minimise(np.ones(1), [Inequality(one, -np.ones(1), np.array([0])), Inequality(-one, np.zeros(1), np.array([0]))])
+    found = minimise(
+        np.ones(1),
+        [Inequality(one, -np.ones(1), np.array([0])), Inequality(-one, np.zeros(1), np.array([0]))],
+    )
     assert found.status == "infeasible"
 
 
@@ -104,19 +119,31 @@ def test_sizes_that_do_not_fit_are_refused():
 
 
 def bounded_real(terms: bool, rows: int = 3) -> tuple[np.ndarray, list[Inequality]]:
-    """The bounded real inequalities of a loop at five values of p with X0 + p X1: as terms, or written out column by column."""
-    rng, n, q = np.random.default_rng(4), 6, 2
-    A, B, C = rng.standard_normal((n, n)), rng.standard_normal((n, q)), rng.standard_normal((q, n)) / n
+    """The bounded real inequalities of a loop at five values of p with X0 + p X1: as terms, or
+    written out column by column.
+    """
+    rng = np.random.default_rng(4)
+    n = 6
+    q = 2
+    A = rng.standard_normal((n, n))
+    B = rng.standard_normal((n, q))
+    C = rng.standard_normal((q, n)) / n
     A -= (np.linalg.eigvals(A).real.max() + 1) * np.eye(n)
     X0 = MatrixVariable(0, n, n)
     X1 = MatrixVariable(X0.stop, n, rows)
-    k, one, corner = X1.stop, np.eye(n, n + q), np.zeros((n + q, n + q))
+    k = X1.stop
+    one = np.eye(n, n + q)
+    corner = np.zeros((n + q, n + q))
     corner[n:, n:] = np.eye(q)
     constant, items = svec(-np.block([[C.T @ C, C.T], [C, np.eye(q)]])), []
     for p in np.linspace(-1, 1, 5):
         V = np.hstack([A + 0.2 * p * rng.standard_normal((n, n)), B])
         both = (Term(X0, -one, V), Term(X1, -one, p * V + 0.1 * one))
-        written = [svec(term.value(x)) for term in both for x in np.eye(k)[term.variable.start : term.variable.stop]]
+        written = [
+            svec(term.value(x))
+            for term in both
+            for x in np.eye(k)[term.variable.start : term.variable.stop]
+        ]
         dense = np.column_stack([*written, svec(corner)])
         one_item = Inequality(svec(corner)[:, None], constant, np.array([k]), both)
         items.append(one_item if terms else Inequality(dense, constant, np.arange(k + 1)))
@@ -131,5 +158,9 @@ def test_matrices_among_the_variables_are_their_columns_written_out():
         np.testing.assert_allclose(item.squares(len(x)), (dense.rows**2).sum(0), rtol=1e-12)
     found, other = minimise(cost, items), minimise(cost, written)
     assert found.status == "optimal" and found.steps == other.steps
-    assert found.value == pytest.approx(other.value, rel=1e-7) == pytest.approx(clarabel_value(cost, written), rel=1e-6)
+    assert (
+        found.value
+        == pytest.approx(other.value, rel=1e-7)
+        == pytest.approx(clarabel_value(cost, written), rel=1e-6)
+    )
     assert minimise(*bounded_real(True, 1)).value > 1.001 * found.value  # fewer rows, less freedom

@@ -9,7 +9,9 @@ from shape_contract import checked, stated_shapes
 
 
 def honest(A, b=None, count=2, name=""):
-    """A (n, n) [N/m]: a matrix; b (n,) or (n, k): optional; other (q,): no parameter; name (of the axis): prose."""
+    """A (n, n) [N/m]: a matrix; b (n,) or (n, k): optional; other (q,): no parameter; name (of the
+    axis): prose.
+    """
     return A
 
 
@@ -35,9 +37,13 @@ def test_honest_calls_pass(b):
 
 @pytest.mark.parametrize(
     ("A", "b", "named"),
-    [(np.ones((2, 3)), np.ones(2), "took A with shape \\(2, 3\\)"), (np.eye(2), np.ones(3), "took b with shape \\(3,\\)"),
-     (np.eye(2), np.ones((2, 1)), "docstring says \\(n\\)"), (np.eye(2), 1.0, "shape \\(\\)")],
-)  # fmt: skip
+    [
+        (np.ones((2, 3)), np.ones(2), "took A with shape \\(2, 3\\)"),
+        (np.eye(2), np.ones(3), "took b with shape \\(3,\\)"),
+        (np.eye(2), np.ones((2, 1)), "docstring says \\(n\\)"),
+        (np.eye(2), 1.0, "shape \\(\\)"),
+    ],
+)
 def test_a_lie_is_caught(A, b, named):
     with pytest.raises(AssertionError, match=named):
         checked(lying)(A, b)

@@ -1,4 +1,6 @@
-"""Interconnections against their algebra in the frequency domain, evaluated by plain dense solves."""
+"""Interconnections against their algebra in the frequency domain, evaluated by plain dense
+solves.
+"""
 
 import json
 import pickle
@@ -46,7 +48,13 @@ def same(system, values, rtol=1e-10):
 def random_system(seed, n=4, m=2, p=3, dt=None, through=True):
     rng = np.random.default_rng(seed)
     D = rng.standard_normal((p, m)) * through
-    return StateSpace(rng.standard_normal((n, n)), rng.standard_normal((n, m)), rng.standard_normal((p, n)), D, dt=dt)
+    return StateSpace(
+        rng.standard_normal((n, n)),
+        rng.standard_normal((n, m)),
+        rng.standard_normal((p, n)),
+        D,
+        dt=dt,
+    )
 
 
 class TestConstruction:
@@ -65,14 +73,20 @@ class TestConstruction:
     def test_scalars_empty_lists_and_static_gains(self):
         assert StateSpace(-1, 2, 3, 0).A.shape == (1, 1)
         assert StateSpace([], [], [], [[1, 2]]).B.shape == (0, 2)
-        assert StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((3, 0)), np.zeros((3, 2))).C.shape == (3, 0)
+        assert StateSpace(
+            np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((3, 0)), np.zeros((3, 2))
+        ).C.shape == (3, 0)
         assert static_gain(5.0).D.tolist() == [[5.0]]
 
     def test_replace_and_pickle(self):
         system = random_system(0, dt=0.1)
         assert replace(system, inputs=("a", "b")).inputs == ("a", "b")
         again = pickle.loads(pickle.dumps(system))
-        assert np.array_equal(again.A, system.A) and again.outputs == system.outputs and again.dt == 0.1
+        assert (
+            np.array_equal(again.A, system.A)
+            and again.outputs == system.outputs
+            and again.dt == 0.1
+        )
 
     @pytest.mark.parametrize(
         ("arguments", "message"),
@@ -104,7 +118,9 @@ class TestMatchSignals:
         system = rename(random_system(1), ["a", "b"], ["x", "y", "z"])
         turned = select(system, ["b", "a"], ["z", "x", "y"])
         back = match_signals(turned, ["a", "b"], ["x", "y", "z"])
-        assert all(np.array_equal(getattr(back, letter), getattr(system, letter)) for letter in "ABCD")
+        assert all(
+            np.array_equal(getattr(back, letter), getattr(system, letter)) for letter in "ABCD"
+        )
         assert (back.inputs, back.outputs) == (system.inputs, system.outputs)
 
     def test_other_names_go_by_place_each_side_for_itself(self):
@@ -146,7 +162,9 @@ class TestPythonControl:
         ours = rename(random_system(1, dt=dt), ["a", "b"], ["x", "y", "z"])
         for other in (ours, ours.to_control()):
             back = StateSpace(other)
-            assert all(np.array_equal(getattr(back, letter), getattr(ours, letter)) for letter in "ABCD")
+            assert all(
+                np.array_equal(getattr(back, letter), getattr(ours, letter)) for letter in "ABCD"
+            )
             assert (back.inputs, back.outputs, back.dt) == (ours.inputs, ours.outputs, dt)
         renamed = StateSpace(ours.to_control(), inputs=["c", "d"], dt=1e-3)
         assert (renamed.inputs, renamed.outputs, renamed.dt) == (("c", "d"), ours.outputs, 1e-3)
@@ -155,13 +173,17 @@ class TestPythonControl:
                 StateSpace(*lacking)
 
     def test_other_things(self):
-        assert as_statespace(scipy.signal.StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]])).dt is None
+        assert (
+            as_statespace(scipy.signal.StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]])).dt is None
+        )
         assert as_statespace([[1, 2]]).D.tolist() == [[1.0, 2.0]]
         with pytest.raises(InvalidInput, match="transfer function was given"):
             as_statespace(control.tf([1], [1, 1]))
         with pytest.raises(InvalidInput, match="dt is True"):
             as_statespace(control.ss([[0.5]], [[1.0]], [[1.0]], [[0.0]], True))
-        with pytest.raises(InvalidInput, match="the system is 'a string', but must be something with matrices"):
+        with pytest.raises(
+            InvalidInput, match="the system is 'a string', but must be something with matrices"
+        ):
             as_statespace("a string")
 
 
@@ -169,10 +191,15 @@ class TestTransferFunction:
     @pytest.mark.parametrize(
         ("num", "den"),
         [
-            ([1], [1, 1]), ([2, 0, 3], [4, 1, 1]), ([0, 0, 5], [1, 2, 3, 4]), ([0], [1, 1]), ([3], [2]), ([1e9], [1, 1e5, 1e9]),
+            ([1], [1, 1]),
+            ([2, 0, 3], [4, 1, 1]),
+            ([0, 0, 5], [1, 2, 3, 4]),
+            ([0], [1, 1]),
+            ([3], [2]),
+            ([1e9], [1, 1e5, 1e9]),
             ([1, 2, 3], [1e-12, 1e-6, 1, 1e3]),
         ],
-    )  # fmt: skip
+    )
     def test_against_polynomials(self, num, den):
         system = transfer_function(num, den, "u", "y")
         assert system.inputs == ("u",) and system.outputs == ("y",)
@@ -185,10 +212,13 @@ class TestTransferFunction:
     @pytest.mark.parametrize(
         ("num", "den", "message"),
         [
-            ([1, 0], [1], "numerator's order is 1"), ([1], [0, 1], "leading denominator"), ([1], [], "denominator"),
-            ([1j], [1, 1], "numerator"), ([[1], [2]], [1, 1], "shape of numerator"),
+            ([1, 0], [1], "numerator's order is 1"),
+            ([1], [0, 1], "leading denominator"),
+            ([1], [], "denominator"),
+            ([1j], [1, 1], "numerator"),
+            ([[1], [2]], [1, 1], "shape of numerator"),
         ],
-    )  # fmt: skip
+    )
     def test_refuses(self, num, den, message):
         with pytest.raises(InvalidInput, match=message):
             transfer_function(num, den)
@@ -232,7 +262,10 @@ class TestAlgebra:
             series(G, G)
 
     def test_append(self):
-        G, H = rename(random_system(3), ["a", "b"], ["c", "d", "e"]), random_system(4, n=0, m=1, p=1)
+        G, H = (
+            rename(random_system(3), ["a", "b"], ["c", "d", "e"]),
+            random_system(4, n=0, m=1, p=1),
+        )
         both = append(G, H)
         assert both.inputs == ("a", "b", "u1")
         same(both, lambda s: np.block([[at(G, s), np.zeros((3, 1))], [np.zeros((1, 2)), at(H, s)]]))
@@ -247,7 +280,9 @@ class TestAlgebra:
         same(loop, lambda s: np.linalg.solve(np.eye(3) - sign * at(G, s) @ at(K, s), at(G, s)))
         assert (loop.inputs, loop.outputs) == (G.inputs, G.outputs)
 
-    @given(seed=st.integers(0, 10**6), n=st.integers(0, 5), m=st.integers(1, 3), p=st.integers(1, 3))
+    @given(
+        seed=st.integers(0, 10**6), n=st.integers(0, 5), m=st.integers(1, 3), p=st.integers(1, 3)
+    )
     @settings(max_examples=30, deadline=None)
     def test_feedback_undoes_itself(self, seed, n, m, p):
         G, K = random_system(seed, n, m, p), random_system(seed + 1, 2, p, m, through=False)
@@ -262,10 +297,14 @@ class TestAlgebra:
     def test_algebraic_loop(self):
         with pytest.raises(NumericalFailure, match="the loop is algebraic"):
             feedback(static_gain([[0.5, 0], [0, 2]]), static_gain([[0, 0], [0, -0.5]]))
-        assert feedback(static_gain(2.0), static_gain(-0.4999999)).D[0, 0] == pytest.approx(1e7, rel=1e-6)
+        assert feedback(static_gain(2.0), static_gain(-0.4999999)).D[0, 0] == pytest.approx(
+            1e7, rel=1e-6
+        )
 
     def test_large_gains_in_a_chain_are_no_algebraic_loop(self):
-        """k_s of 1e9 N/m beside unit gains: the matrix I - D L is triangular, however badly conditioned it looks."""
+        """k_s of 1e9 N/m beside unit gains: the matrix I - D L is triangular, however badly
+        conditioned it looks.
+        """
         chain = append(*(static_gain(1e9, [f"a{i}"], [f"b{i}"]) for i in range(4)))
         closed = close(chain, np.eye(4, k=-1))
         assert closed.D[3, 0] == pytest.approx(1e36, rel=1e-12)
@@ -285,8 +324,12 @@ class TestConnect:
     def test_first_order_loop_by_hand(self):
         plant = StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]], ["v"], ["y"])
         controller = static_gain(2.0, ["e_y"], ["u"])
-        loop = connect([plant, controller], ["r", "e", "d"], ["y", "u", "meas"],
-                       {"v": ["u", "e"], "e_y": ["r", "-meas"], "meas": ["y", "d"]})  # fmt: skip
+        loop = connect(
+            [plant, controller],
+            ["r", "e", "d"],
+            ["y", "u", "meas"],
+            {"v": ["u", "e"], "e_y": ["r", "-meas"], "meas": ["y", "d"]},
+        )
         assert loop.A.tolist() == [[-3.0]]
         assert loop.B.tolist() == [[2.0, 1.0, -2.0]]
         assert loop.C.tolist() == [[1.0], [-2.0], [1.0]]
@@ -297,9 +340,14 @@ class TestConnect:
         G = rename(random_system(10, m=2, p=3), ["v1", "v2"], ["g1", "g2", "g3"])
         K = rename(random_system(11, n=3, m=3, p=2), ["err1", "err2", "err3"], ["u1", "u2"])
         sums = {f"v{i}": [f"u{i}", f"e{i}"] for i in (1, 2)}
-        sums |= {f"y{i}": [f"g{i}", f"d{i}"] for i in (1, 2, 3)} | {f"err{i}": [f"r{i}", f"-y{i}"] for i in (1, 2, 3)}
+        sums |= {f"y{i}": [f"g{i}", f"d{i}"] for i in (1, 2, 3)} | {
+            f"err{i}": [f"r{i}", f"-y{i}"] for i in (1, 2, 3)
+        }
         loop = connect(
-            [G, K], ["r1", "r2", "r3", "e1", "e2", "d1", "d2", "d3"], ["y1", "y2", "y3", "u1", "u2", "v1", "v2"], sums
+            [G, K],
+            ["r1", "r2", "r3", "e1", "e2", "d1", "d2", "d3"],
+            ["y1", "y2", "y3", "u1", "u2", "v1", "v2"],
+            sums,
         )
 
         def by_hand(s):
@@ -312,14 +360,18 @@ class TestConnect:
         same(loop, by_hand)
 
     def test_a_sum_may_have_the_name_of_an_output(self):
-        """Input u of the amplifier = the controller's output u plus e; the OUTPUT u stays the controller's."""
+        """Input u of the amplifier = the controller's output u plus e; the OUTPUT u stays the
+        controller's.
+        """
         amplifier, controller = static_gain(10.0, ["u"], ["i"]), static_gain(3.0, ["r"], ["u"])
         loop = connect([amplifier, controller], ["r", "e"], ["i", "u"], {"u": ["u", "e"]})
         assert loop.D.tolist() == [[30.0, 10.0], [3.0, 0.0]]
 
     def test_empty_sum_is_zero_and_sums_nest(self):
         gain = static_gain([[1.0, 10.0]], ["a", "b"], ["y"])
-        assert connect([gain], ["x"], ["y"], {"a": [], "b": ["-half"], "half": ["x", "x"]}).D.tolist() == [[-20.0]]
+        assert connect(
+            [gain], ["x"], ["y"], {"a": [], "b": ["-half"], "half": ["x", "x"]}
+        ).D.tolist() == [[-20.0]]
         assert connect([gain], ["a", "b"], ["a", "y"]).D.tolist() == [[1, 0], [1, 10]]
 
     @pytest.mark.parametrize(

@@ -1,4 +1,6 @@
-"""Every code block of README.md and docs/ runs as printed, and what is stored of slow commands is what the pages show."""
+"""Every code block of README.md and docs/ runs as printed, and what is stored of slow commands is
+what the pages show.
+"""
 
 import shlex
 
@@ -29,7 +31,8 @@ NAMES = [name for name, path in pages().items() if blocks(path.read_text(encodin
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.campaign) if name in MINUTES else name for name in NAMES]
+    "name",
+    [pytest.param(name, marks=pytest.mark.campaign) if name in MINUTES else name for name in NAMES],
 )
 def test_page_runs_as_printed(name, cache):
     run_page(name, cache)
@@ -43,7 +46,9 @@ def test_every_stored_output_is_quoted_and_every_quoted_one_is_stored():
 def test_blocks_that_are_not_run_say_why(name):
     for line in pages()[name].read_text(encoding="utf-8").splitlines():
         if line.startswith("<!-- run:"):
-            mark, _, reason = line.removeprefix("<!-- run:").removesuffix("-->").strip().partition(",")
+            mark, _, reason = (
+                line.removeprefix("<!-- run:").removesuffix("-->").strip().partition(",")
+            )
             assert mark == "stored" or (mark == "no" and reason), f"{name}: {line}"
 
 
@@ -55,14 +60,17 @@ def test_every_command_and_its_options_exist(name):
         assert words[0] in main.commands, f"{name}: {quoted}"
         _, command, arguments = main.resolve_command(click.Context(main), words)
         try:
-            command.make_parser(click.Context(command, resilient_parsing=True)).parse_args(arguments)
+            command.make_parser(click.Context(command, resilient_parsing=True)).parse_args(
+                arguments
+            )
         except click.NoSuchOption as error:
             raise AssertionError(f"{name}: {quoted}: {error.message}") from error
 
 
 def test_blocks_and_marks():
     text = (
-        "<!-- files: a.json -->\n```python\nx = 1\n```\n<!-- run: stored -->\n```console\n$ ambrose machines\nseal-rig\n```\n"
+        "<!-- files: a.json -->\n```python\nx = 1\n```\n<!-- run: stored -->\n```console\n$ "
+        "ambrose machines\nseal-rig\n```\n"
     )
     first, second, third = blocks(text)
     assert (first.kind, first.text) == ("files", "a.json")

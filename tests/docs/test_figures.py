@@ -1,4 +1,6 @@
-"""Figures in the pages: the quick ones are computed anew, every quoted one is stored, a stale one is noticed."""
+"""Figures in the pages: the quick ones are computed anew, every quoted one is stored, a stale one
+is noticed.
+"""
 
 import pytest
 from docs_build.blocks import pages
@@ -8,12 +10,19 @@ from docs_build.report_picture import carried, shown
 
 
 @pytest.mark.parametrize(
-    "group", [pytest.param(name, marks=pytest.mark.campaign) if name in {"hinf", "turboexpander"} else name for name in QUICK]
+    "group",
+    [
+        pytest.param(name, marks=pytest.mark.campaign)
+        if name in {"hinf", "turboexpander"}
+        else name
+        for name in QUICK
+    ],
 )
 def test_quick_figures_are_those_stored(group):
     changed = differences(stored()[group], QUICK[group]())
-    assert not changed, f"stale figures; run python -m docs_build.figures --write {group} and read the pages:\n" + "\n".join(
-        changed
+    assert not changed, (
+        f"stale figures; run python -m docs_build.figures --write {group} and read the pages:\n"
+        + "\n".join(changed)
     )
 
 
@@ -28,8 +37,10 @@ def test_every_figure_that_a_page_quotes_is_stored(name):
 README = [  # the README is read where no site builder fills figures in
     "a finite-element rotor ({{ check.rotor_states }} states)",
     "a reduced plant ({{ check.reduced_rotor_states }} rotor states)",
-    "mu ({{ study.mu.states }} states) holds everywhere with a largest sensitivity of {{ study.mu.worst:.1f }}",
-    "the mu controller polished to {{ study.polish.states }} states passes every check with {{ study.polish.worst:.2f }}",
+    "mu ({{ study.mu.states }} states) holds everywhere with a largest sensitivity of {{ "
+    "study.mu.worst:.1f }}",
+    "the mu controller polished to {{ study.polish.states }} states passes every check with {{ "
+    "study.polish.worst:.2f }}",
     "at once, with {{ study.tuned.states }} states and {{ study.tuned.worst:.2f }}",
     "needs {{ study_turboexpander.run_up.mu.rig.first*1e3:.0f }} ms at 20 Hz",
     "`seal-rig` ({{ check.mass:.0f }} kg rotor",
@@ -53,7 +64,10 @@ def test_groups_stored_are_those_with_a_recipe():
 
 def test_rendering():
     figures = {"a": {"b.c": 0.01234, "d": "unstable"}}
-    assert render("x {{ a.b.c:.3f }}, {{ a.b.c*1e3:.1f }} ms, {{ a.d:.2f }}", figures) == "x 0.012, 12.3 ms, unstable"
+    assert (
+        render("x {{ a.b.c:.3f }}, {{ a.b.c*1e3:.1f }} ms, {{ a.d:.2f }}", figures)
+        == "x 0.012, 12.3 ms, unstable"
+    )
     with pytest.raises(UnknownFigure, match=r"a\.x is not in"):
         render("{{ a.x }}", figures)
 

@@ -39,6 +39,6 @@ def test_the_search_of_a_site_opened_from_its_folder_needs_no_network():
 
 
 def test_the_page_of_the_scenario_file_is_that_of_the_program():
-    assert (ROOT / "docs" / "scenario-file.md").read_text(encoding="utf-8") == scenario_file.page(), (
-        "run python -m docs_build.scenario_file"
-    )
+    assert (ROOT / "docs" / "scenario-file.md").read_text(
+        encoding="utf-8"
+    ) == scenario_file.page(), "run python -m docs_build.scenario_file"

@@ -1,4 +1,6 @@
-"""The notebooks run from top to bottom, use the front door only, and stand in git without outputs."""
+"""The notebooks run from top to bottom, use the front door only, and stand in git without
+outputs.
+"""
 
 import json
 import re
@@ -14,9 +16,18 @@ PATHS = sorted(NOTEBOOKS.glob("*.ipynb"))
 @pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)
 def test_runs(path):
     pytest.importorskip("nbclient")
-    outputs = [output for cell in executed(path) if cell["cell_type"] == "code" for output in cell["outputs"]]
+    outputs = [
+        output
+        for cell in executed(path)
+        if cell["cell_type"] == "code"
+        for output in cell["outputs"]
+    ]
     assert any("application/vnd.plotly.v1+json" in output.get("data", {}) for output in outputs)
-    assert not [output for output in outputs if output["output_type"] == "error" or output.get("name") == "stderr"]
+    assert not [
+        output
+        for output in outputs
+        if output["output_type"] == "error" or output.get("name") == "stderr"
+    ]
 
 
 @pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)

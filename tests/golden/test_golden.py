@@ -1,7 +1,8 @@
-"""We did not change: key figures of the bundled machines and controllers, as they were when last looked at.
+"""We did not change: key figures of the bundled machines and controllers, as they were when last
+looked at.
 
-A difference is not an error by itself. Look at it, and if it is meant, `python tests/golden/test_golden.py` writes the new
-figures; the commit says why they moved.
+A difference is not an error by itself. Look at it, and if it is meant, `python
+tests/golden/test_golden.py` writes the new figures; the commit says why they moved.
 """
 
 import json
@@ -11,13 +12,19 @@ import numpy as np
 import pytest
 
 from ambrose import load_machine
-from ambrose.plant.assemble import assemble
-from ambrose.stages.plants import facts
+from ambrose.chain.plants import facts
+from ambrose.judge import nominal
+from ambrose.model.assemble import assemble
 from ambrose.synthesis.design import design
-from ambrose.verification import nominal
 
 HERE = Path(__file__).with_name("golden.json")
-CHECKS = ("sensitivity.output.max", "compliance.max", "unbalance.orbit", "impulse.displacement", "margin.disk.output")
+CHECKS = (
+    "sensitivity.output.max",
+    "compliance.max",
+    "unbalance.orbit",
+    "impulse.displacement",
+    "margin.disk.output",
+)
 
 
 GROUPS = ("seal-rig", "turboexpander", "seal-rig pid", "seal-rig hinf")
@@ -30,11 +37,21 @@ def figures(group):
         plant = assemble(load_machine(name))
         checks = nominal.check(plant, design(plant, method).controller)
         return {name: checks[name].value for name in CHECKS}
-    plain = {key: value for key, value in facts(load_machine(name)).items() if isinstance(value, int | float | list) and value}
-    return {key: value for key, value in plain.items() if not isinstance(value, list) or not isinstance(value[0], dict)}
+    plain = {
+        key: value
+        for key, value in facts(load_machine(name)).items()
+        if isinstance(value, int | float | list) and value
+    }
+    return {
+        key: value
+        for key, value in plain.items()
+        if not isinstance(value, list) or not isinstance(value[0], dict)
+    }
 
 
-@pytest.mark.parametrize("group", [*GROUPS[:2], *(pytest.param(name, marks=pytest.mark.campaign) for name in GROUPS[2:])])
+@pytest.mark.parametrize(
+    "group", [*GROUPS[:2], *(pytest.param(name, marks=pytest.mark.campaign) for name in GROUPS[2:])]
+)
 def test_figures_are_what_they_were(group):
     now, stored = figures(group), json.loads(HERE.read_text())
     then = stored[group]

@@ -27,21 +27,26 @@ def test_prbs_clock_and_shift():
 def test_chirp_has_the_frequency_it_should():
     dt, k = 1e-4, 40_000
     wave = waveforms.chirp(100.0, 900.0, k, dt)
-    phase = np.unwrap(np.angle(np.exp(1j * (100 * np.arange(k) * dt + 100 * (np.arange(k) * dt) ** 2))))
-    np.testing.assert_allclose(wave, np.sin(phase), atol=1e-9)  # 800 rad/s in 4 s: w(t) = 100 + 200 t
+    phase = np.unwrap(
+        np.angle(np.exp(1j * (100 * np.arange(k) * dt + 100 * (np.arange(k) * dt) ** 2)))
+    )
+    # 800 rad/s in 4 s: w(t) = 100 + 200 t
+    np.testing.assert_allclose(wave, np.sin(phase), atol=1e-9)
     assert abs(wave).max() <= 1
 
 
 def test_order_of_excitation():
     k, dt = 4000, 1e-3
     t = np.arange(k) * dt
-    three = sum(np.sin(2 * np.pi * f * t) for f in (5, 11, 23))  # slow: 6 numbers only in every 16th sample
+    # slow: 6 numbers only in every 16th sample
+    three = sum(np.sin(2 * np.pi * f * t) for f in (5, 11, 23))
     assert excitation.excitation_order(three[None], 20) == 6  # two for each sine
     assert excitation.excitation_order(np.zeros((1, k)), 20) == 0
     assert excitation.excitation_order(np.ones((1, k)), 20) == 1
     noise = np.random.default_rng(0).standard_normal((2, k))
     assert excitation.excitation_order(noise, 20) == 20
-    assert excitation.excitation_order(np.vstack([noise[0], noise[0]]), 20) == 0  # twice the same channel
+    # twice the same channel
+    assert excitation.excitation_order(np.vstack([noise[0], noise[0]]), 20) == 0
 
 
 @pytest.mark.parametrize(

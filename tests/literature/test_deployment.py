@@ -1,7 +1,9 @@
-"""P5's mu controller as C code on the rig: designed for its sampled loop, at zero, nominal and twice nominal seal pressure.
+"""P5's mu controller as C code on the rig: designed for its sampled loop, at zero, nominal and
+twice nominal seal pressure.
 
-P5 tries its controllers under an impulse at these pressures (section 5.5). Here what runs is the generated C, compiled, in
-place of the controller, with its sampling, one sample of computing delay, limits and rounding.
+P5 tries its controllers under an impulse at these pressures (section 5.5). Here what runs is the
+generated C, compiled, in place of the controller, with its sampling, one sample of computing delay,
+limits and rounding.
 """
 
 from __future__ import annotations
@@ -10,30 +12,35 @@ import numpy as np
 import pytest
 
 from ambrose import load_machine
+from ambrose.code.block.fixed import build_block
+from ambrose.code.c.compiled import CompiledBlock, read_law
+from ambrose.code.c.compiler import has_compiler
+from ambrose.code.pipeline import machine_limits
+from ambrose.code.sampled import deploy, unmet_limits
 from ambrose.core.sampling import c2d, delayed
-from ambrose.deployment.block.fixed import build_block
-from ambrose.deployment.c.compiled import CompiledBlock, read_law
-from ambrose.deployment.c.compiler import has_compiler
-from ambrose.deployment.discretisation.deployment import deploy, unmet_limits
-from ambrose.deployment.pipeline import machine_limits
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import reduce
-from ambrose.plant.timing import Timing
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.scenario import load_scenario
+from ambrose.judge import nominal
+from ambrose.judge.sampled import check_over_box
+from ambrose.law.design_problem import apply_delay, design_plant, design_tolerances, open_model
+from ambrose.law.timing import Timing
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import reduce
+from ambrose.rig import virtual_rig
+from ambrose.rig.scenario import load_scenario
 from ambrose.synthesis.design import design
 from ambrose.synthesis.fixed_order.polish import polish_synthesis
 from ambrose.synthesis.order_selection import find_lowest_order, sampled_sensitivity
 from ambrose.synthesis.pid import pid_synthesis
-from ambrose.synthesis.problem import apply_delay, design_plant, design_tolerances, open_model
-from ambrose.verification import nominal
-from ambrose.verification.sampled import check_over_box
 
-pytestmark = [pytest.mark.literature, pytest.mark.study, pytest.mark.skipif(not has_compiler(), reason="no C compiler here")]
+pytestmark = [
+    pytest.mark.literature,
+    pytest.mark.study,
+    pytest.mark.skipif(not has_compiler(), reason="no C compiler here"),
+]
 SAMPLE = 1e-4
 RIG = load_machine("seal-rig-k-only")  # P5 section 4.1: over k +-100 %
 POINTS = {point.label: point for point in RIG.operation.points}
-PRESSURES = ("nominal pressure", "zero pressure", "twice nominal pressure")  # the one that tolerances refer to is first
+# the one that tolerances refer to is first
+PRESSURES = ("nominal pressure", "zero pressure", "twice nominal pressure")
 
 
 @pytest.fixture(scope="module")
@@ -59,8 +66,12 @@ def mu(deployment):
 
 @pytest.fixture(scope="module")
 def reference(plants):
-    """P5's PID as C code; its loop is unstable at twice nominal pressure, so it is deployed all the same."""
-    deployment = deploy(pid_synthesis(plants["nominal pressure"]), SAMPLE, SAMPLE, plants=[], force=True)
+    """P5's PID as C code; its loop is unstable at twice nominal pressure, so it is deployed all the
+    same.
+    """
+    deployment = deploy(
+        pid_synthesis(plants["nominal pressure"]), SAMPLE, SAMPLE, plants=[], force=True
+    )
     return CompiledBlock(build_block(deployment, "pid", *machine_limits(RIG)))
 
 
@@ -90,8 +101,10 @@ def test_mu_from_c_holds_the_rig_at_every_pressure(mu, deployment, label):
     code, design_law = on_the_rig(mu, label), on_the_rig(deployment.controller, label)
     assert (code.outcome, code.stable, code.touchdown_at) == ("completed", True, None)
     y = measured(code)
-    assert np.abs(y[:, -300:]).max() < 0.25 * np.abs(y).max() < 5e-6  # settled within the 0.25 s after the pulse
-    assert np.abs(y - measured(design_law)).max() < 1e-10 * np.abs(y).max()  # found 1e-17 m of 3e-6 m
+    # settled within the 0.25 s after the pulse
+    assert np.abs(y[:, -300:]).max() < 0.25 * np.abs(y).max() < 5e-6
+    # found 1e-17 m of 3e-6 m
+    assert np.abs(y - measured(design_law)).max() < 1e-10 * np.abs(y).max()
 
 
 def test_pid_from_c_touches_down_at_twice_nominal_pressure(reference):
@@ -100,17 +113,26 @@ def test_pid_from_c_touches_down_at_twice_nominal_pressure(reference):
     assert [found[label].outcome for label in PRESSURES] == ["completed", "completed", "touchdown"]
     last = found["twice nominal pressure"]
     assert not last.stable and 0.06 < last.touchdown_at < 0.2
-    assert np.abs(measured(last)).max() > 50 * max(np.abs(measured(found[label])).max() for label in PRESSURES[:2])
+    assert np.abs(measured(last)).max() > 50 * max(
+        np.abs(measured(found[label])).max() for label in PRESSURES[:2]
+    )
 
 
 @pytest.mark.parametrize("label", PRESSURES)
 def test_the_running_code_has_the_verification_of_the_design(mu, deployment, plants, label):
-    """Every quantity, from the law that is read back out of the compiled code and from the one that was designed."""
+    """Every quantity, from the law that is read back out of the compiled code and from the one that
+    was designed.
+    """
     code = nominal.check(plants[label], delayed(read_law(mu), mu.delay))
     meant = deployment.checks[PRESSURES.index(label)]
     assert [check.name for check in code.checks] == [check.name for check in meant.checks]
     assert [check.passed for check in code.checks] == [check.passed for check in meant.checks]
-    values = np.array([[found.value, wanted.value] for found, wanted in zip(code.checks, meant.checks, strict=True)])
+    values = np.array(
+        [
+            [found.value, wanted.value]
+            for found, wanted in zip(code.checks, meant.checks, strict=True)
+        ]
+    )
     np.testing.assert_allclose(values[:, 0], values[:, 1], rtol=1e-9)
 
 
@@ -120,13 +142,19 @@ def test_half_the_states_suffice_at_a_loss_of_five_per_cent(plants, synthesis, p
     found = find_lowest_order(problem, synthesis.controller, measure, 0.05, polishing=False)
     assert (synthesis.controller.n_states, found.controller.n_states) == (28, 14)
     assert found.measure <= 1.05 * found.reference
-    full = check_over_box(plants["nominal pressure"], delayed(c2d(found.controller, SAMPLE, "tustin"), 1))
+    full = check_over_box(
+        plants["nominal pressure"], delayed(c2d(found.controller, SAMPLE, "tustin"), 1)
+    )
     assert full.checks[0].value == 0
     assert full["sampled.sensitivity.box"].value == pytest.approx(found.measure, rel=0.005)
 
 
-def test_ten_states_polished_meet_every_requirement_that_28_miss(plants, synthesis, deployment, problem):
-    """sigma_max(S_o) below 3 in the sampled loop: polishing knows that the parameter is real, D-K iteration does not."""
+def test_ten_states_polished_meet_every_requirement_that_28_miss(
+    plants, synthesis, deployment, problem
+):
+    """sigma_max(S_o) below 3 in the sampled loop: polishing knows that the parameter is real, D-K
+    iteration does not.
+    """
     assert unmet_limits(deployment)  # 3.32 at zero pressure
     lowest = polish_synthesis(problem, synthesis.controller, order=10, rounds=1).controller
     found = deploy(lowest, SAMPLE, SAMPLE, plants=[plants[label] for label in PRESSURES])

@@ -18,9 +18,15 @@ TOLERANCE = 2e-6  # one for each side's bisection
 def exact_gain(A, B, C, D, dt, omega):
     """sigma_max at omega; the solve is refined with residuals in extended precision."""
     s = 1j * omega if dt is None else np.exp(1j * omega * dt)
-    t = np.sqrt(np.maximum(np.linalg.norm(B, axis=1), 1e-280) / np.maximum(np.linalg.norm(C, axis=0), 1e-280))
-    t = np.exp2(np.round(np.log2(t)))  # exact: this system's norm moves by 1e-7 when its entries move by eps
-    A, B, C = A * t / t[:, None], B / t[:, None], C * t
+    t = np.sqrt(
+        np.maximum(np.linalg.norm(B, axis=1), 1e-280)
+        / np.maximum(np.linalg.norm(C, axis=0), 1e-280)
+    )
+    # exact: this system's norm moves by 1e-7 when its entries move by eps
+    t = np.exp2(np.round(np.log2(t)))
+    A = A * t / t[:, None]
+    B = B / t[:, None]
+    C = C * t
     matrix = s * np.eye(len(A)) - A
     X = np.linalg.solve(matrix, B.astype(complex))
     for _ in range(3):
@@ -29,10 +35,13 @@ def exact_gain(A, B, C, D, dt, omega):
 
 
 @pytest.mark.parametrize(
-    "kind", [k if i % 3 == 0 else pytest.param(k, marks=pytest.mark.campaign) for i, k in enumerate(KINDS)]
+    "kind",
+    [k if i % 3 == 0 else pytest.param(k, marks=pytest.mark.campaign) for i, k in enumerate(KINDS)],
 )
 def test_norms_agree_or_ours_is_attained(kind):
-    """Where the two differ, evaluating G at our frequency must show that the larger norm is ours, and is right."""
+    """Where the two differ, evaluating G at our frequency must show that the larger norm is ours,
+    and is right.
+    """
     differ = []
     cases = [row for row in DATA["systems"] if row[0] == kind]
     assert len(cases) == 24

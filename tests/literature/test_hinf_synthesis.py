@@ -1,4 +1,6 @@
-"""H-infinity synthesis: textbook figures, and 270 random plants against SLICOT's SB10AD and the matrix inequalities."""
+"""H-infinity synthesis: textbook figures, and 270 random plants against SLICOT's SB10AD and the
+matrix inequalities.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +15,14 @@ from benchmarks.published_p5 import published_p5, published_p5_data, published_p
 from ambrose.core.checks import AmbroseError
 from ambrose.core.lft import GeneralizedPlant, close_uncertainty
 from ambrose.core.statespace import StateSpace, connect, select, transfer_function
-from ambrose.synthesis.certificate import certify
+from ambrose.judge.certificate import certify
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from random_plants import KINDS, random_plant
 
 pytestmark = pytest.mark.literature
-ORACLE = json.loads((Path(__file__).parent / "hinf_synthesis_oracle.json").read_text(encoding="utf-8"))
+ORACLE = json.loads(
+    (Path(__file__).parent / "hinf_synthesis_oracle.json").read_text(encoding="utf-8")
+)
 
 
 def plant(kind: str, seed: int) -> GeneralizedPlant:
@@ -29,9 +33,11 @@ def plant(kind: str, seed: int) -> GeneralizedPlant:
 
 @pytest.mark.parametrize(("order", "gamma"), [(1, 1.37), (2, 2.21)])
 def test_mixed_sensitivity_of_the_disturbance_process(order, gamma):
-    """Skogestad & Postlethwaite, example 2.11 (2.17 in the second edition): 1.37 and 2.21, printed with three digits.
+    """Skogestad & Postlethwaite, example 2.11 (2.17 in the second edition): 1.37 and 2.21, printed
+    with three digits.
 
-    G = 200/((10 s + 1)(0.05 s + 1)^2), W_u = 1, W_p = ((s/M^(1/k) + w_B)/(s + w_B A))^k, M = 1.5, w_B = 10, A = 1e-4.
+    G = 200/((10 s + 1)(0.05 s + 1)^2), W_u = 1, W_p = ((s/M^(1/k) + w_B)/(s + w_B A))^k, M = 1.5,
+    w_B = 10, A = 1e-4.
     """
     G = transfer_function([200], np.polymul([10, 1], np.polymul([0.05, 1], [0.05, 1])), "u", "g")
     numerator, denominator = [1.0], [1.0]
@@ -40,14 +46,20 @@ def test_mixed_sensitivity_of_the_disturbance_process(order, gamma):
         denominator = np.polymul(denominator, [1, 1e-3])
     W = transfer_function(numerator, denominator, "e", "z1")
     error = ["r", "-g"]
-    system = connect([G, W], ["r", "u"], ["z1", "z2", "err"], {"e": error, "z2": ["u"], "err": error})
-    result = hinf_synthesis(GeneralizedPlant(system, ["r"], ["u"], ["z1", "z2"], ["err"]), tolerance=1e-5)
+    system = connect(
+        [G, W], ["r", "u"], ["z1", "z2", "err"], {"e": error, "z2": ["u"], "err": error}
+    )
+    result = hinf_synthesis(
+        GeneralizedPlant(system, ["r"], ["u"], ["z1", "z2"], ["err"]), tolerance=1e-5
+    )
     assert result.certificate.margins["gamma_optimal"] == pytest.approx(gamma, abs=0.005)
     assert result.controller.n_states == 3 + order
 
 
 def test_published_p5_plant():
-    """Paper P5: order 20 (8 rotor, 8 actuator, 4 weight states), stable over +-100 % k, S_o below 3 only near nominal."""
+    """Paper P5: order 20 (8 rotor, 8 actuator, 4 weight states), stable over +-100 % k, S_o below 3
+    only near nominal.
+    """
     result = hinf_synthesis(published_p5_problem(uncertain=False), tolerance=1e-4)
     assert result.notes == ()
     assert result.controller.n_states == 20
@@ -57,7 +69,9 @@ def test_published_p5_plant():
     for delta in (-1.0, -0.5, 0.0, 0.5, 1.0):
         axes = published_p5_data()["axes"]
         own = close_uncertainty(published_p5(), {"seal.k": delta})
-        found = certify(select(own, [f"u_{a}" for a in axes], [f"y_{a}" for a in axes]), result.controller)
+        found = certify(
+            select(own, [f"u_{a}" for a in axes], [f"y_{a}" for a in axes]), result.controller
+        )
         assert found.stable
         peaks.append(found.closed_loop_norm)
     np.testing.assert_allclose(peaks, [3.91, 2.63, 2.31, 2.48, 3.94], atol=0.02)
@@ -66,17 +80,23 @@ def test_published_p5_plant():
 QUICK = ("weights",)
 
 
-@pytest.mark.parametrize("kind", [k if k in QUICK else pytest.param(k, marks=pytest.mark.campaign) for k in KINDS])
+@pytest.mark.parametrize(
+    "kind", [k if k in QUICK else pytest.param(k, marks=pytest.mark.campaign) for k in KINDS]
+)
 def test_every_random_plant_against_the_other_codes(kind):
-    """All are solved and verified; where another code's gamma is lower, its own loop's norm shows that it is wrong.
+    """All are solved and verified; where another code's gamma is lower, its own loop's norm shows
+    that it is wrong.
 
-    SB10AD counts as an answer when its loop is stable with a norm below its gamma; the matrix inequalities when the solver
-    ended. A gamma above ours is allowed only when our verified norm lies below it.
+    SB10AD counts as an answer when its loop is stable with a norm below its gamma; the matrix
+    inequalities when the solver ended. A gamma above ours is allowed only when our verified norm
+    lies below it.
     """
     count: Counter[str] = Counter()
     for row in (r for r in ORACLE["rows"] if r["kind"] == kind):
         item = plant(kind, row["seed"])
-        assert np.abs(item.system.A).sum() + np.abs(item.system.B).sum() == pytest.approx(row["checksum"], rel=1e-9)
+        assert np.abs(item.system.A).sum() + np.abs(item.system.B).sum() == pytest.approx(
+            row["checksum"], rel=1e-9
+        )
         try:
             result = hinf_synthesis(item)
         except AmbroseError:
@@ -86,7 +106,12 @@ def test_every_random_plant_against_the_other_codes(kind):
         ours = result.certificate.margins["gamma_optimal"]
         tolerance = 1e-3 if result.certificate.margins["epsilon"] == 0 else 0.01
         answers = {"lmi": row["lmi"]}
-        if row["sb10ad"] is not None and row["stable"] and row["norm"] is not None and row["norm"] <= row["sb10ad"] * 1.001:
+        if (
+            row["sb10ad"] is not None
+            and row["stable"]
+            and row["norm"] is not None
+            and row["norm"] <= row["sb10ad"] * 1.001
+        ):
             answers["sb10ad"] = row["sb10ad"]
         for name, gamma in answers.items():
             if gamma is None:
@@ -98,7 +123,9 @@ def test_every_random_plant_against_the_other_codes(kind):
                 count[f"{name} lower"] += 1
             elif ours < (1 - tolerance) * gamma:
                 better = hinf_synthesis(item, backoff=1.0002, tolerance=1e-4)
-                count[f"{name} higher, and wrong" if better.gamma < gamma else f"{name} higher"] += 1
+                count[
+                    f"{name} higher, and wrong" if better.gamma < gamma else f"{name} higher"
+                ] += 1
             else:
                 count[f"{name} agrees"] += 1
     total = sum(r["kind"] == kind for r in ORACLE["rows"])

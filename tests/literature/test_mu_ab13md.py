@@ -1,6 +1,8 @@
-"""The mixed upper bound against SLICOT's AB13MD, where that applies: reals not repeated, square complex full blocks.
+"""The mixed upper bound against SLICOT's AB13MD, where that applies: reals not repeated, square
+complex full blocks.
 
-The numbers and the recipe of the matrices are in mu_ab13md.json. AB13MD minimises the same (D, G) bound by another algorithm.
+The numbers and the recipe of the matrices are in mu_ab13md.json. AB13MD minimises the same (D, G)
+bound by another algorithm.
 """
 
 from __future__ import annotations
@@ -23,7 +25,8 @@ def test_upper_bound_equals_ab13md(case):
     rng = np.random.default_rng(case["seed"])
     n = sum(case["sizes"])
     M = rng.standard_normal((case["count"], n, n)) + 1j * rng.standard_normal((case["count"], n, n))
-    assert [M[0, 0, 0].real, M[0, 0, 0].imag] == pytest.approx(case["first"], rel=1e-12)  # the same matrices
+    # the same matrices
+    assert [M[0, 0, 0].real, M[0, 0, 0].imag] == pytest.approx(case["first"], rel=1e-12)
     blocks = [
         RealBlock(f"d{i}") if kind == 1 else FullBlock(f"f{i}", size, size)
         for i, (size, kind) in enumerate(zip(case["sizes"], case["types"], strict=True))

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from ambrose.core.statespace import poles, spectral_abscissa
-from ambrose.plant.loop import closed_loop
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.disturbances import Pulse
-from ambrose.simulation.scenario import Scenario
+from ambrose.law.loop import closed_loop
+from ambrose.rig import virtual_rig
+from ambrose.rig.disturbances import Pulse
+from ambrose.rig.scenario import Scenario
 
 pytestmark = [pytest.mark.literature, pytest.mark.study]
 FILE = Path(__file__).parents[2] / "benchmarks" / "campaign_p3.py"
@@ -48,13 +48,17 @@ def families(p3, found):
 
 
 def test_P3_1_uncertainty_as_a_full_block_is_hopeless_and_mu_is_near_one(found):
-    """Printed: 618 and 1.1. The first is whatever the scale of the uncertainty's signals makes it."""
+    """Printed: 618 and 1.1. The first is whatever the scale of the uncertainty's signals makes
+    it.
+    """
     assert found.gamma_mu < 1.1
-    assert found.gamma_mu < 1.02 * found.gamma_nominal  # the uncertainty costs nothing: the rigid tilting mode sets the level
+    # the uncertainty costs nothing: the rigid tilting mode sets the level
+    assert found.gamma_mu < 1.02 * found.gamma_nominal
     scales = sorted(found.naive)
     gammas = [found.naive[c] for c in scales]
     assert all(a < b for a, b in pairwise(gammas))
-    assert gammas[0] < 1.3 and gammas[-1] > 400  # a little further the printed 618 comes out, and mean nothing either
+    # a little further the printed 618 comes out, and mean nothing either
+    assert gammas[0] < 1.3 and gammas[-1] > 400
 
 
 def test_P3_2_nominal_design_fails_in_the_box_and_mu_does_not(p3, found, sensitivities):
@@ -66,7 +70,8 @@ def test_P3_2_nominal_design_fails_in_the_box_and_mu_does_not(p3, found, sensiti
     assert (robust.unstable == 0).all()
     assert robust.worst <= robust.bound < 10 ** (9.5 / 20)
     assert robust.input.max() < 10 ** (9.5 / 20)
-    assert nominal.axis[0] < 3 and robust.axis.max() == pytest.approx(1.88, abs=0.03)  # the same per axis, as in P3.8
+    # the same per axis, as in P3.8
+    assert nominal.axis[0] < 3 and robust.axis.max() == pytest.approx(1.88, abs=0.03)
     assert nominal.axis[nominal.unstable == 0].max() > 10 ** (10 / 20)
     assert p3.unstable_corners(found.full, found.mu) == 0
     assert p3.unstable_corners(found.full, found.hinf) >= 10
@@ -91,15 +96,19 @@ def test_P3_3_control_sensitivity_within_its_weight(sensitivities):
 
 def test_P3_4_consistent_families_with_mu_only(families):
     nominal, robust = families["hinf"][0], families["mu"][0]
-    spread = {name: np.abs(f.responses[:, :4] - f.responses[:1, :4]).max() for name, f in (("hinf", nominal), ("mu", robust))}
+    spread = {
+        name: np.abs(f.responses[:, :4] - f.responses[:1, :4]).max()
+        for name, f in (("hinf", nominal), ("mu", robust))
+    }
     assert spread["mu"] < 3e-6 < 0.3 * spread["hinf"]
     assert robust.stable.all() and not nominal.stable.all()
     assert 0.5e-6 < np.abs(robust.responses[:, 1]).max() < 2e-6  # A_y moves although A_x is hit
 
 
 def test_P3_5_worst_case_unbalance(p3, found):
-    """Printed: within 4 um. On the plant of 140 Hz so it is with G2.5 at the rated speed (at its peak the bound is 0.2 % above
-    the search); with G2.5 at 300 Hz it is 7.0, at each speed 12.2 um."""
+    """Printed: within 4 um. On the plant of 140 Hz so it is with G2.5 at the rated speed (at its
+    peak the bound is 0.2 % above the search); with G2.5 at 300 Hz it is 7.0, at each speed 12.2 um.
+    """
     frozen, along = p3.unbalance(found, found.mu, 15)
     k = int(np.argmax(frozen.bound))
     assert frozen.found[k] <= frozen.bound[k] < 4.02e-6
@@ -109,10 +118,12 @@ def test_P3_5_worst_case_unbalance(p3, found):
     assert along.bound.max() < found.machine.requirements.unbalance_orbit  # 10 um is demanded
     um = {name: value for name, (value, _) in p3.readings(frozen, p3.RATED).items()}
     assert um == {
-        name: pytest.approx(x, rel=0.01) for name, x in (("rated speed", 4.0), ("300 Hz", 7.0), ("each speed", 12.23))
+        name: pytest.approx(x, rel=0.01)
+        for name, x in (("rated speed", 4.0), ("300 Hz", 7.0), ("each speed", 12.23))
     }
     um = {name: value for name, (value, _) in p3.readings(along, p3.RATED).items()}
-    assert um["300 Hz"] > 10 < um["each speed"]  # with rotor and seal of each speed the demand holds in the first reading only
+    # with rotor and seal of each speed the demand holds in the first reading only
+    assert um["300 Hz"] > 10 < um["each speed"]
 
 
 def test_P3_6_currents_and_settling(families):
@@ -126,7 +137,9 @@ def test_P3_6_currents_and_settling(families):
 
 
 def test_P3_4_and_P3_6_on_the_nonlinear_rig(found):
-    """The mu controller sampled at 10 kHz with one sample of delay, seal as constants and with states; H-infinity cannot."""
+    """The mu controller sampled at 10 kHz with one sample of delay, seal as constants and with
+    states; H-infinity cannot.
+    """
     point = found.full.point
     seal = replace(found.machine.seals[0], frequency_dependence="states")
     scenario = Scenario("P3.4", 0.06, pulses=(Pulse("f_A_zeta", 100.0, 5e-3, 2e-3),))
@@ -145,9 +158,11 @@ def test_mu_with_eight_real_parameters_is_fast(found):
 
 
 def test_beyond_P3_the_true_frequency_dependence(p3, found):
-    """The same controllers on the seal with states: slow forward whirl, which the constants of 140 Hz hide.
+    """The same controllers on the seal with states: slow forward whirl, which the constants of 140
+    Hz hide.
 
-    The nominal design is unstable without any tolerance; mu holds the whole box, but not its sensitivity.
+    The nominal design is unstable without any tolerance; mu holds the whole box, but not its
+    sensitivity.
     """
     plant = p3.with_states(found)
     assert (poles(plant.rotor).real > 50).sum() == 4

@@ -1,4 +1,5 @@
-"""Statements P3.7 and P3.8 of paper P3: LPV against the mu controller of 140 Hz through the turboexpander's spin-up.
+"""Statements P3.7 and P3.8 of paper P3: LPV against the mu controller of 140 Hz through the
+turboexpander's spin-up.
 
 A short version: LPV on 5 grid points instead of 8. The figures of docs/reproduction.md come from 8.
 """
@@ -11,15 +12,15 @@ import numpy as np
 import pytest
 
 from ambrose import load_machine
+from ambrose.annexes.scheduled.lpv.machine import design_schedule
+from ambrose.judge.certificate import certify
+from ambrose.judge.loop_response import loop_evaluator
 from ambrose.machine.parameters import operating_point
-from ambrose.plant.assemble import assemble
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.run_up import spin_up, steps
-from ambrose.simulation.scenario import load_scenario
-from ambrose.synthesis.certificate import certify
+from ambrose.model.assemble import assemble
+from ambrose.rig import virtual_rig
+from ambrose.rig.run_up import spin_up, steps
+from ambrose.rig.scenario import load_scenario
 from ambrose.synthesis.design import design
-from ambrose.synthesis.lpv.machine import design_schedule
-from ambrose.verification.loop_response import loop_evaluator
 
 pytestmark = [pytest.mark.literature, pytest.mark.study]
 HZ = 2 * np.pi
@@ -36,7 +37,9 @@ def run_up(study, scenario):
     plant, lpv, mu = study
     signals = [f"y_{axis}" for axis in plant.axes]
     laws = {"lpv": lpv.scheduled, "mu": mu.controller}
-    return {name: steps(spin_up(plant, law, scenario), scenario, signals) for name, law in laws.items()}
+    return {
+        name: steps(spin_up(plant, law, scenario), scenario, signals) for name, law in laws.items()
+    }
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +50,8 @@ def windows(study):
 def test_gamma_close_to_the_largest_pointwise_value_and_guaranteed_between(study):
     _, lpv, _ = study
     margins = lpv.certificate.margins
-    assert margins["gamma_optimal"] == pytest.approx(1.049 * margins["pointwise_largest"], rel=0.02)  # 8 points: 4.9 % above
+    # 8 points: 4.9 % above
+    assert margins["gamma_optimal"] == pytest.approx(1.049 * margins["pointwise_largest"], rel=0.02)
     assert lpv.status == "verified"
     assert margins["guaranteed_between"] <= 1.02 * margins["gamma_designed"]
     assert lpv.controller.n_states == 20
@@ -69,10 +73,12 @@ def test_mu_is_slower_at_both_ends_and_rings_at_the_low_one(windows):
 
 
 def test_each_step_alone_says_the_same(study):
-    """P3.7 read otherwise: in the bundled scenario the force drops as the output step rises, here no two steps fall together.
+    """P3.7 read otherwise: in the bundled scenario the force drops as the output step rises, here
+    no two steps fall together.
 
-    LPV settles within 20 ms in every window; mu does not settle to 2 um of output at 34 Hz within its 50 ms, and is slower at
-    the other end for both kinds of step, without ringing there."""
+    LPV settles within 20 ms in every window; mu does not settle to 2 um of output at 34 Hz within
+    its 50 ms, and is slower at the other end for both kinds of step, without ringing there.
+    """
     bundled = load_scenario("spin-up-steps")
     pulses = tuple(replace(p, duration=2 * p.duration, every=2 * p.every) for p in bundled.pulses)
     found = run_up(study, replace(bundled, pulses=pulses))
@@ -92,30 +98,46 @@ def test_nonlinear_rig_agrees_with_the_linear_sweep(study, windows):
     assert trace.outcome == "completed"
     for rig, linear in zip(found, windows["lpv"], strict=True):
         assert rig.settling == pytest.approx(linear.settling, abs=2e-3)
-        assert rig.peak == pytest.approx(linear.peak, rel=0.2)  # one sample of delay and the sampled controller add 10 %
+        # one sample of delay and the sampled controller add 10 %
+        assert rig.peak == pytest.approx(linear.peak, rel=0.2)
 
 
 def test_mu_keeps_the_iso_limit_per_axis_and_not_as_a_singular_value(study):
-    """P3.8, first half: per axis, as ISO 14839-3 measures, zone A (below 3, 9.5 dB) at every speed; sigma_max(S_o), in which
-    P3.2 is judged, is above 3 at 20 and 25 Hz."""
+    """P3.8, first half: per axis, as ISO 14839-3 measures, zone A (below 3, 9.5 dB) at every speed;
+    sigma_max(S_o), in which P3.2 is judged, is above 3 at 20 and 25 Hz.
+    """
     plant, _, mu = study
     largest = {
-        hz: float(np.linalg.norm(_sensitivity(plant, mu.controller, hz)[1], 2, axis=(1, 2)).max()) for hz in (20, 25, 30)
+        hz: float(np.linalg.norm(_sensitivity(plant, mu.controller, hz)[1], 2, axis=(1, 2)).max())
+        for hz in (20, 25, 30)
     }
-    assert largest == {20: pytest.approx(4.12, abs=0.05), 25: pytest.approx(3.49, abs=0.05), 30: pytest.approx(2.94, abs=0.05)}
+    assert largest == {
+        20: pytest.approx(4.12, abs=0.05),
+        25: pytest.approx(3.49, abs=0.05),
+        30: pytest.approx(2.94, abs=0.05),
+    }
     axis = {hz: _axis_peak(plant, mu.controller, hz) for hz in (20, 80, 140, 300)}
     assert max(axis.values()) == axis[300] == pytest.approx(1.96, abs=0.03)
 
 
 def test_peak_and_crossover_of_mu_against_lpv(study):
-    """P3.8, second half: higher peak (largest singular value) below 35 Hz, lower crossover at both ends of the range."""
+    """P3.8, second half: higher peak (largest singular value) below 35 Hz, lower crossover at both
+    ends of the range.
+    """
     plant, lpv, mu = study
-    norms = {hz: [certify(_at(plant, hz), K).closed_loop_norm for K in (lpv.scheduled.at(HZ * hz), mu.controller)]
-             for hz in (20, 140)}  # fmt: skip
+    norms = {
+        hz: [
+            certify(_at(plant, hz), K).closed_loop_norm
+            for K in (lpv.scheduled.at(HZ * hz), mu.controller)
+        ]
+        for hz in (20, 140)
+    }
     assert norms[20][1] > 1.3 * norms[20][0]
     assert norms[140][1] < norms[140][0]  # not so near the mu controller's own speed
     for hz in (20, 300):
-        assert _crossover(plant, mu.controller, hz) < _crossover(plant, lpv.scheduled.at(HZ * hz), hz)
+        assert _crossover(plant, mu.controller, hz) < _crossover(
+            plant, lpv.scheduled.at(HZ * hz), hz
+        )
 
 
 def _at(plant, hz):

@@ -1,6 +1,7 @@
 """Paper P4 on the nonlinear rig: bearings, coupling and seal; each test has its id.
 
-The figures quoted in docs/reproduction.md are printed by `python -m benchmarks.campaign_p4`, which runs the same functions.
+The figures quoted in docs/reproduction.md are printed by `python -m benchmarks.campaign_p4`, which
+runs the same functions.
 """
 
 import importlib
@@ -44,8 +45,10 @@ def sines(p4):
 
 
 def test_P4_1_the_model_follows_the_chirp(swept):
-    """Printed: to about 100 Hz, by eye. Identified from the same rig, the model follows; to where depends on the tolerance:
-    with the thesis' eight rigid states 98 Hz at 2 %, but beyond 140 Hz at 5 %, and with bending modes at 2 %."""
+    """Printed: to about 100 Hz, by eye. Identified from the same rig, the model follows; to where
+    depends on the tolerance: with the thesis' eight rigid states 98 Hz at 2 %, but beyond 140 Hz at
+    5 %, and with bending modes at 2 %.
+    """
     for item in swept:
         limit, rigid = item.limits["identified"], item.limits["identified, 8 rigid states"]
         assert limit[0.02] > 135
@@ -62,8 +65,10 @@ def test_P4_1_the_model_follows_the_chirp(swept):
 
 
 def test_P4_2_columns_of_stiffness_and_current_gain(cosines):
-    """Printed: K_i-K_s of one axis -0.95, across axes 0; these come out. K_iA-K_iB -0.08, K_sA-K_sB -0.09: no clock of the
-    sequence gives them together with the first, and the second never comes out: it is +0.2."""
+    """Printed: K_i-K_s of one axis -0.95, across axes 0; these come out. K_iA-K_iB -0.08, K_sA-K_sB
+    -0.09: no clock of the sequence gives them together with the first, and the second never comes
+    out: it is +0.2.
+    """
     together = []
     for found in cosines.values():
         J = found[0].column_cosine
@@ -72,7 +77,8 @@ def test_P4_2_columns_of_stiffness_and_current_gain(cosines):
         assert np.abs(J[np.ix_([0, 2, 4, 6], [1, 3, 5, 7])]).max() < 1e-3
         assert J[4, 6] > 0.15 and J[5, 7] > 0.15  # printed -0.09
         together.append(own.min() < -0.94 and J[0, 2] < 0)
-        assert all(found[0].correlation[i, 4 + i] > 0.8 for i in range(4))  # the parameters' correlation has the other sign
+        # the parameters' correlation has the other sign
+        assert all(found[0].correlation[i, 4 + i] > 0.8 for i in range(4))
     slow, fast = cosines[20e-3][0].column_cosine, cosines[1e-3][0].column_cosine
     assert min(slow[i, 4 + i] for i in range(4)) == pytest.approx(-0.95, abs=0.01)
     assert slow[0, 2] == pytest.approx(0.20, abs=0.02)
@@ -97,8 +103,10 @@ def test_P4_3_coupling_in_a_separate_experiment(p4):
 
 
 def test_P4_4_coefficients_over_frequency(p4, sines):
-    """Inputs recovered: K = 0 and k, C, c in proportion to the pressure, at all frequencies, are the rig's own (printed: K near
-    0, k large, growing with pressure and independent of frequency; C and c low)."""
+    """Inputs recovered: K = 0 and k, C, c in proportion to the pressure, at all frequencies, are
+    the rig's own (printed: K near 0, k large, growing with pressure and independent of frequency; C
+    and c low).
+    """
     for pressure in sines.fit.pressures:
         rows = sines.fit.at(pressure)
         want = p4.truth(pressure)
@@ -114,8 +122,10 @@ def test_P4_4_coefficients_over_frequency(p4, sines):
 
 
 def test_P4_4_damping_that_falls_with_frequency_is_the_amplifiers(p4):
-    """P4 finds direct damping falling with frequency, with and without pressure, and disregards it. An amplifier whose damping
-    is misjudged does exactly that; the reference takes it off, measured currents do not have it."""
+    """P4 finds direct damping falling with frequency, with and without pressure, and disregards it.
+    An amplifier whose damping is misjudged does exactly that; the reference takes it off, measured
+    currents do not have it.
+    """
     found = p4.misjudged_amplifier()
     apparent = found["commanded"].systematic[:, 2]
     assert np.all(np.diff(apparent) < -300)
@@ -127,8 +137,10 @@ def test_P4_4_damping_that_falls_with_frequency_is_the_amplifiers(p4):
 
 
 def test_P4_5_coefficients_are_uncorrelated_only_without_pressure(p4):
-    """Printed at 40 Hz: at most 0.04. So it is without pressure; with it the whirl is nearly a circle, where K and c, k and C
-    act alike. Forward whirl together with stronger backward whirl tells them apart again."""
+    """Printed at 40 Hz: at most 0.04. So it is without pressure; with it the whirl is nearly a
+    circle, where K and c, k and C act alike. Forward whirl together with stronger backward whirl
+    tells them apart again.
+    """
     found = p4.correlations(40.0, (0.0, 1.2 * BAR))
     calm, whirling = found[0.0], found[1.2 * BAR]
     assert np.abs(calm - np.eye(4)).max() < 0.07
@@ -141,7 +153,9 @@ def test_P4_5_coefficients_are_uncorrelated_only_without_pressure(p4):
 
 
 def test_P4_6_a_resonance_appears_and_one_constant_model_fits(p4, sines):
-    """Printed: no resonance at 0.7 bar, one at 1.2 bar. Resonance: a peak of more than sqrt(2) over the lowest frequency."""
+    """Printed: no resonance at 0.7 bar, one at 1.2 bar. Resonance: a peak of more than sqrt(2) over
+    the lowest frequency.
+    """
     peaks = {}
     for pressure, measured in sines.measured.items():
         size = np.abs(measured.values[:, 0, 0])
@@ -159,9 +173,14 @@ def test_P4_6_a_resonance_appears_and_one_constant_model_fits(p4, sines):
 
 
 def test_P4_7_measured_currents_hardly_lower_the_correlation(cosines):
-    """The thesis guesses that they "possibly" lower it significantly. Between no weight on the currents and nothing but them it
-    falls by at most 0.07 here: with a known controller they are a filtered copy of the displacements."""
+    """The thesis guesses that they "possibly" lower it significantly. Between no weight on the
+    currents and nothing but them it falls by at most 0.07 here: with a known controller they are a
+    filtered copy of the displacements.
+    """
     for without, with_currents, only in cosines.values():
-        before, after, limit = (np.array([f.correlation[i, 4 + i] for i in range(4)]) for f in (without, with_currents, only))
+        before, after, limit = (
+            np.array([f.correlation[i, 4 + i] for i in range(4)])
+            for f in (without, with_currents, only)
+        )
         assert (limit < before).all() and (after < before).all()
         assert (before - np.minimum(limit, after) < 0.07).all()

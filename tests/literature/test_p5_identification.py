@@ -1,4 +1,5 @@
-"""Paper P5, section 3.3, on the nonlinear rig: seal coefficients against pressure from impulses; each test has its id.
+"""Paper P5, section 3.3, on the nonlinear rig: seal coefficients against pressure from impulses;
+each test has its id.
 
 The figures quoted in docs/reproduction.md are printed by `python -m benchmarks.campaign_p4`.
 """
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 from ambrose.identification.seal.model_updating import update_seal
-from ambrose.plant.assemble import assemble
+from ambrose.model.assemble import assemble
 
 pytestmark = pytest.mark.literature
 BAR = 1e5
@@ -35,7 +36,9 @@ def pulses(p4):
 
 @pytest.mark.campaign
 def test_P5_1_impulse_responses_are_matched(pulses):
-    """Printed: matched at 0.95 and 1.90 bar; the cross response grows; A moves less than B, for the coupling near A."""
+    """Printed: matched at 0.95 and 1.90 bar; the cross response grows; A moves less than B, for the
+    coupling near A.
+    """
     peaks = {}
     for pressure in (0.95 * BAR, 1.9 * BAR):
         _, measured, model = pulses.responses[pressure]
@@ -53,25 +56,40 @@ def test_P5_1_impulse_responses_are_matched(pulses):
 
 @pytest.mark.campaign
 def test_P5_2_cross_coupled_stiffness_rises_linearly(p4, pulses):
-    """Printed: k follows its line closely; the uncertainty of damping is large against its size. The line is the rig's own (k,
-    C, c in proportion to the pressure): what comes out was put in, save how certain each coefficient is."""
+    """Printed: k follows its line closely; the uncertainty of damping is large against its size.
+    The line is the rig's own (k, C, c in proportion to the pressure): what comes out was put in,
+    save how certain each coefficient is.
+    """
     for i, letter in enumerate("KkCc"):
         line = pulses.lines[letter]
-        assert abs(line.at(p4.NOMINAL) - p4.truth(p4.NOMINAL)[i]) < line.prediction(p4.NOMINAL, 0.99)
-    relative = {x: float(pulses.lines[x].confidence(p4.NOMINAL) / abs(pulses.lines[x].at(p4.NOMINAL))) for x in "kCc"}
+        assert abs(line.at(p4.NOMINAL) - p4.truth(p4.NOMINAL)[i]) < line.prediction(
+            p4.NOMINAL, 0.99
+        )
+    relative = {
+        x: float(pulses.lines[x].confidence(p4.NOMINAL) / abs(pulses.lines[x].at(p4.NOMINAL)))
+        for x in "kCc"
+    }
     assert pulses.lines["k"].r_squared > 0.998
     assert pulses.lines["k"].slope * p4.NOMINAL == pytest.approx(3.203e6, rel=0.03)
     assert min(relative["C"], relative["c"]) > 3 * relative["k"]
-    errors = np.abs(pulses.fit.values - [p4.truth(p) for p in pulses.fit.pressure]) / pulses.fit.deviations
+    errors = (
+        np.abs(pulses.fit.values - [p4.truth(p) for p in pulses.fit.pressure])
+        / pulses.fit.deviations
+    )
     assert np.sqrt(np.mean(errors**2)) < 1.8
 
 
 @pytest.mark.campaign
 def test_the_machine_that_results_predicts_the_nominal_pressure(p4, pulses):
-    """The line goes into the machine; at 2.04 bar, where nothing was measured, its unstable poles are the true seal's."""
+    """The line goes into the machine; at 2.04 bar, where nothing was measured, its unstable poles
+    are the true seal's.
+    """
     known = p4.known_but_for_the_seal()
     made = update_seal(known, pulses.fit)
-    found, true = (np.linalg.eigvals(assemble(m).system.A) for m in (made, replace(known, seals=p4.rig().seals)))
+    found, true = (
+        np.linalg.eigvals(assemble(m).system.A)
+        for m in (made, replace(known, seals=p4.rig().seals))
+    )
     found, true = (np.sort_complex(p[(p.real > 0) & (p.imag > 0)]) for p in (found, true))
     assert len(found) == len(true) == 2
     assert np.abs(found - true).max() < 0.02 * np.abs(true).max()

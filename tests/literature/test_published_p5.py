@@ -1,4 +1,6 @@
-"""Lauridsen (2017), paper P5: the printed plant (Appendix A), what its matrices imply, and the loop with the PID of eq. (6)."""
+"""Lauridsen (2017), paper P5: the printed plant (Appendix A), what its matrices imply, and the loop
+with the PID of eq. (6).
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,7 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import close_uncertainty
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, connect, rename, select, spectral_abscissa
-from ambrose.synthesis.certificate import certify
+from ambrose.judge.certificate import certify
 from ambrose.synthesis.pid import axes_controller
 
 pytestmark = pytest.mark.literature
@@ -29,9 +31,11 @@ def half_digit(matrix: np.ndarray, digits: int) -> np.ndarray:
 
 
 def forces(delta: float) -> tuple[np.ndarray, np.ndarray]:
-    """Force per displacement (4, 4) [N/m] and per velocity (4, 4) [N s/m] that the plant implies between the axes.
+    """Force per displacement (4, 4) [N/m] and per velocity (4, 4) [N s/m] that the plant implies
+    between the axes.
 
-    With the states T = [C; C A], the accelerations are C A^2 T^-1 [y; y']; the inverse of C A B gives them as forces.
+    With the states T = [C; C A], the accelerations are C A^2 T^-1 [y; y']; the inverse of C A B
+    gives them as forces.
     """
     states = np.vstack([C, C @ A])
     perturbed = A + delta * B_DELTA @ C_DELTA
@@ -50,12 +54,16 @@ def pid(gain: float) -> StateSpace:
 
 
 def loop(gain: float, delta: float) -> StateSpace:
-    """Inputs d_<axis> [m] and f_<axis> [N], outputs y_<axis> [m], d included; K_p = gain A per 20 um."""
+    """Inputs d_<axis> [m] and f_<axis> [N], outputs y_<axis> [m], d included; K_p = gain A per 20
+    um.
+    """
     own = rename(plant(delta), None, {f"y_{a}": f"g_{a}" for a in AXES})
     controller = axes_controller(published_p5_pid(gain * PER_20_UM), AXES)
     y = {f"y_{a}": [f"g_{a}", f"d_{a}"] for a in AXES}
     inputs = [f"{kind}_{a}" for kind in "df" for a in AXES]
-    return connect([own, controller], inputs, list(y), {**y, **{f"err_{a}": [f"-y_{a}"] for a in AXES}})
+    return connect(
+        [own, controller], inputs, list(y), {**y, **{f"err_{a}": [f"-y_{a}"] for a in AXES}}
+    )
 
 
 def abscissa(gain: float, delta: float) -> float:
@@ -63,13 +71,17 @@ def abscissa(gain: float, delta: float) -> float:
 
 
 def peak(gain: float, delta: float, kind: str) -> tuple[float, float]:
-    """H-infinity norm and its frequency [Hz]: of S_o for kind "d" [-], of the compliance for kind "f" [m/N]."""
+    """H-infinity norm and its frequency [Hz]: of S_o for kind "d" [-], of the compliance for kind
+    "f" [m/N].
+    """
     norm = hinf_norm(select(loop(gain, delta), [f"{kind}_{a}" for a in AXES]))
     return norm.value, norm.frequency / (2 * np.pi)
 
 
 def test_velocity_is_no_direct_effect_of_force_within_the_print():
-    """C B = 0 and C B_delta = 0: every entry lies within the rounding of numbers printed with four digits."""
+    """C B = 0 and C B_delta = 0: every entry lies within the rounding of numbers printed with four
+    digits.
+    """
     for right in (B, B_DELTA):
         rounding = np.abs(C) @ half_digit(right, 4) + half_digit(C, 4) @ np.abs(right)
         assert (np.abs(C @ right) <= rounding).all()
@@ -78,14 +90,20 @@ def test_velocity_is_no_direct_effect_of_force_within_the_print():
 
 
 def test_total_mass_is_68_kg():
-    """The inverse of C A B is the mass matrix seen from the axes; a parallel motion meets the sum of its entries."""
+    """The inverse of C A B is the mass matrix seen from the axes; a parallel motion meets the sum
+    of its entries.
+    """
     mass = np.linalg.inv(C @ A @ B)
-    np.testing.assert_allclose([mass[np.ix_(p, p)].sum() for p in (ZETA, ETA)], [67.97, 67.93], atol=0.01)
+    np.testing.assert_allclose(
+        [mass[np.ix_(p, p)].sum() for p in (ZETA, ETA)], [67.97, 67.93], atol=0.01
+    )
     np.testing.assert_allclose(mass[np.ix_(ZETA, ETA)], 0, atol=0.04)  # planes uncoupled, [kg]
 
 
 def test_seal_coefficients_that_the_matrices_imply():
-    """The seal sits in the middle, so that each of the four entries of a plane pair is a quarter of its coefficient."""
+    """The seal sits in the middle, so that each of the four entries of a plane pair is a quarter of
+    its coefficient.
+    """
     for delta, k in ((-1, 0.0), (0, 3.2e6), (1, 6.4e6)):
         stiffness, _ = forces(delta)
         np.testing.assert_allclose(-stiffness[np.ix_(ZETA, ETA)], k / 4, atol=6e3)
@@ -98,13 +116,19 @@ def test_seal_coefficients_that_the_matrices_imply():
 
 
 def test_net_stiffness_at_the_bearings():
-    """k_s less coupling and seal K, force at a bearing per displacement at its sensor; coupling and seal weaken A more."""
+    """k_s less coupling and seal K, force at a bearing per displacement at its sensor; coupling and
+    seal weaken A more.
+    """
     stiffness, _ = forces(-1)
-    np.testing.assert_allclose(np.diag(stiffness), [0.081e6, 0.049e6, 0.969e6, 0.947e6], atol=0.003e6)
+    np.testing.assert_allclose(
+        np.diag(stiffness), [0.081e6, 0.049e6, 0.969e6, 0.947e6], atol=0.003e6
+    )
 
 
 def test_uncertainty_is_one_parameter_of_rank_two():
-    """B_delta C_delta changes forces by -+3.2e6 N/m across the planes in the rotor's middle, and nothing else."""
+    """B_delta C_delta changes forces by -+3.2e6 N/m across the planes in the rotor's middle, and
+    nothing else.
+    """
     change = forces(1)[0] - forces(0)[0]
     wanted = np.zeros((4, 4))
     wanted[np.ix_(ZETA, ETA)], wanted[np.ix_(ETA, ZETA)] = -0.8e6, 0.8e6
@@ -128,7 +152,9 @@ def test_generalized_plant_is_the_printed_one():
 
 @pytest.mark.parametrize("gain", [0.35, 0.36, 0.38])
 def test_the_printed_pattern_with_pid(gain):
-    """Stable without pressure and at nominal, there with a resonance about 40 Hz; unstable at twice nominal."""
+    """Stable without pressure and at nominal, there with a resonance about 40 Hz; unstable at twice
+    nominal.
+    """
     assert abscissa(gain, -1) < 0
     assert abscissa(gain, 0) < 0
     assert abscissa(gain, 1) > 0
@@ -161,4 +187,6 @@ def test_certificate_agrees():
         assert certificate.stable is stable
         np.testing.assert_allclose(certificate.spectral_abscissa, abscissa(0.36, delta), rtol=1e-6)
         if stable:
-            np.testing.assert_allclose(certificate.closed_loop_norm, peak(0.36, delta, "d")[0], rtol=1e-5)
+            np.testing.assert_allclose(
+                certificate.closed_loop_norm, peak(0.36, delta, "d")[0], rtol=1e-5
+            )

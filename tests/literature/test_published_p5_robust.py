@@ -1,4 +1,6 @@
-"""Lauridsen (2017), paper P5, on its published plant: what the H-infinity controller does over the range of the seal's k."""
+"""Lauridsen (2017), paper P5, on its published plant: what the H-infinity controller does over the
+range of the seal's k.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +14,10 @@ from benchmarks.published_p5 import (
     published_p5_weights,
 )
 
+from ambrose.judge import robust
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.pid import axes_controller
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch, tune_control_weight
-from ambrose.verification import robust
 
 pytestmark = pytest.mark.literature
 AXES = tuple(published_p5_data()["axes"])
@@ -38,7 +40,9 @@ def test_order_is_twenty(synthesis):
 
 
 def test_direct_gains_are_those_of_the_pid(synthesis):
-    """P5.4: with W_u = 0.315 the mean direct gain to 200 Hz is the PID's (K_p 0.36 A per 20 um) within 1 %, 16 % rms."""
+    """P5.4: with W_u = 0.315 the mean direct gain to 200 Hz is the PID's (K_p 0.36 A per 20 um)
+    within 1 %, 16 % rms.
+    """
     mean, spread = direct_gain_mismatch(synthesis.controller, PID)
     assert abs(mean) < 0.01
     assert spread < 0.16
@@ -52,13 +56,17 @@ def test_stable_over_the_range_with_high_sensitivity_off_nominal(checks):
     at = [checks[f"robust.sensitivity.at{d:+g}"].value for d in (-1, 0, 1)]
     np.testing.assert_allclose(at, [3.91, 2.31, 3.94], atol=0.02)
     assert checks["robust.sensitivity.worst"].value == pytest.approx(3.945, abs=0.02)
-    assert checks["robust.sensitivity.bound"].value < 1.005 * checks["robust.sensitivity.worst"].value
+    assert (
+        checks["robust.sensitivity.bound"].value < 1.005 * checks["robust.sensitivity.worst"].value
+    )
 
 
 @pytest.mark.campaign
 def test_input_sensitivity_is_very_similar(checks):
     """P5.9: within 1 % at the worst case."""
-    assert checks["robust.sensitivity.input"].value == pytest.approx(checks["robust.sensitivity.worst"].value, rel=0.01)
+    assert checks["robust.sensitivity.input"].value == pytest.approx(
+        checks["robust.sensitivity.worst"].value, rel=0.01
+    )
 
 
 def test_pid_is_unstable_at_twice_the_nominal_stiffness():
@@ -70,11 +78,18 @@ def test_pid_is_unstable_at_twice_the_nominal_stiffness():
 
 
 def test_tuning_finds_the_published_weight():
-    """Started ten times off, the search for the PID's gains comes back to W_u near 0.315, the value inferred from the print."""
-    from ambrose.synthesis.weights import scale_control
+    """Started ten times off, the search for the PID's gains comes back to W_u near 0.315, the value
+    inferred from the print.
+    """
+    from ambrose.law.weights import scale_control
 
     found = tune_control_weight(
-        published_p5(), scale_control(published_p5_weights(), 0.1), PID, hinf_synthesis, uncertain=False, tolerance=0.005
+        published_p5(),
+        scale_control(published_p5_weights(), 0.1),
+        PID,
+        hinf_synthesis,
+        uncertain=False,
+        tolerance=0.005,
     )
     assert found.converged
     assert found.weights.control.D[0, 0] == pytest.approx(0.315, rel=0.05)

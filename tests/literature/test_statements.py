@@ -1,4 +1,6 @@
-"""docs/reproduction.md: every published statement has one row, a kind and a verdict, and the page counts its own rows."""
+"""docs/reproduction.md: every published statement has one row, a kind and a verdict, and the page
+counts its own rows.
+"""
 
 import re
 from collections import Counter
@@ -12,7 +14,11 @@ PAGE = (ROOT / "docs" / "reproduction.md").read_text(encoding="utf-8")
 KINDS = ("independent", "inputs recovered", "assumed", "none")
 VERDICTS = ("reproduced", "in part", "not reproduced", "refuted", "open")
 LAST = {"P1": 3, "P2": 6, "P3": 8, "P4": 7, "P5": 13}
-IDS = {f"{paper}.{k}" for paper, last in LAST.items() for k in range(1, last + 1)} | {"7.2.2", "7.3", "7.4"}
+IDS = {f"{paper}.{k}" for paper, last in LAST.items() for k in range(1, last + 1)} | {
+    "7.2.2",
+    "7.3",
+    "7.4",
+}
 
 
 def cells_of(line):
@@ -36,7 +42,9 @@ def test_one_row_for_every_statement():
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row[0])
 def test_a_row_says_what_kind_it_is_and_what_comes_out(row):
-    """In part, not reproduced and assumed say why; everything judged gives a figure and a command."""
+    """In part, not reproduced and assumed say why; everything judged gives a figure and a
+    command.
+    """
     name, kind, verdict, remark, figure, command = row
     assert kind in KINDS
     assert verdict in VERDICTS
@@ -63,7 +71,9 @@ def test_every_command_leads_somewhere():
 
 
 def test_what_is_put_in_is_called_so():
-    """Rows whose printed figure is a parameter of the bundled machines are no independent confirmation."""
+    """Rows whose printed figure is a parameter of the bundled machines are no independent
+    confirmation.
+    """
     kinds = {row[0]: row[1] for row in ROWS}
     for name in ("P2.2", "P4.3", "P4.4", "P5.2"):
         assert kinds[name] == "inputs recovered"

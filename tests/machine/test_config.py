@@ -1,4 +1,6 @@
-"""Machine files: what is read, that writing and reading give the same machine, and that writing is all or nothing."""
+"""Machine files: what is read, that writing and reading give the same machine, and that writing is
+all or nothing.
+"""
 
 import json
 import math
@@ -21,7 +23,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.machine import description as d
 from ambrose.machine.file import update
 from ambrose.machine.file.json_schema import machine_schema
-from ambrose.machine.file.tables import MachineFile, Table, table_below
+from ambrose.machine.file.tables import Table, machine_file, table_below
 from ambrose.machine.file.toml import (
     bundled_machines,
     dumps_machine,
@@ -40,22 +42,44 @@ SMALL = (HERE / "small.toml").read_text()
 
 def test_every_value_of_the_small_machine():
     """Every key in every table, converted by hand."""
-    deg, hz, rpm = math.pi / 180, 2 * math.pi, math.pi / 30
+    deg = math.pi / 180
+    hz = 2 * math.pi
+    rpm = math.pi / 30
     titanium = d.Material(4430.0, 114e9, 0.34)
     rows = (d.BiasPoint(6.0, (220.0, 220.0), (2.5e6, 2.6e6)),)
     limits = {"gap": 0.5e-3, "touchdown_gap": 250e-6, "max_current": 4.0, "max_force": 1500.0}
     iron, contact = d.MagnetIron(40.0, 1.6, 50e-6), d.Touchdown(90e6, 5e3, 0.15, 0.04, 0.02)
-    rig = {"iron": iron, "touchdown": contact, "cross_coupling": 0.02, "magnetic_offset": (20e-6, 0.0)}
+    rig = {
+        "iron": iron,
+        "touchdown": contact,
+        "cross_coupling": 0.02,
+        "magnetic_offset": (20e-6, 0.0),
+    }
     rig["coefficients_at"] = "static-load"
     table = d.SealTable(
-        (("pressure", (0.0, 1e5, 2e5)), ("frequency", (0.0, 200 * hz))), (("k", ((0.0, 0.0), (1e6, 1.1e6), (2e6, 2.2e6))),)
+        (("pressure", (0.0, 1e5, 2e5)), ("frequency", (0.0, 200 * hz))),
+        (("k", ((0.0, 0.0), (1e6, 1.1e6), (2e6, 2.2e6))),),
     )
     geometry = d.GasSealGeometry(
-        length=0.04, diameter=0.08, inlet_clearance=0.2e-3, exit_clearance=0.19e-3, temperature=293.15, exit_pressure=10e5,
-        hole_depth=3e-3, hole_area_ratio=0.68, stator_friction=(0.02, 0.0), rotor_friction=(0.079, -0.25), inlet_loss=0.2,
-        exit_recovery=0.1, preswirl=0.3, speed=9000 * rpm, max_frequency=1000 * hz, gas_constant=296.8, viscosity=17.6e-6,
+        length=0.04,
+        diameter=0.08,
+        inlet_clearance=0.2e-3,
+        exit_clearance=0.19e-3,
+        temperature=293.15,
+        exit_pressure=10e5,
+        hole_depth=3e-3,
+        hole_area_ratio=0.68,
+        stator_friction=(0.02, 0.0),
+        rotor_friction=(0.079, -0.25),
+        inlet_loss=0.2,
+        exit_recovery=0.1,
+        preswirl=0.3,
+        speed=9000 * rpm,
+        max_frequency=1000 * hz,
+        gas_constant=296.8,
+        viscosity=17.6e-6,
         compressibility=0.99,
-    )  # fmt: skip
+    )
     expected = Machine(
         name="small",
         description="Two bearings, a disc, a seal and a coupling",
@@ -64,7 +88,8 @@ def test_every_value_of_the_small_machine():
         modal_damping=0.01,
         gravity_direction=-90 * deg,
         assumed=(
-            ("bearing.A.gap", "made up"), ("seal coefficients", "made up"),
+            ("bearing.A.gap", "made up"),
+            ("seal coefficients", "made up"),
             ("seal.center.scales_with_pressure", "K is made up as well"),
         ),
         shaft=(
@@ -73,52 +98,131 @@ def test_every_value_of_the_small_machine():
         ),
         discs=(d.Disc("wheel", 0.02, 3.0, 0.02, 0.011),),
         bearings=(
-            d.MagneticBearing("A", 0.15, 4.0, 45 * deg, (150.0, 160.0), (1.2e6, 1.2e6), None, rows, **limits, **rig),
-            d.MagneticBearing("B", 0.5, 4.0, geometry=d.MagnetGeometry(36.0, 480e-6, 0.5e-3, 22.5 * deg)),
+            d.MagneticBearing(
+                "A",
+                0.15,
+                4.0,
+                45 * deg,
+                (150.0, 160.0),
+                (1.2e6, 1.2e6),
+                None,
+                rows,
+                **limits,
+                **rig,
+            ),
+            d.MagneticBearing(
+                "B", 0.5, 4.0, geometry=d.MagnetGeometry(36.0, 480e-6, 0.5e-3, 22.5 * deg)
+            ),
         ),
         sensors=(
             d.Sensor(
-                "A", 0.12, (1.0, 0.98), 1e4 * hz, 0.2e-6, (5e-6, 0.0), 0.1e-6, (d.Runout(2, 2e-6, 25 * deg),), 35 * deg, 2.0
+                "A",
+                0.12,
+                (1.0, 0.98),
+                1e4 * hz,
+                0.2e-6,
+                (5e-6, 0.0),
+                0.1e-6,
+                (d.Runout(2, 2e-6, 25 * deg),),
+                35 * deg,
+                2.0,
             ),
             d.Sensor("B", 0.53),
         ),
-        amplifier=d.Amplifier("twice-first", 1500 * hz, 3000 * hz, max_voltage=150.0, inductance=20e-3),
+        amplifier=d.Amplifier(
+            "twice-first", 1500 * hz, 3000 * hz, max_voltage=150.0, inductance=20e-3
+        ),
         seals=(
             d.Seal("center", 0.3, 0.4e6, 0.0, 2e3, 0.0, 0.1, 2e5, ("C",), table),
-            d.Seal("balance", 0.35, reference_pressure=2e5, geometry=geometry, frequency_dependence="states", poles=2),
+            d.Seal(
+                "balance",
+                0.35,
+                reference_pressure=2e5,
+                geometry=geometry,
+                frequency_dependence="states",
+                poles=2,
+            ),
         ),
         couplings=(d.Coupling("coupling", 0.0, (0.40e6, 0.42e6), (10.0, 10.0), 45 * deg),),
-        supports=(d.Support("A", (300.0, 300.0), (80e6, 120e6), (40e3, 40e3), 10 * deg, "ground", ("center",)),),
-        casing_modes=(d.CasingMode(140 * hz, 900.0, ("A", "balance"), (1.0, 0.7), (0.0, 0.1), 0.02, "ground"),),
+        supports=(
+            d.Support(
+                "A", (300.0, 300.0), (80e6, 120e6), (40e3, 40e3), 10 * deg, "ground", ("center",)
+            ),
+        ),
+        casing_modes=(
+            d.CasingMode(140 * hz, 900.0, ("A", "balance"), (1.0, 0.7), (0.0, 0.1), 0.02, "ground"),
+        ),
         bending_modes=(d.BendingMode(1, 630 * hz, 0.008),),
         controller=d.PidSettings(
-            (18e3,), 0.2, 3.5e-3, 0.1, (d.Notch(550 * hz, 0.5, 0.05),), (100 * hz, 500 * hz), 2e3 * hz, 0.7,
-            "tilt-translate", 1.2, 1e-4, 1e-4, (d.Channel(("tilt_x", "tilt_y"), 22e3, (
-                d.Section("pid", 0.2, 3e-3, 0.1),
-                d.Section(
-                    "notch", zero_frequency=550 * hz, zero_damping=0.05, pole_frequency=580 * hz, pole_damping=0.4
+            (18e3,),
+            0.2,
+            3.5e-3,
+            0.1,
+            (d.Notch(550 * hz, 0.5, 0.05),),
+            (100 * hz, 500 * hz),
+            2e3 * hz,
+            0.7,
+            "tilt-translate",
+            1.2,
+            1e-4,
+            1e-4,
+            (
+                d.Channel(
+                    ("tilt_x", "tilt_y"),
+                    22e3,
+                    (
+                        d.Section("pid", 0.2, 3e-3, 0.1),
+                        d.Section(
+                            "notch",
+                            zero_frequency=550 * hz,
+                            zero_damping=0.05,
+                            pole_frequency=580 * hz,
+                            pole_damping=0.4,
+                        ),
+                        d.Section("phase-bump", frequency=210 * hz, phase=20 * deg, damping=0.3),
+                        d.Section("sos", numerator=(1.0, 4e3), denominator=(1.0, 8e3)),
+                    ),
                 ),
-                d.Section("phase-bump", frequency=210 * hz, phase=20 * deg, damping=0.3),
-                d.Section("sos", numerator=(1.0, 4e3), denominator=(1.0, 8e3)),
-            )),),
+            ),
         ),
         operation=d.Operation(
-            (d.OperatingPoint(6000 * rpm, 2e5, 4.0, 40 * hz, "nominal"), d.OperatingPoint(label="standstill")),
-            (0.0, 12000 * rpm), "nominal", (d.OperatingRange("running", (0.0, 3000 * rpm), (1e5, 1e5), 3.0),), 20e5,
+            (
+                d.OperatingPoint(6000 * rpm, 2e5, 4.0, 40 * hz, "nominal"),
+                d.OperatingPoint(label="standstill"),
+            ),
+            (0.0, 12000 * rpm),
+            "nominal",
+            (d.OperatingRange("running", (0.0, 3000 * rpm), (1e5, 1e5), 3.0),),
+            20e5,
         ),
         tolerances=(
             d.Tolerance("seal.center.K", absolute=0.1e6),
             d.Tolerance("bearing.A.negative_stiffness.zeta", relative=0.2, around=("standstill",)),
         ),
         requirements=d.Requirements(
-            3.0, 1e-6, 2.5e-3, 200 * hz, 8e-6, 200 * hz, 0.05, 2.0, 30 * deg, 0.1, 4.0, 9e4, 1500 * hz, (5000 * rpm, 7000 * rpm)
+            3.0,
+            1e-6,
+            2.5e-3,
+            200 * hz,
+            8e-6,
+            200 * hz,
+            0.05,
+            2.0,
+            30 * deg,
+            0.1,
+            4.0,
+            9e4,
+            1500 * hz,
+            (5000 * rpm, 7000 * rpm),
         ),
         weights=d.DesignWeights(20e-6, 1.0, 2 * hz, 0.3, 2.5, 0.002, 1400 * hz, 2, 20.0, 0.5, 2.0),
-    )  # fmt: skip
+    )
     ours, theirs = flat(loads_machine(SMALL)), flat(expected)
     assert list(ours) == list(theirs)
     for path, value in theirs.items():
-        assert ours[path] == (pytest.approx(value, rel=1e-15) if isinstance(value, float) else value), path
+        assert ours[path] == (
+            pytest.approx(value, rel=1e-15) if isinstance(value, float) else value
+        ), path
 
 
 def flat(thing, path="") -> dict:
@@ -129,16 +233,36 @@ def flat(thing, path="") -> dict:
         named = dict(enumerate(thing))
     else:
         return {path: thing}
-    return {key: value for name, part in named.items() for key, value in flat(part, f"{path}.{name}").items()}
+    return {
+        key: value
+        for name, part in named.items()
+        for key, value in flat(part, f"{path}.{name}").items()
+    }
 
 
 def test_small_machine_has_every_key_of_every_table():
-    """So that the tests above and below leave nothing out; the alternatives to a key are the exceptions."""
-    known = set(keys_of(MachineFile))
-    written = set(keys_in(tomllib.loads(SMALL), MachineFile))
+    """So that the tests above and below leave nothing out; the alternatives to a key are the
+    exceptions.
+    """
+    known = set(keys_of(machine_file()))
+    written = set(keys_in(tomllib.loads(SMALL), machine_file()))
     alternatives = {
-        *("shaft.start", "amplifier.natural_frequency", "amplifier.damping", "seal.c", "seal.k", "seal.table.axes"),
-        *("seal.table.speed", "seal.table.K", "seal.table.C", "seal.table.c", "seal.table.M", "seal.geometry.inlet_pressure"),
+        *(
+            "shaft.start",
+            "amplifier.natural_frequency",
+            "amplifier.damping",
+            "seal.c",
+            "seal.k",
+            "seal.table.axes",
+        ),
+        *(
+            "seal.table.speed",
+            "seal.table.K",
+            "seal.table.C",
+            "seal.table.c",
+            "seal.table.M",
+            "seal.geometry.inlet_pressure",
+        ),
     }
     assert known - written == alternatives
 
@@ -159,7 +283,13 @@ def keys_in(document: dict, model: type[Table], path: str = "") -> list[str]:
         if below is None:
             keys.append(f"{path}{name}")
             continue
-        entries = value if isinstance(value, list) else list(value.values()) if name == "material" else [value]
+        entries = (
+            value
+            if isinstance(value, list)
+            else list(value.values())
+            if name == "material"
+            else [value]
+        )
         keys += [key for entry in entries for key in keys_in(entry, below, f"{path}{name}.")]
     return keys
 
@@ -171,10 +301,14 @@ def test_start_defaults_to_the_end_of_the_previous_section():
 
 def test_axes_of_a_seal_table_in_another_order():
     swapped = SMALL.replace("[seal.table]", '[seal.table]\naxes = ["frequency", "pressure"]')
-    swapped = swapped.replace('k = [[0, 0], ["1 N/um", 1.1e6], [2e6, 2.2e6]]', "k = [[0, 1e6, 2e6], [0, 1.1e6, 2.2e6]]")
+    swapped = swapped.replace(
+        'k = [[0, 0], ["1 N/um", 1.1e6], [2e6, 2.2e6]]', "k = [[0, 1e6, 2e6], [0, 1.1e6, 2.2e6]]"
+    )
     table = loads_machine(swapped).seals[0].table
     assert [axis for axis, _ in table.axes] == ["frequency", "pressure"]
-    assert np.array_equal(np.array(dict(table.values)["k"]).T, dict(loads_machine(SMALL).seals[0].table.values)["k"])
+    assert np.array_equal(
+        np.array(dict(table.values)["k"]).T, dict(loads_machine(SMALL).seals[0].table.values)["k"]
+    )
     assert loads_machine(dumps_machine(loads_machine(swapped))) == loads_machine(swapped)
 
 
@@ -186,7 +320,9 @@ def test_absolute_tolerance_is_in_the_unit_of_its_parameter():
         ("amplifier.bandwidth", "100 Hz", 200 * math.pi),
         ("coupling.coupling.damping.eta", 3, 3.0),
     ):
-        written = SMALL.replace('"seal.center.K"', f'"{path}"').replace('"0.1 N/um"', json.dumps(text))
+        written = SMALL.replace('"seal.center.K"', f'"{path}"').replace(
+            '"0.1 N/um"', json.dumps(text)
+        )
         assert loads_machine(written).tolerances[0].absolute == pytest.approx(value, rel=1e-15)
 
 
@@ -228,19 +364,28 @@ class TestRoundTrip:
     def test_different_materials_of_one_name_stay_apart(self):
         machine = loads_machine(SMALL)
         a, b = d.Material(8000.0, name="x"), d.Material(7000.0, name="x")
-        machine = replace(machine, shaft=tuple(replace(s, material=m) for s, m in zip(machine.shaft, (a, b), strict=True)))
+        machine = replace(
+            machine,
+            shaft=tuple(replace(s, material=m) for s, m in zip(machine.shaft, (a, b), strict=True)),
+        )
         assert loads_machine(dumps_machine(machine)) == machine
 
     def test_numbers_of_other_types(self):
         machine = loads_machine(SMALL)
-        odd = replace(machine, discs=(d.Disc("wheel", np.float64(0.02), 3, np.float32(0.5), -0.0 + 0.25),))
+        odd = replace(
+            machine, discs=(d.Disc("wheel", np.float64(0.02), 3, np.float32(0.5), -0.0 + 0.25),)
+        )
         again = loads_machine(dumps_machine(odd))
         assert again == odd
         assert machine_hash(again) == machine_hash(odd)
 
     def test_nothing_but_si_numbers_is_written(self):
         document = tomllib.loads(dumps_machine(loads_machine(SMALL)))
-        texts = [value for value in leaves({k: v for k, v in document.items() if k != "machine"}) if isinstance(value, str)]
+        texts = [
+            value
+            for value in leaves({k: v for k, v in document.items() if k != "machine"})
+            if isinstance(value, str)
+        ]
         assert not [text for text in texts if re.match(r"[-\d.]", text)]
         assert document["shaft"][1]["length"] == 0.4
 
@@ -256,7 +401,9 @@ ratio = st.floats(1e-3, 0.9)
 signed = physical(-1e9, 1e9)
 angle = physical(-7, 7)
 text = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
-line = st.text(st.characters(exclude_categories=["Cs", "Cc", "Zl", "Zp"]), max_size=20).map(str.strip)
+line = st.text(st.characters(exclude_categories=["Cs", "Cc", "Zl", "Zp"]), max_size=20).map(
+    str.strip
+)
 pair = st.tuples(positive, positive)
 signed_pair = st.tuples(signed, signed)
 
@@ -278,15 +425,24 @@ def shafts(draw):
         mass = draw(maybe(st.just(outer + 0.1)))
         material = d.Material(draw(positive), draw(positive), draw(physical(0, 0.49)), draw(text))
         material = draw(st.sampled_from([d.Material(), material]))
-        sections.append(d.ShaftSection(end, length, outer, bore, mass, draw(st.integers(1, 80)), material, draw(text)))
+        sections.append(
+            d.ShaftSection(
+                end, length, outer, bore, mass, draw(st.integers(1, 80)), material, draw(text)
+            )
+        )
         end += length
     return tuple(sections)
 
 
 @st.composite
 def bearings(draw, name, place):
-    geometry = d.MagnetGeometry(draw(positive), draw(positive), draw(positive), draw(physical(0, 1.5)))
-    rows = tuple(d.BiasPoint(i, draw(pair), draw(pair)) for i in draw(st.lists(positive, max_size=3, unique=True)))
+    geometry = d.MagnetGeometry(
+        draw(positive), draw(positive), draw(positive), draw(physical(0, 1.5))
+    )
+    rows = tuple(
+        d.BiasPoint(i, draw(pair), draw(pair))
+        for i in draw(st.lists(positive, max_size=3, unique=True))
+    )
     given = draw(st.booleans())
     return d.MagneticBearing(
         name,
@@ -310,7 +466,9 @@ def sections(draw):
     if kind == "sos":
         return d.Section(kind, numerator=draw(pair), denominator=(draw(positive), *draw(pair)))
     values = {key: draw(positive) for key in d.SECTIONS[kind]}
-    return d.Section(kind, **{key: min(value, 3.0) if key == "phase" else value for key, value in values.items()})
+    return d.Section(
+        kind, **{key: min(value, 3.0) if key == "phase" else value for key, value in values.items()}
+    )
 
 
 @st.composite
@@ -320,11 +478,24 @@ def gas_seals(draw):
     one = {draw(st.sampled_from(["exit_pressure", "inlet_pressure"])): draw(positive)}
     wall = st.tuples(positive, physical(-1, 1))
     return d.GasSealGeometry(
-        draw(positive), diameter, draw(clearance), draw(clearance), draw(positive), **one, hole_depth=draw(share),
-        hole_area_ratio=draw(share), stator_friction=draw(wall), rotor_friction=draw(wall), inlet_loss=draw(share),
-        exit_recovery=draw(share), preswirl=draw(physical(-2, 2)), speed=draw(st.none() | positive),
-        max_frequency=draw(positive), gas_constant=draw(positive), viscosity=draw(st.none() | positive),
-    )  # fmt: skip
+        draw(positive),
+        diameter,
+        draw(clearance),
+        draw(clearance),
+        draw(positive),
+        **one,
+        hole_depth=draw(share),
+        hole_area_ratio=draw(share),
+        stator_friction=draw(wall),
+        rotor_friction=draw(wall),
+        inlet_loss=draw(share),
+        exit_recovery=draw(share),
+        preswirl=draw(physical(-2, 2)),
+        speed=draw(st.none() | positive),
+        max_frequency=draw(positive),
+        gas_constant=draw(positive),
+        viscosity=draw(st.none() | positive),
+    )
 
 
 @st.composite
@@ -332,11 +503,20 @@ def seals(draw, name, place):
     if draw(st.booleans()):
         mode, poles = draw(st.sampled_from(d.FREQUENCY_DEPENDENCE)), draw(st.integers(1, 12))
         return d.Seal(
-            name, draw(place), M=draw(signed), reference_pressure=draw(positive), geometry=draw(gas_seals()),
-            frequency_dependence=mode, poles=poles,
-        )  # fmt: skip
+            name,
+            draw(place),
+            M=draw(signed),
+            reference_pressure=draw(positive),
+            geometry=draw(gas_seals()),
+            frequency_dependence=mode,
+            poles=poles,
+        )
     axes = draw(st.lists(st.sampled_from(d.SEAL_AXES), max_size=3, unique=True))
-    names = draw(st.lists(st.sampled_from(d.SEAL_COEFFICIENTS), min_size=1, unique=True)) if axes else []
+    names = (
+        draw(st.lists(st.sampled_from(d.SEAL_COEFFICIENTS), min_size=1, unique=True))
+        if axes
+        else []
+    )
     table = None
     if axes:
         grids = tuple((axis, draw(ascending(draw(st.integers(1, 3))))) for axis in axes)
@@ -345,11 +525,20 @@ def seals(draw, name, place):
             return tuple(nested(sizes[1:]) for _ in range(sizes[0])) if sizes else draw(signed)
 
         sizes = [len(grid) for _, grid in grids]
-        table = d.SealTable(grids, tuple((n, nested(sizes)) for n in d.SEAL_COEFFICIENTS if n in names))
+        table = d.SealTable(
+            grids, tuple((n, nested(sizes)) for n in d.SEAL_COEFFICIENTS if n in names)
+        )
     constants = {n: draw(signed) for n in d.SEAL_COEFFICIENTS if n not in names}
     scaled = tuple(draw(st.lists(st.sampled_from(d.SEAL_COEFFICIENTS), unique=True)))
     scaled = tuple(n for n in scaled if not ("pressure" in axes and n in names))
-    return d.Seal(name, draw(place), **constants, reference_pressure=draw(positive), scales_with_pressure=scaled, table=table)
+    return d.Seal(
+        name,
+        draw(place),
+        **constants,
+        reference_pressure=draw(positive),
+        scales_with_pressure=scaled,
+        table=table,
+    )
 
 
 @st.composite
@@ -357,51 +546,102 @@ def machines(draw):
     shaft = draw(shafts())
     place = physical(0, shaft[-1].start + shaft[-1].length)
     couplings = tuple(
-        d.Coupling(f"coupling{i}", draw(place), draw(pair), draw(pair), draw(angle)) for i in range(draw(st.integers(0, 2)))
+        d.Coupling(f"coupling{i}", draw(place), draw(pair), draw(pair), draw(angle))
+        for i in range(draw(st.integers(0, 2)))
     )
     order = draw(st.sampled_from(sorted(d.AMPLIFIER_PARAMETERS)))
-    notches = tuple(d.Notch(draw(positive), draw(positive), draw(positive)) for _ in range(draw(st.integers(0, 2))))
+    notches = tuple(
+        d.Notch(draw(positive), draw(positive), draw(positive))
+        for _ in range(draw(st.integers(0, 2)))
+    )
     points = tuple(
-        d.OperatingPoint(draw(positive), draw(positive), draw(maybe(positive)), draw(maybe(positive)), f"point {i}")
+        d.OperatingPoint(
+            draw(positive),
+            draw(positive),
+            draw(maybe(positive)),
+            draw(maybe(positive)),
+            f"point {i}",
+        )
         for i in range(draw(st.integers(1, 3)))
     )
     low, high = sorted((draw(positive), draw(positive)))
-    areas = (d.OperatingRange("running", (0.0, high), (low, high), draw(maybe(positive))),) if draw(st.booleans()) else ()
+    areas = (
+        (d.OperatingRange("running", (0.0, high), (low, high), draw(maybe(positive))),)
+        if draw(st.booleans())
+        else ()
+    )
     tolerances = [
-        d.Tolerance("bearing.A.force_per_current", relative=draw(ratio), around=draw(st.sampled_from([(), ("point 0",)]))),
+        d.Tolerance(
+            "bearing.A.force_per_current",
+            relative=draw(ratio),
+            around=draw(st.sampled_from([(), ("point 0",)])),
+        ),
         d.Tolerance("seal.seal.k_xy", absolute=draw(positive)),
     ]
     sample_time = draw(maybe(positive))
     samples = None if sample_time is None else draw(maybe(st.integers(0, 5)))
     coordinates = draw(st.sampled_from(d.CONTROLLER_COORDINATES))
-    names = d.MODES if coordinates == "tilt-translate" else ("A_zeta", "A_eta", "B-2__zeta", "B-2__eta")
+    names = (
+        d.MODES if coordinates == "tilt-translate" else ("A_zeta", "A_eta", "B-2__zeta", "B-2__eta")
+    )
     chains = draw(st.lists(st.sampled_from(names[1:]), max_size=3, unique=True))
-    channels = tuple(d.Channel((name,), draw(positive), draw(st.lists(sections(), max_size=3).map(tuple))) for name in chains)
+    channels = tuple(
+        d.Channel((name,), draw(positive), draw(st.lists(sections(), max_size=3).map(tuple)))
+        for name in chains
+    )
     gains = st.sampled_from([(1,)] if channels else [(1,), (4,)])
     controller = d.PidSettings(
         tuple(draw(gains.flatmap(lambda n: st.tuples(*[positive] * n[0])))),
-        draw(maybe(positive)), draw(maybe(positive)), draw(positive), notches, draw(maybe(pair)), draw(maybe(positive)),
-        draw(positive), coordinates, draw(positive), sample_time, None if samples is None else samples * sample_time, channels,
-    )  # fmt: skip
+        draw(maybe(positive)),
+        draw(maybe(positive)),
+        draw(positive),
+        notches,
+        draw(maybe(pair)),
+        draw(maybe(positive)),
+        draw(positive),
+        coordinates,
+        draw(positive),
+        sample_time,
+        None if samples is None else samples * sample_time,
+        channels,
+    )
     demands = {field.name: draw(maybe(st.floats(1, 3))) for field in fields(d.Requirements)}
     demands["running_speeds"] = draw(maybe(st.just((0.5 * points[0].speed, 2 * points[0].speed))))
     demands["roll_off"] = None if demands["control_gain"] is None else demands["roll_off"]
     crossover = draw(maybe(positive))
     limit = None if crossover is None else draw(maybe(st.floats(2, 50)))
     weights = d.DesignWeights(
-        draw(positive), draw(positive), draw(positive), draw(ratio), draw(st.floats(1.1, 9)), draw(ratio),
-        crossover, draw(st.integers(1, 8)), limit, draw(positive), draw(positive),
-    )  # fmt: skip
+        draw(positive),
+        draw(positive),
+        draw(positive),
+        draw(ratio),
+        draw(st.floats(1.1, 9)),
+        draw(ratio),
+        crossover,
+        draw(st.integers(1, 8)),
+        limit,
+        draw(positive),
+        draw(positive),
+    )
     return Machine(
         name="m" + draw(line),
         shaft=shaft,
         bearings=(draw(bearings("A", place)), draw(bearings("B-2_", place))),
-        sensors=tuple(d.Sensor(name, draw(place), draw(pair), draw(maybe(positive))) for name in ("A", "B-2_")),
-        amplifier=d.Amplifier(order, **{key: draw(positive) for key in d.AMPLIFIER_PARAMETERS[order]}),
-        discs=tuple(d.Disc(f"disc{i}", draw(place), draw(positive), 1.5 * i, 1.0 * i) for i in range(draw(st.integers(0, 2)))),
+        sensors=tuple(
+            d.Sensor(name, draw(place), draw(pair), draw(maybe(positive))) for name in ("A", "B-2_")
+        ),
+        amplifier=d.Amplifier(
+            order, **{key: draw(positive) for key in d.AMPLIFIER_PARAMETERS[order]}
+        ),
+        discs=tuple(
+            d.Disc(f"disc{i}", draw(place), draw(positive), 1.5 * i, 1.0 * i)
+            for i in range(draw(st.integers(0, 2)))
+        ),
         seals=(draw(seals("seal", place)),),
         couplings=couplings,
-        bending_modes=draw(st.sampled_from([(), (d.BendingMode(1, 1234.5), d.BendingMode(2, None, 0.002))])),
+        bending_modes=draw(
+            st.sampled_from([(), (d.BendingMode(1, 1234.5), d.BendingMode(2, None, 0.002))])
+        ),
         controller=draw(maybe(st.just(controller))),
         operation=d.Operation(points, tuple(sorted(draw(pair))), "", areas, draw(maybe(positive))),
         tolerances=tuple(tolerances[: draw(st.integers(0, 2))]),
@@ -411,7 +651,12 @@ def machines(draw):
         source=draw(text),
         modal_damping=draw(ratio),
         beam_theory=draw(st.sampled_from(d.BEAM_THEORIES)),
-        assumed=tuple({**draw(st.dictionaries(text, text, max_size=3)), "seal.seal.scales_with_pressure": "drawn"}.items()),
+        assumed=tuple(
+            {
+                **draw(st.dictionaries(text, text, max_size=3)),
+                "seal.seal.scales_with_pressure": "drawn",
+            }.items()
+        ),
     )
 
 
@@ -438,8 +683,13 @@ def test_any_file_is_brought_up_to_any_machine(one, other):
 class TestWriting:
     def test_an_invalid_machine_is_not_written(self, tmp_path):
         machine = loads_machine(SMALL)
-        with pytest.raises(InvalidInput, match=r'machine "small": \[\[disc\]\] wheel: mass is -1 kg'):
-            save_machine(replace(machine, discs=(replace(machine.discs[0], mass=-1.0),)), tmp_path / "bad.toml")
+        with pytest.raises(
+            InvalidInput, match=r'machine "small": \[\[disc\]\] wheel: mass is -1 kg'
+        ):
+            save_machine(
+                replace(machine, discs=(replace(machine.discs[0], mass=-1.0),)),
+                tmp_path / "bad.toml",
+            )
         assert not list(tmp_path.iterdir())
 
     def test_a_failure_leaves_the_old_file_and_no_rest(self, tmp_path, monkeypatch):
@@ -466,22 +716,29 @@ class TestWriting:
 class TestHash:
     def test_form_does_not_count(self):
         machine = loads_machine(SMALL)
-        same = SMALL.replace('"200 mm"', "0.2").replace("[[disc]]", "# a comment\n[[disc]]").replace('"1 %"', "0.01")
+        same = (
+            SMALL.replace('"200 mm"', "0.2")
+            .replace("[[disc]]", "# a comment\n[[disc]]")
+            .replace('"1 %"', "0.01")
+        )
         assert machine_hash(loads_machine(same)) == machine_hash(machine)
         assert re.fullmatch(r"[0-9a-f]{64}", machine_hash(machine))
 
     def test_texts_do_not_count(self):
         machine = loads_machine(SMALL)
-        assert machine_hash(replace(machine, description="other", source="other", assumed=machine.assumed[2:])) == machine_hash(
-            machine
-        )
+        assert machine_hash(
+            replace(machine, description="other", source="other", assumed=machine.assumed[2:])
+        ) == machine_hash(machine)
 
     def test_every_number_counts(self):
         machine = loads_machine(SMALL)
         hashes = {machine_hash(machine)}
         changed = [
             replace(machine, modal_damping=np.nextafter(0.01, 1)),
-            replace(machine, shaft=(replace(machine.shaft[0], outer_diameter=0.0600000001), machine.shaft[1])),
+            replace(
+                machine,
+                shaft=(replace(machine.shaft[0], outer_diameter=0.0600000001), machine.shaft[1]),
+            ),
             replace(machine, seals=(replace(machine.seals[0], C=2001.0), machine.seals[1])),
             replace(machine, supports=(replace(machine.supports[0], mass=(300.0, 301.0)),)),
             replace(machine, casing_modes=(replace(machine.casing_modes[0], x=(1.0, 0.71)),)),
@@ -509,7 +766,9 @@ class TestSchema:
     def test_it_is_a_schema(self):
         jsonschema.Draft202012Validator.check_schema(machine_schema())
 
-    @pytest.mark.parametrize("path", [*bundled_machines().values(), HERE / "small.toml"], ids=lambda p: p.name)
+    @pytest.mark.parametrize(
+        "path", [*bundled_machines().values(), HERE / "small.toml"], ids=lambda p: p.name
+    )
     def test_it_accepts_what_is_read(self, path, validator):
         validator.validate(tomllib.loads(path.read_text()))
 
@@ -551,18 +810,31 @@ class TestSchema:
 
 
 def test_every_field_of_every_noun_has_a_key():
-    """A field added to description.py and forgotten here would be dropped silently by writing and reading."""
-    renamed = {"notches": "notch", "points": "point", "ranges": "range", "channels": "channel", "sections": "section"}
+    """A field added to description.py and forgotten here would be dropped silently by writing and
+    reading.
+    """
+    renamed = {
+        "notches": "notch",
+        "points": "point",
+        "ranges": "range",
+        "channels": "channel",
+        "sections": "section",
+    }
     for table in Table.__subclasses__():
-        of_a_machine = table.noun is not None and "record" not in table.noun.__module__  # that have been used in this process
+        # that have been used in this process
+        of_a_machine = table.noun is not None and "record" not in table.noun.__module__
         if of_a_machine and table.noun not in (d.SealTable, d.MachineDescription):
             keys = {field.alias or name for name, field in table.model_fields.items()}
-            nouns = {renamed.get(field.name, field.name) for field in fields(table.noun) if field.compare}
+            nouns = {
+                renamed.get(field.name, field.name) for field in fields(table.noun) if field.compare
+            }
             assert keys == nouns, table.noun.__name__
 
 
 def test_loading_is_fast():
-    """Below 60 ms for a file without less common units, after the first load has imported what it needs."""
+    """Below 60 ms for a file without less common units, after the first load has imported what it
+    needs.
+    """
     plain = dumps_machine(load_machine("turboexpander"))
     loads_machine(plain)
     times = []
@@ -574,5 +846,8 @@ def test_loading_is_fast():
 
 
 def test_loading_a_bundled_machine_does_not_import_pint():
-    code = "import sys; from ambrose import load_machine; load_machine('seal-rig'); assert 'pint' not in sys.modules"
+    code = (
+        "import sys; from ambrose import load_machine; load_machine('seal-rig'); assert 'pint' not "
+        "in sys.modules"
+    )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

@@ -1,6 +1,8 @@
-"""Every operation on files fails in turn, or is where the process is killed: what stands there is old or new, whole.
+"""Every operation on files fails in turn, or is where the process is killed: what stands there is
+old or new, whole.
 
-On Linux this is done below Python, to every system call of every way of writing; elsewhere to the calls of ``os``.
+On Linux this is done below Python, to every system call of every way of writing; elsewhere to the
+calls of ``os``.
 """
 
 from __future__ import annotations
@@ -29,22 +31,33 @@ with claimed(sys.argv[1], "file"):
 """
 
 
-@pytest.fixture(scope="module", params=[("stream", "folder"), pytest.param((), id="all", marks=pytest.mark.campaign)])
+@pytest.fixture(
+    scope="module",
+    params=[("stream", "folder"), pytest.param((), id="all", marks=pytest.mark.campaign)],
+)
 def rows(request, tmp_path_factory):
-    """(kind, mode, operation, end, state) of every fault; of these kinds every third kill alone, in seconds."""
+    """(kind, mode, operation, end, state) of every fault; of these kinds every third kill alone, in
+    seconds.
+    """
     if not sys.platform.startswith("linux") or not shutil.which("cc"):
         pytest.skip("system calls are intercepted on Linux, with a C compiler")
     folder = tmp_path_factory.mktemp("faults")
     library = folder / "faults.so"
     built = subprocess.run(
-        ["cc", "-shared", "-fPIC", "-o", library, TESTS / "faults.c", "-ldl"], capture_output=True, text=True, check=False
+        ["cc", "-shared", "-fPIC", "-o", library, TESTS / "faults.c", "-ldl"],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     if built.returncode:
         pytest.skip(f"not this C library: {built.stderr[:200]}")
     done = subprocess.run(
         [sys.executable, TESTS / "fault_driver.py", folder, *request.param],
-        env={**os.environ, "LD_PRELOAD": str(library)}, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        env={**os.environ, "LD_PRELOAD": str(library)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     return [tuple(line.split("\t")) for line in done.stdout.splitlines()]
 
@@ -53,12 +66,22 @@ def test_every_kind_was_failed_at_many_operations(rows):
     counts = Counter((kind, mode) for kind, mode, *_ in rows)
     least = {"text": 5, "csv": 5, "hdf5": 12, "stream": 30, "new folder": 12, "folder": 25}
     assert (kinds := {kind for kind, _ in counts}) in ({"stream", "folder"}, set(least))
-    assert all(count > least[kind] / (3 if len(kinds) == 2 else 1) for (kind, _), count in counts.items())
+    assert all(
+        count > least[kind] / (3 if len(kinds) == 2 else 1) for (kind, _), count in counts.items()
+    )
 
 
 def test_old_or_new_is_there_whole(rows):
-    """Of a stream killed at its end all samples were lost; a folder was left mixed; a full disk ended in a signal."""
-    whole = {"text": "old new", "csv": "old new", "hdf5": "old new", "new folder": "none new", "folder": "old new marked"}
+    """Of a stream killed at its end all samples were lost; a folder was left mixed; a full disk
+    ended in a signal.
+    """
+    whole = {
+        "text": "old new",
+        "csv": "old new",
+        "hdf5": "old new",
+        "new folder": "none new",
+        "folder": "old new marked",
+    }
     for row in rows:
         kind, *_, state = row
         if kind == "stream":
@@ -68,7 +91,9 @@ def test_old_or_new_is_there_whole(rows):
 
 
 def test_the_end_is_told_truly(rows):
-    """Success where it is new, else one sentence: no other exception, and no signal but the one that was sent."""
+    """Success where it is new, else one sentence: no other exception, and no signal but the one
+    that was sent.
+    """
     for row in rows:
         _, mode, _, ended, state = row
         assert ended in {"signal 9"} if mode == "killed" else ended in {"done", "InvalidInput"}, row
@@ -77,7 +102,9 @@ def test_the_end_is_told_truly(rows):
 
 
 def test_a_single_failure_leaves_no_mixed_folder(rows):
-    """What cannot be replaced puts back what was; only a kill, or a disk that fails for good, leaves the mark."""
+    """What cannot be replaced puts back what was; only a kill, or a disk that fails for good,
+    leaves the mark.
+    """
     for row in rows:
         kind, mode, _, _, state = row
         if kind == "folder" and mode == "once":
@@ -87,7 +114,11 @@ def test_a_single_failure_leaves_no_mixed_folder(rows):
 
 def test_a_stream_loses_no_sample_that_was_written(rows):
     counts = [
-        int(state.removeprefix("old, ")) if state.startswith("old, ") else 0 if state == "old" else 99
+        int(state.removeprefix("old, "))
+        if state.startswith("old, ")
+        else 0
+        if state == "old"
+        else 99
         for kind, mode, _, _, state in rows
         if (kind, mode) == ("stream", "killed")
     ]
@@ -138,7 +169,9 @@ def test_a_process_that_dies_at_any_call_leaves_old_or_new(dying, tmp_path):
             dying(-1)
         marked = (folder / INTERRUPTED).exists()
         write_files(folder, {"other": ""})  # finishes what is marked
-        texts = [(folder / name).read_text() if (folder / name).exists() else None for name in names]
+        texts = [
+            (folder / name).read_text() if (folder / name).exists() else None for name in names
+        ]
         assert texts in (["old", "old", None], ["new"] * 3), (n, texts)
         assert texts[0] == "new" or not marked
         assert (folder / "text").read_text() in {"old", "new"}
@@ -171,12 +204,18 @@ def test_the_second_run_is_refused_until_the_first_is_killed(tmp_path, kind):
     if kind == "folder":
         place.mkdir()
     with subprocess.Popen(
-        [sys.executable, "-c", HOLD, place], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", HOLD, place],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
     ) as first:
         assert first.stdout.readline() == "held\n"
         with pytest.raises(InvalidInput, match="another run is writing"), claimed(place, kind):
             pass
-        with pytest.raises(InvalidInput, match="another run is writing"), claimed(tmp_path / "." / "x" / ".." / "place", kind):
+        with (
+            pytest.raises(InvalidInput, match="another run is writing"),
+            claimed(tmp_path / "." / "x" / ".." / "place", kind),
+        ):
             pass
         first.kill()
         first.wait()
@@ -193,7 +232,10 @@ def test_a_lock_file_that_anybody_left_is_no_lock(tmp_path):
 
 
 def test_a_place_that_cannot_be_written_is_refused(tmp_path):
-    with pytest.raises(InvalidInput, match="cannot write the file"), claimed(tmp_path / "none" / "place", "file"):
+    with (
+        pytest.raises(InvalidInput, match="cannot write the file"),
+        claimed(tmp_path / "none" / "place", "file"),
+    ):
         pass
 
 
@@ -204,13 +246,18 @@ def test_what_is_set_aside_replaces_what_was_so_before(tmp_path):
         (tmp_path / "code" / text).write_text("")
         for name in ("report.html", "code", "absent"):
             set_aside(tmp_path / name)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["earlier-code", "earlier-report.html"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "earlier-code",
+        "earlier-report.html",
+    ]
     assert (tmp_path / "earlier-report.html").read_text() == "second"
     assert [path.name for path in (tmp_path / "earlier-code").iterdir()] == ["second"]
 
 
 @pytest.mark.parametrize("failing", [1, 3, 4])
-def test_a_process_that_dies_while_it_puts_files_back_leaves_old_or_new(tmp_path, monkeypatch, failing):
+def test_a_process_that_dies_while_it_puts_files_back_leaves_old_or_new(
+    tmp_path, monkeypatch, failing
+):
     """One file cannot be replaced, and at every step of the undoing the process dies."""
     real = os.replace
     for last in range(12):
@@ -234,7 +281,10 @@ def test_a_process_that_dies_while_it_puts_files_back_leaves_old_or_new(tmp_path
             write_files(folder, dict.fromkeys("abcd", "new"))
         monkeypatch.setattr(os, "replace", real)
         if told.type is InvalidInput:
-            assert "in use; nothing was changed there" in str(told.value) and not (folder / INTERRUPTED).exists()
+            assert (
+                "in use; nothing was changed there" in str(told.value)
+                and not (folder / INTERRUPTED).exists()
+            )
         write_files(folder, {"other": ""})
         texts = [path.read_text() for path in sorted(folder.glob("?"))]
         assert texts in (["old"] * 3, ["new"] * 4), (last, texts)

@@ -1,4 +1,6 @@
-"""docs/machine-file.md names every table and key with its unit and default, and its example is a machine."""
+"""docs/machine-file.md names every table and key with its unit and default, and its example is a
+machine.
+"""
 
 import re
 from dataclasses import MISSING, fields
@@ -6,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ambrose.machine.file.tables import MachineFile, MachineTable, Table, table_below
+from ambrose.machine.file.tables import MachineTable, Table, machine_file, table_below
 from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import QUANTITIES
@@ -15,16 +17,19 @@ from ambrose.machine.units import DIMENSIONS
 PAGE = (Path(__file__).parents[2] / "docs" / "machine-file.md").read_text()
 
 
-def headings(model: type[Table] = MachineFile, path: str = "") -> dict[str, type[Table]]:
+def headings(model: type[Table] | None = None, path: str = "") -> dict[str, type[Table]]:
     """Every table's heading, as it stands in a file -> its model."""
     found = {}
+    model = machine_file() if model is None else model
     for name, field in model.model_fields.items():
         below = table_below(model, name)
         if below is None:
             continue
         inner = f"{path}{name}"
         many = str(field.annotation).startswith("list")
-        header = f"[[{inner}]]" if many else f"[{inner}.NAME]" if name == "material" else f"[{inner}]"
+        header = (
+            f"[[{inner}]]" if many else f"[{inner}.NAME]" if name == "material" else f"[{inner}]"
+        )
         found[header] = below
         found |= headings(below, f"{inner}.")
     return found
@@ -41,12 +46,18 @@ def row(model: type[Table], name: str) -> str:
     if hasattr(kind, "dimension"):
         unit = DIMENSIONS[kind.dimension].unit
     else:
-        unit = {"Count": "whole number", "Version": "whole number", "Text": "text", "Choice": "choice", "Choices": "list"}.get(
-            type(kind).__name__, "as the parameter's" if name == "absolute" else "texts"
-        )
-    unit = {"PairOf": f"{unit}, pair", "ListOf": f"{unit}, list", "NestedOf": f"{unit}, nested lists"}.get(
-        type(kind).__name__, unit
-    )
+        unit = {
+            "Count": "whole number",
+            "Version": "whole number",
+            "Text": "text",
+            "Choice": "choice",
+            "Choices": "list",
+        }.get(type(kind).__name__, "as the parameter's" if name == "absolute" else "texts")
+    unit = {
+        "PairOf": f"{unit}, pair",
+        "ListOf": f"{unit}, list",
+        "NestedOf": f"{unit}, nested lists",
+    }.get(type(kind).__name__, unit)
     if hasattr(kind, "options"):
         unit += ": " + ", ".join(f"`{option}`" for option in kind.options)
     return f"| `{field.alias or name}` | {unit} | {default(model, name)} | {field.description} |"
@@ -70,7 +81,9 @@ def default(model: type[Table], name: str) -> str:
 
 @pytest.mark.parametrize("heading", headings())
 def test_every_key_has_its_row(heading):
-    section = re.search(rf"^###? `{re.escape(heading)}`\n(.*?)(?=^##|\Z)", PAGE, re.DOTALL | re.MULTILINE)
+    section = re.search(
+        rf"^###? `{re.escape(heading)}`\n(.*?)(?=^##|\Z)", PAGE, re.DOTALL | re.MULTILINE
+    )
     assert section, f"docs/machine-file.md lacks a section for {heading}"
     missing = [line for line in rows(headings()[heading]) if line not in section[1]]
     assert not missing, "add or correct these rows:\n" + "\n".join(missing)

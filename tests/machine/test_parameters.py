@@ -9,7 +9,14 @@ from hypothesis import strategies as st
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.file.toml import load_machine
-from ambrose.machine.parameters import QUANTITIES, Parameter, find_parameter, find_uncertain, operating_point, parse_parameter
+from ambrose.machine.parameters import (
+    QUANTITIES,
+    Parameter,
+    find_parameter,
+    find_uncertain,
+    operating_point,
+    parse_parameter,
+)
 from ambrose.machine.units import DIMENSIONS
 
 GOOD = {
@@ -28,7 +35,13 @@ GOOD = {
     "seal.c.c_yx": ("seal", "c", "c", "yx", "damping"),
     "seal.c.pressure": ("seal", "c", "pressure", "", "pressure"),
     "bearing.A.force_per_current": ("bearing", "A", "force_per_current", "", "force per current"),
-    "bearing.A.force_per_current.zeta": ("bearing", "A", "force_per_current", "zeta", "force per current"),
+    "bearing.A.force_per_current.zeta": (
+        "bearing",
+        "A",
+        "force_per_current",
+        "zeta",
+        "force per current",
+    ),
     "bearing.A.negative_stiffness.eta": ("bearing", "A", "negative_stiffness", "eta", "stiffness"),
     "coupling.c_1.stiffness": ("coupling", "c_1", "stiffness", "", "stiffness"),
     "coupling.c-1.damping.zeta": ("coupling", "c-1", "damping", "zeta", "damping"),
@@ -40,12 +53,35 @@ GOOD = {
     "rotor.bending_2.damping": ("rotor", "bending_2", "damping", "", "ratio"),
 }
 BAD = [
-    *("", ".", "seal", "seal.c", "seal..k", "seal.c.k.", "seal.c.k_", "seal.c.K_xy", "seal.c.k_xx", "seal.c.M_xx"),
+    *(
+        "",
+        ".",
+        "seal",
+        "seal.c",
+        "seal..k",
+        "seal.c.k.",
+        "seal.c.k_",
+        "seal.c.K_xy",
+        "seal.c.k_xx",
+        "seal.c.M_xx",
+    ),
     *("seal.c.pressure_", "seal.c.pressure_xx"),
     *("rotor.modal_damping", "rotor.bending_1.shape"),
     *("seal.c.k.xy", "seal.c.Q", "bearing.A", "bearing.A.gap", "bearing.A.negative_stiffness_zeta"),
-    *("bearing.A.negative_stiffness.x", "bearing.A.negative_stiffness.zeta.zeta", "bearing.A.negative_stiffness."),
-    *("coupling.c.mass", "amplifier", "amplifier.", "amplifier.order", "amplifier.bandwidth.zeta", "Seal.c.k", "seal.c. k"),
+    *(
+        "bearing.A.negative_stiffness.x",
+        "bearing.A.negative_stiffness.zeta.zeta",
+        "bearing.A.negative_stiffness.",
+    ),
+    *(
+        "coupling.c.mass",
+        "amplifier",
+        "amplifier.",
+        "amplifier.order",
+        "amplifier.bandwidth.zeta",
+        "Seal.c.k",
+        "seal.c. k",
+    ),
 ]
 
 
@@ -72,11 +108,15 @@ def test_any_path_is_parsed_or_refused(path):
 
 def test_every_quantity_of_the_grammar_is_covered_above():
     listed = {(p[0], p[2]) for p in GOOD.values()}
-    assert listed == {(table, quantity) for table, quantities in QUANTITIES.items() for quantity in quantities}
+    assert listed == {
+        (table, quantity) for table, quantities in QUANTITIES.items() for quantity in quantities
+    }
 
 
 def test_overlap():
-    """A parameter of both axes contains its single entries; entries and other quantities are apart."""
+    """A parameter of both axes contains its single entries; entries and other quantities are
+    apart.
+    """
     overlapping = {
         frozenset(pair)
         for pair in itertools.combinations(GOOD, 2)
@@ -122,7 +162,10 @@ class TestOfAMachine:
     def test_the_added_mass_is_a_parameter_but_not_an_uncertain_one(self):
         machine = load_machine("seal-rig")
         assert find_parameter(machine, "seal.center.M").quantity == "M"
-        with pytest.raises(InvalidInput, match=r'"seal.center.M" cannot be uncertain.*give "seal.center.K" or "seal.center.C"'):
+        with pytest.raises(
+            InvalidInput,
+            match=r'"seal.center.M" cannot be uncertain.*give "seal.center.K" or "seal.center.C"',
+        ):
             find_uncertain(machine, "seal.center.M")
         assert find_uncertain(machine, "seal.center.K") == find_parameter(machine, "seal.center.K")
 
@@ -144,16 +187,25 @@ def test_operating_point_by_values():
     rig = load_machine("seal-rig")
     assert operating_point(rig) == rig.operation.design
     assert operating_point(rig, rig.operation.points[1]) is rig.operation.points[1]
-    assert operating_point(rig, "zero", speed=100.0) == OperatingPoint(speed=100.0)  # another point has another name
+    # another point has another name
+    assert operating_point(rig, "zero", speed=100.0) == OperatingPoint(speed=100.0)
     assert operating_point(rig, "twice", seal_pressure=4.08e5).label == "twice nominal pressure"
     assert operating_point(rig, speed=100, bias_current=6.0) == OperatingPoint(100.0, 2.04e5, 6.0)
-    assert operating_point(rig, OperatingPoint(bias_current=6.0), bias_current=None) == OperatingPoint()
+    assert (
+        operating_point(rig, OperatingPoint(bias_current=6.0), bias_current=None)
+        == OperatingPoint()
+    )
 
 
 @pytest.mark.parametrize(
     ("point", "values", "message"),
     [
-        (3, {}, r"the operating point is 3, but must be a label or an OperatingPoint; choose 'nominal pressure', 'zero"),
+        (
+            3,
+            {},
+            r"the operating point is 3, but must be a label or an OperatingPoint; choose 'nominal "
+            r"pressure', 'zero",
+        ),
         ("half", {"speed": 1.0}, "'half' is not one point of machine 'seal-rig'"),
         (None, {"pressure": 1e5}, r'unknown keyword "pressure"; did you mean "seal_pressure"'),
         (None, {"speed": -1.0}, r"speed is -1\.0, but must be zero or positive; give it in rad/s"),

@@ -33,7 +33,11 @@ def test_every_part_shows_itself_in_a_line(file):
 def test_a_part_shows_what_is_not_its_default():
     assert repr(d.Disc("wheel", 0.1, 3.0)) == "Disc(name=wheel, position=0.1, mass=3)"
     assert d.OperatingPoint(seal_pressure=2e5).to_dict() == {"seal_pressure": 2e5}
-    assert d.OperatingPoint().to_dict(defaults=True) == {"speed": 0.0, "seal_pressure": 0.0, "label": ""}
+    assert d.OperatingPoint().to_dict(defaults=True) == {
+        "speed": 0.0,
+        "seal_pressure": 0.0,
+        "label": "",
+    }
 
 
 def test_the_table_of_a_machine_names_its_parts():

@@ -1,4 +1,6 @@
-"""docs/records.md: its column map, CSV example and stream work as printed, and the table of names is complete."""
+"""docs/records.md: its column map, CSV example and stream work as printed, and the table of names
+is complete.
+"""
 
 import re
 from pathlib import Path
@@ -10,15 +12,17 @@ from click.testing import CliRunner
 
 from ambrose.cli import main
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record.files import read_record
-from ambrose.machine.record.foreign import read_foreign
-from ambrose.machine.record.record import signal_dimension
+from ambrose.record.files import read_record
+from ambrose.record.foreign import read_foreign
+from ambrose.record.record import signal_dimension
 
 PAGE = (Path(__file__).parents[2] / "docs" / "records.md").read_text()
 
 
 def block(kind: str, word: str) -> str:
-    return next(text for text in re.findall(rf"```{kind}[^\n]*\n(.*?)```", PAGE, re.DOTALL) if word in text)
+    return next(
+        text for text in re.findall(rf"```{kind}[^\n]*\n(.*?)```", PAGE, re.DOTALL) if word in text
+    )
 
 
 @pytest.fixture
@@ -26,7 +30,9 @@ def files(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     time = np.arange(5000) / 10
     current = np.column_stack([np.sin(time), np.cos(time)])
-    scipy.io.savemat("run.mat", {"t": time, "probe1": 0.1 * np.sin(time), "log": {"current": current}})
+    scipy.io.savemat(
+        "run.mat", {"t": time, "probe1": 0.1 * np.sin(time), "log": {"current": current}}
+    )
     Path("map.toml").write_text(block("toml", "[[signal]]"))
     return time
 
@@ -62,10 +68,14 @@ def test_stream(tmp_path, monkeypatch):
 
 
 def test_names():
-    rows = re.findall(r"^\| (`[a-z_`, ]+`) \| [^|]* \| ([^|]*) \|$", PAGE.partition("## HDF5")[0], re.MULTILINE)
+    rows = re.findall(
+        r"^\| (`[a-z_`, ]+`) \| [^|]* \| ([^|]*) \|$", PAGE.partition("## HDF5")[0], re.MULTILINE
+    )
     printed = {}
     for names, units in rows:
         words = [name.strip("` ") for name in names.split(",")]
-        printed |= dict(zip(words, units.split(", ") * (1 if ", " in units else len(words)), strict=True))
+        printed |= dict(
+            zip(words, units.split(", ") * (1 if ", " in units else len(words)), strict=True)
+        )
     assert printed == {name: signal_dimension(f"{name.rstrip('_')}_x").unit for name in printed}
     assert set(printed) == {"y_", "q_", "qdot_", "u_", "i_", "e_", "r_", "d_", "f_", "p_", "speed"}

@@ -1,4 +1,6 @@
-"""Rotor models of ROSS and tables of stations: read, refused in one sentence, written so that ROSS loads them."""
+"""Rotor models of ROSS and tables of stations: read, refused in one sentence, written so that ROSS
+loads them.
+"""
 
 import json
 import tomllib
@@ -13,10 +15,15 @@ from ambrose.machine.description import MachineDescription
 from ambrose.machine.file.ross import parse_ross, ross_text, rotor_of_ross
 from ambrose.machine.file.stations import read_rotor, rotor_of_stations
 from ambrose.machine.file.toml import load_machine
-from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies, mass_properties
+from ambrose.model.effects.rotor import (
+    finite_element_rotor,
+    free_bending_frequencies,
+    mass_properties,
+)
 
-# The compressor of ROSS' own tests (compressor_example): length, inner and outer diameter of the steel, outer diameter of what
-# lies around it without stiffness [mm]; one finite element each. Discs: (node, mass [kg], diametral and polar inertia [kg m2]).
+# The compressor of ROSS' own tests (compressor_example): length, inner and outer diameter of the
+# steel, outer diameter of what lies around it without stiffness [mm]; one finite element each.
+# Discs: (node, mass [kg], diametral and polar inertia [kg m2]).
 COMPRESSOR = """
 35.5 140.9954 151.003; 36 140.9954 151.003; 54 0 80; 43 0 80; 16.5 0 88; 14 0 88; 36.5 0 90; 51 0 90; 25 0 103 138; 16 0 85 138;
 24.2 0 104 174; 4.5 0 98.2 174; 12.57 0 104 174; 20 0 106 184; 62.73 0 108 184; 38 0 110 184; 38 0 122 139; 30 0 135 175;
@@ -35,9 +42,12 @@ DISCS = (
     (32, 6.939991746600836, 0.02499983979288977, 0.047999692402348366),
     (35, 6.959991722815824, 0.02499983979288977, 0.047999692402348366),
 )
-# By ross-rotordynamics 2.3.0: eigenvalues of K() and M() of its shaft and discs without bearings, Rotor.m, Rotor.CG, Rotor.Ip.
+# By ross-rotordynamics 2.3.0: eigenvalues of K() and M() of its shaft and discs without bearings,
+# Rotor.m, Rotor.CG, Rotor.Ip.
 ROSS_HERTZ = [154.82772345, 343.69550132, 613.17852883, 1027.27555322, 1488.97306334, 1927.32702128]
-ROSS_MASS, ROSS_CENTRE, ROSS_POLAR = 246.87036435603625, 0.8276413453580715, 0.9154643232219528
+ROSS_MASS = 246.87036435603625
+ROSS_CENTRE = 0.8276413453580715
+ROSS_POLAR = 0.9154643232219528
 ROSS_SEAL_RIG = [550.12368944, 1342.33664567, 2481.9115312]  # of what ross_text writes for seal-rig
 
 
@@ -50,12 +60,26 @@ def compressor():
         length, *diameters = (round(float(word) / 1e3, 9) for word in row.split())
         for layer, (inner, outer) in enumerate(pairwise(diameters)):
             document[f"ShaftElement_{n}.{layer}"] = {
-                "L": length, "idl": inner, "odl": outer, "idr": inner, "odr": outer, "n": n,
+                "L": length,
+                "idl": inner,
+                "odl": outer,
+                "idr": inner,
+                "odr": outer,
+                "n": n,
                 "material": soft if layer else steel,
-                "shear_effects": True, "rotary_inertia": True, "shear_method_calc": "cowper", "tag": f"{n}.{layer}",
-            }  # fmt: skip
+                "shear_effects": True,
+                "rotary_inertia": True,
+                "shear_method_calc": "cowper",
+                "tag": f"{n}.{layer}",
+            }
     for n, mass, diametral, polar in DISCS:
-        document[f"DiskElement_Disk {n}"] = {"n": n, "m": mass, "Id": diametral, "Ip": polar, "tag": f"Disk {n}"}
+        document[f"DiskElement_Disk {n}"] = {
+            "n": n,
+            "m": mass,
+            "Id": diametral,
+            "Ip": polar,
+            "tag": f"Disk {n}",
+        }
     for n in (7, 48):
         document[f"BearingElement_{n}"] = {"n": n, "kxx": [1e6], "tag": str(n)}
     document["SealElement_Seal 1"] = {"n": 18, "kxx": [1e6], "tag": "Seal 1"}
@@ -64,7 +88,9 @@ def compressor():
 
 def finite_elements(model):
     return finite_element_rotor(
-        MachineDescription(model.name, model.shaft, (), (), discs=model.discs, beam_theory=model.beam_theory)
+        MachineDescription(
+            model.name, model.shaft, (), (), discs=model.discs, beam_theory=model.beam_theory
+        )
     )
 
 
@@ -82,20 +108,31 @@ def test_the_compressor_of_ross_bends_as_in_ross(tmp_path, suffix):
         lines = ['ross_version = "2.0.0"']
         for key, row in compressor().items():
             if isinstance(row, dict):
-                cells = [f"{name} = {json.dumps(value)}" for name, value in row.items() if name != "material"]
+                cells = [
+                    f"{name} = {json.dumps(value)}"
+                    for name, value in row.items()
+                    if name != "material"
+                ]
                 lines += [f'["{key}"]', *cells] if key != "parameters" else ["[parameters]"]
                 if "material" in row:
                     lines += [
                         f'["{key}".material]',
-                        *(f"{name} = {json.dumps(value)}" for name, value in row["material"].items()),
+                        *(
+                            f"{name} = {json.dumps(value)}"
+                            for name, value in row["material"].items()
+                        ),
                     ]
         path.write_text("\n".join(lines), encoding="utf-8")
     model = read_rotor(path)
     rotor = finite_elements(model)
     np.testing.assert_allclose(hertz(rotor, 6), ROSS_HERTZ, rtol=1e-3)
     found = mass_properties(rotor)
-    assert (found.mass, found.centre, found.polar_inertia) == pytest.approx((ROSS_MASS, ROSS_CENTRE, ROSS_POLAR), rel=1e-6)
-    assert model.bearings == pytest.approx((0.2355, 1.4255)) and model.left_out == ("SealElement_Seal 1",)
+    assert (found.mass, found.centre, found.polar_inertia) == pytest.approx(
+        (ROSS_MASS, ROSS_CENTRE, ROSS_POLAR), rel=1e-6
+    )
+    assert model.bearings == pytest.approx((0.2355, 1.4255)) and model.left_out == (
+        "SealElement_Seal 1",
+    )
     assert "Seal 1" in model.assumed["seal"] and model.name == "compressor"
 
 
@@ -106,9 +143,13 @@ def test_a_machine_goes_to_ross_and_back():
     document = tomllib.loads(text)
     back = rotor_of_ross(parse_ross(text, "there", ".toml"), "there")
     assert [document[f"BearingElement_{name}"]["kxx"] for name in "AB"] == [[1e6], [2e6]]
-    np.testing.assert_allclose(hertz(finite_elements(back), 3), hertz(finite_element_rotor(machine), 3), rtol=1e-6)
+    np.testing.assert_allclose(
+        hertz(finite_elements(back), 3), hertz(finite_element_rotor(machine), 3), rtol=1e-6
+    )
     np.testing.assert_allclose(hertz(finite_element_rotor(machine), 3), ROSS_SEAL_RIG, rtol=1e-6)
-    assert mass_properties(finite_elements(back)).mass == pytest.approx(mass_properties(finite_element_rotor(machine)).mass)
+    assert mass_properties(finite_elements(back)).mass == pytest.approx(
+        mass_properties(finite_element_rotor(machine)).mass
+    )
 
 
 def test_conical_elements_and_two_stiff_layers_are_said():
@@ -122,17 +163,26 @@ def test_conical_elements_and_two_stiff_layers_are_said():
 
 
 def test_a_cone_goes_to_ross_and_back():
-    """A single layer stays a cone; written as a cylinder of its left end, it lost a tenth of this rotor's mass."""
+    """A single layer stays a cone; written as a cylinder of its left end, it lost a tenth of this
+    rotor's mass.
+    """
     document = compressor()
     document["ShaftElement_3.0"] |= {"odr": 0.12}
     cone = next(item for item in rotor_of_ross(document, "rotor").shaft if item.conical)
     assert (cone.outer_diameter, cone.end_outer_diameter) == (0.08, 0.12)
     machine = load_machine("seal-rig")
-    shaft = tuple(replace(s, end_outer_diameter=1.4 * s.outer_diameter) if i % 2 else s for i, s in enumerate(machine.shaft))
+    shaft = tuple(
+        replace(s, end_outer_diameter=1.4 * s.outer_diameter) if i % 2 else s
+        for i, s in enumerate(machine.shaft)
+    )
     tapered = replace(machine, shaft=shaft)
-    back = rotor_of_ross(tomllib.loads(ross_text(tapered, {"A": (1e6, 100.0), "B": (2e6, 200.0)})), "there")
+    back = rotor_of_ross(
+        tomllib.loads(ross_text(tapered, {"A": (1e6, 100.0), "B": (2e6, 200.0)})), "there"
+    )
     ours, theirs = finite_element_rotor(tapered), finite_elements(back)
-    assert sum(item.conical for item in back.shaft) == sum(item.elements for item in shaft if item.conical)
+    assert sum(item.conical for item in back.shaft) == sum(
+        item.elements for item in shaft if item.conical
+    )
     assert mass_properties(theirs).mass == pytest.approx(mass_properties(ours).mass)
     np.testing.assert_allclose(hertz(theirs, 3), hertz(ours, 3), rtol=1e-6)
 
@@ -155,7 +205,11 @@ def test_models_that_are_none_are_refused(change, words):
     change(document)
     with pytest.raises(InvalidInput, match=words) as error:
         rotor_of_ross(document, "rotor.toml")
-    assert "\n" not in str(error.value) and str(error.value).startswith("rotor.toml") and "; " in str(error.value)
+    assert (
+        "\n" not in str(error.value)
+        and str(error.value).startswith("rotor.toml")
+        and "; " in str(error.value)
+    )
 
 
 TABLE = """length [mm];od [mm];id [mm];E [GPa];rho [kg/m^3];disc mass [kg];disc Ip [kg m^2];disc Id [kg m^2];bearing
@@ -169,11 +223,23 @@ TABLE = """length [mm];od [mm];id [mm];E [GPa];rho [kg/m^3];disc mass [kg];disc 
 
 def test_a_spreadsheet_with_decimal_commas_becomes_a_rotor():
     model = rotor_of_stations(TABLE, "table.csv")
-    assert [(item.length, item.outer_diameter) for item in model.shaft] == [(0.0755, 0.04), (0.45, 0.04), (0.075, 0.04)]
-    assert model.shaft[-1].inner_diameter == pytest.approx(0.01) and model.shaft[0].material.youngs_modulus == 2.1e11
-    assert model.bearings == pytest.approx((0.0755, 0.5255)) and [disc.mass for disc in model.discs] == [8.0, 1.5]
+    assert [(item.length, item.outer_diameter) for item in model.shaft] == [
+        (0.0755, 0.04),
+        (0.45, 0.04),
+        (0.075, 0.04),
+    ]
+    assert (
+        model.shaft[-1].inner_diameter == pytest.approx(0.01)
+        and model.shaft[0].material.youngs_modulus == 2.1e11
+    )
+    assert model.bearings == pytest.approx((0.0755, 0.5255)) and [
+        disc.mass for disc in model.discs
+    ] == [8.0, 1.5]
     assert model.discs[-1].position == pytest.approx(0.6005)
-    assert "steel" in rotor_of_stations("L [m],diameter [m]\n0.5,0.05\n", "t").assumed["shaft.material"]
+    assert (
+        "steel"
+        in rotor_of_stations("L [m],diameter [m]\n0.5,0.05\n", "t").assumed["shaft.material"]
+    )
 
 
 @pytest.mark.parametrize(

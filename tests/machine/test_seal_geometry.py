@@ -1,4 +1,6 @@
-"""Seals from geometry: what a file must say, and what the coefficients at an operating point are."""
+"""Seals from geometry: what a file must say, and what the coefficients at an operating point
+are.
+"""
 
 from dataclasses import replace
 
@@ -10,11 +12,11 @@ from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.machine.parameters import operating_point
-from ambrose.physics.bulkflow import Friction, SealCondition, SealGeometry, air, bulk_flow
-from ambrose.physics.seal import coefficients
-from ambrose.plant.assemble import assemble, seal_coefficients
-from ambrose.plant.reduce import reduce
-from ambrose.plant.uncertainty import uncertain
+from ambrose.model.assemble import assemble, seal_coefficients
+from ambrose.model.effects.bulkflow import Friction, SealCondition, SealGeometry, air, bulk_flow
+from ambrose.model.effects.seal import coefficients
+from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import uncertain
 
 MACHINE = load_machine("turboexpander")
 PISTON = MACHINE.seals[0]
@@ -26,7 +28,12 @@ HZ = 2 * np.pi
 def test_the_seal_of_P3():
     """The printed geometry, in SI, and the published figures' operating point."""
     g = PISTON.geometry
-    assert (g.length, g.diameter, g.hole_depth, g.hole_area_ratio) == (0.0857, 0.11474, 3.3e-3, 0.684)
+    assert (g.length, g.diameter, g.hole_depth, g.hole_area_ratio) == (
+        0.0857,
+        0.11474,
+        3.3e-3,
+        0.684,
+    )
     assert (g.inlet_clearance, g.exit_clearance, g.preswirl) == (0.2115e-3, 0.2102e-3, 0)
     assert g.temperature == pytest.approx(290.55)
     assert g.speed == pytest.approx(20200 * np.pi / 30)
@@ -37,7 +44,9 @@ def test_the_seal_of_P3():
 
 @pytest.mark.parametrize("hz", [20.0, 140.0, 525.0])
 def test_coefficients_are_those_of_the_bulk_flow(hz):
-    seal = SealGeometry(0.0857, 0.11474, 0.2115e-3, 0.2102e-3, 3.3e-3, 0.684, stator_friction=Friction(0.02, 0.0))
+    seal = SealGeometry(
+        0.0857, 0.11474, 0.2115e-3, 0.2102e-3, 3.3e-3, 0.684, stator_friction=Friction(0.02, 0.0)
+    )
     condition = SealCondition(70e5, 31.5e5, 290.55, 20200 * np.pi / 30, air(290.55))
     expected = bulk_flow(seal, condition, [hz * HZ])
     point = OperatingPoint(speed=hz * HZ, seal_pressure=38.5e5)
@@ -50,7 +59,9 @@ def test_coefficients_are_those_of_the_bulk_flow(hz):
 
 def test_without_a_speed_of_its_own_the_seal_turns_with_the_rotor():
     free = replace(PISTON, geometry=replace(PISTON.geometry, speed=None))
-    slow, fast = (coefficients(free, 38.5e5, speed, 140 * HZ) for speed in (1.0, 20200 * np.pi / 30))
+    slow, fast = (
+        coefficients(free, 38.5e5, speed, 140 * HZ) for speed in (1.0, 20200 * np.pi / 30)
+    )
     assert fast == coefficients(PISTON, 38.5e5, frequency=140 * HZ)
     assert abs(slow.k) < 1e-2 * fast.k  # without spin and preswirl nothing drives the whirl
     assert slow.K == pytest.approx(fast.K, rel=0.05)
@@ -59,14 +70,22 @@ def test_without_a_speed_of_its_own_the_seal_turns_with_the_rotor():
 def test_the_other_pressure_is_the_given_one():
     g = PISTON.geometry
     before = replace(PISTON, geometry=replace(g, exit_pressure=None, inlet_pressure=70e5))
-    assert coefficients(before, 38.5e5, frequency=900.0) == coefficients(PISTON, 38.5e5, frequency=900.0)
-    assert coefficients(before, 20e5, frequency=900.0) != coefficients(PISTON, 20e5, frequency=900.0)
+    assert coefficients(before, 38.5e5, frequency=900.0) == coefficients(
+        PISTON, 38.5e5, frequency=900.0
+    )
+    assert coefficients(before, 20e5, frequency=900.0) != coefficients(
+        PISTON, 20e5, frequency=900.0
+    )
 
 
 def test_pressure_falls_to_zero_without_a_jump():
-    assert coefficients(PISTON, 0.0, frequency=900.0) == coefficients(replace(PISTON, geometry=None))
+    assert coefficients(PISTON, 0.0, frequency=900.0) == coefficients(
+        replace(PISTON, geometry=None)
+    )
     least = 0.05 * 31.5e5
-    at, half, above = (coefficients(PISTON, p, frequency=900.0) for p in (least, least / 2, 1.001 * least))
+    at, half, above = (
+        coefficients(PISTON, p, frequency=900.0) for p in (least, least / 2, 1.001 * least)
+    )
     assert half.k == pytest.approx(at.k / 2)
     assert above.k == pytest.approx(at.k, rel=2e-2)
 
@@ -79,19 +98,29 @@ def test_standstill_is_the_limit_of_slow_whirl():
 
 def test_a_flow_that_chokes_is_refused_with_what_it_can_follow():
     low = replace(PISTON, geometry=replace(PISTON.geometry, exit_pressure=2e5))
-    words = r"\[\[seal\]\] piston, \[seal.geometry\]: the exit pressure of the seal is 200000 Pa, but must be above .* chokes"
+    words = (
+        r"\[\[seal\]\] piston, \[seal.geometry\]: the exit pressure of the seal is 200000 Pa, but "
+        r"must be above .* chokes"
+    )
     with pytest.raises(InvalidInput, match=words):
         coefficients(low, 66e5, frequency=900.0)
 
 
 def test_a_drop_below_vacuum_is_refused():
-    before = replace(PISTON, geometry=replace(PISTON.geometry, exit_pressure=None, inlet_pressure=30e5))
-    with pytest.raises(InvalidInput, match=r"seal_pressure is 3.85e\+06 Pa, but must be below the inlet_pressure, 3e\+06 Pa"):
+    before = replace(
+        PISTON, geometry=replace(PISTON.geometry, exit_pressure=None, inlet_pressure=30e5)
+    )
+    with pytest.raises(
+        InvalidInput,
+        match=r"seal_pressure is 3.85e\+06 Pa, but must be below the inlet_pressure, 3e\+06 Pa",
+    ):
         coefficients(before, 38.5e5, frequency=900.0)
 
 
 def test_frequencies_beyond_the_highest():
-    with pytest.raises(InvalidInput, match=r"whirl frequency.* of seal piston is 12566.*max_frequency, 9424.78"):
+    with pytest.raises(
+        InvalidInput, match=r"whirl frequency.* of seal piston is 12566.*max_frequency, 9424.78"
+    ):
         coefficients(PISTON, 38.5e5, frequency=2000 * HZ)
     with pytest.raises(InvalidInput, match="piston"):
         assemble(MACHINE, OperatingPoint(speed=2000 * HZ, seal_pressure=38.5e5))
@@ -99,30 +128,114 @@ def test_frequencies_beyond_the_highest():
 
 def test_relative_tolerance_on_a_coefficient_that_is_zero():
     point = operating_point(MACHINE, "nominal speed without seal")
-    with pytest.raises(InvalidInput, match=r"nominal value of seal.piston.K_xx is 0, but must be non-zero"):
+    with pytest.raises(
+        InvalidInput, match=r"nominal value of seal.piston.K_xx is 0, but must be non-zero"
+    ):
         uncertain(reduce(assemble(MACHINE, point)))
-    assert len(uncertain(reduce(assemble(MACHINE, point)), [Tolerance("seal.piston.K_xx", absolute=1e6)]).blocks) == 1
+    assert (
+        len(
+            uncertain(
+                reduce(assemble(MACHINE, point)), [Tolerance("seal.piston.K_xx", absolute=1e6)]
+            ).blocks
+        )
+        == 1
+    )
 
 
 WRONG = {
-    "clearance": ("inlet_clearance = 0.0002115", "inlet_clearance = 0", "inlet_clearance is 0 m", "positive"),
-    "diameter for clearance": ("exit_clearance = 0.0002102", "exit_clearance = 0.2102", "is 0.2102 m", "below 5 %"),
-    "share": ("hole_area_ratio = 0.684", "hole_area_ratio = 68.4", "hole_area_ratio is 68.4", "at most 1"),
-    "friction": ("stator_friction = [0.02, 0.0]", "stator_friction = [0, 0.0]", "(coefficient) is 0", "positive"),
-    "friction alone": ("stator_friction = [0.02, 0.0]", "stator_friction = 0.02", "stator_friction is 0.02", "list of two"),
-    "exponent": ("stator_friction = [0.02, 0.0]", "stator_friction = [0.02, 2]", "(exponent) is 2", "-1 to 1"),
-    "no pressure": ("exit_pressure = 3150000.0\n", "", "neither exit_pressure nor inlet_pressure is given", "give one"),
-    "both pressures": ("exit_pressure = 3150000.0", "exit_pressure = 3e6\ninlet_pressure = 7e6", "both exit_", "give one"),
-    "celsius": ("temperature = 290.55", 'temperature = "-300 degC"', "temperature is -26.85 K", "absolute"),
-    "unit of the temperature": ("temperature = 290.55", 'temperature = "17 F"', 'temperature is "17 F"', "17.4 degC"),
-    "preswirl": ("exit_pressure = 3150000.0", "exit_pressure = 3e6\npreswirl = 60", "preswirl is 60", "surface speed"),
+    "clearance": (
+        "inlet_clearance = 0.0002115",
+        "inlet_clearance = 0",
+        "inlet_clearance is 0 m",
+        "positive",
+    ),
+    "diameter for clearance": (
+        "exit_clearance = 0.0002102",
+        "exit_clearance = 0.2102",
+        "is 0.2102 m",
+        "below 5 %",
+    ),
+    "share": (
+        "hole_area_ratio = 0.684",
+        "hole_area_ratio = 68.4",
+        "hole_area_ratio is 68.4",
+        "at most 1",
+    ),
+    "friction": (
+        "stator_friction = [0.02, 0.0]",
+        "stator_friction = [0, 0.0]",
+        "(coefficient) is 0",
+        "positive",
+    ),
+    "friction alone": (
+        "stator_friction = [0.02, 0.0]",
+        "stator_friction = 0.02",
+        "stator_friction is 0.02",
+        "list of two",
+    ),
+    "exponent": (
+        "stator_friction = [0.02, 0.0]",
+        "stator_friction = [0.02, 2]",
+        "(exponent) is 2",
+        "-1 to 1",
+    ),
+    "no pressure": (
+        "exit_pressure = 3150000.0\n",
+        "",
+        "neither exit_pressure nor inlet_pressure is given",
+        "give one",
+    ),
+    "both pressures": (
+        "exit_pressure = 3150000.0",
+        "exit_pressure = 3e6\ninlet_pressure = 7e6",
+        "both exit_",
+        "give one",
+    ),
+    "celsius": (
+        "temperature = 290.55",
+        'temperature = "-300 degC"',
+        "temperature is -26.85 K",
+        "absolute",
+    ),
+    "unit of the temperature": (
+        "temperature = 290.55",
+        'temperature = "17 F"',
+        'temperature is "17 F"',
+        "17.4 degC",
+    ),
+    "preswirl": (
+        "exit_pressure = 3150000.0",
+        "exit_pressure = 3e6\npreswirl = 60",
+        "preswirl is 60",
+        "surface speed",
+    ),
     "missing": ("length = 0.0857\ndiameter", "diameter", "length is missing", "length [m]"),
-    "unknown": ("hole_depth = 0.0033", "hole_deep = 0.0033", 'unknown key "hole_deep"', 'did you mean "hole_depth"'),
-    "constant besides": ('name = "piston"', 'name = "piston"\nk = 5', "k is 5, but [seal.geometry] yields it", "keep one"),
-    "scaled": ('name = "piston"', 'name = "piston"\nscales_with_pressure = ["K"]', "names K", "remove it"),
-    "mode": ('name = "piston"', 'name = "piston"\nfrequency_dependence = "state"', '"state"', 'did you mean "states"'),
+    "unknown": (
+        "hole_depth = 0.0033",
+        "hole_deep = 0.0033",
+        'unknown key "hole_deep"',
+        'did you mean "hole_depth"',
+    ),
+    "constant besides": (
+        'name = "piston"',
+        'name = "piston"\nk = 5',
+        "k is 5, but [seal.geometry] yields it",
+        "keep one",
+    ),
+    "scaled": (
+        'name = "piston"',
+        'name = "piston"\nscales_with_pressure = ["K"]',
+        "names K",
+        "remove it",
+    ),
+    "mode": (
+        'name = "piston"',
+        'name = "piston"\nfrequency_dependence = "state"',
+        '"state"',
+        'did you mean "states"',
+    ),
     "poles": ('name = "piston"', 'name = "piston"\npoles = 0', "poles is 0", "from 1 to 12"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", WRONG)
@@ -139,4 +252,7 @@ def test_states_need_something_that_depends_on_the_frequency():
     with pytest.raises(InvalidInput, match="no coefficient depends on the frequency"):
         replace(MACHINE, seals=(replace(PISTON, geometry=None, frequency_dependence="states"),))
     with pytest.raises(InvalidInput, match=r"reference_pressure is missing; frequency_dependence"):
-        replace(MACHINE, seals=(replace(PISTON, reference_pressure=None, frequency_dependence="states"),))
+        replace(
+            MACHINE,
+            seals=(replace(PISTON, reference_pressure=None, frequency_dependence="states"),),
+        )

@@ -1,14 +1,20 @@
-"""The bundled turboexpander: every figure that papers P1 and P3 print holds, and its PID is a sound reference."""
+"""The bundled turboexpander: every figure that papers P1 and P3 print holds, and its PID is a sound
+reference.
+"""
 
 import math
 
 import numpy as np
 import pytest
 
+from ambrose.law.loop import closed_loop
 from ambrose.machine.file.toml import bundled_machines, load_machine
-from ambrose.physics.rotor import finite_element_rotor, free_bending_frequencies, mass_properties
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
+from ambrose.model.assemble import assemble
+from ambrose.model.effects.rotor import (
+    finite_element_rotor,
+    free_bending_frequencies,
+    mass_properties,
+)
 from ambrose.synthesis.pid import pid_controller
 
 MACHINE = load_machine("turboexpander")
@@ -18,11 +24,15 @@ PISTON_DIAMETER, PISTON_LENGTH = 0.11474, 0.0857  # P3, fig. 2
 @pytest.mark.literature
 class TestPrinted:
     def test_finite_elements(self):
-        """P1 section III, P3 section 2.2: 40 nodes of 4 coordinates, 320 states; first bending at about 1 kHz."""
+        """P1 section III, P3 section 2.2: 40 nodes of 4 coordinates, 320 states; first bending at
+        about 1 kHz.
+        """
         rotor = finite_element_rotor(MACHINE)
         assert rotor.n_nodes == 40
         assert 2 * rotor.mass.shape[0] == 320
-        assert free_bending_frequencies(rotor, 1)[0] / (2 * math.pi) == pytest.approx(1000.0, rel=0.02)
+        assert free_bending_frequencies(rotor, 1)[0] / (2 * math.pi) == pytest.approx(
+            1000.0, rel=0.02
+        )
 
     def test_speeds(self):
         assert MACHINE.operation.nominal.speed == pytest.approx(31500 * math.pi / 30)
@@ -45,7 +55,10 @@ class TestPrinted:
 
     def test_tolerances(self):
         """P3 section 3.1: eight independent coefficients, +-40 %."""
-        entries = [f"seal.piston.{entry}" for entry in ["K_xx", "K_yy", "k_xy", "k_yx", "C_xx", "C_yy", "c_xy", "c_yx"]]
+        entries = [
+            f"seal.piston.{entry}"
+            for entry in ["K_xx", "K_yy", "k_xy", "k_yx", "C_xx", "C_yy", "c_xy", "c_yx"]
+        ]
         assert [tolerance.parameter for tolerance in MACHINE.tolerances] == entries
         assert {tolerance.relative for tolerance in MACHINE.tolerances} == {0.4}
 
@@ -62,7 +75,15 @@ class TestChosen:
     def test_what_is_chosen_says_so(self):
         """Every table with a chosen figure is named among the assumptions."""
         named = {key.replace(" ", ".").split(".")[0] for key, _ in MACHINE.assumed}
-        assert {"shaft", "disc", "bearing", "sensor", "seal", "controller", "modal_damping"} <= named
+        assert {
+            "shaft",
+            "disc",
+            "bearing",
+            "sensor",
+            "seal",
+            "controller",
+            "modal_damping",
+        } <= named
 
     def test_mass_is_plausible_for_the_power(self):
         assert 25 < mass_properties(finite_element_rotor(MACHINE)).mass < 40
@@ -71,9 +92,13 @@ class TestChosen:
         weight = 9.81 * mass_properties(finite_element_rotor(MACHINE)).mass
         assert sum(b.force_per_current[0] * b.max_current for b in MACHINE.bearings) > 3 * weight
         for bearing in MACHINE.bearings:
-            assert bearing.max_force == pytest.approx(bearing.force_per_current[0] * bearing.max_current)
+            assert bearing.max_force == pytest.approx(
+                bearing.force_per_current[0] * bearing.max_current
+            )
             ratio = bearing.bias_current / bearing.gap  # k_s / k_i of an ideal magnet
-            assert bearing.negative_stiffness[0] == pytest.approx(bearing.force_per_current[0] * ratio)
+            assert bearing.negative_stiffness[0] == pytest.approx(
+                bearing.force_per_current[0] * ratio
+            )
         poles = np.linalg.eigvals(assemble(MACHINE, MACHINE.operation.points[1]).system.A)
         assert (poles.real > 50).sum() == 4
 
@@ -87,6 +112,8 @@ class TestChosen:
 def test_the_file_carries_no_figure_without_unit_that_needs_one():
     text = bundled_machines()["turboexpander"].read_text()
     bare = [
-        line for line in text.splitlines() if line.startswith(("length", "position", "mass", "speed =")) and '"' not in line
+        line
+        for line in text.splitlines()
+        if line.startswith(("length", "position", "mass", "speed =")) and '"' not in line
     ]
     assert [line for line in bare if not line.endswith("= 0")] == []

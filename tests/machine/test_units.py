@@ -14,7 +14,14 @@ from ambrose.machine.units import DIMENSIONS, canonical_unit, read_quantity, rew
 
 REGISTRY = pint.UnitRegistry()
 EVERYDAY = [(name, unit) for name, dimension in DIMENSIONS.items() for unit in dimension.units]
-PINT_SPELLING = {"N s/mm": "N*s/mm", "Ns/m": "N*s/m", "kNs/m": "kN*s/m", "Ns/mm": "N*s/mm", "°": "deg", "krpm": "kilorpm"}
+PINT_SPELLING = {
+    "N s/mm": "N*s/mm",
+    "Ns/m": "N*s/m",
+    "kNs/m": "kN*s/m",
+    "Ns/mm": "N*s/mm",
+    "°": "deg",
+    "krpm": "kilorpm",
+}
 
 
 def spelled_for_pint(unit: str) -> str:
@@ -26,7 +33,11 @@ def spelled_for_pint(unit: str) -> str:
 @pytest.mark.parametrize("name, unit", EVERYDAY)
 def test_everyday_units_agree_with_pint(name, unit):
     ours = read_quantity(f"1 {unit}", DIMENSIONS[name])
-    theirs = REGISTRY.Quantity(1.0, "percent" if unit == "%" else spelled_for_pint(unit)).to_base_units().magnitude
+    theirs = (
+        REGISTRY.Quantity(1.0, "percent" if unit == "%" else spelled_for_pint(unit))
+        .to_base_units()
+        .magnitude
+    )
     revolutions = "Hz" in unit and name == "angular rate"  # pint's hertz is 1/s
     assert ours == pytest.approx(theirs * (2 * 3.141592653589793 if revolutions else 1), rel=1e-15)
 
@@ -75,9 +86,15 @@ def test_less_common_units_by_definition(text, name, value):
     assert read_quantity(text, DIMENSIONS[name]) == pytest.approx(value, rel=1e-12)
 
 
-@given(st.decimals(allow_nan=False, allow_infinity=False, min_value=-(10**9), max_value=10**9, places=6))
+@given(
+    st.decimals(
+        allow_nan=False, allow_infinity=False, min_value=-(10**9), max_value=10**9, places=6
+    )
+)
 def test_decimal_units_are_correctly_rounded(number):
-    """1e-6 is not representable, yet "20 um" is the float nearest to 20e-6, as if it had been written in metres."""
+    """1e-6 is not representable, yet "20 um" is the float nearest to 20e-6, as if it had been
+    written in metres.
+    """
     assert read_quantity(f"{number:f} um", DIMENSIONS["length"]) == float(Fraction(number) / 10**6)
 
 
@@ -96,7 +113,11 @@ def test_any_text_is_read_or_refused_with_a_remedy(text, name):
 
 
 @example(0, "A/(", "angle")  # an open bracket once came through as a tokenizer's error
-@given(st.integers(-9, 9), st.from_regex(r"[a-zA-Z/*^0-9 ()]{1,12}", fullmatch=True), st.sampled_from(sorted(DIMENSIONS)))
+@given(
+    st.integers(-9, 9),
+    st.from_regex(r"[a-zA-Z/*^0-9 ()]{1,12}", fullmatch=True),
+    st.sampled_from(sorted(DIMENSIONS)),
+)
 def test_any_unit_is_read_or_refused_with_a_remedy(number, unit, name):
     try:
         assert isinstance(read_quantity(f"{number} {unit}", DIMENSIONS[name]), float)
@@ -111,7 +132,15 @@ def test_other_kinds_of_value_are_refused(value):
 
 
 @pytest.mark.parametrize(
-    "value", [float("nan"), float("inf"), 10**400, pytest.param(10**5000, id="unprintable"), "1e999 m", "-1e999 ft"]
+    "value",
+    [
+        float("nan"),
+        float("inf"),
+        10**400,
+        pytest.param(10**5000, id="unprintable"),
+        "1e999 m",
+        "-1e999 ft",
+    ],
 )
 def test_not_finite(value):
     with pytest.raises(ValueError, match="must be finite"):
@@ -136,13 +165,16 @@ def test_one_spelling():
 def test_pint_is_not_imported_for_everyday_units():
     code = (
         "import sys; from ambrose.machine.units import DIMENSIONS, read_quantity as r;"
-        "r('0.5 mm', DIMENSIONS['length']); r('20 µm', DIMENSIONS['length']); assert 'pint' not in sys.modules;"
+        "r('0.5 mm', DIMENSIONS['length']); r('20 µm', DIMENSIONS['length']); assert 'pint' not "
+        "in sys.modules;"
         "r('1 ft', DIMENSIONS['length']); assert 'pint' in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
 
-@pytest.mark.parametrize("dimension", [d for d in DIMENSIONS.values() if d.units], ids=lambda d: d.name)
+@pytest.mark.parametrize(
+    "dimension", [d for d in DIMENSIONS.values() if d.units], ids=lambda d: d.name
+)
 @given(value=st.floats(1e-12, 1e12), sign=st.sampled_from([1.0, -1.0]))
 @settings(max_examples=15, deadline=None)
 def test_a_number_is_rewritten_in_every_unit_to_the_last_bit(dimension, value, sign):

@@ -1,4 +1,6 @@
-"""A machine file brought up to date: what did not change stays to the letter, what did is in the user's place and unit."""
+"""A machine file brought up to date: what did not change stays to the letter, what did is in the
+user's place and unit.
+"""
 
 import difflib
 import math
@@ -9,10 +11,18 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.controller import Channel, PidSettings, Section
-from ambrose.machine.description import BiasPoint, Material, SealTable, Tolerance
+from ambrose.machine.description import BiasPoint, Tolerance
 from ambrose.machine.file import update
-from ambrose.machine.file.toml import bundled_machines, dumps_machine, load_machine, loads_machine, read_machine_text
+from ambrose.machine.file.toml import (
+    bundled_machines,
+    dumps_machine,
+    load_machine,
+    loads_machine,
+    read_machine_text,
+)
 from ambrose.machine.file.update import machine_text, save_machine, update_machine_file
+from ambrose.machine.rotor_model import Material
+from ambrose.machine.seals import SealTable
 
 SMALL = str(Path(__file__).with_name("small.toml"))
 ODD = """# a rig on one page
@@ -80,7 +90,9 @@ point = [{label = "low", speed = "1000 rpm", seal_pressure = 0}]
 def changed_lines(before, after):
     """(taken out, put in) as lists of lines."""
     diff = list(difflib.ndiff(before.splitlines(), after.splitlines()))
-    return [line[2:] for line in diff if line.startswith("- ")], [line[2:] for line in diff if line.startswith("+ ")]
+    return [line[2:] for line in diff if line.startswith("- ")], [
+        line[2:] for line in diff if line.startswith("+ ")
+    ]
 
 
 @pytest.fixture(autouse=True)
@@ -108,25 +120,44 @@ def test_changes_in_an_odd_file_keep_comments_order_and_units():
     machine = loads_machine(ODD)
     a, b = machine.bearings
     bearings = (
-        replace(a, force_per_current=(210.5, 210.5), negative_stiffness=(1.25e6, 1.35e6),
-                measured=(*a.measured, BiasPoint(4.0, (250.0, 250.0), (2e6, 2e6)))),
-        replace(b, force_per_current=(205.0, 207.0), negative_stiffness=(1.25e6, 1.25e6),
-                measured=(replace(b.measured[0], negative_stiffness=(0.6e6, 0.6e6)),)),
-    )  # fmt: skip
+        replace(
+            a,
+            force_per_current=(210.5, 210.5),
+            negative_stiffness=(1.25e6, 1.35e6),
+            measured=(*a.measured, BiasPoint(4.0, (250.0, 250.0), (2e6, 2e6))),
+        ),
+        replace(
+            b,
+            force_per_current=(205.0, 207.0),
+            negative_stiffness=(1.25e6, 1.25e6),
+            measured=(replace(b.measured[0], negative_stiffness=(0.6e6, 0.6e6)),),
+        ),
+    )
     table = SealTable((("pressure", (0.0, 1.5e5)),), (("C", (110.0, 200.0)),))
     sections = (machine.shaft[0], replace(machine.shaft[1], outer_diameter=0.0635))
-    tolerances = (replace(machine.tolerances[0], relative=0.25), Tolerance("bearing.A.force_per_current", relative=0.02))
+    tolerances = (
+        replace(machine.tolerances[0], relative=0.25),
+        Tolerance("bearing.A.force_per_current", relative=0.02),
+    )
     point = replace(machine.operation.points[0], seal_pressure=1e5)
     updated = replace(
-        machine, shaft=sections, bearings=bearings, seals=(replace(machine.seals[0], k=0.123e6, table=table),),
-        amplifier=replace(machine.amplifier, bandwidth=9000.0), tolerances=tolerances, assumed=machine.assumed[1:],
-        operation=replace(machine.operation, points=(point,)), source="identified",
-    )  # fmt: skip
+        machine,
+        shaft=sections,
+        bearings=bearings,
+        seals=(replace(machine.seals[0], k=0.123e6, table=table),),
+        amplifier=replace(machine.amplifier, bandwidth=9000.0),
+        tolerances=tolerances,
+        assumed=machine.assumed[1:],
+        operation=replace(machine.operation, points=(point,)),
+        source="identified",
+    )
     text = update_machine_file(ODD, updated)
     assert loads_machine(text) == updated
     out, put = changed_lines(ODD, text)
     rate = next(line for line in put if line.startswith("amplifier"))
-    assert rate.startswith('amplifier = {order="first", bandwidth="1432.3944878') and rate.endswith('Hz"} # measured in May')
+    assert rate.startswith('amplifier = {order="first", bandwidth="1432.3944878') and rate.endswith(
+        'Hz"} # measured in May'
+    )
     put.remove(rate)
     assert put == [
         '  {length = "400mm", outer_diameter = "2.5 in", material = "titanium"}',
@@ -153,27 +184,52 @@ def test_changes_in_an_odd_file_keep_comments_order_and_units():
 
 def test_what_stands_above_a_table_goes_with_it():
     machine = loads_machine(ODD)
-    text = update_machine_file(ODD, replace(machine, bearings=machine.bearings[::-1], sensors=machine.sensors[::-1]))
-    assert text.index('# the right one\n[[bearing]]\nname = "B"') < text.index("# the left one\n[[bearing]]\nposition")
-    assert text.index("# in the middle\n[[seal]]") > text.index('bearing = "B" # mounted first') > text.index('bearing = "A"')
+    text = update_machine_file(
+        ODD, replace(machine, bearings=machine.bearings[::-1], sensors=machine.sensors[::-1])
+    )
+    assert text.index('# the right one\n[[bearing]]\nname = "B"') < text.index(
+        "# the left one\n[[bearing]]\nposition"
+    )
+    assert (
+        text.index("# in the middle\n[[seal]]")
+        > text.index('bearing = "B" # mounted first')
+        > text.index('bearing = "A"')
+    )
     text = update_machine_file(ODD, replace(machine, seals=(), tolerances=machine.tolerances[1:]))
-    assert "[[seal]]" not in text and "in the middle" not in text and text.endswith("# end of the file\n")
+    assert (
+        "[[seal]]" not in text
+        and "in the middle" not in text
+        and text.endswith("# end of the file\n")
+    )
     assert loads_machine(text) == replace(machine, seals=(), tolerances=machine.tolerances[1:])
 
 
 def test_materials_keep_their_names():
     machine = loads_machine(ODD)
     first, second = machine.shaft
-    softer = replace(machine, shaft=(first, replace(second, material=replace(second.material, youngs_modulus=110e9))))
+    softer = replace(
+        machine,
+        shaft=(first, replace(second, material=replace(second.material, youngs_modulus=110e9))),
+    )
     text = update_machine_file(ODD, softer)
     assert loads_machine(text) == softer
     out, put = changed_lines(ODD, text)
-    assert put == ['material.titanium = {density = "4.43 g/cm^3", youngs_modulus = "110 GPa"} # as delivered'] and len(out) == 1
-    named = ODD.replace("outer_diameter = '50 mm'", "outer_diameter = '50 mm', material = 'steel'").replace(
-        "material.titanium =", "material.steel = {density = 7850}\nmaterial.titanium ="
+    assert (
+        put
+        == [
+            'material.titanium = {density = "4.43 g/cm^3", youngs_modulus = "110 GPa"} # as '
+            "delivered"
+        ]
+        and len(out) == 1
     )
-    assert update_machine_file(named, loads_machine(named)) == named  # steel is the default, and named all the same
-    bronze = replace(machine, shaft=(replace(first, material=Material(8800.0, 110e9, 0.34, "bronze")), second))
+    named = ODD.replace(
+        "outer_diameter = '50 mm'", "outer_diameter = '50 mm', material = 'steel'"
+    ).replace("material.titanium =", "material.steel = {density = 7850}\nmaterial.titanium =")
+    # steel is the default, and named all the same
+    assert update_machine_file(named, loads_machine(named)) == named
+    bronze = replace(
+        machine, shaft=(replace(first, material=Material(8800.0, 110e9, 0.34, "bronze")), second)
+    )
     assert loads_machine(update_machine_file(ODD, bronze)) == bronze
 
 
@@ -181,27 +237,50 @@ def test_materials_keep_their_names():
 def test_a_bundled_machine_after_an_identification(file):
     machine, before = load_machine(file), read_machine_text(file)
     a, b = machine.bearings
-    own = {key: getattr(machine.amplifier, key) * 1.0123456789 for key in ("bandwidth", "natural_frequency")
-           if getattr(machine.amplifier, key)}  # fmt: skip
+    own = {
+        key: getattr(machine.amplifier, key) * 1.0123456789
+        for key in ("bandwidth", "natural_frequency")
+        if getattr(machine.amplifier, key)
+    }
     seal = replace(
-        machine.seals[0], K=0.0, k=0.0, C=0.0, c=0.0, geometry=None, scales_with_pressure=(),
-        table=SealTable((("pressure", (0.0, 16e6 / 3)),), (("K", (1 / 3, 3.0)), ("k", (0.0, 16e6 / 7)))),
-    )  # fmt: skip
+        machine.seals[0],
+        K=0.0,
+        k=0.0,
+        C=0.0,
+        c=0.0,
+        geometry=None,
+        scales_with_pressure=(),
+        table=SealTable(
+            (("pressure", (0.0, 16e6 / 3)),), (("K", (1 / 3, 3.0)), ("k", (0.0, 16e6 / 7)))
+        ),
+    )
     updated = replace(
         machine,
-        bearings=(replace(a, force_per_current=(400 / 3, 140.0), negative_stiffness=(1e7 / 9, 1.3e6)), b),
+        bearings=(
+            replace(a, force_per_current=(400 / 3, 140.0), negative_stiffness=(1e7 / 9, 1.3e6)),
+            b,
+        ),
         amplifier=replace(machine.amplifier, **own),
         seals=(seal,),
-        tolerances=(*machine.tolerances[1:], replace(machine.tolerances[0], relative=1 / 7),
-                    Tolerance("bearing.A.force_per_current.zeta", relative=0.01)),
-        source=f"{machine.source}; identified", assumed=machine.assumed[:2] + machine.assumed[3:],
-    )  # fmt: skip
+        tolerances=(
+            *machine.tolerances[1:],
+            replace(machine.tolerances[0], relative=1 / 7),
+            Tolerance("bearing.A.force_per_current.zeta", relative=0.01),
+        ),
+        source=f"{machine.source}; identified",
+        assumed=machine.assumed[:2] + machine.assumed[3:],
+    )
     text = update_machine_file(file, updated)
     assert loads_machine(text) == updated
     out, put = changed_lines(before, text)
-    assert not [line for line in out if line.startswith("#")] and not [line for line in put if "#" in line and "N/" not in line]
+    assert not [line for line in out if line.startswith("#")] and not [
+        line for line in put if "#" in line and "N/" not in line
+    ]
     assert any('"13.333' in line or "= [133.333" in line or '["133.333' in line for line in put)
-    assert len(text.splitlines()) - len(before.splitlines()) == {"seal-rig": 3, "turboexpander": -6}[file]
+    assert (
+        len(text.splitlines()) - len(before.splitlines())
+        == {"seal-rig": 3, "turboexpander": -6}[file]
+    )
     assert loads_machine(update_machine_file(text, machine)) == machine  # and back
 
 
@@ -238,30 +317,51 @@ def test_a_seal_table_that_gains_axes_of_one_entry_is_brought_up_to_date(more, m
     values = dict(machine.seals[0].table.values)["C"]
     for _ in more:
         values = tuple((value,) for value in values)
-    table = SealTable((("pressure", pressures), *((axis, (1.0,)) for axis in more)), (("C", values),))
+    table = SealTable(
+        (("pressure", pressures), *((axis, (1.0,)) for axis in more)), (("C", values),)
+    )
     changed = replace(machine, seals=(replace(machine.seals[0], table=table),))
     monkeypatch.setattr(update, "dumps_machine", lambda machine: pytest.fail("written anew"))
     assert loads_machine(update_machine_file(ODD, changed)) == changed
 
 
 def test_channels_take_the_place_of_one_gain_for_all_axes(monkeypatch):
-    text = ODD.replace("[operation]", '[controller]\ngain = "16 A/mm" # all\nderivative_time = "3 ms"\n\n[operation]')
+    text = ODD.replace(
+        "[operation]",
+        '[controller]\ngain = "16 A/mm" # all\nderivative_time = "3 ms"\n\n[operation]',
+    )
     machine = loads_machine(text)
     section = Section("pid", derivative_time=2e-3)
     channels = tuple(Channel((axis,), 2e4, (section,)) for axis in machine.axes)
-    changed = replace(machine, controller=replace(machine.controller, gain=(), derivative_time=None, channels=channels))
+    changed = replace(
+        machine,
+        controller=replace(machine.controller, gain=(), derivative_time=None, channels=channels),
+    )
     monkeypatch.setattr(update, "dumps_machine", lambda machine: pytest.fail("written anew"))
     updated = update_machine_file(text, changed)
-    assert loads_machine(updated) == changed and "16 A/mm" not in updated and "# the left one" in updated
+    assert (
+        loads_machine(updated) == changed
+        and "16 A/mm" not in updated
+        and "# the left one" in updated
+    )
 
 
 def test_a_list_of_gains_that_gives_way_to_chains_leaves_the_rest_of_the_file_alone():
-    """seal-rig states its gain as a list of one; an empty list was no gain, and the whole file was written anew in SI."""
+    """seal-rig states its gain as a list of one; an empty list was no gain, and the whole file was
+    written anew in SI.
+    """
     machine = load_machine("seal-rig")
-    chains = tuple(Channel((axis,), 18e3, (Section("pid", 0.2, 0.0035, 0.1),)) for axis in machine.axes)
+    chains = tuple(
+        Channel((axis,), 18e3, (Section("pid", 0.2, 0.0035, 0.1),)) for axis in machine.axes
+    )
     text = machine_text(replace(machine, controller=PidSettings(channels=chains, sample_time=1e-4)))
-    assert 'unbalance_orbit = "8 um"' in text and "# Seal test rig" in text and "gain = []" not in text
-    assert loads_machine(text).controller.channels == chains and not loads_machine(text).controller.gain
+    assert (
+        'unbalance_orbit = "8 um"' in text and "# Seal test rig" in text and "gain = []" not in text
+    )
+    assert (
+        loads_machine(text).controller.channels == chains
+        and not loads_machine(text).controller.gain
+    )
 
 
 def test_chains_leave_nothing_of_an_earlier_controller_and_have_units():
@@ -273,5 +373,11 @@ def test_chains_leave_nothing_of_an_earlier_controller_and_have_units():
     table = text.partition("[controller]")[2].partition("[operation")[0]
     assert loads_machine(text) == machine and "derivative_" not in table
     assert all(
-        words in table for words in ('sample_time = "100 us"', 'gain = "20 A/mm"', 'frequency = "120 Hz"', "damping = 0.7")
+        words in table
+        for words in (
+            'sample_time = "100 us"',
+            'gain = "20 A/mm"',
+            'frequency = "120 Hz"',
+            "damping = 0.7",
+        )
     )

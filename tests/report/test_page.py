@@ -15,17 +15,19 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
+from ambrose.judge.checks import Check, Checks, Curve
+from ambrose.judge.verification import Verification
 from ambrose.machine.machine import Machine
+from ambrose.registry import registered, resolve
 from ambrose.report import page as document
 from ambrose.report import tables
-from ambrose.report.page import Cell, Figure, Report, Section, Table, Verdict
-from ambrose.report.verification import verification_report
-from ambrose.verification.checks import Check, Checks, Curve
+from ambrose.report.page import Cell, Figure, Page, Section, Table, Verdict
+from ambrose.report.verification import verification_page
 
 VOID = {"meta", "link", "img", "br", "hr", "input", "col"}
 
 
-class Page(HTMLParser):
+class Parsed(HTMLParser):
     """Checks that elements nest, and collects text, identifiers and references."""
 
     def __init__(self, text: str) -> None:
@@ -43,7 +45,11 @@ class Page(HTMLParser):
         values = dict(attrs)
         if values.get("id"):
             self.ids.append(str(values["id"]))
-        self.references += [str(values[name]) for name in ("src", "href", "srcset", "action", "data") if values.get(name)]
+        self.references += [
+            str(values[name])
+            for name in ("src", "href", "srcset", "action", "data")
+            if values.get(name)
+        ]
         if tag not in VOID:
             self.stack.append(tag)
         self.script = str(values.get("id") or "") if tag == "script" else ""
@@ -69,8 +75,8 @@ def report(
     verifications: list[Checks],
     responses: list[tuple[str, Curve]],
     comparison: list[tuple[str, Curve]],
-) -> Report:
-    return verification_report(
+) -> Page:
+    return verification_page(
         machine,
         verifications,
         models=[("full model", "320 states"), ("reduced model", "8 states")],
@@ -83,21 +89,21 @@ def report(
 
 
 @pytest.fixture(scope="module")
-def source(report: Report) -> str:
+def source(report: Page) -> str:
     return document.render(report)
 
 
 @pytest.fixture(scope="module")
-def page(source: str) -> Page:
-    return Page(source)
+def page(source: str) -> Parsed:
+    return Parsed(source)
 
 
-def test_elements_nest_and_identifiers_are_unique(page: Page) -> None:
+def test_elements_nest_and_identifiers_are_unique(page: Parsed) -> None:
     assert page.stack == []
     assert len(page.ids) == len(set(page.ids))
 
 
-def test_nothing_is_fetched_from_anywhere(page: Page, source: str) -> None:
+def test_nothing_is_fetched_from_anywhere(page: Parsed, source: str) -> None:
     assert all(reference.startswith("#") for reference in page.references)
     assert {reference.removeprefix("#") for reference in page.references} <= set(page.ids)
     library = document.packed(document.get_library())
@@ -107,16 +113,28 @@ def test_nothing_is_fetched_from_anywhere(page: Page, source: str) -> None:
     assert "showSendToCloud: false" in rest  # no button of the page uploads anything
 
 
-def test_head_states_machine_source_date_version_and_verdicts(page: Page, machine: Machine) -> None:
-    for expected in (machine.name, machine.source, machine.description, "2031-02-03", "ambrose 0.", "PID <reference>"):
+def test_head_states_machine_source_date_version_and_verdicts(
+    page: Parsed, machine: Machine
+) -> None:
+    for expected in (
+        machine.name,
+        machine.source,
+        machine.description,
+        "2031-02-03",
+        "ambrose 0.",
+        "PID <reference>",
+    ):
         assert expected in page.text
     assert "✗ at least one operating point fails" in page.text
-    assert "stable, 3 of 4 checks passed; fails: unbalance orbit up to 200 Hz 8.0004 µm > 8 µm" in page.text.replace(
-        "\u00a0", " "
+    assert (
+        "stable, 3 of 4 checks passed; fails: unbalance orbit up to 200 Hz 8.0004 µm > 8 µm"
+        in page.text.replace("\u00a0", " ")
     )
 
 
-def test_every_check_of_every_operating_point_is_listed(page: Page, verifications: list[Checks]) -> None:
+def test_every_check_of_every_operating_point_is_listed(
+    page: Parsed, verifications: list[Checks]
+) -> None:
     for checks in verifications:
         table = tables.checks_table(checks)
         assert len(table.rows) == len(checks.checks)
@@ -126,7 +144,7 @@ def test_every_check_of_every_operating_point_is_listed(page: Page, verification
     assert page.text.count("ISO 21940-11:2016") == len(verifications)
 
 
-def test_every_figure_has_its_place_its_data_and_its_number(page: Page, report: Report) -> None:
+def test_every_figure_has_its_place_its_data_and_its_number(page: Parsed, report: Page) -> None:
     figures = [figure for section in report.sections for figure in section.figures]
     assert len(figures) == 11
     for i, figure in enumerate(figures, start=1):
@@ -136,12 +154,17 @@ def test_every_figure_has_its_place_its_data_and_its_number(page: Page, report: 
         assert len(data["data"]) == len(figure.picture.data)
 
 
-def test_assumed_parameters_and_models_are_listed(page: Page) -> None:
-    for expected in ("Chosen, not measured", "diameters chosen so that the rotor weighs 69 kg", "320 states", "8 states"):
+def test_assumed_parameters_and_models_are_listed(page: Parsed) -> None:
+    for expected in (
+        "Chosen, not measured",
+        "diameters chosen so that the rotor weighs 69 kg",
+        "320 states",
+        "8 states",
+    ):
         assert expected in page.text
 
 
-def test_titles_are_escaped(source: str, page: Page) -> None:
+def test_titles_are_escaped(source: str, page: Parsed) -> None:
     rest = source.replace(document.packed(document.get_library()), "")
     assert "<b>rig</b>" not in rest
     assert "&lt;b&gt;rig&lt;/b&gt; &amp; seal" in rest
@@ -149,18 +172,22 @@ def test_titles_are_escaped(source: str, page: Page) -> None:
 
 
 def test_a_script_in_a_label_cannot_close_the_data_element(machine: Machine) -> None:
-    curve = Curve("c", "c", "frequency", np.array([1.0, 2.0]), np.ones((1, 2)), ("max",), "rad/s", "-")
+    curve = Curve(
+        "c", "c", "frequency", np.array([1.0, 2.0]), np.ones((1, 2)), ("max",), "rad/s", "-"
+    )
     from ambrose.report.figures import curves as plots
 
     picture = plots.figure([("</script><script>alert(1)</script>", curve)])
-    text = document.render(Report("t", machine, (Section("s", "", (Figure("</script>", picture),)),)))
+    text = document.render(Page("t", machine, (Section("s", "", (Figure("</script>", picture),)),)))
     assert "<script>alert" not in text
-    assert Page(text).stack == []
+    assert Parsed(text).stack == []
 
 
-def test_written_in_one_step(machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_written_in_one_step(
+    machine: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "report.html"
-    assert document.write(Report("first", machine, (Section("only", "one\n\ntwo"),)), path) == path
+    assert document.write(Page("first", machine, (Section("only", "one\n\ntwo"),)), path) == path
     before = path.read_text(encoding="utf-8")
     assert "<p>one</p>" in before
     assert "<p>two</p>" in before
@@ -170,18 +197,27 @@ def test_written_in_one_step(machine: Machine, tmp_path: Path, monkeypatch: pyte
 
     monkeypatch.setattr(os, "replace", fail)
     with pytest.raises(InvalidInput, match="disk full"):
-        document.write(Report("second", machine, ()), path)
+        document.write(Page("second", machine, ()), path)
     assert path.read_text(encoding="utf-8") == before
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
 
 
 def test_a_missing_folder_is_refused_in_words(machine: Machine, tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match=r"report .*nowhere is not a directory; .*create the folder first"):
-        document.write(Report("t", machine, ()), tmp_path / "nowhere" / "report.html")
+    with pytest.raises(
+        InvalidInput, match=r"report .*nowhere is not a directory; .*create the folder first"
+    ):
+        document.write(Page("t", machine, ()), tmp_path / "nowhere" / "report.html")
 
 
 def test_a_page_without_figures_is_small_and_has_no_script(machine: Machine) -> None:
-    text = document.render(Report("t", machine, (Section("s", "words", (), (Table("x", ("a",), (("1",),)),)),), signatures=()))
+    text = document.render(
+        Page(
+            "t",
+            machine,
+            (Section("s", "words", (), (Table("x", ("a",), (("1",),)),)),),
+            signatures=(),
+        )
+    )
     assert "<script" not in text
     assert len(text) < 20_000
 
@@ -194,31 +230,51 @@ def test_ragged_tables_and_unknown_marks_are_refused() -> None:
 
 
 def test_verdicts_in_plain_words(verifications: list[Checks]) -> None:
-    failed = Check("s", "Output sensitivity", 4.1, "-", 3.0, passed=False, detail="at 41 Hz; beyond the range it falls")
+    failed = Check(
+        "s",
+        "Output sensitivity",
+        4.1,
+        "-",
+        3.0,
+        passed=False,
+        detail="at 41 Hz; beyond the range it falls",
+    )
     good = Check("g", "Gain margin", 2.5, "-", 2.0, ">=", True)
     information = Check("i", "Peak current", 2.5, "A")
     assert tables.verdict(Checks("p", True, (failed, good, information))) == Verdict(
         "p", False, "stable, 1 of 2 checks passed; fails: output sensitivity 4.1 > 3 at 41 Hz"
     )
-    assert tables.verdict(Checks("p", True, (good,))) == Verdict("p", True, "stable, all 1 checks passed")
+    assert tables.verdict(Checks("p", True, (good,))) == Verdict(
+        "p", True, "stable, all 1 checks passed"
+    )
     low = replace(good, value=1.5, passed=False, detail="loop A_zeta")
-    assert tables.verdict(Checks("p", True, (low,))).text.endswith("fails: gain margin 1.5 < 2 (loop A\u00a0ζ)")
+    assert tables.verdict(Checks("p", True, (low,))).text.endswith(
+        "fails: gain margin 1.5 < 2 (loop A\u00a0ζ)"
+    )
     unstable = tables.verdict(Checks("p", False, ()))
     assert (unstable.passed, unstable.symbol) == (False, "✗")
     assert "UNSTABLE" in unstable.text
-    pole = replace(good, limit=0.0, passed=False, detail="pole at 49.2 Hz forward, damping ratio -0.171; pole at 7 Hz planar")
+    pole = replace(
+        good,
+        limit=0.0,
+        passed=False,
+        detail="pole at 49.2 Hz forward, damping ratio -0.171; pole at 7 Hz planar",
+    )
     words = "UNSTABLE: pole at 49.2 Hz forward, damping ratio -0.171; nothing else was evaluated"
     assert tables.verdict(Checks("p", False, (pole,))).text == words
 
 
-def test_overview_has_a_verdict_as_symbol_and_word_for_each_point(verifications: list[Checks]) -> None:
+def test_overview_has_a_verdict_as_symbol_and_word_for_each_point(
+    verifications: list[Checks],
+) -> None:
     unstable = Checks("burst seal", False, ())
     (table,) = tables.overview_tables([*verifications, unstable])
     assert table.columns == ("Quantity", "Limit", *(c.label for c in verifications), "burst seal")
     stability, *rows = table.cells
     assert [cell.mark for cell in stability[2:]] == ["pass", "pass", "pass", "fail"]
     assert {row[-1].text for row in rows} == {"not evaluated"}
-    assert not any("control sensitivity" in row[0].text for row in rows)  # it has no limit: only in the detailed table
+    # it has no limit: only in the detailed table
+    assert not any("control sensitivity" in row[0].text for row in rows)
     assert all(cell.symbol for row in table.cells for cell in row if cell.mark in {"pass", "fail"})
 
 
@@ -231,6 +287,41 @@ def test_many_operating_points_are_cut_into_tables_that_fit(verifications: list[
 
 
 def test_limits_that_differ_stand_beside_the_values() -> None:
-    points = [Checks(f"p{limit}", True, (Check("o", "Orbit", 5e-6, "m", limit, "<=", True),)) for limit in (8e-6, 9e-6)]
+    points = [
+        Checks(f"p{limit}", True, (Check("o", "Orbit", 5e-6, "m", limit, "<=", True),))
+        for limit in (8e-6, 9e-6)
+    ]
     (table,) = tables.overview_tables(points)
-    assert [cell.text.replace("\u00a0", " ") for cell in table.cells[1]] == ["Orbit", "", "5 µm (≤ 8 µm)", "5 µm (≤ 9 µm)"]
+    assert [cell.text.replace("\u00a0", " ") for cell in table.cells[1]] == [
+        "Orbit",
+        "",
+        "5 µm (≤ 8 µm)",
+        "5 µm (≤ 9 µm)",
+    ]
+
+
+def test_every_kind_of_result_with_a_page_names_a_function_that_makes_it() -> None:
+    makers = {**document._MAKERS, **registered("page")}
+    assert {"Exploration", "Trace", "Campaign", "SealHistory", "Acceptance", "Sizing"} <= set(
+        makers
+    )
+    assert all(callable(resolve(place)) for place in makers.values())
+
+
+def test_the_page_of_a_result_is_found_by_its_type(
+    machine: Machine, verifications: list[Checks]
+) -> None:
+    box = replace(verifications[0], label="over all tolerances")
+    verification = Verification(tuple(verifications), (box,), ("standstill",), "continuous")
+    made = document.page_of(verification, machine, date="2031-02-03")
+    assert [verdict.label for verdict in made.verdicts][-1] == "over all tolerances"
+    assert "Over the tolerances" in [section.title for section in made.sections]
+    assert made.result is not None and made.result.passed is verification.passed
+    assert dict(made.facts)["Left out"] == "standstill" and made.date == "2031-02-03"
+
+
+def test_a_result_without_a_page_is_refused_with_those_that_have_one() -> None:
+    with pytest.raises(
+        InvalidInput, match=r"a dict has no page of its own; give one of Acceptance"
+    ):
+        document.page_of({})

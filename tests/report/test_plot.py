@@ -1,4 +1,6 @@
-"""amb.plot: every result has a figure, which shows its numbers in the units of the page; anything else is refused in words."""
+"""amb.plot: every result has a figure, which shows its numbers in the units of the page; anything
+else is refused in words.
+"""
 
 from __future__ import annotations
 
@@ -17,19 +19,19 @@ from ambrose.core.mu.bounds import mu_bounds
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
-from ambrose.evaluation.candidate import Candidate
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
+from ambrose.judge.checks import Checks
+from ambrose.judge.result import Certificate, Status, Synthesis
+from ambrose.judge.verification import Verification
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import reduce
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import reduce
+from ambrose.record.record import Record
 from ambrose.report.figures.bode import entries, grid_of, phase
 from ambrose.report.plot import plot
-from ambrose.simulation.trace import Trace
-from ambrose.synthesis.result import Certificate, Status, Synthesis
-from ambrose.verification.checks import Checks
-from ambrose.verification.verification import Verification
+from ambrose.rig.candidate import Candidate
+from ambrose.rig.trace import Trace
 
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
 
@@ -52,18 +54,36 @@ def record(signals: tuple[str, ...] = ("y_A_zeta", "y_A_eta", "u_A_zeta", "u_A_e
 def identification() -> ParameterEstimate:
     covariance = np.diag([1.0, 4e8])
     return ParameterEstimate(
-        "sample", OperatingPoint(), ("bearing.A.force_per_current", "seal.center.k"), np.array([110.0, 3.1e6]),
-        np.array([100.0, 3.0e6]), covariance, np.eye(2), np.eye(2), ((1, "y_A_zeta", 98.0),), (), 3.0, True, 5, (), "white",
-    )  # fmt: skip
+        "sample",
+        OperatingPoint(),
+        ("bearing.A.force_per_current", "seal.center.k"),
+        np.array([110.0, 3.1e6]),
+        np.array([100.0, 3.0e6]),
+        covariance,
+        np.eye(2),
+        np.eye(2),
+        ((1, "y_A_zeta", 98.0),),
+        (),
+        3.0,
+        True,
+        5,
+        (),
+        "white",
+    )
 
 
 def made(system: StateSpace, scheduled: ScheduledSystem | None = None) -> Synthesis:
-    return Synthesis(system, "pid", 2.0, Status.VERIFIED, Certificate(True, -1.0, 2.0, 10.0), scheduled=scheduled)
+    return Synthesis(
+        system, "pid", 2.0, Status.VERIFIED, Certificate(True, -1.0, 2.0, 10.0), scheduled=scheduled
+    )
 
 
 def text_of(figure: Any) -> str:
     """Everything that the figure says; proves too that it can be written."""
-    return " ".join([figure.layout.title.text, *(note.text for note in figure.layout.annotations)]) + figure.to_json()[:0]
+    return (
+        " ".join([figure.layout.title.text, *(note.text for note in figure.layout.annotations)])
+        + figure.to_json()[:0]
+    )
 
 
 def line(figure: Any, name: str) -> Any:
@@ -78,7 +98,8 @@ def test_a_controller_is_drawn_in_its_units_with_its_phase() -> None:
     assert gain.y[i] == pytest.approx(30.0 / np.sqrt(2), rel=2e-2)
     assert turn.y[i] == pytest.approx(-45.0, abs=1.0)
     assert figure.layout.yaxis.title.text == "Magnitude [A/mm]"
-    assert [trace.name for trace in figure.data if trace.showlegend] == ["A ζ, B ζ", "A η", "B η"]  # equal axes are one line
+    # equal axes are one line
+    assert [trace.name for trace in figure.data if trace.showlegend] == ["A ζ, B ζ", "A η", "B η"]
     assert figure.layout.title.text == "Controller: 4 states, continuous"
 
 
@@ -102,7 +123,9 @@ def test_several_systems_by_name_are_a_map_of_poles_and_zeros() -> None:
 
 def test_a_schedule_shows_its_members() -> None:
     systems = [controller((gain,) * 4) for gain in (1e4, 2e4, 4e4)]
-    figure = plot(made(systems[0], ScheduledSystem(2 * np.pi * np.array([10.0, 20.0, 30.0]), systems)))
+    figure = plot(
+        made(systems[0], ScheduledSystem(2 * np.pi * np.array([10.0, 20.0, 30.0]), systems))
+    )
     shown = [trace for trace in figure.data if trace.showlegend]
     assert [trace.name for trace in shown] == ["10\xa0Hz", "20\xa0Hz", "30\xa0Hz"]
     assert shown[2].y[0] / shown[0].y[0] == pytest.approx(4.0, rel=1e-6)
@@ -115,9 +138,13 @@ def test_systems_of_python_control_are_drawn() -> None:
 
 
 def test_a_response_that_is_not_square_names_its_entries() -> None:
-    response = FrequencyResponse(np.ones((5, 1, 2), complex), np.arange(1.0, 6.0), ("u_a", "u_b"), ("y_a",))
+    response = FrequencyResponse(
+        np.ones((5, 1, 2), complex), np.arange(1.0, 6.0), ("u_a", "u_b"), ("y_a",)
+    )
     assert [item.name for item in entries(response)] == ["u a → y a", "u b → y a"]
-    many = FrequencyResponse(np.ones((5, 3, 4), complex), np.arange(1.0, 6.0), tuple("abcd"), tuple("efg"))
+    many = FrequencyResponse(
+        np.ones((5, 3, 4), complex), np.arange(1.0, 6.0), tuple("abcd"), tuple("efg")
+    )
     assert entries(many)[0].gain == pytest.approx(np.sqrt(12.0) * np.ones(5))
     assert len({trace.yaxis for trace in plot(many).data}) == 1  # no phase
     with pytest.raises(InvalidInput, match="stack"):
@@ -135,7 +162,9 @@ def test_phases_begin_within_a_turn() -> None:
     assert phase(np.array([1j, -1 + 0j]))[1] == pytest.approx(180.0)
 
 
-def test_verifications_show_the_sensitivity_and_name_what_is_unstable(verifications: list[Checks]) -> None:
+def test_verifications_show_the_sensitivity_and_name_what_is_unstable(
+    verifications: list[Checks],
+) -> None:
     lost = replace(verifications[2], stable=False, curves=verifications[2].curves[-1:])
     figure = plot(Verification((*verifications[:2], lost), (), ("standstill",)))
     words = text_of(figure)
@@ -144,9 +173,9 @@ def test_verifications_show_the_sensitivity_and_name_what_is_unstable(verificati
     assert "zone C/D 5" in words
     one = plot(verifications[0])
     curve = verifications[0].curve("sensitivity.output")
-    assert max(max(trace.y) for trace in one.data if trace.mode == "lines" and len(trace.x) > 2) == pytest.approx(
-        curve.y.max(), rel=1e-6
-    )
+    assert max(
+        max(trace.y) for trace in one.data if trace.mode == "lines" and len(trace.x) > 2
+    ) == pytest.approx(curve.y.max(), rel=1e-6)
     poles = plot(replace(verifications[0], curves=(verifications[0].curve("poles"),)))
     assert "poles" in poles.layout.title.text.lower()
     with pytest.raises(InvalidInput, match="no curves"):
@@ -172,7 +201,11 @@ def test_a_machine_and_its_plant(machine: Machine) -> None:
 def test_a_record_shows_its_signals_and_orbits() -> None:
     figure = plot(record())
     words = text_of(figure)
-    assert "half &lt;pressure&gt;" in words and "<b>Displacement</b> [µm]" in words and "<b>Current</b> [A]" in words
+    assert (
+        "half &lt;pressure&gt;" in words
+        and "<b>Displacement</b> [µm]" in words
+        and "<b>Current</b> [A]" in words
+    )
     assert max(figure.data[0].y) == pytest.approx(10.0, rel=1e-3)
     assert figure.layout.yaxis3.scaleanchor == "x3"  # both directions of the orbit to one scale
     alone = plot(record(("y_A_zeta", "u_A_zeta")))
@@ -193,7 +226,10 @@ def test_an_identification_shows_its_intervals() -> None:
 
 def test_candidates_are_compared(verifications: list[Checks], machine: Machine) -> None:
     system = controller()
-    candidates = (Candidate("PID", made(system), tuple(verifications)), Candidate("mu", made(system), (verifications[0],)))
+    candidates = (
+        Candidate("PID", made(system), tuple(verifications)),
+        Candidate("mu", made(system), (verifications[0],)),
+    )
     figure = plot(SimpleNamespace(candidates=candidates, machine=machine))
     assert "<b>PID</b>" in text_of(figure) and "<b>mu</b>" in text_of(figure)
     assert "no controller meets every requirement" in figure.layout.title.text.replace("<br>", " ")
@@ -208,7 +244,9 @@ def test_bounds_of_mu() -> None:
         plot(mu_bounds(np.array([[0.5]]), [RealBlock("k")]))
 
 
-def test_figures_can_be_written_and_stay_within_the_page(verifications: list[Checks], machine: Machine) -> None:
+def test_figures_can_be_written_and_stay_within_the_page(
+    verifications: list[Checks], machine: Machine
+) -> None:
     for thing in (machine, verifications[0], record(), controller(), identification()):
         figure = plot(thing)
         layout = json.loads(figure.to_json())["layout"]

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record.record import Record
-from ambrose.report.run_up import run_up_section
-from ambrose.simulation.run_up import Step
-from ambrose.simulation.trace import Trace
+from ambrose.record.record import Record
+from ambrose.report.study import run_up_section
+from ambrose.rig.run_up import Step
+from ambrose.rig.trace import Trace
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,9 @@ class Run:
 def run(name, settling):
     time = np.arange(2001) * 5e-4
     values = np.array([1e-6 * np.exp(-((time % 0.05) / 0.005)), 0 * time])
-    record = Record("machine", 2000.0, ("y_A_zeta", "u_A_zeta"), ("m", "A"), values, OperatingPoint())
+    record = Record(
+        "machine", 2000.0, ("y_A_zeta", "u_A_zeta"), ("m", "A"), values, OperatingPoint()
+    )
     trace = Trace(record, "spin-up-steps", True, "completed", "completed")
     found = tuple(Step(0.05 * k, 100.0 + k, 1e-6, s, 0) for k, s in enumerate(settling))
     return Run(name, trace, trace, found, found)

@@ -33,7 +33,12 @@ def test_number_has_three_significant_digits(value: float, text: str) -> None:
 def test_every_rounded_number_reads_back_within_half_a_digit() -> None:
     superscripts = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹−", "-0123456789-")
     for value in np.concatenate([np.geomspace(1e-9, 1e12, 301), -np.geomspace(1e-9, 1e12, 57)]):
-        text = units.number(float(value), 4).translate(superscripts).replace("\u202f", "").replace("×10", "e")
+        text = (
+            units.number(float(value), 4)
+            .translate(superscripts)
+            .replace("\u202f", "")
+            .replace("×10", "e")
+        )
         assert float(text) == pytest.approx(value, rel=5.01e-4)
 
 
@@ -64,6 +69,9 @@ def test_a_violated_limit_never_looks_met() -> None:
 
 def test_axes_are_written_as_people_write_them() -> None:
     assert units.axis_name("y_A_zeta") == "y A ζ"
-    assert units.prose("at 83 Hz, loop A_zeta; B_eta_x beta_1") == "at 83 Hz, loop A\u00a0ζ; B_eta_x beta_1"
+    assert (
+        units.prose("at 83 Hz, loop A_zeta; B_eta_x beta_1")
+        == "at 83 Hz, loop A\u00a0ζ; B_eta_x beta_1"
+    )
     assert units.decibel(2.0) == "6.0\u00a0dB"
     assert units.decibel(0.0) == ""

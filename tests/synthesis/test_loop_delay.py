@@ -1,4 +1,6 @@
-"""The delay of the sampled loop in the design model: exact at low frequency, and worth designing for."""
+"""The delay of the sampled loop in the design model: exact at low frequency, and worth designing
+for.
+"""
 
 import numpy as np
 import pytest
@@ -8,12 +10,12 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import select
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import reduce
-from ambrose.plant.timing import Timing
+from ambrose.judge.sampled import check_over_box
+from ambrose.law.design_problem import apply_delay, open_model
+from ambrose.law.timing import Timing
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import reduce
 from ambrose.synthesis.design import design
-from ambrose.synthesis.problem import apply_delay, open_model
-from ambrose.verification.sampled import check_over_box
 
 pytestmark = pytest.mark.study  # minutes
 
@@ -39,12 +41,14 @@ def test_only_the_currents_are_late(plant):
     delay = 1.5e-4
     omega = 2 * np.pi * np.array([1.0, 30.0, 100.0])
     before, after = (
-        frequency_response(select(item.system, item.u, item.y), omega).values for item in (model, apply_delay(model, delay))
+        frequency_response(select(item.system, item.u, item.y), omega).values
+        for item in (model, apply_delay(model, delay))
     )
     turned = before * np.exp(-1j * omega * delay)[:, None, None]
     assert np.abs(after - turned).max() <= 1e-4 * np.abs(before).max()  # 0.004 degrees at 100 Hz
     same = [
-        frequency_response(select(item.system, item.w, item.z), omega).values for item in (model, apply_delay(model, delay))
+        frequency_response(select(item.system, item.w, item.z), omega).values
+        for item in (model, apply_delay(model, delay))
     ]
     np.testing.assert_allclose(same[1], same[0], rtol=1e-9)
     assert apply_delay(model, 0.0) is model

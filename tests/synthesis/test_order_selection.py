@@ -7,13 +7,13 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, UnstableSystem
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import reduce
-from ambrose.plant.timing import Timing
+from ambrose.law.design_problem import apply_delay, design_plant, open_model
+from ambrose.law.timing import Timing
+from ambrose.law.weights import machine_weights
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import reduce
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.order_selection import find_lowest_order, sampled_sensitivity
-from ambrose.synthesis.problem import apply_delay, design_plant, open_model
-from ambrose.synthesis.weights import machine_weights
 
 pytestmark = pytest.mark.study  # minutes
 
@@ -26,10 +26,18 @@ def task():
     plant = assemble(load_machine("seal-rig"))
     weights = machine_weights(plant.machine)
     problem, nominal = (
-        design_plant(apply_delay(open_model(reduce(plant), None, flag), Timing(SAMPLE).lag), weights, uncertain=flag)
+        design_plant(
+            apply_delay(open_model(reduce(plant), None, flag), Timing(SAMPLE).lag),
+            weights,
+            uncertain=flag,
+        )
         for flag in (True, False)
     )
-    return problem, hinf_synthesis(nominal).controller, sampled_sensitivity(reduce(plant, 1), Timing(SAMPLE))
+    return (
+        problem,
+        hinf_synthesis(nominal).controller,
+        sampled_sensitivity(reduce(plant, 1), Timing(SAMPLE)),
+    )
 
 
 def test_reduction_stays_within_the_stated_loss(task):

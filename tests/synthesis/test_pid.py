@@ -8,29 +8,43 @@ import numpy as np
 import pytest
 
 from ambrose import load_machine
+from ambrose.chain.check import springs
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, feedback, select, series, spectral_abscissa
-from ambrose.machine.controller import Channel
-from ambrose.machine.description import Amplifier, MagneticBearing, Notch, PidSettings, Sensor, ShaftSection
+from ambrose.law.filters import chain, lead_lag, low_pass, notch, section_matrix
+from ambrose.law.loop import closed_loop
+from ambrose.machine.controller import Channel, Notch, PidSettings
+from ambrose.machine.description import Amplifier, MagneticBearing
 from ambrose.machine.machine import Machine
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.model import Plant
-from ambrose.plant.reduce import reduce
-from ambrose.stages.plausibility import springs
-from ambrose.synthesis.filters import chain, lead_lag, low_pass, notch, section_matrix
-from ambrose.synthesis.pid import common_sections, modes, pid_controller, pid_synthesis, theta_system
+from ambrose.machine.rotor_model import ShaftSection
+from ambrose.machine.stator import Sensor
+from ambrose.model.assemble import assemble
+from ambrose.model.plant import Plant
+from ambrose.model.reduce import reduce
+from ambrose.synthesis.pid import (
+    common_sections,
+    modes,
+    pid_controller,
+    pid_synthesis,
+    theta_system,
+)
 from eigenvalue_margins import loop_margins, opened
 
 OMEGA = np.geomspace(1e-2, 1e5, 60)
 PLAIN = PidSettings(gain=(18e3,), integral_time=0.2, derivative_time=3.5e-3, derivative_filter=0.1)
-MASS, INERTIA, K_I, K_S = 68.0, 3.1, 150.0, 1.1e6  # kg, kg m2, N/A, N/m
+# kg, kg m2, N/A, N/m
+MASS = 68.0
+INERTIA = 3.1
+K_I = 150.0
+K_S = 1.1e6
 
 
 def machine(bearings=(0.2, 0.66), sensors=(0.15, 0.71), angle=np.pi / 4, tilted=None) -> Machine:
-    """A shaft with two bearings; sensors off the bearings; ``tilted``: another angle for bearing B."""
+    """A shaft with two bearings; sensors off the bearings; ``tilted``: another angle for bearing
+    B.
+    """
     return Machine(
         name="small",
         shaft=(ShaftSection(start=0.0, length=0.86, outer_diameter=0.1),),
@@ -45,7 +59,9 @@ def machine(bearings=(0.2, 0.66), sensors=(0.15, 0.71), angle=np.pi / 4, tilted=
             )
             for name, z in zip("AB", bearings, strict=True)
         ),
-        sensors=tuple(Sensor(bearing=name, position=z) for name, z in zip("AB", sensors, strict=True)),
+        sensors=tuple(
+            Sensor(bearing=name, position=z) for name, z in zip("AB", sensors, strict=True)
+        ),
     )
 
 
@@ -69,11 +85,17 @@ def axis_margins(plant: Plant, controller: StateSpace) -> list[float]:
     """The worst axis' gain margin, gain reduction and phase margin [rad]."""
     loop = series(controller, select(plant.system, plant.named("u"), plant.named("y")))
     rows = [loop_margins(opened(loop, axis)) for axis in range(4)]
-    return [min(r.gain_margin for r in rows), max(r.gain_reduction for r in rows), min(r.phase_margin for r in rows)]
+    return [
+        min(r.gain_margin for r in rows),
+        max(r.gain_reduction for r in rows),
+        min(r.phase_margin for r in rows),
+    ]
 
 
 def rigid_rotor(item: Machine) -> StateSpace:
-    """A rigid rotor, symmetric about the middle between the bearings, u [A] -> y [m]; states x, y, tilts, and their rates."""
+    """A rigid rotor, symmetric about the middle between the bearings, u [A] -> y [m]; states x, y,
+    tilts, and their rates.
+    """
     places = np.array([b.position for b in item.bearings])
     middle = places.mean()
     B, C = np.zeros((8, 4)), np.zeros((4, 8))
@@ -87,9 +109,14 @@ def rigid_rotor(item: Machine) -> StateSpace:
         stiffness += K_S * rows.T @ rows
         C[2 * k : 2 * k + 2, :4] = np.hstack([directions, (sensor.position - middle) * directions])
     A = np.block(
-        [[np.zeros((4, 4)), np.eye(4)], [stiffness / np.array([MASS, MASS, INERTIA, INERTIA])[:, None], np.zeros((4, 4))]]
+        [
+            [np.zeros((4, 4)), np.eye(4)],
+            [stiffness / np.array([MASS, MASS, INERTIA, INERTIA])[:, None], np.zeros((4, 4))],
+        ]
     )
-    return StateSpace(A, B, C, np.zeros((4, 4)), [f"u_{a}" for a in item.axes], [f"y_{a}" for a in item.axes])
+    return StateSpace(
+        A, B, C, np.zeros((4, 4)), [f"u_{a}" for a in item.axes], [f"y_{a}" for a in item.axes]
+    )
 
 
 def formula(settings: PidSettings, s: np.ndarray) -> np.ndarray:
@@ -102,7 +129,11 @@ def formula(settings: PidSettings, s: np.ndarray) -> np.ndarray:
         value = value + T * s / (settings.derivative_filter * T * s + 1)
     for n in settings.notches:
         w = n.frequency
-        value = value * (s**2 + 2 * n.zero_damping * w * s + w**2) / (s**2 + 2 * n.pole_damping * w * s + w**2)
+        value = (
+            value
+            * (s**2 + 2 * n.zero_damping * w * s + w**2)
+            / (s**2 + 2 * n.pole_damping * w * s + w**2)
+        )
     if settings.lead is not None:
         value = value * (s / settings.lead[0] + 1) / (s / settings.lead[1] + 1)
     if settings.low_pass is not None:
@@ -117,13 +148,22 @@ KINDS = {
     "pi": PidSettings(gain=(18e3,), integral_time=0.2),
     "pd": PidSettings(gain=(18e3,), derivative_time=3.5e-3),
     "pid": PLAIN,
-    "four gains": PidSettings(gain=(1e4, 2e4, 3e4, 4e4), integral_time=0.1, derivative_time=2e-3, derivative_filter=0.2),
-    "notches": PidSettings(gain=(18e3,), integral_time=0.2, derivative_time=3.5e-3, notches=NOTCHES),
+    "four gains": PidSettings(
+        gain=(1e4, 2e4, 3e4, 4e4), integral_time=0.1, derivative_time=2e-3, derivative_filter=0.2
+    ),
+    "notches": PidSettings(
+        gain=(18e3,), integral_time=0.2, derivative_time=3.5e-3, notches=NOTCHES
+    ),
     "all": PidSettings(
-        gain=(18e3,), integral_time=0.2, derivative_time=3.5e-3, notches=NOTCHES, lead=(400.0, 4e3), low_pass=1.2e4,
+        gain=(18e3,),
+        integral_time=0.2,
+        derivative_time=3.5e-3,
+        notches=NOTCHES,
+        lead=(400.0, 4e3),
+        low_pass=1.2e4,
         low_pass_damping=0.6,
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -132,7 +172,8 @@ def test_frequency_response_is_the_formula(name):
     response = frequency_response(pid_controller(settings, item), OMEGA)
     gains = np.broadcast_to(settings.gain, 4)
     wanted = formula(settings, 1j * OMEGA)[:, None, None] * np.diag(gains)
-    # relative to the gain: a notch with zero_damping 0 is exactly blocked, so relative to the value would say nothing
+    # relative to the gain: a notch with zero_damping 0 is exactly blocked, so relative to the value
+    # would say nothing
     assert np.abs(response.values - wanted).max() < 1e-9 * np.abs(wanted).max()
     assert response.inputs == ("err_A_zeta", "err_A_eta", "err_B_zeta", "err_B_eta")
     assert response.outputs == ("u_A_zeta", "u_A_eta", "u_B_zeta", "u_B_eta")
@@ -159,7 +200,9 @@ def test_order_has_no_superfluous_states():
 
 
 def test_notch_depth_width_and_far_gain():
-    w, p, z = 3455.0, 0.5, 0.02
+    w = 3455.0
+    p = 0.5
+    z = 0.02
     response = frequency_response(system(notch(w, z, w, p)), [w, w * 1e-4, w * 1e4]).values[:, 0, 0]
     np.testing.assert_allclose(response[0], z / p, rtol=1e-12)
     np.testing.assert_allclose(np.abs(response[1:]), 1.0, rtol=1e-6)
@@ -172,15 +215,19 @@ def test_low_pass_and_lead_at_their_corners():
     np.testing.assert_allclose(low[2], -1e-8, rtol=1e-3)  # second order: -(w/w0)^-2
     middle = np.sqrt(400.0 * 4000.0)
     value = frequency_response(system(lead_lag(400.0, 4000.0)), [middle]).values[0, 0, 0]
-    np.testing.assert_allclose(np.angle(value), np.arcsin(9 / 11), rtol=1e-12)  # the largest lead of a ratio of ten
+    # the largest lead of a ratio of ten
+    np.testing.assert_allclose(np.angle(value), np.arcsin(9 / 11), rtol=1e-12)
     np.testing.assert_allclose(np.abs(value), np.sqrt(10.0), rtol=1e-12)
 
 
 def test_positive_gain_pulls_the_rotor_back():
     item = machine()
-    closed = feedback(series(pid_controller(PLAIN, item), rigid_rotor(item)), StateSpace([], [], [], np.eye(4)))
+    closed = feedback(
+        series(pid_controller(PLAIN, item), rigid_rotor(item)), StateSpace([], [], [], np.eye(4))
+    )
     assert np.linalg.eigvals(closed.A).real.max() < 0
-    # static stiffness per axis: k_i K_p - k_s; just above the limit the rigid rotor is held, just below it falls
+    # static stiffness per axis: k_i K_p - k_s; just above the limit the rigid rotor is held, just
+    # below it falls
     for factor, held in ((1.02, True), (0.98, False)):
         damped = PidSettings(gain=(factor * K_S / K_I,), derivative_time=3.5e-3)
         item = machine(sensors=(0.2, 0.66))
@@ -194,22 +241,35 @@ def test_tilt_translate_is_decentralised_control_for_collocated_sensors(tilted):
     item = machine(sensors=(0.2, 0.66), tilted=tilted)
     into, out = modes(item)
     np.testing.assert_allclose(out @ into, np.eye(4), atol=1e-14)
-    settings = PidSettings(gain=(1e4, 2e4, 3e4, 4e4), derivative_time=2e-3, coordinates="tilt-translate")
-    both = [frequency_response(pid_controller(s, item), OMEGA).values for s in (settings, PidSettings(
-        gain=settings.gain, derivative_time=2e-3))]  # fmt: skip
+    settings = PidSettings(
+        gain=(1e4, 2e4, 3e4, 4e4), derivative_time=2e-3, coordinates="tilt-translate"
+    )
+    both = [
+        frequency_response(pid_controller(s, item), OMEGA).values
+        for s in (settings, PidSettings(gain=settings.gain, derivative_time=2e-3))
+    ]
     np.testing.assert_allclose(both[0], both[1], atol=1e-9 * np.abs(both[1]).max())
 
 
 @pytest.mark.parametrize("tilt_gain", [0.4, 1.0, 1.7])
-@pytest.mark.parametrize("sensors", [(0.2, 0.66), (0.15, 0.71), (0.1, 0.64)], ids=["collocated", "outside", "one-sided"])
+@pytest.mark.parametrize(
+    "sensors", [(0.2, 0.66), (0.15, 0.71), (0.1, 0.64)], ids=["collocated", "outside", "one-sided"]
+)
 def test_tilt_translate_decouples_a_symmetric_rigid_rotor_exactly(sensors, tilt_gain):
-    """Parallel motion answers with force and no moment, tilting with moment and no force, wherever the sensors sit."""
+    """Parallel motion answers with force and no moment, tilting with moment and no force, wherever
+    the sensors sit.
+    """
     item = machine(sensors=sensors, tilted=0.3)
     settings = PidSettings(
-        gain=(18e3,), integral_time=0.2, derivative_time=3.5e-3, coordinates="tilt-translate", tilt_gain=tilt_gain
+        gain=(18e3,),
+        integral_time=0.2,
+        derivative_time=3.5e-3,
+        coordinates="tilt-translate",
+        tilt_gain=tilt_gain,
     )
     rotor = rigid_rotor(item)
-    # from rigid coordinates (x, y, tilt x, tilt y) through sensors, controller and magnets back to force and moment
+    # from rigid coordinates (x, y, tilt x, tilt y) through sensors, controller and magnets back to
+    # force and moment
     weights = np.diag([MASS, MASS, INERTIA, INERTIA])
     K = frequency_response(pid_controller(settings, item), OMEGA).values
     action = weights @ rotor.B[4:] @ K @ rotor.C[:, :4]
@@ -223,13 +283,19 @@ def test_tilt_gain_moves_the_conical_poles_only():
     item = machine()
 
     def poles(tilt_gain: float) -> np.ndarray:
-        settings = PidSettings(gain=(18e3,), derivative_time=3.5e-3, coordinates="tilt-translate", tilt_gain=tilt_gain)
+        settings = PidSettings(
+            gain=(18e3,), derivative_time=3.5e-3, coordinates="tilt-translate", tilt_gain=tilt_gain
+        )
         loop = series(pid_controller(settings, item), rigid_rotor(item))
         return np.linalg.eigvals(loop.A - loop.B @ loop.C)
 
     # parallel mode: m s^2 = 2 k_s - 2 k_i K(s), K = K_p (1 + T_d s/(eps T_d s + 1))
     T, e = 3.5e-3, 0.1
-    parallel = np.roots(np.polyadd(np.polymul([MASS, 0, -2 * K_S], [e * T, 1]), 2 * K_I * 18e3 * np.array([(1 + e) * T, 1])))
+    parallel = np.roots(
+        np.polyadd(
+            np.polymul([MASS, 0, -2 * K_S], [e * T, 1]), 2 * K_I * 18e3 * np.array([(1 + e) * T, 1])
+        )
+    )
     for tilt_gain in (0.8, 1.6):
         found = poles(tilt_gain)
         assert max(np.abs(found - p).min() for p in parallel) < 1e-6 * np.abs(parallel).max()
@@ -264,17 +330,23 @@ class TestSynthesize:
         assert result.controller.inputs == ("err_A_zeta", "err_A_eta", "err_B_zeta", "err_B_eta")
         closed = closed_loop(plant, result.controller)
         assert result.certificate.stable
-        np.testing.assert_allclose(result.certificate.spectral_abscissa, spectral_abscissa(closed), rtol=1e-6)
+        np.testing.assert_allclose(
+            result.certificate.spectral_abscissa, spectral_abscissa(closed), rtol=1e-6
+        )
         axes = plant.axes
         omega = np.geomspace(1, 1e4, 4001)
-        sensitivity = frequency_response(select(closed, [f"d_{a}" for a in axes], [f"y_{a}" for a in axes]), omega)
+        sensitivity = frequency_response(
+            select(closed, [f"d_{a}" for a in axes], [f"y_{a}" for a in axes]), omega
+        )
         peak = sensitivity.max_singular_value().max()
         np.testing.assert_allclose(result.certificate.closed_loop_norm, peak, rtol=1e-4)
         assert result.certificate.plant == "small, standstill, 12 states"
 
     def test_full_and_reduced_plant_give_the_same_margins(self):
-        """The finite-element plant, with poles to 7e5 rad/s, and the one with three bending modes; the rigid rotor promises
-        four times the gain margin, for it is the first bending mode that limits it."""
+        """The finite-element plant, with poles to 7e5 rad/s, and the one with three bending modes;
+        the rigid rotor promises four times the gain margin, for it is the first bending mode that
+        limits it.
+        """
         plants = assemble(levitating()), rig(3), rig()
         full, reduced, _ = (pid_synthesis(plant).certificate.margins for plant in plants)
         assert full == {name: pytest.approx(value, rel=1e-5) for name, value in reduced.items()}
@@ -299,7 +371,11 @@ class TestSynthesize:
         quick = pid_synthesis(rig(), replace(PLAIN, sample_time=5e-5, delay=5e-5))
         assert quick.status == "verified"
         peaks = quick.certificate.margins
-        assert peaks["sensitivity_peak"] < peaks["sampled_sensitivity_peak"] < 1.5 * peaks["sensitivity_peak"]
+        assert (
+            peaks["sensitivity_peak"]
+            < peaks["sampled_sensitivity_peak"]
+            < 1.5 * peaks["sensitivity_peak"]
+        )
 
     def test_no_settings_at_all(self):
         plant = rig()
@@ -312,14 +388,26 @@ BAD = {
     "number of gains": (PidSettings(gain=(1e4, 2e4)), "gain is a list of 2"),
     "NaN gain": (PidSettings(gain=(float("nan"),)), "gain"),
     "integral time": (PidSettings(gain=(1e4,), integral_time=0.0), "integral_time is 0"),
-    "derivative time": (PidSettings(gain=(1e4,), derivative_time=-1e-3), "derivative_time is -0.001"),
-    "derivative filter": (PidSettings(gain=(1e4,), derivative_time=1e-3, derivative_filter=0.0), "pure derivative"),
-    "notch frequency": (PidSettings(gain=(1e4,), notches=(Notch(-1.0, 0.5, 0.1),)), "zero_frequency is -1"),
+    "derivative time": (
+        PidSettings(gain=(1e4,), derivative_time=-1e-3),
+        "derivative_time is -0.001",
+    ),
+    "derivative filter": (
+        PidSettings(gain=(1e4,), derivative_time=1e-3, derivative_filter=0.0),
+        "pure derivative",
+    ),
+    "notch frequency": (
+        PidSettings(gain=(1e4,), notches=(Notch(-1.0, 0.5, 0.1),)),
+        "zero_frequency is -1",
+    ),
     "notch damping": (PidSettings(gain=(1e4,), notches=(Notch(1e3, 0.0, 0.1),)), "pole_damping"),
     "lead": (PidSettings(gain=(1e4,), lead=(0.0, 1e3)), "zero_frequency is 0"),
     "low pass": (PidSettings(gain=(1e4,), low_pass=-2.0), "low-pass.*frequency is -2"),
     "coordinates": (PidSettings(gain=(1e4,), coordinates="modal"), "tilt-translate"),
-    "tilt gain": (PidSettings(gain=(1e4,), coordinates="tilt-translate", tilt_gain=float("inf")), "tilt_gain"),
+    "tilt gain": (
+        PidSettings(gain=(1e4,), coordinates="tilt-translate", tilt_gain=float("inf")),
+        "tilt_gain",
+    ),
 }
 
 
@@ -336,7 +424,8 @@ def test_tilt_translate_needs_two_planes():
     with pytest.raises(InvalidInput, match="sensor positions"):
         pid_controller(settings, machine(sensors=(0.4, 0.4)))
     one = replace(item, bearings=item.bearings[:1], sensors=item.sensors[:1])
-    parallel = pid_controller(replace(settings, coordinates="axes"), one)  # there is nothing but translation
+    # there is nothing but translation
+    parallel = pid_controller(replace(settings, coordinates="axes"), one)
     np.testing.assert_allclose(pid_controller(settings, one).D, parallel.D, rtol=0, atol=1e-8)
 
 
@@ -345,7 +434,9 @@ MODAL = PidSettings(gain=(2e4,), derivative_time=2e-3, coordinates="tilt-transla
 
 
 def rigid(machine, places, directions):
-    """What a unit translation and a unit tilt about the middle bearing show at places along directions, (2 n, 4)."""
+    """What a unit translation and a unit tilt about the middle bearing show at places along
+    directions, (2 n, 4).
+    """
     lever = np.array(places) - machine.bearings[1].position
     rows = []
     for z, angle in zip(lever, directions, strict=True):
@@ -357,7 +448,9 @@ def rigid(machine, places, directions):
 @pytest.mark.parametrize("turn", [0.0, 0.4])
 def test_three_bearings_answer_a_rigid_motion_as_axes_do(turn):
     """Also with sensors off the bearings and turned; the forces are the least that answer it."""
-    sensors = tuple(replace(s, angle=b.angle + turn) for s, b in zip(TRAIN.sensors, TRAIN.bearings, strict=True))
+    sensors = tuple(
+        replace(s, angle=b.angle + turn) for s, b in zip(TRAIN.sensors, TRAIN.bearings, strict=True)
+    )
     train = replace(TRAIN, sensors=sensors)
     seen = rigid(train, [s.position for s in train.sensors], [s.angle for s in train.sensors])
     moved = rigid(train, [b.position for b in train.bearings], [b.angle for b in train.bearings])
@@ -375,17 +468,27 @@ def gain_of(settings):
 
 
 def test_sensors_at_three_bearings_and_equal_chains_are_axes():
-    train = replace(TRAIN, sensors=tuple(
-        replace(s, position=b.position) for s, b in zip(TRAIN.sensors, TRAIN.bearings, strict=True)
-    ))  # fmt: skip
+    train = replace(
+        TRAIN,
+        sensors=tuple(
+            replace(s, position=b.position)
+            for s, b in zip(TRAIN.sensors, TRAIN.bearings, strict=True)
+        ),
+    )
     bent = Channel(("bend_1_x", "bend_1_y"), MODAL.gain[0], common_sections(MODAL))
     whole = pid_controller(replace(MODAL, tilt_gain=1.0, channels=(bent,)), train).D
-    np.testing.assert_allclose(whole, gain_of(MODAL) * np.eye(6), rtol=0, atol=1e-9 * gain_of(MODAL))
-    assert springs(replace(train, controller=replace(MODAL, tilt_gain=1.0, channels=(bent,)))).keys() == {"DE", "MID", "NDE"}
+    np.testing.assert_allclose(
+        whole, gain_of(MODAL) * np.eye(6), rtol=0, atol=1e-9 * gain_of(MODAL)
+    )
+    assert springs(
+        replace(train, controller=replace(MODAL, tilt_gain=1.0, channels=(bent,)))
+    ).keys() == {"DE", "MID", "NDE"}
 
 
 def test_the_train_is_held_in_translation_and_tilt():
-    """The shaft holds what is left, better than the PID of the axes: three bearings, four channels."""
+    """The shaft holds what is left, better than the PID of the axes: three bearings, four
+    channels.
+    """
     settings = replace(TRAIN.controller, coordinates="tilt-translate", gain=(20e3,))
     closed = closed_loop(assemble(TRAIN), pid_controller(settings, TRAIN))
     assert spectral_abscissa(closed) < -10

@@ -1,4 +1,6 @@
-"""The time limit counts computing, not waiting; a synthesis that ended early says so wherever its result is shown."""
+"""The time limit counts computing, not waiting; a synthesis that ended early says so wherever its
+result is shown.
+"""
 
 from __future__ import annotations
 
@@ -14,17 +16,19 @@ from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.core.lft import FullBlock, GeneralizedPlant
 from ambrose.core.statespace import StateSpace
-from ambrose.plant.assemble import assemble
+from ambrose.core.time_limit import TimeLimit
+from ambrose.model.assemble import assemble
 from ambrose.synthesis import design
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.pid import pid_synthesis
-from ambrose.synthesis.time_limit import TimeLimit
 
 
 @pytest.fixture
 def skipped(monkeypatch):
     """Seconds by which each clock is put forward: {"computed": s, "wall": s}."""
-    ahead, computed, wall = {"computed": 0.0, "wall": 0.0}, time.thread_time, time.monotonic
+    ahead = {"computed": 0.0, "wall": 0.0}
+    computed = time.thread_time
+    wall = time.monotonic
     monkeypatch.setattr(time, "thread_time", lambda: computed() + ahead["computed"])
     monkeypatch.setattr(time, "monotonic", lambda: wall() + ahead["wall"])
     return ahead
@@ -33,7 +37,9 @@ def skipped(monkeypatch):
 def test_waiting_does_not_count_but_five_times_the_limit_is_the_end(skipped):
     clock = TimeLimit(1e4)
     skipped["wall"] += 4.5e4
-    assert clock.left == pytest.approx(5e3, abs=10) and clock.elapsed == pytest.approx(4.5e4, abs=10)
+    assert clock.left == pytest.approx(5e3, abs=10) and clock.elapsed == pytest.approx(
+        4.5e4, abs=10
+    )
     skipped["wall"] += 0.5e4
     assert clock.left <= 0 and "5 times the time limit of 10000 s" in clock.reached
 
@@ -43,7 +49,10 @@ def test_computing_counts(skipped):
     skipped["computed"] += 9e3
     assert clock.left == pytest.approx(1e3, abs=10)
     skipped["computed"] += 1e3
-    assert clock.left <= 0 and clock.reached == "the time limit of 10000 s was reached; raise time_limit"
+    assert (
+        clock.left <= 0
+        and clock.reached == "the time limit of 10000 s was reached; raise time_limit"
+    )
 
 
 def test_computing_of_other_threads_does_not_count():
@@ -52,7 +61,9 @@ def test_computing_of_other_threads_does_not_count():
 
     clock = TimeLimit(1000.0)
     before = clock.left
-    other = threading.Thread(target=lambda: np.linalg.eigvals(np.random.default_rng(0).standard_normal((200, 200))))
+    other = threading.Thread(
+        target=lambda: np.linalg.eigvals(np.random.default_rng(0).standard_normal((200, 200)))
+    )
     other.start()
     other.join()
     assert before - clock.left < 0.02
@@ -69,12 +80,16 @@ def problem() -> GeneralizedPlant:
     C = [[0.0, 0.0], [1.0, 0.0], [0.0, 0.0], [-1.0, 0.0]]
     D = [[0.0, 0.0, 0.3], [0.0, 1.0, 0.0], [0.0, 0.0, 0.1], [0.0, -1.0, 0.0]]
     system = StateSpace(A, B, C, D, ["w", "r", "u"], ["z", "e", "v", "y"])
-    return GeneralizedPlant(system, ["w", "r"], ["u"], ["z", "e", "v"], ["y"], [FullBlock("gain", 1, 1)])
+    return GeneralizedPlant(
+        system, ["w", "r"], ["u"], ["z", "e", "v"], ["y"], [FullBlock("gain", 1, 1)]
+    )
 
 
 @pytest.mark.campaign
 def test_mu_on_a_busy_machine_returns_what_it_returns_on_an_idle_one(skipped):
-    """A wait of most of the limit at every line of progress; before, the iteration ended after its first controller."""
+    """A wait of most of the limit at every line of progress; before, the iteration ended after its
+    first controller.
+    """
 
     def wait(text: str) -> None:
         skipped["wall"] += 15.0
@@ -86,20 +101,35 @@ def test_mu_on_a_busy_machine_returns_what_it_returns_on_an_idle_one(skipped):
     assert len(busy.history) == len(idle.history) == 2
     np.testing.assert_array_equal(busy.controller.A, idle.controller.A)
     skipped["wall"] = 0.0
-    late = mu_synthesis(problem(), iterations=4, time_limit=5.0, progress=wait)  # the outer guard, at 25 s
-    assert "5 times the time limit of 5 s passed" in late.stopped_early and late.status == "verified"
+    # the outer guard, at 25 s
+    late = mu_synthesis(problem(), iterations=4, time_limit=5.0, progress=wait)
+    assert (
+        "5 times the time limit of 5 s passed" in late.stopped_early and late.status == "verified"
+    )
 
 
 def stopped(result):
-    return replace(result, stopped_early="after iteration 1, the time limit of 120 s was reached; raise time_limit")
+    return replace(
+        result,
+        stopped_early="after iteration 1, the time limit of 120 s was reached; raise time_limit",
+    )
 
 
 def test_the_title_of_ambrose_synthesize_says_it_and_the_exit_status_stays(monkeypatch, tmp_path):
-    monkeypatch.setattr(design, "design", lambda plant, method, **_: stopped(replace(pid_synthesis(plant), method=method)))
-    done = CliRunner().invoke(main, ["synthesize", "seal-rig", "--method", "mu", "-o", str(tmp_path / "c.json")])
+    monkeypatch.setattr(
+        design,
+        "design",
+        lambda plant, method, **_: stopped(replace(pid_synthesis(plant), method=method)),
+    )
+    done = CliRunner().invoke(
+        main, ["synthesize", "seal-rig", "--method", "mu", "-o", str(tmp_path / "c.json")]
+    )
     assert done.exit_code == 0, done.stderr
     title = done.stdout.split("┏")[0]
-    assert "mu controller, STOPPED EARLY: verified, but stopped early: after iteration 1" in " ".join(title.split())
+    assert (
+        "mu controller, STOPPED EARLY: verified, but stopped early: after iteration 1"
+        in " ".join(title.split())
+    )
 
 
 @pytest.mark.campaign

@@ -1,16 +1,23 @@
-"""Tuning of the control weight: on syntheses whose gain is known as a function of the weight, and with H-infinity."""
+"""Tuning of the control weight: on syntheses whose gain is known as a function of the weight, and
+with H-infinity.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from benchmarks.published_p5 import published_p5, published_p5_data, published_p5_pid, published_p5_weights
+from benchmarks.published_p5 import (
+    published_p5,
+    published_p5_data,
+    published_p5_pid,
+    published_p5_weights,
+)
 
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import StateSpace, static_gain
+from ambrose.judge.result import Certificate, Synthesis
 from ambrose.synthesis.pid import axes_controller
-from ambrose.synthesis.result import Certificate, Synthesis
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch, tune_control_weight
 
 AXES = tuple(published_p5_data()["axes"])
@@ -19,10 +26,15 @@ LEVEL = 0.315
 
 
 def fake(gain_of_level, calls=None, fails_above=np.inf):
-    """A synthesis that returns gain_of_level(W_u) times REFERENCE; W_u is read from the problem's z2/u feedthrough."""
+    """A synthesis that returns gain_of_level(W_u) times REFERENCE; W_u is read from the problem's
+    z2/u feedthrough.
+    """
 
     def synthesize(problem: GeneralizedPlant) -> Synthesis:
-        row, column = problem.system.outputs.index("z2_A_zeta"), problem.system.inputs.index("u_A_zeta")
+        row, column = (
+            problem.system.outputs.index("z2_A_zeta"),
+            problem.system.inputs.index("u_A_zeta"),
+        )
         level = float(problem.system.D[row, column])
         if calls is not None:
             calls.append(level)
@@ -35,7 +47,9 @@ def fake(gain_of_level, calls=None, fails_above=np.inf):
 
 
 def tune(synthesize, **options):
-    return tune_control_weight(published_p5(), published_p5_weights(), REFERENCE, synthesize, **options)
+    return tune_control_weight(
+        published_p5(), published_p5_weights(), REFERENCE, synthesize, **options
+    )
 
 
 @pytest.mark.parametrize(
@@ -67,7 +81,9 @@ def test_stops_at_once_when_the_gains_agree():
 
 
 def test_says_when_the_gains_cannot_be_matched():
-    """A gain that stays 20 % low whatever the weight: the nearest is returned, marked, within the allowed syntheses."""
+    """A gain that stays 20 % low whatever the weight: the nearest is returned, marked, within the
+    allowed syntheses.
+    """
     found = tune(fake(lambda level: 0.8 / (1 + level)), max_syntheses=6)
     assert not found.converged
     assert found.mismatch == max(row["mismatch"] for row in found.history) < np.log(0.8)
@@ -86,7 +102,9 @@ def test_failure_of_the_first_synthesis_is_not_hidden():
 
 
 def test_mismatch_of_a_first_order_lag():
-    """ln|1/(1 + jw/p)| has a mean and a mean square that the grid must give; axes count alike, cross terms not at all."""
+    """ln|1/(1 + jw/p)| has a mean and a mean square that the grid must give; axes count alike,
+    cross terms not at all.
+    """
     high, pole = 400.0, 80.0
     lag = StateSpace(-pole * np.eye(2), pole * np.eye(2), [[2.0, 0], [0.5, 1.0]], np.zeros((2, 2)))
     omega = np.geomspace(high / 200, high, 60)
@@ -98,7 +116,9 @@ def test_mismatch_of_a_first_order_lag():
 
 def test_mismatch_of_scaled_pid_controllers():
     controllers = [axes_controller(published_p5_pid(gain), AXES) for gain in (18000.0, 36000.0)]
-    assert direct_gain_mismatch(controllers[1], controllers[0]) == pytest.approx((np.log(2), np.log(2)))
+    assert direct_gain_mismatch(controllers[1], controllers[0]) == pytest.approx(
+        (np.log(2), np.log(2))
+    )
 
 
 def test_refusals():

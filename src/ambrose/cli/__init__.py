@@ -1,8 +1,8 @@
-"""The `ambrose` command. Exit status: 0 done and all required checks passed, 1 done but a check failed, 2 bad input,
-130 interrupted.
+"""The `ambrose` command. Exit status: 0 done and all required checks passed, 1 done but a check
+failed, 2 bad input, 130 interrupted.
 
-Results go to standard output (with --json exactly one JSON object, also where the input is refused: its error and status),
-progress and errors to standard error.
+Results go to standard output (with --json exactly one JSON object, also where the input is refused:
+its error and status), progress and errors to standard error.
 """
 
 from __future__ import annotations
@@ -14,42 +14,55 @@ from typing import Any, NoReturn
 import click
 from click.exceptions import NoArgsIsHelpError
 
-from ambrose.cli.campaign import campaign
 from ambrose.cli.check import check, machines, scenarios
 from ambrose.cli.convert import convert
 from ambrose.cli.convert_controller import convert_controller
 from ambrose.cli.export import export
+from ambrose.cli.identify import identify
 from ambrose.cli.map import map_command
 from ambrose.cli.new import new
-from ambrose.cli.records.accept import accept
-from ambrose.cli.records.balance import balance
-from ambrose.cli.records.bias import bias
-from ambrose.cli.records.calibrate import calibrate
-from ambrose.cli.records.frf import frf
-from ambrose.cli.records.identify import identify
-from ambrose.cli.records.monitor import monitor
-from ambrose.cli.records.seal import seal
+from ambrose.cli.seal import seal
 from ambrose.cli.simulate import simulate
-from ambrose.cli.size import size
 from ambrose.cli.study import study_command
 from ambrose.cli.synthesize import synthesize
-from ambrose.cli.terminal import say, say_json, streams_settled
 from ambrose.cli.trade_off import trade_off
 from ambrose.cli.verify import verify
 from ambrose.machine.messages import BULLET
+from ambrose.registry import registered, resolve
+from ambrose.terminal import say, say_json, streams_settled
 from ambrose.version import __version__
 
 
 class AmbroseCommand(click.Group):
-    """Turns every refusal of the package, and every file that cannot be used, into one message and exit status 2."""
+    """Turns every refusal of the package, and every file that cannot be used, into one message and
+    exit status 2.
+    """
 
-    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
         """Names of two words, too."""
         two = " ".join(args[:2])
         return super().resolve_command(ctx, [two, *args[2:]] if two in self.commands else args)
 
-    def main(self, args: Any = None, prog_name: Any = None, *, standalone_mode: bool = True, **extra: Any) -> Any:  # type: ignore[override]
-        # Before numpy is loaded: at these sizes (some hundred states) BLAS threads cost more than they bring.
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The commands by what they are for, each group in its own order."""
+        width = max(len(name) for name in self.commands)
+        room = formatter.width - 6 - width
+        for title, commands in GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl(
+                    [
+                        (f"{name:{width}}", command.get_short_help_str(room))
+                        for name, command in commands.items()
+                    ]
+                )
+
+    def main(  # type: ignore[override]
+        self, args: Any = None, prog_name: Any = None, *, standalone_mode: bool = True, **extra: Any
+    ) -> Any:
+        # Before numpy is loaded: at these sizes (some hundred states) BLAS threads cost more than
+        # they bring.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         if not standalone_mode:
             return super().main(args, prog_name, standalone_mode=False, **extra)
@@ -59,7 +72,10 @@ class AmbroseCommand(click.Group):
                 status = super().main(args, prog_name, standalone_mode=False, **extra)
             except OSError as error:
                 remedy = "check that it exists, may be read or written, and has room"
-                stop(f"{error.filename or 'file'}: {error.strerror or error}; {remedy}", as_json=as_json)
+                stop(
+                    f"{error.filename or 'file'}: {error.strerror or error}; {remedy}",
+                    as_json=as_json,
+                )
             except (KeyboardInterrupt, click.Abort):
                 stop("interrupted; what was finished before stays on disk", 130, as_json=as_json)
             except click.ClickException as error:
@@ -74,7 +90,8 @@ class AmbroseCommand(click.Group):
                         say_json({"error": error.format_message(), "status": 2}, unless_said=True)
                 sys.exit(2)
             except Exception as error:
-                from ambrose.core.checks import AmbroseError  # with numpy, which --help does without
+                # with numpy, which --help does without
+                from ambrose.core.checks import AmbroseError
 
                 if not isinstance(error, AmbroseError):
                     raise
@@ -95,35 +112,35 @@ def stop(message: str, status: int = 2, *, as_json: bool = False) -> NoReturn:
 @click.group(cls=AmbroseCommand, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="ambrose")
 def main() -> None:
-    """Rotors on active magnetic bearings with destabilising seal forces: model, control, verification, report.
+    """Rotors on active magnetic bearings with destabilising seal forces: model, control,
+    verification, report.
 
     MACHINE is a machine file (*.toml) or the name of a bundled machine; see `ambrose machines`.
     """
 
 
-for command in (
-    machines,
-    scenarios,
-    new,
-    check,
-    synthesize,
-    trade_off,
-    size,
-    verify,
-    map_command,
-    simulate,
-    identify,
-    frf,
-    seal,
-    bias,
-    monitor,
-    calibrate,
-    balance,
-    accept,
-    convert,
-    export,
-    study_command,
-    campaign,
-):
-    main.add_command(command)
-main.add_command(convert_controller, "convert controller")
+# the commands by what they are for; annexes add theirs
+GROUPS: dict[str, dict[str, click.Command]] = {
+    "Design": {
+        "machines": machines,
+        "scenarios": scenarios,
+        "new": new,
+        "check": check,
+        "synthesize": synthesize,
+        "verify": verify,
+        "simulate": simulate,
+        "export": export,
+        "study": study_command,
+    },
+    "Site": {
+        "identify": identify,
+        "convert": convert,
+        "convert controller": convert_controller,
+    },
+    "Research": {"trade-off": trade_off, "map": map_command, "seal": seal},
+}
+for title, commands in GROUPS.items():
+    for name, place in registered(f"{title.lower()} command").items():
+        commands[name] = resolve(place)
+    for name, command in commands.items():
+        main.add_command(command, name)

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from ambrose.cli.terminal import AS_JSON, MACHINE, load, print_table, say, say_json
+from ambrose.terminal import AS_JSON, MACHINE, load, print_table, say, say_json
 
 
 @click.command()
@@ -28,7 +28,7 @@ def machines(as_json: bool) -> None:
 @AS_JSON
 def scenarios(name: str | None, as_json: bool) -> None:
     """List the bundled scenarios, or print the file of the one called NAME, to copy and change."""
-    from ambrose.simulation.scenario import bundled_scenarios, scenario_text
+    from ambrose.rig.scenario import bundled_scenarios, scenario_text
 
     known = bundled_scenarios()
     if name is not None:
@@ -49,12 +49,13 @@ def scenarios(name: str | None, as_json: bool) -> None:
 @MACHINE
 @AS_JSON
 def check(machine: str, as_json: bool) -> None:
-    """Validate a machine file, and say what it can do: mass, magnets against weight, bending, poles, critical speeds.
+    """Validate a machine file, and say what it can do: mass, magnets against weight, bending,
+    poles, critical speeds.
 
-    What is implausible (a length without its unit, a magnet that cannot lift, a gain below k_s/k_i) is said with its remedy,
-    and the exit status is 1.
+    What is implausible (a length without its unit, a magnet that cannot lift, a gain below k_s/k_i)
+    is said with its remedy, and the exit status is 1.
     """
-    from ambrose.stages.plants import facts
+    from ambrose.chain.plants import facts
 
     known = facts(load(machine))
     if as_json:
@@ -82,13 +83,25 @@ def _facts_in_words(facts: dict[str, Any]) -> list[tuple[str, str]]:
             f"{facts['diametral_inertia_kg_m2']:.4g} and {facts['polar_inertia_kg_m2']:.4g} kg m²",
         ),
         *(_bearing(item) for item in facts["bearings"]),
-        ("static stiffness margin, K_p k_i / k_s", "no reference controller" if margin is None else f"{margin:.3g}"),
-        ("critical speeds, undamped", ", ".join(quantity(w, "rad/s") for w in facts["critical_speeds_rad_s"]) or "none"),
+        (
+            "static stiffness margin, K_p k_i / k_s",
+            "no reference controller" if margin is None else f"{margin:.3g}",
+        ),
+        (
+            "critical speeds, undamped",
+            ", ".join(quantity(w, "rad/s") for w in facts["critical_speeds_rad_s"]) or "none",
+        ),
         ("least sensitivity that the delay allows", f"{facts['least_sensitivity']:.3g}"),
         ("free-free bending", ", ".join(quantity(w, "rad/s") for w in facts["bending_rad_s"])),
         ("unstable open-loop poles", f"{unstable} rad/s" if unstable else "none"),
-        ("rotor states, full and reduced", f"{facts['rotor_states']} and {facts['reduced_rotor_states']}"),
-        ("plant states, full and reduced", f"{facts['plant_states']} and {facts['reduced_plant_states']}"),
+        (
+            "rotor states, full and reduced",
+            f"{facts['rotor_states']} and {facts['reduced_rotor_states']}",
+        ),
+        (
+            "plant states, full and reduced",
+            f"{facts['plant_states']} and {facts['reduced_plant_states']}",
+        ),
         ("operating points", ", ".join(facts["operating_points"])),
         ("uncertain parameters", ", ".join(facts["tolerances"]) or "none"),
         ("assumed entries", f"{facts['assumed']}, listed with their reasons in the report"),
@@ -99,4 +112,7 @@ def _bearing(item: dict[str, Any]) -> tuple[str, str]:
     force = f"{item['max_force']:.4g} N for {item['weight']:.4g} N of the weight"
     if item["current"]:
         force += f", which takes {item['current']:.3g} A"
-    return f"bearing {item['name']}", f"k_i {item['k_i']:.4g} N/A, k_s {item['k_s'] / 1e6:.4g} N/um, {force}"
+    return (
+        f"bearing {item['name']}",
+        f"k_i {item['k_i']:.4g} N/A, k_s {item['k_s'] / 1e6:.4g} N/um, {force}",
+    )

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import click
 
-from ambrose.cli.terminal import (
+from ambrose.terminal import (
     AS_JSON,
     DELAY,
     MACHINE,
     RATE,
     claim,
-    kept,
+    kept_page,
     load,
     load_controller,
     print_table,
@@ -22,37 +22,64 @@ from ambrose.cli.terminal import (
     say_json,
 )
 
-PARTS = ("poles", "campbell", "pulses", "unbalance")  # evaluation/family.py, which is not imported for --help
+# evaluation/family.py, which is not imported for --help
+PARTS = ("poles", "campbell", "pulses", "unbalance")
 
 
 @click.command("map")
 @MACHINE
-@click.option("--controller", type=click.Path(path_type=Path), required=True, help="A controller file (*.json).")
-@click.option("--what", type=click.Choice(PARTS), multiple=True, help="Only this (repeatable); default: all.")
-@click.option("--point", help="Label of an operating point, or its beginning; default: the design point.")
-@click.option("--pressure-bar", nargs=2, type=float, default=None, help="Poles over this range of the seal pressure.")
-@click.option("--speed-rpm", nargs=2, type=float, default=None, help="Poles over this range of the speed.")
+@click.option(
+    "--controller",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="A controller file (*.json).",
+)
+@click.option(
+    "--what", type=click.Choice(PARTS), multiple=True, help="Only this (repeatable); default: all."
+)
+@click.option(
+    "--point", help="Label of an operating point, or its beginning; default: the design point."
+)
+@click.option(
+    "--pressure-bar",
+    nargs=2,
+    type=float,
+    default=None,
+    help="Poles over this range of the seal pressure.",
+)
+@click.option(
+    "--speed-rpm", nargs=2, type=float, default=None, help="Poles over this range of the speed."
+)
 @click.option("--bound", is_flag=True, help="An upper bound beside the worst unbalance found.")
 @RATE
 @DELAY
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="A page (*.html).")
 @AS_JSON
 def map_command(
-    machine: str, controller: Path, what: tuple[str, ...], point: str | None, pressure_bar: tuple[float, float] | None,
-    speed_rpm: tuple[float, float] | None, bound: bool, rate_hz: float | None, delay_samples: int | None, output: Path | None,
+    machine: str,
+    controller: Path,
+    what: tuple[str, ...],
+    point: str | None,
+    pressure_bar: tuple[float, float] | None,
+    speed_rpm: tuple[float, float] | None,
+    bound: bool,
+    rate_hz: float | None,
+    delay_samples: int | None,
+    output: Path | None,
     as_json: bool,
-) -> None:  # fmt: skip
-    """Map a loop over its range: poles over speed and pressure, Campbell, pulse and unbalance over the tolerances.
+) -> None:
+    """Map a loop over its range: poles over speed and pressure, Campbell, pulse and unbalance over
+    the tolerances.
 
-    Where stability ends over speed and pressure, beyond what the machine file asks for; how far all members of the tolerances
-    swing after a pulse; the worst orbit by unbalance over speed. Exit status 1: not stable everywhere in the machine's own
-    range.
+    Where stability ends over speed and pressure, beyond what the machine file asks for; how far all
+    members of the tolerances swing after a pulse; the worst orbit by unbalance over speed. Exit
+    status 1: not stable everywhere in the machine's own range.
     """
     from math import pi
 
-    from ambrose.evaluation.family import explore
+    from ambrose.judge.exploration import explore
     from ambrose.report import units
-    from ambrose.report.family import family_report
+    from ambrose.report.exploration import exploration_page
 
     description = load(machine)
     law = load_controller(controller, description)
@@ -64,27 +91,44 @@ def map_command(
         reach["speed"] = (pi / 30 * speed_rpm[0], pi / 30 * speed_rpm[1])
     with progress_shown(as_json) as progress:
         found = explore(
-            description, law, parts=what or PARTS, point=point, reach=reach, bound=bound, rate=rate_hz,
-            delay_samples=delay_samples, progress=progress,
-        )  # fmt: skip
-        failure = None
-        if output is not None:
-            from ambrose.report.page import write
-
-            progress("writing the page")
-            failure = kept(lambda path: write(family_report(found), path), output)
+            description,
+            law,
+            parts=what or PARTS,
+            point=point,
+            reach=reach,
+            bound=bound,
+            rate=rate_hz,
+            delay_samples=delay_samples,
+            progress=progress,
+        )
+        failure = kept_page(found, output, progress=progress)
     if as_json:
         say_json({**found.to_dict(), "page": str(output) if output else None})
     else:
-        report = family_report(found)
+        report = exploration_page(found)
         rows = [(verdict.label, verdict.text) for verdict in report.verdicts]
         for item in found.maps:
-            rows.append((f"largest real part over {item.over}", units.quantity(float(item.abscissa.max()), "1/s")))
+            rows.append(
+                (
+                    f"largest real part over {item.over}",
+                    units.quantity(float(item.abscissa.max()), "1/s"),
+                )
+            )
         if found.pulses is not None and found.pulses.stable.all():
-            rows.append(("settled after a pulse, worst member", units.quantity(float(found.pulses.settling().max()), "s")))
+            rows.append(
+                (
+                    "settled after a pulse, worst member",
+                    units.quantity(float(found.pulses.settling().max()), "s"),
+                )
+            )
         if found.unbalance is not None:
-            worst, at = float(found.unbalance.found.max()), float(found.unbalance.speeds[found.unbalance.found.argmax()])
-            rows.append(("worst orbit found", f"{units.quantity(worst, 'm')} at {at * units.RPM:.4g} rpm"))
+            worst, at = (
+                float(found.unbalance.found.max()),
+                float(found.unbalance.speeds[found.unbalance.found.argmax()]),
+            )
+            rows.append(
+                ("worst orbit found", f"{units.quantity(worst, 'm')} at {at * units.RPM:.4g} rpm")
+            )
         title = f"{description.name}, {found.point.label or 'its design point'}"
         print_table(title, ("what", "found"), [tuple(map(str, row)) for row in rows])
         for note in found.notes:

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from ambrose.cli.terminal import AS_JSON, claim, say, say_json
+from ambrose.terminal import AS_JSON, claim, say, say_json
 
 _SHAFT = ("length", "diameter", "speed")
 
@@ -27,40 +27,67 @@ _SHAFT = ("length", "diameter", "speed")
     metavar="POSITION,MASS,DIAMETER",
     help='Such as "300 mm, 8 kg, 250 mm"; any number of times.',
 )
-@click.option("--bearings", help='Positions from the left end, such as "75 mm, 525 mm"; default: two, near the ends.')
-@click.option("--vertical", is_flag=True, help="The rotor stands; default: it lies, and its weight loads the bearings.")
-@click.option("--load", help='Force that a bearing must reach, such as "400 N"; default: three times its share of the weight.')
+@click.option(
+    "--bearings",
+    help='Positions from the left end, such as "75 mm, 525 mm"; default: two, near the ends.',
+)
+@click.option(
+    "--vertical",
+    is_flag=True,
+    help="The rotor stands; default: it lies, and its weight loads the bearings.",
+)
+@click.option(
+    "--load",
+    help='Force that a bearing must reach, such as "400 N"; default: three times its share of the '
+    "weight.",
+)
 @click.option("--gap", help="Radial gap of the magnets; default: by the shaft's diameter.")
 @click.option("--bias-current", help='Of the magnets, such as "3 A"; default: by their force.')
-@click.option("--force-per-current", help='k_i, such as "180 N/A"; default: by the geometry of a magnet of that force.')
+@click.option(
+    "--force-per-current",
+    help='k_i, such as "180 N/A"; default: by the geometry of a magnet of that force.',
+)
 @click.option("--negative-stiffness", help='k_s, such as "0.7 N/um"; default: by the geometry.')
-@click.option("--rate-hz", type=float, help="Sample rate of the controller; default: 10000, or more for fast rotors.")
+@click.option(
+    "--rate-hz",
+    type=float,
+    help="Sample rate of the controller; default: 10000, or more for fast rotors.",
+)
 @click.option("--name", help="What the machine is called; default: the file's name.")
 @click.option("--force", is_flag=True, help="Replace a file that exists.")
 @AS_JSON
 def new(file: Path, force: bool, as_json: bool, **given: Any) -> None:
-    """Write a machine file to start from: what is not given is asked for on a terminal, or chosen so that the rotor levitates.
+    """Write a machine file to start from: what is not given is asked for on a terminal, or chosen
+    so that the rotor levitates.
 
-    Every number has its unit and a comment; what was chosen is marked as assumed, with the reason. Then: ambrose check FILE.
+    Every number has its unit and a comment; what was chosen is marked as assumed, with the reason.
+    Then: ambrose check FILE.
     """
+    from ambrose.chain.new_machine import NOT_HELD, new_machine
     from ambrose.core.checks import InvalidInput, invalid
     from ambrose.machine.file.update import save_machine
-    from ambrose.stages.new_machine import NOT_HELD, new_machine
 
     if file.suffix.lower() != ".toml":
-        raise invalid("the machine file", f'"{file}"', "a file *.toml", f'write "{file.with_suffix(".toml")}"')
+        raise invalid(
+            "the machine file", f'"{file}"', "a file *.toml", f'write "{file.with_suffix(".toml")}"'
+        )
     if file.exists() and not force:
-        raise InvalidInput(f"{file} exists already; choose another name, or replace it with --force")
+        raise InvalidInput(
+            f"{file} exists already; choose another name, or replace it with --force"
+        )
     claim(machine_file=file)
     missing = [key for key in _SHAFT if given[key] is None]
     if (missing and as_json) or (missing and not (sys.stdin.isatty() and sys.stderr.isatty())):
         options = ", ".join(f"--{key}" for key in missing)
         raise InvalidInput(
-            f"{options} missing, and there is no terminal to ask on; give them, such as --{missing[0]} {_EXAMPLES[missing[0]]}"
+            f"{options} missing, and there is no terminal to ask on; give them, such as "
+            f"--{missing[0]} {_EXAMPLES[missing[0]]}"
         )
     if missing:
         given = _asked(given)
-    rate, discs, bearings = given.pop("rate_hz"), given.pop("discs"), given.pop("bearings")
+    rate = given.pop("rate_hz")
+    discs = given.pop("discs")
+    bearings = given.pop("bearings")
     machine = new_machine(
         name=given.pop("name") or file.stem.strip() or "my machine",
         discs=[_split(disc, "--disc", "position, mass, diameter", 3) for disc in discs],
@@ -74,8 +101,14 @@ def new(file: Path, force: bool, as_json: bool, **given: Any) -> None:
     if as_json:
         say_json({"machine": str(file), "axes": machine.axes, "held": held, "assumed": told})
         sys.exit(0 if held else 1)
-    say(f"{file}: {len(machine.bearings)} bearings of {machine.bearings[0].max_force:g} N; {told['controller']}")
-    say(f"{len(told)} entries are assumed, each with its reason in the file; next: ambrose check {file}")
+    say(
+        f"{file}: {len(machine.bearings)} bearings of {machine.bearings[0].max_force:g} N; "
+        f"{told['controller']}"
+    )
+    say(
+        f"{len(told)} entries are assumed, each with its reason in the file; next: ambrose check "
+        f"{file}"
+    )
     sys.exit(0 if held else 1)
 
 
@@ -108,7 +141,11 @@ def _asked(given: dict[str, Any]) -> dict[str, Any]:
     discs = list(given["discs"])
     while not given["discs"]:
         wanted = "Disc: position, mass, diameter (empty: no more)"
-        answer = ask(wanted, "", lambda answer: answer and _split(answer, "disc", "position, mass, diameter", 3))
+        answer = ask(
+            wanted,
+            "",
+            lambda answer: answer and _split(answer, "disc", "position, mass, diameter", 3),
+        )
         if not answer:
             break
         discs.append(answer)
@@ -118,7 +155,7 @@ def _asked(given: dict[str, Any]) -> dict[str, Any]:
 
 
 def _checked(key: str, answer: str) -> None:
-    from ambrose.stages.new_machine import quantity_of
+    from ambrose.chain.new_machine import quantity_of
 
     quantity_of(key, _united(key, answer))
 
@@ -128,12 +165,16 @@ def _split(text: str, what: str, parts: str, count: int | None) -> list[str]:
 
     found = [_united(what, part.strip()) for part in text.split(",")]
     if (count is not None and len(found) != count) or not all(found):
-        raise invalid(what, f'"{text}"', f"{parts}, separated by commas", f"such as {_LISTS[count is None]}")
+        raise invalid(
+            what, f'"{text}"', f"{parts}, separated by commas", f"such as {_LISTS[count is None]}"
+        )
     return found
 
 
 def _united(key: str, value: Any) -> Any:
-    """A text with a unit; a bare number is refused, as nobody can tell metres from millimetres. 0 needs none."""
+    """A text with a unit; a bare number is refused, as nobody can tell metres from millimetres. 0
+    needs none.
+    """
     from ambrose.core.checks import InvalidInput
 
     if not isinstance(value, str):
@@ -145,5 +186,6 @@ def _united(key: str, value: Any) -> Any:
     if number == 0:
         return 0.0
     raise InvalidInput(
-        f'{key} is "{value}" without a unit; write it with one, such as {_EXAMPLES.get(key, _EXAMPLES["length"])}'
+        f'{key} is "{value}" without a unit; write it with one, such as '
+        f"{_EXAMPLES.get(key, _EXAMPLES['length'])}"
     )

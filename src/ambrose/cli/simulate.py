@@ -8,15 +8,17 @@ from typing import Any
 
 import click
 
-from ambrose.cli.terminal import (
+from ambrose.terminal import (
     AS_JSON,
     DELAY,
     MACHINE,
     PRESSURE_ERROR,
     RATE,
     STUCK_AFTER,
+    GroupedCommand,
     claim,
     kept,
+    kept_page,
     load,
     load_controller,
     progress_shown,
@@ -25,33 +27,76 @@ from ambrose.cli.terminal import (
     say_json,
 )
 
+_GROUPS = {
+    "": ("path", "scenario", "point", "output", "report"),
+    "The run": ("linear", "rate_hz", "delay_samples", "bending_modes", "seed", "second"),
+    "A fallback beside a controller scheduled over pressure": (
+        "fallback",
+        "pressure_rate",
+        "pressure_error",
+        "stuck_after",
+        "estimate",
+    ),
+}
 
-@click.command()
+
+@click.command(cls=GroupedCommand, groups=_GROUPS)
 @MACHINE
-@click.option("--controller", "path", type=click.Path(path_type=Path), required=True, help="A controller file (*.json).")
-@click.option("--scenario", required=True, help="A scenario file (*.toml) or the name of a bundled scenario.")
-@click.option("--linear", is_flag=True, help="The linear model instead of the nonlinear virtual rig.")
-@click.option("--second", type=click.Path(path_type=Path), help="A controller that takes over at the scenario's switch_at.")
+@click.option(
+    "--controller",
+    "path",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="A controller file (*.json).",
+)
+@click.option(
+    "--scenario", required=True, help="A scenario file (*.toml) or the name of a bundled scenario."
+)
+@click.option(
+    "--linear", is_flag=True, help="The linear model instead of the nonlinear virtual rig."
+)
+@click.option(
+    "--second",
+    type=click.Path(path_type=Path),
+    help="A controller that takes over at the scenario's switch_at.",
+)
 @click.option(
     "--fallback",
     type=click.Path(path_type=Path),
     help="Fixed controller for when a schedule's pressure cannot be trusted.",
 )
-@click.option("--pressure-rate", metavar="RATE", help='With --fallback: the fastest change believed, such as "80 bar/s".')
+@click.option(
+    "--pressure-rate",
+    metavar="RATE",
+    help='With --fallback: the fastest change believed, such as "80 bar/s".',
+)
 @PRESSURE_ERROR
 @STUCK_AFTER
 @click.option(
     "--estimate",
     type=click.Choice(["beside", "alone"]),
-    help="With --fallback: a seal monitor runs beside the pressure's reading, or its estimate is told in place of one.",
+    help="With --fallback: a seal monitor runs beside the pressure's reading, or its estimate is "
+    "told in place of one.",
 )
-@click.option("--bending-modes", type=int, help="Bending modes per plane of the rig; default: 3, as identify models.")
+@click.option(
+    "--bending-modes",
+    type=int,
+    help="Bending modes per plane of the rig; default: 3, as identify models.",
+)
 @click.option("--seed", type=int, help="Of the sensors' noise on the rig; default: 0.")
-@click.option("--point", default=None, help="Label of an operating point, or its beginning; default: nominal.")
+@click.option(
+    "--point", default=None, help="Label of an operating point, or its beginning; default: nominal."
+)
 @RATE
 @DELAY
-@click.option("--report", type=click.Path(path_type=Path), help="A page of the run: orbits, waterfall, currents, animation.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), default=Path("record.h5"), show_default=True)
+@click.option(
+    "--report",
+    type=click.Path(path_type=Path),
+    help="A page of the run: orbits, waterfall, currents, animation.",
+)
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), default=Path("record.h5"), show_default=True
+)
 @AS_JSON
 def simulate(
     machine: str,
@@ -75,48 +120,78 @@ def simulate(
 ) -> None:
     """Run a scenario on the virtual rig (or the linear model) and write the record (*.h5 or *.csv).
 
-    An *.h5 record of the rig grows while it runs, as *.h5.partial, which stays readable when the run is interrupted.
+    An *.h5 record of the rig grows while it runs, as *.h5.partial, which stays readable when the
+    run is interrupted.
     """
     from ambrose.core.checks import invalid
-    from ambrose.evaluation.trial import simulate_scenario
-    from ambrose.machine.record.files import check_suffix, write_record
-    from ambrose.plant.timing import DEFAULT, timing_of
+    from ambrose.law.timing import DEFAULT, timing_of
+    from ambrose.record.files import check_suffix, write_record
+    from ambrose.rig.trial import simulate_scenario
 
-    for option, value in (("--bending-modes", bending_modes), ("--seed", seed), ("--second", second), ("--fallback", fallback)):
+    for option, value in (
+        ("--bending-modes", bending_modes),
+        ("--seed", seed),
+        ("--second", second),
+        ("--fallback", fallback),
+    ):
         if linear and value is not None:
-            remedy = "the linear loop has all modes, no noise and one controller; leave one of the two out"
+            remedy = (
+                "the linear loop has all modes, no noise and one controller; leave one of the two "
+                "out"
+            )
             raise invalid(option, value, "left out with --linear", remedy)
-    watched = {"--pressure-rate": pressure_rate, "--pressure-error": pressure_error, "--stuck-after": stuck_after}
+    watched = {
+        "--pressure-rate": pressure_rate,
+        "--pressure-error": pressure_error,
+        "--stuck-after": stuck_after,
+    }
     watched["--estimate"] = estimate
     for option, given in watched.items():
         if given is not None and fallback is None:
-            raise invalid(option, given, "given with --fallback", "name the controller that takes over")
+            raise invalid(
+                option, given, "given with --fallback", "name the controller that takes over"
+            )
     description = load(machine)
     controller = load_controller(path, description)
     check_suffix(output)
     claim(record=output, report=report)
     growing = not linear and output.suffix.lower() != ".csv"
-    options: dict[str, Any] = {} if second is None else {"second": load_controller(second, description)}
+    options: dict[str, Any] = (
+        {} if second is None else {"second": load_controller(second, description)}
+    )
     if fallback is not None:
         rate = quantity_given(pressure_rate, "--pressure-rate", "pressure per time")
         error = quantity_given(pressure_error, "--pressure-error", "pressure")
         options |= {"fallback": load_controller(fallback, description), "pressure_rate": rate}
-        options |= {"pressure_error": error or 0.0, "stuck_after": stuck_after, "estimate": estimate}
+        options |= {
+            "pressure_error": error or 0.0,
+            "stuck_after": stuck_after,
+            "estimate": estimate,
+        }
     if not linear:
-        options |= {"bending_modes": bending_modes, "seed": seed or 0, "path": output if growing else None}
+        options |= {
+            "bending_modes": bending_modes,
+            "seed": seed or 0,
+            "path": output if growing else None,
+        }
     with progress_shown(as_json) as progress:
         trace = simulate_scenario(
-            description, controller, scenario, point=point, linear=linear, rate=rate_hz, delay_samples=delay_samples,
-            progress=progress, **options,
-        )  # fmt: skip
-    timing = timing_of(description, controller, rate_hz, delay_samples) or (None if linear else DEFAULT)
+            description,
+            controller,
+            scenario,
+            point=point,
+            linear=linear,
+            rate=rate_hz,
+            delay_samples=delay_samples,
+            progress=progress,
+            **options,
+        )
+    timing = timing_of(description, controller, rate_hz, delay_samples) or (
+        None if linear else DEFAULT
+    )
     failure = None if growing else kept(lambda path: write_record(trace.record, path), output)
-    if report is not None:
-        from ambrose.report.page import write
-        from ambrose.report.record.page import record_report
-
-        unwritten = kept(lambda path: write(record_report(trace, description), path), report)
-        failure, report = unwritten or failure, None if unwritten else report
+    unwritten = kept_page(trace, report, description)
+    failure, report = unwritten or failure, None if unwritten else report
     summary = {
         "record": str(output),
         "outcome": trace.outcome,

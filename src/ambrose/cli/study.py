@@ -7,21 +7,39 @@ from pathlib import Path
 
 import click
 
-from ambrose.cli.terminal import ALL, AS_JSON, MACHINE, load, print_checks, print_table, progress_shown, say, say_json
+from ambrose.terminal import (
+    ALL,
+    AS_JSON,
+    MACHINE,
+    load,
+    print_checks,
+    print_table,
+    progress_shown,
+    say,
+    say_json,
+)
 
 
 @click.command(name="study")
 @MACHINE
-@click.option("-o", "--output", type=click.Path(path_type=Path), default=None, help="Directory; default: study-<machine>.")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="Directory; default: study-<machine>.",
+)
 @ALL
 @AS_JSON
 def study_command(machine: str, output: Path | None, everything: bool, as_json: bool) -> None:
-    """The whole chain: every controller the machine file allows, verified, simulated and compared in report.html."""
+    """The whole chain: every controller the machine file allows, verified, simulated and compared
+    in report.html.
+    """
+    from ambrose.chain.study import study
     from ambrose.core.checks import InvalidInput
     from ambrose.machine.ordinary_file import file_name
     from ambrose.report.comparison.envelope import decision
     from ambrose.report.tables import verdict
-    from ambrose.workflow import study
 
     description = load(machine)
     directory = output or Path(f"study-{file_name(description.name)}")
@@ -40,9 +58,16 @@ def study_command(machine: str, output: Path | None, everything: bool, as_json: 
                 if everything:
                     print_checks(checks, everything)
             for label in candidate.left_out:
-                rows.append((candidate.name, label, "left out: its schedule does not cover this point"))
+                rows.append(
+                    (candidate.name, label, "left out: its schedule does not cover this point")
+                )
                 marks.append("red")
-        print_table(f"{description.name}: {len(result.candidates)} controllers", ("controller", "at", "verdict"), rows, marks)
+        print_table(
+            f"{description.name}: {len(result.candidates)} controllers",
+            ("controller", "at", "verdict"),
+            rows,
+            marks,
+        )
         say(decision(result.candidates).text + (f" Report: {report}" if report else ""))
     if result.unwritten:
         raise InvalidInput("; ".join(result.unwritten))

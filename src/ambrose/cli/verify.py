@@ -7,12 +7,13 @@ from pathlib import Path
 
 import click
 
-from ambrose.cli.terminal import (
+from ambrose.terminal import (
     ALL,
     AS_JSON,
     DELAY,
     MACHINE,
     RATE,
+    GroupedCommand,
     load,
     load_controller,
     print_checks,
@@ -22,29 +23,44 @@ from ambrose.cli.terminal import (
     say_json,
 )
 
+_GROUPS = {
+    "": ("path", "everything"),
+    "The loop as it runs": ("rate_hz", "delay_samples"),
+    "Proofs while the machine moves": ("pressure_rate", "pressure_error", "speed_rate"),
+}
 
-@click.command()
+
+@click.command(cls=GroupedCommand, groups=_GROUPS)
 @MACHINE
-@click.option("--controller", "path", type=click.Path(path_type=Path), required=True, help="A controller file (*.json).")
+@click.option(
+    "--controller",
+    "path",
+    type=click.Path(path_type=Path),
+    required=True,
+    help="A controller file (*.json).",
+)
 @RATE
 @DELAY
 @click.option(
     "--pressure-rate",
     metavar="RATE",
     default=None,
-    help='Fastest change of the seal pressure, such as "20 bar/s", for a proof while it changes; default: the machine file\'s.',
+    help='Fastest change of the seal pressure, such as "20 bar/s", for a proof while it changes; '
+    "default: the machine file's.",
 )
 @click.option(
     "--pressure-error",
     metavar="PRESSURE",
     default=None,
-    help='How far off what a controller scheduled over pressure is told may be, such as "0.4 bar"; default: not at all.',
+    help='How far off what a controller scheduled over pressure is told may be, such as "0.4 '
+    'bar"; default: not at all.',
 )
 @click.option(
     "--speed-rate",
     type=float,
     default=None,
-    help="Fastest run-up, rad/s^2, for a proof while the speed changes, over the tolerances as well; default: none is tried.",
+    help="Fastest run-up, rad/s^2, for a proof while the speed changes, over the tolerances as "
+    "well; default: none is tried.",
 )
 @ALL
 @AS_JSON
@@ -59,25 +75,39 @@ def verify(
     everything: bool,
     as_json: bool,
 ) -> None:
-    """Check a controller on the full plant: at every operating point of the machine, and over all tolerances around each."""
+    """Check a controller on the full plant: at every operating point of the machine, and over all
+    tolerances around each.
+    """
     from ambrose.core.checks import check_positive, invalid
-    from ambrose.evaluation.verdict import check_pressure_error, verify_controller
-    from ambrose.verification.moving.spans import pressure_spans
+    from ambrose.judge.motion import Motion, moving_proofs, refuse_motion
+    from ambrose.judge.verdict import verify_controller
 
     description = load(machine)
     controller = load_controller(path, description)
     fastest = quantity_given(pressure_rate, "--pressure-rate", "pressure per time")
     error = quantity_given(pressure_error, "--pressure-error", "pressure")
     if error and fastest is None and description.operation.pressure_rate is None:
-        raise invalid("--pressure-error", pressure_error, "given with --pressure-rate", "say how fast the pressure changes")
-    check_pressure_error(controller.law, error or 0.0)
+        raise invalid(
+            "--pressure-error",
+            pressure_error,
+            "given with --pressure-rate",
+            "say how fast the pressure changes",
+        )
     if speed_rate is not None:
         check_positive(speed_rate, "--speed-rate", "give the fastest run-up in rad/s^2")
+    motion = Motion(fastest, error or 0.0, speed_rate)
+    refuse_motion(description, controller, motion)
     with progress_shown(as_json) as progress:
         result = verify_controller(
-            description, controller, rate=rate_hz, delay_samples=delay_samples, pressure_rate=fastest,
-            pressure_error=error or 0.0, speed_rate=speed_rate, progress=progress,
-        )  # fmt: skip
+            description,
+            controller,
+            rate=rate_hz,
+            delay_samples=delay_samples,
+            pressure_rate=fastest,
+            pressure_error=error or 0.0,
+            speed_rate=speed_rate,
+            progress=progress,
+        )
     if as_json:
         say_json({"machine": description.name, **result.to_dict()})
     else:
@@ -86,18 +116,16 @@ def verify(
         say(f"The loop that was judged is {result.timing}.")
         for words in result.not_varied:
             say(f"Not varied around {words}.")
-        if not result.moving and pressure_spans(description):
-            known = fastest is not None or description.operation.pressure_rate is not None
-            remedy = (
-                "the loop must hold every point, with a law that is fixed or scheduled over pressure"
-                if known
-                else "give --pressure-rate or the file's pressure_rate"
-            )
-            say(f"Nothing is proved for a seal pressure that changes: {remedy}.")
+        for proof in moving_proofs() if not result.moving else ():
+            if (sentence := proof.unproved(description, motion)) is not None:
+                say(sentence)
         failed = [label for label, checks in result.labelled if not checks.passed]
         every = f"every check of all {len(result.labelled)} tables"
         say(f"Failed: {'; '.join(failed)}." if failed else f"Passed: {every}.")
         if result.left_out:
-            why = "the schedule does not cover them, in what it is scheduled over or in what it was designed at"
+            why = (
+                "the schedule does not cover them, in what it is scheduled over or in what it was "
+                "designed at"
+            )
             say(f"Not judged, which does not pass: {'; '.join(result.left_out)}; {why}.")
     sys.exit(0 if result.passed else 1)

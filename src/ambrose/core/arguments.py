@@ -1,7 +1,9 @@
-"""Arguments of a wrong type, told from the annotations: a refusal in one sentence where Python would end in a traceback.
+"""Arguments of a wrong type, told from the annotations: a refusal in one sentence where Python
+would end in a traceback.
 
-While all goes well nothing is looked at. Where a call ends in an error that is none of ours, its arguments are held against the
-annotations, and the first that cannot be meant is named. Where all fit, the error is a defect, and stays.
+While all goes well nothing is looked at. Where a call ends in an error that is none of ours, its
+arguments are held against the annotations, and the first that cannot be meant is named. Where all
+fit, the error is a defect, and stays.
 """
 
 from __future__ import annotations
@@ -19,16 +21,25 @@ import numpy as np
 from ambrose.core.checks import AmbroseError, InvalidInput
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-Misfit = tuple[str, object, Any]  # where within the argument, what stands there, the annotation that it misses
-_NUMBERS = {int: "iu", float: "iuf", complex: "iufc", bool: "b"}  # annotation -> kinds of numpy scalars
+# where within the argument, what stands there, the annotation that it misses
+Misfit = tuple[str, object, Any]
+# annotation -> kinds of numpy scalars
+_NUMBERS = {int: "iu", float: "iuf", complex: "iufc", bool: "b"}
 _WORDS = {
-    str: "a text", bool: "True or False", int: "a whole number", float: "a number", complex: "a number", NoneType: "None",
-    os.PathLike: "a path", np.ndarray: "an array",
-}  # fmt: skip
+    str: "a text",
+    bool: "True or False",
+    int: "a whole number",
+    float: "a number",
+    complex: "a number",
+    NoneType: "None",
+    os.PathLike: "a path",
+    np.ndarray: "an array",
+}
 
 
 def names_wrong_types(function: Function) -> Function:
-    """Decorator: a call that fails for an argument of a wrong type raises InvalidInput, which names it.
+    """Decorator: a call that fails for an argument of a wrong type raises InvalidInput, which names
+    it.
 
     On ``__post_init__`` it looks at the fields of the dataclass.
     """
@@ -47,21 +58,30 @@ def names_wrong_types(function: Function) -> Function:
 
 
 def check_types(
-    function: Callable[..., Any], args: tuple[Any, ...], keywords: Mapping[str, Any], cause: Exception | None = None
+    function: Callable[..., Any],
+    args: tuple[Any, ...],
+    keywords: Mapping[str, Any],
+    cause: Exception | None = None,
 ) -> None:
     """Raises InvalidInput for the first argument that its annotation does not allow."""
-    owner = type(args[0]).__name__ if args and function.__name__.startswith("__") else function.__name__
+    owner = (
+        type(args[0]).__name__ if args and function.__name__.startswith("__") else function.__name__
+    )
     for name, value, hint in _annotated(function, args, keywords):
         misfit = _misfit(value, hint)
         if misfit is not None:
             place, wrong, wanted = misfit
-            raise InvalidInput(f"{name}{place} is {_shown(wrong)}, but must be {_words(wanted)}; see help({owner})") from cause
+            raise InvalidInput(
+                f"{name}{place} is {_shown(wrong)}, but must be {_words(wanted)}; see help({owner})"
+            ) from cause
 
 
 def _annotated(
     function: Callable[..., Any], args: tuple[Any, ...], keywords: Mapping[str, Any]
 ) -> Iterator[tuple[str, object, Any]]:
-    """Name, value and annotation of every argument, or of every field where the function is __post_init__."""
+    """Name, value and annotation of every argument, or of every field where the function is
+    __post_init__.
+    """
     if function.__name__ == "__post_init__":
         for owner in type(args[0]).__mro__:
             for name, annotation in vars(owner).get("__annotations__", {}).items():
@@ -78,7 +98,9 @@ def _annotated(
 
 
 class _Names(dict[str, Any]):
-    """Names of a module, and those that it imports for type checkers alone, from whichever module of the package has them."""
+    """Names of a module, and those that it imports for type checkers alone, from whichever module
+    of the package has them.
+    """
 
     def __missing__(self, name: str) -> Any:
         package = __name__.partition(".")[0]
@@ -104,7 +126,9 @@ def _evaluated_once(annotation: str, module: str) -> Any:
 
 
 def _misfit(value: object, hint: Any) -> Misfit | None:
-    """What of ``value`` the annotation does not allow; None where it fits, or where the annotation says too little to tell."""
+    """What of ``value`` the annotation does not allow; None where it fits, or where the annotation
+    says too little to tell.
+    """
     origin, inner = get_origin(hint), get_args(hint)
     if hint is Any or hint is inspect.Parameter.empty:
         return None
@@ -114,16 +138,26 @@ def _misfit(value: object, hint: Any) -> Misfit | None:
         misfits = [_misfit(value, part) for part in inner]
         if any(misfit is None for misfit in misfits):
             return None
-        return next((misfit for misfit in misfits if misfit and misfit[0]), ("", value, hint))  # the one that came furthest
+        # the one that came furthest
+        return next((misfit for misfit in misfits if misfit and misfit[0]), ("", value, hint))
     if origin is Literal:
         fits = any(type(value) is type(allowed) and value == allowed for allowed in inner)
     elif hint in _NUMBERS:
-        scalar = isinstance(value, np.ndarray | np.generic) and value.ndim == 0 and value.dtype.kind in _NUMBERS[hint]
+        scalar = (
+            isinstance(value, np.ndarray | np.generic)
+            and value.ndim == 0
+            and value.dtype.kind in _NUMBERS[hint]
+        )
         plain = {float: int | float, complex: int | float | complex}.get(hint, hint)
-        fits = scalar or (isinstance(value, plain) and not (isinstance(value, int) and abs(value) > sys.float_info.max))
+        fits = scalar or (
+            isinstance(value, plain)
+            and not (isinstance(value, int) and abs(value) > sys.float_info.max)
+        )
     elif inspect.isclass(origin) and issubclass(origin, Iterable):
         alike = (tuple, list) if origin is tuple else origin
-        return _misfit_within(value, origin, inner) if isinstance(value, alike) else ("", value, hint)
+        return (
+            _misfit_within(value, origin, inner) if isinstance(value, alike) else ("", value, hint)
+        )
     elif inspect.isclass(origin or hint) and not getattr(hint, "_is_protocol", False):
         fits = isinstance(value, origin or hint)
     else:
@@ -152,8 +186,14 @@ def _shown(value: object) -> str:
     if isinstance(value, str | bytes | float | bool | NoneType):
         return repr(value) if len(repr(value)) <= 60 else f"{repr(value)[:50]} ..."
     if isinstance(value, int):
-        return repr(value) if abs(value) < sys.float_info.max else "an integer of hundreds of digits"
-    return f"the class {value.__name__}" if isinstance(value, type) else f"of type {type(value).__name__}"
+        return (
+            repr(value) if abs(value) < sys.float_info.max else "an integer of hundreds of digits"
+        )
+    return (
+        f"the class {value.__name__}"
+        if isinstance(value, type)
+        else f"of type {type(value).__name__}"
+    )
 
 
 def _words(hint: Any) -> str:

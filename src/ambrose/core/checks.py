@@ -1,7 +1,7 @@
 """Argument checks and the package's exceptions.
 
-A shape is written the same way in a docstring, in a check and in the message: ``"(n, n)"``. Letters that repeat within one
-check must agree; numbers are literal; ``...`` stands for any leading axes.
+A shape is written the same way in a docstring, in a check and in the message: ``"(n, n)"``. Letters
+that repeat within one check must agree; numbers are literal; ``...`` stands for any leading axes.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ _LONGEST = 300  # characters of a value in a message
 
 
 class AmbroseError(Exception):
-    """Anything this package refuses or fails to do; the message names quantity, value and remedy."""
+    """Anything this package refuses or fails to do; the message names quantity, value and
+    remedy.
+    """
 
 
 class InvalidInput(AmbroseError, ValueError):
@@ -44,23 +46,30 @@ def invalid(name: str, value: object, requirement: str, remedy: str) -> InvalidI
 
 @contextmanager
 def named_failure(what: str) -> Iterator[None]:
-    """Around (or as the decorator of) a computation: a factorisation that LAPACK refuses, for a singular matrix or numbers that
-    overflowed on the way, ends in a NumericalFailure that says ``what`` was being computed."""
+    """Around (or as the decorator of) a computation: a factorisation that LAPACK refuses, for a
+    singular matrix or numbers that overflowed on the way, ends in a NumericalFailure that says
+    ``what`` was being computed.
+    """
     try:
         yield
     except AmbroseError:
         raise
-    except ValueError as error:  # LinAlgError is one; scipy refuses infinite entries with a plain one
+    except (
+        ValueError
+    ) as error:  # LinAlgError is one; scipy refuses infinite entries with a plain one
         if not isinstance(error, np.linalg.LinAlgError) and "infs or NaNs" not in str(error):
             raise
         raise NumericalFailure(
-            f"{what} cannot be computed to any accuracy ({error}): a matrix on the way is singular to rounding, or a number "
-            "overflows; scale the signals and states to order one, and look for poles or modes that coincide"
+            f"{what} cannot be computed to any accuracy ({error}): a matrix on the way is "
+            "singular to rounding, or a number "
+            "overflows; scale the signals and states to order one, and look for poles or modes "
+            "that coincide"
         ) from error
 
 
 def memberwise(function: Callable[..., np.ndarray], *stacks: np.ndarray) -> np.ndarray:
-    """A numpy.linalg ``function`` of stacks of matrices (b, n, n), with a result of the shape of the last stack.
+    """A numpy.linalg ``function`` of stacks of matrices (b, n, n), with a result of the shape of
+    the last stack.
 
     A member that is refused (singular, not definite) is NaN, and does not take the others with it.
     """
@@ -86,21 +95,37 @@ def check_finite(x: ArrayLike, name: str) -> np.ndarray:
         if array.dtype.kind not in "fc":
             array = array.astype(float)
     except (TypeError, ValueError, OverflowError) as error:
-        raise InvalidInput(f"{name} is not numeric ({error}); give a rectangular array of numbers") from error
+        raise InvalidInput(
+            f"{name} is not numeric ({error}); give a rectangular array of numbers"
+        ) from error
     bad = ~np.isfinite(array)
     if bad.any():
         index = tuple(int(i) for i in np.argwhere(bad)[0])
         where = f"{name}{list(index)}" if index else name
-        raise invalid(where, array[index], "finite", "look for a missing value or a division by zero upstream")
+        raise invalid(
+            where, array[index], "finite", "look for a missing value or a division by zero upstream"
+        )
     return array
 
 
 def check_path(path: Any, what: str) -> Path:
-    """``path`` as a Path. Raises InvalidInput for what is none, as a number or an object given by mistake."""
+    """``path`` as a Path. Raises InvalidInput for what is none, as a number or an object given by
+    mistake.
+    """
     if not isinstance(path, str | os.PathLike):
-        raise invalid(f"the path of the {what}", type(path).__name__, "a text or a Path", "give the name of a file")
+        raise invalid(
+            f"the path of the {what}",
+            type(path).__name__,
+            "a text or a Path",
+            "give the name of a file",
+        )
     if "\0" in str(path):
-        raise invalid(f"the path of the {what}", repr(str(path)), "free of null characters", "give the name of a file")
+        raise invalid(
+            f"the path of the {what}",
+            repr(str(path)),
+            "free of null characters",
+            "give the name of a file",
+        )
     return Path(path)
 
 
@@ -112,12 +137,19 @@ def check_shape(x: ArrayLike, name: str, shape: str, **sizes: int) -> np.ndarray
     array = check_finite(x, name)
     if not match_shape(array.shape, shape, dict(sizes)):
         known = "".join(f", {letter} = {size}" for letter, size in sizes.items())
-        raise invalid(f"the shape of {name}", array.shape, f"{shape}{known}", "check the order and number of its axes")
+        raise invalid(
+            f"the shape of {name}",
+            array.shape,
+            f"{shape}{known}",
+            "check the order and number of its axes",
+        )
     return array
 
 
 def match_shape(actual: tuple[int, ...], shape: str, sizes: dict[str, int]) -> bool:
-    """Whether ``actual`` fits ``shape``; letters seen for the first time are entered into ``sizes``."""
+    """Whether ``actual`` fits ``shape``; letters seen for the first time are entered into
+    ``sizes``.
+    """
     wanted = _letters(shape)
     if wanted and wanted[0] == "...":
         wanted = wanted[1:]
@@ -139,12 +171,19 @@ def _letters(shape: str) -> tuple[str, ...]:
 
 
 def check_positive(x: Any, name: str, remedy: str, *, zero_allowed: bool = False) -> float:
-    """``x`` as a float, after refusing NaN, infinity and numbers below (or at) zero. Raises InvalidInput."""
+    """``x`` as a float, after refusing NaN, infinity and numbers below (or at) zero. Raises
+    InvalidInput.
+    """
     if isinstance(x, str):
         raise invalid(name, repr(x), "a number", remedy)
     array = check_finite(x, name)
     if array.ndim or np.iscomplexobj(array):
-        raise invalid(name, array.tolist() if array.size < 5 else f"of shape {array.shape}", "one real number", remedy)
+        raise invalid(
+            name,
+            array.tolist() if array.size < 5 else f"of shape {array.shape}",
+            "one real number",
+            remedy,
+        )
     value = float(array)
     if value < 0 or (value == 0 and not zero_allowed):
         raise invalid(name, value, "zero or positive" if zero_allowed else "positive", remedy)

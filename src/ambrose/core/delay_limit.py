@@ -1,9 +1,11 @@
-"""What no linear controller can do: the least sensitivity that unstable poles and a delay in the loop allow.
+"""What no linear controller can do: the least sensitivity that unstable poles and a delay in the
+loop allow.
 
-The output sensitivity S vanishes on the plant's unstable poles, S = S_1 B with B inner, and S - I carries the loop's delay
-e^{-s tau}. Hence S_1 = B^{-1} up to what is later than tau, and the least norm of S is that of the unstable all-pass B^{-1}
-acting on L2[0, tau] (Sarason 1967; Zhou & Khargonekar 1987; Foias, Oezbay & Tannenbaum 1996). It is attained in the limit where
-the rest of the plant can be inverted, and a lower bound everywhere.
+The output sensitivity S vanishes on the plant's unstable poles, S = S_1 B with B inner, and S - I
+carries the loop's delay e^{-s tau}. Hence S_1 = B^{-1} up to what is later than tau, and the least
+norm of S is that of the unstable all-pass B^{-1} acting on L2[0, tau] (Sarason 1967; Zhou &
+Khargonekar 1987; Foias, Oezbay & Tannenbaum 1996). It is attained in the limit where the rest of
+the plant can be inverted, and a lower bound everywhere.
 """
 
 from __future__ import annotations
@@ -21,10 +23,12 @@ _BEYOND = 20.0  # p tau from which the limit, some e^{p tau}, is called infinite
 
 @named_failure("the least sensitivity")
 def least_sensitivity(A: ArrayLike, C: ArrayLike, delay: float) -> float:
-    """The infimum of ||S||_inf over all controllers of a plant with dynamics A (n, n), measurements C (m, n) and ``delay`` [s].
+    """The infimum of ||S||_inf over all controllers of a plant with dynamics A (n, n), measurements
+    C (m, n) and ``delay`` [s].
 
-    S = (I + G K)^-1 on the m measurements; stable poles of A drop out. 1 without unstable poles or delay; for one real pole p
-    e^{p tau}. inf where an unstable motion shows in no measurement. Raises InvalidInput.
+    S = (I + G K)^-1 on the m measurements; stable poles of A drop out. 1 without unstable poles or
+    delay; for one real pole p e^{p tau}. inf where an unstable motion shows in no measurement.
+    Raises InvalidInput.
     """
     a, c = check_shape(A, "A", "(n, n)"), check_finite(C, "C")
     check_positive(delay, "the delay [s]", "zero is none", zero_allowed=True)
@@ -40,16 +44,26 @@ def least_sensitivity(A: ArrayLike, C: ArrayLike, delay: float) -> float:
     if size[0] <= 1e-13 * size[-1]:
         return float("inf")
     b = np.linalg.solve(seen, c.T)  # B^{-1}(s) = I + C (s - A)^{-1} B is all-pass
-    coarse, fine = _truncated_norm(a, b, c, delay, _CELLS), _truncated_norm(a, b, c, delay, 2 * _CELLS)
+    coarse, fine = (
+        _truncated_norm(a, b, c, delay, _CELLS),
+        _truncated_norm(a, b, c, delay, 2 * _CELLS),
+    )
     return float(fine + (fine - coarse) / 3)
 
 
 def _truncated_norm(A: np.ndarray, B: np.ndarray, C: np.ndarray, delay: float, cells: int) -> float:
-    """The norm of I + C (s - A)^{-1} B between functions on [0, delay] that are constant on equal cells: from below."""
-    n, m, h = len(A), len(C), delay / cells
+    """The norm of I + C (s - A)^{-1} B between functions on [0, delay] that are constant on equal
+    cells: from below.
+    """
+    n = len(A)
+    m = len(C)
+    h = delay / cells
     zero, one = np.zeros((n, n)), np.eye(n)
     E = sla.expm(h * np.block([[A, one, zero], [zero, zero, one], [zero, zero, zero]]))
-    step, once, twice = E[:n, :n], E[:n, n : 2 * n], E[:n, 2 * n :]  # e^{A h}, its integral, and the integral of that
+    # e^{A h}, its integral, and the integral of that
+    step = E[:n, :n]
+    once = E[:n, n : 2 * n]
+    twice = E[:n, 2 * n :]
     column = [np.eye(m) + C @ twice @ B / h]
     state = once @ B
     for _ in range(cells - 1):

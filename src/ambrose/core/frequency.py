@@ -1,9 +1,10 @@
 """Frequency responses: one real Schur form, then a triangular solve for all frequencies at once.
 
-The triangular matrix is split recursively, so that almost all work is products of constant real matrices with the
-stacked right-hand sides of every frequency (BLAS 3). Schur vectors are orthogonal: the accuracy is that of a
-direct solve with the balanced A, also for defective poles, where a diagonalisation would fail. Where it does not, a form may
-keep the residues of its poles instead: one product per frequency, an order of magnitude faster at hundreds of states.
+The triangular matrix is split recursively, so that almost all work is products of constant real
+matrices with the stacked right-hand sides of every frequency (BLAS 3). Schur vectors are
+orthogonal: the accuracy is that of a direct solve with the balanced A, also for defective poles,
+where a diagonalisation would fail. Where it does not, a form may keep the residues of its poles
+instead: one product per frequency, an order of magnitude faster at hundreds of states.
 """
 
 from __future__ import annotations
@@ -23,14 +24,16 @@ from ambrose.core.statespace import Names, as_statespace, balance, index_of
 _LEAF = 16  # rows solved one by one at the bottom of the recursion
 _NEAR = 100.0  # points within so many rounding errors of a pole are evaluated one by one
 _CHUNK = 2_000_000  # complex numbers held for one batch of frequencies: 32 MB
-_SPREAD = 1e4  # of the eigenvectors (norms of right and left ones), up to which residues lose at most these digits
+# of the eigenvectors (norms of right and left ones), up to which residues lose at most these digits
+_SPREAD = 1e4
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class FrequencyResponse(Presented):
     """Values of a transfer matrix on a grid.
 
-    values (..., w, p, m) complex, omega (w,) [rad/s]; leading axes are a stack of systems with the same signals.
+    values (..., w, p, m) complex, omega (w,) [rad/s]; leading axes are a stack of systems with the
+    same signals.
     """
 
     values: np.ndarray
@@ -39,10 +42,14 @@ class FrequencyResponse(Presented):
     outputs: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        w, p, m = len(self.omega), len(self.outputs), len(self.inputs)
+        w = len(self.omega)
+        p = len(self.outputs)
+        m = len(self.inputs)
         check_shape(self.values, "values", "(..., w, p, m)", w=w, p=p, m=m)
 
-    def select(self, inputs: Names | None = None, outputs: Names | None = None) -> FrequencyResponse:
+    def select(
+        self, inputs: Names | None = None, outputs: Names | None = None
+    ) -> FrequencyResponse:
         """The part between the named signals, in the order given; None keeps all."""
         j = index_of(self.inputs if inputs is None else inputs, self.inputs, "input")
         i = index_of(self.outputs if outputs is None else outputs, self.outputs, "output")
@@ -59,9 +66,17 @@ class FrequencyResponse(Presented):
 
     def facts(self) -> Mapping[str, Any]:
         """Range, largest gain and signals."""
-        span = f"{self.omega.min():.4g} to {self.omega.max():.4g} rad/s" if self.omega.size else "none"
+        span = (
+            f"{self.omega.min():.4g} to {self.omega.max():.4g} rad/s" if self.omega.size else "none"
+        )
         peak = float(self.max_singular_value().max()) if self.values.size else 0.0
-        return {"frequencies": len(self.omega), "range": span, "peak": peak, "inputs": self.inputs, "outputs": self.outputs}
+        return {
+            "frequencies": len(self.omega),
+            "range": span,
+            "peak": peak,
+            "inputs": self.inputs,
+            "outputs": self.outputs,
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """omega, real and imaginary parts of the values and the signal names, ready for JSON."""
@@ -69,12 +84,18 @@ class FrequencyResponse(Presented):
         return {**to_plain(parts), "inputs": list(self.inputs), "outputs": list(self.outputs)}
 
     def to_frame(self) -> Any:
-        """A pandas.DataFrame over frequency [rad/s] with one complex column "output / input" per pair, of a single system.
+        """A pandas.DataFrame over frequency [rad/s] with one complex column "output / input" per
+        pair, of a single system.
 
         Raises InvalidInput for a stack of systems, or without pandas.
         """
         if self.values.ndim != 3:
-            raise invalid("the values' shape", self.values.shape, "(w, p, m) for a table", "take one system of the stack")
+            raise invalid(
+                "the values' shape",
+                self.values.shape,
+                "(w, p, m) for a table",
+                "take one system of the stack",
+            )
         pairs = ((i, j) for i in range(len(self.outputs)) for j in range(len(self.inputs)))
         columns = {f"{self.outputs[i]} / {self.inputs[j]}": self.values[:, i, j] for i, j in pairs}
         return data_frame({"omega [rad/s]": self.omega, **columns}, "omega [rad/s]")
@@ -83,7 +104,8 @@ class FrequencyResponse(Presented):
 def frequency_response(system: Any, omega: ArrayLike) -> FrequencyResponse:
     """G(j omega), or G(exp(j omega dt)) for a sampled system.
 
-    omega (w,) [rad/s]. Raises InvalidInput at a frequency that coincides with a pole, and above Nyquist when sampled.
+    omega (w,) [rad/s]. Raises InvalidInput at a frequency that coincides with a pole, and above
+    Nyquist when sampled.
     """
     system = as_statespace(system)
     omega = check_shape(omega, "omega", "(w)")
@@ -112,7 +134,9 @@ def largest_gain(values: np.ndarray) -> np.ndarray:
 
 
 def check_nyquist(omega: np.ndarray, dt: float) -> None:
-    """Raises InvalidInput where omega (w,) [rad/s] exceeds the Nyquist frequency of the sample time dt [s]."""
+    """Raises InvalidInput where omega (w,) [rad/s] exceeds the Nyquist frequency of the sample time
+    dt [s].
+    """
     highest, nyquist = np.abs(omega).max(initial=0.0), np.pi / dt
     if highest > nyquist * (1 + 1e-9):
         required = f"at most the Nyquist frequency {nyquist:g}"
@@ -121,11 +145,13 @@ def check_nyquist(omega: np.ndarray, dt: float) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SchurForm:
-    """A system made ready for evaluation at many points: C (s I - A)^-1 B + D = right (s I - triangle)^-1 left + D.
+    """A system made ready for evaluation at many points: C (s I - A)^-1 B + D = right (s I -
+    triangle)^-1 left + D.
 
-    triangle (n, n): the Schur form of the balanced A, quasi-triangular for a real A; left (n, m), right (p, n), D (p, m).
-    ``transposed`` tells that the form belongs to the transposed system, which has fewer right-hand sides. expansion: the
-    eigenvalues (n,) and their residues (n, p m), where they were asked for and keep the digits.
+    triangle (n, n): the Schur form of the balanced A, quasi-triangular for a real A; left (n, m),
+    right (p, n), D (p, m). ``transposed`` tells that the form belongs to the transposed system,
+    which has fewer right-hand sides. expansion: the eigenvalues (n,) and their residues (n, p m),
+    where they were asked for and keep the digits.
     """
 
     triangle: np.ndarray
@@ -142,13 +168,17 @@ class SchurForm:
 
     @property
     def pole_errors(self) -> np.ndarray:
-        """What rounding can do to each (well-conditioned) pole, (n,): eps times the largest entry in its row and column."""
+        """What rounding can do to each (well-conditioned) pole, (n,): eps times the largest entry
+        in its row and column.
+        """
         size = np.abs(self.triangle)
         return np.finfo(float).eps * np.maximum(size.max(0, initial=0.0), size.max(1, initial=0.0))
 
 
 def schur_eigenvalues(T: np.ndarray) -> np.ndarray:
-    """The eigenvalues (n,) of a triangular or (real, standardised) quasi-triangular T (n, n), in the order of its diagonal."""
+    """The eigenvalues (n,) of a triangular or (real, standardised) quasi-triangular T (n, n), in
+    the order of its diagonal.
+    """
     values = np.diag(T).astype(complex)
     i = np.flatnonzero(np.diag(T, -1))
     half = 1j * np.sqrt(-np.diag(T, 1)[i] * np.diag(T, -1)[i])
@@ -157,11 +187,13 @@ def schur_eigenvalues(T: np.ndarray) -> np.ndarray:
     return values
 
 
-def schur_form(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, *, expand: bool = False) -> SchurForm:
+def schur_form(
+    A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, *, expand: bool = False
+) -> SchurForm:
     """The balanced Schur form, computed once for any number of calls of ``evaluate``.
 
-    A (n, n), B (n, m), C (p, n), D (p, m): real or complex. expand: keep the partial fractions where eigenvectors allow, for
-    some hundred frequencies or more.
+    A (n, n), B (n, m), C (p, n), D (p, m): real or complex. expand: keep the partial fractions
+    where eigenvectors allow, for some hundred frequencies or more.
     """
     if C.shape[0] < B.shape[1]:  # fewer right-hand sides: work with the transposed system
         form = schur_form(A.T, C.T, B.T, D.T, expand=expand)
@@ -174,8 +206,12 @@ def schur_form(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, *, ex
     return SchurForm(T, left, right, D, expansion=_expansion(T, left, right) if expand else None)
 
 
-def _expansion(T: np.ndarray, left: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Poles (n,) and residues (n, p m); None where the eigenvectors would cost more than four digits."""
+def _expansion(
+    T: np.ndarray, left: np.ndarray, right: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Poles (n,) and residues (n, p m); None where the eigenvectors would cost more than four
+    digits.
+    """
     try:
         poles, V = np.linalg.eig(T)
         W = np.linalg.inv(V)
@@ -190,7 +226,9 @@ def _expansion(T: np.ndarray, left: np.ndarray, right: np.ndarray) -> tuple[np.n
 
 
 def evaluate(form: SchurForm, s: np.ndarray) -> np.ndarray:
-    """The transfer matrix at the complex points s (w,), as (w, p, m). Raises InvalidInput where s is an eigenvalue of A."""
+    """The transfer matrix at the complex points s (w,), as (w, p, m). Raises InvalidInput where s
+    is an eigenvalue of A.
+    """
     s = np.asarray(s, dtype=complex)
     values = _by_substitution(form, s) if form.expansion is None else _partial_fractions(form, s)
     if not np.isfinite(values).all():
@@ -203,7 +241,9 @@ def _partial_fractions(form: SchurForm, s: np.ndarray) -> np.ndarray:
     poles, residues = form.expansion
     step = max(1, _CHUNK // (10 * len(poles)))
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        parts = [(1 / (s[i : i + step, None] - poles)) @ residues for i in range(0, max(1, len(s)), step)]
+        parts = [
+            (1 / (s[i : i + step, None] - poles)) @ residues for i in range(0, max(1, len(s)), step)
+        ]
         values = parts[0] if len(parts) == 1 else np.concatenate(parts)
     return values.reshape(len(s), *form.D.shape) + form.D
 
@@ -224,10 +264,14 @@ def _by_substitution(form: SchurForm, s: np.ndarray) -> np.ndarray:
 
 
 def _at_pole(s: complex) -> InvalidInput:
-    return InvalidInput(f"s = {s:.6g} is a pole of the system; evaluate beside it or leave this frequency out")
+    return InvalidInput(
+        f"s = {s:.6g} is a pole of the system; evaluate beside it or leave this frequency out"
+    )
 
 
-def transfer_matrix(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, s: np.ndarray) -> np.ndarray:
+def transfer_matrix(
+    A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, s: np.ndarray
+) -> np.ndarray:
     """C (s I - A)^-1 B + D at the complex points s (w,), as (w, p, m).
 
     A (n, n), B (n, m), C (p, n), D (p, m). Raises InvalidInput where s is an eigenvalue of A.
@@ -247,7 +291,9 @@ def transfer_matrix(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, 
 
 
 def _near_poles(form: SchurForm, s: np.ndarray) -> np.ndarray:
-    """Which points (w,) lie so close to a pole, or to a defective pair, that the Schur form does not resolve the distance."""
+    """Which points (w,) lie so close to a pole, or to a defective pair, that the Schur form does
+    not resolve the distance.
+    """
     eps = np.finfo(float).eps
     distance = np.abs(s[:, None] - form.poles) / np.maximum(form.pole_errors, 1e-280)
     near = distance.min(axis=1) <= np.sqrt(_NEAR / eps)
@@ -256,10 +302,14 @@ def _near_poles(form: SchurForm, s: np.ndarray) -> np.ndarray:
     return near
 
 
-def transfer_matrix_at(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, s: complex) -> np.ndarray:
-    """C (s I - A)^-1 B + D at one point, (p, m), as exactly as the data allow: LU and refinement in extended precision.
+def transfer_matrix_at(
+    A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, s: complex
+) -> np.ndarray:
+    """C (s I - A)^-1 B + D at one point, (p, m), as exactly as the data allow: LU and refinement in
+    extended precision.
 
-    A (n, n), B (n, m), C (p, n), D (p, m). Raises InvalidInput where s is an eigenvalue of A to rounding.
+    A (n, n), B (n, m), C (p, n), D (p, m). Raises InvalidInput where s is an eigenvalue of A to
+    rounding.
     """
     if A.shape[0] == 0 or 0 in D.shape:
         return D.astype(complex)
@@ -270,7 +320,8 @@ def transfer_matrix_at(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarra
 
 
 def state_response_at(A: np.ndarray, B: np.ndarray, s: complex) -> tuple[np.ndarray, float]:
-    """X = (s I - A)^-1 B, (n, m) complex, refined in extended precision, and the equilibrated matrix's reciprocal condition.
+    """X = (s I - A)^-1 B, (n, m) complex, refined in extended precision, and the equilibrated
+    matrix's reciprocal condition.
 
     A (n, n), B (n, m). At an eigenvalue of A the condition is 0 and X is zero.
     """
@@ -297,14 +348,18 @@ def state_response_at(A: np.ndarray, B: np.ndarray, s: complex) -> tuple[np.ndar
 
 
 def _times(T: np.ndarray, X: np.ndarray) -> np.ndarray:
-    """T (k, n) times every column of the contiguous complex X (n, w, m); a real T is not made complex."""
+    """T (k, n) times every column of the contiguous complex X (n, w, m); a real T is not made
+    complex.
+    """
     flat = X.reshape(X.shape[0], -1)
     product = (T @ flat.view(float)).view(complex) if np.isrealobj(T) else T @ flat
     return product.reshape(T.shape[0], *X.shape[1:])
 
 
 def solve_shifted(T: np.ndarray, X: np.ndarray, s: np.ndarray) -> None:
-    """Replace X (n, w, m) by (s_w I - T)^-1 X for (quasi-)triangular T (n, n) and every s (w,), in place."""
+    """Replace X (n, w, m) by (s_w I - T)^-1 X for (quasi-)triangular T (n, n) and every s (w,), in
+    place.
+    """
     n = T.shape[0]
     if n > _LEAF:
         h = n // 2 + int(T[n // 2, n // 2 - 1] != 0)  # never through a 2 x 2 block
@@ -325,7 +380,9 @@ def solve_shifted(T: np.ndarray, X: np.ndarray, s: np.ndarray) -> None:
 
 
 def _solve_pair(block: np.ndarray, X: np.ndarray, s: np.ndarray) -> None:
-    """The same for a standardised 2 x 2 block [[a, b], [c, a]] with b c < 0; its determinant is kept in factors."""
+    """The same for a standardised 2 x 2 block [[a, b], [c, a]] with b c < 0; its determinant is
+    kept in factors.
+    """
     (a, b), (c, _) = block
     half = 1j * np.sqrt(-b * c)
     d = s - a

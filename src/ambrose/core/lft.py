@@ -18,8 +18,9 @@ THE loop diagram. Quote it wherever a sign matters::
     S_o = (I + G K)^-1   output sensitivity, d -> y      T_o = I - S_o
     S_i = (I + K G)^-1   input sensitivity,  e -> v      K S_o  control sensitivity, r -> u
 
-A generalized plant is the same loop pulled apart: z = P11 w + P12 u, y = P21 w + P22 u, closed by u = K y; since its
-measured output is the error e_y, the minus sign sits inside P. The uncertainty closes the leading w and z: w = Delta z.
+A generalized plant is the same loop pulled apart: z = P11 w + P12 u, y = P21 w + P22 u, closed by u
+= K y; since its measured output is the error e_y, the minus sign sits inside P. The uncertainty
+closes the leading w and z: w = Delta z.
 """
 
 from __future__ import annotations
@@ -33,10 +34,22 @@ import numpy as np
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_finite, check_shape, invalid
 from ambrose.core.presentation import Presented, to_plain
-from ambrose.core.statespace import StateSpace, append, as_statespace, close, match_signals, poles, rename, select, static_gain
+from ambrose.core.statespace import (
+    ControllerLike,
+    StateSpace,
+    append,
+    as_statespace,
+    close,
+    match_signals,
+    poles,
+    rename,
+    select,
+    static_gain,
+)
 
 _PER_DECADE = 9
-_MARGIN = 10.0  # a design's grid reaches this factor beyond the slowest and fastest pole of the plant
+# a design's grid reaches this factor beyond the slowest and fastest pole of the plant
+_MARGIN = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,12 +78,16 @@ class RealBlock(_ScalarBlock):
 
 @dataclass(frozen=True, slots=True)
 class ComplexBlock(_ScalarBlock):
-    """delta I_repeat with |delta| <= 1, complex: unmodelled dynamics in one channel, possibly repeated."""
+    """delta I_repeat with |delta| <= 1, complex: unmodelled dynamics in one channel, possibly
+    repeated.
+    """
 
 
 @dataclass(frozen=True, slots=True)
 class FullBlock:
-    """A full complex matrix Delta (n_w, n_z) with largest singular value at most 1, w = Delta z: performance, or dynamics."""
+    """A full complex matrix Delta (n_w, n_z) with largest singular value at most 1, w = Delta z:
+    performance, or dynamics.
+    """
 
     name: str
     n_w: int
@@ -86,15 +103,19 @@ Block = RealBlock | ComplexBlock | FullBlock
 
 def _check_count(value: int, name: str) -> None:
     if not isinstance(value, int | np.integer) or value < 1:
-        raise invalid(name, repr(value), "a whole number, at least 1", "leave the block out if it is empty")
+        raise invalid(
+            name, repr(value), "a whole number, at least 1", "leave the block out if it is empty"
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
 class GeneralizedPlant(Presented):
-    """A StateSpace with its signals parted: disturbances w, controls u, performance outputs z, measurements y.
+    """A StateSpace with its signals parted: disturbances w, controls u, performance outputs z,
+    measurements y.
 
-    ``blocks`` is the uncertainty; its inputs are the leading ``w`` and its outputs the leading ``z``. The system is stored with
-    inputs in the order (w, u) and outputs (z, y). Raises InvalidInput for unknown, repeated or missing signals.
+    ``blocks`` is the uncertainty; its inputs are the leading ``w`` and its outputs the leading
+    ``z``. The system is stored with inputs in the order (w, u) and outputs (z, y). Raises
+    InvalidInput for unknown, repeated or missing signals.
     """
 
     system: StateSpace
@@ -114,7 +135,10 @@ class GeneralizedPlant(Presented):
         y: Sequence[str],
         blocks: Sequence[Block] = (),
     ) -> None:
-        groups = {side: (s,) if isinstance(s, str) else tuple(s) for side, s in zip("wuzy", (w, u, z, y), strict=True)}
+        groups = {
+            side: (s,) if isinstance(s, str) else tuple(s)
+            for side, s in zip("wuzy", (w, u, z, y), strict=True)
+        }
         blocks = tuple(blocks)
         for count, side in ((sum(b.n_w for b in blocks), "w"), (sum(b.n_z for b in blocks), "z")):
             if count > len(groups[side]):
@@ -126,8 +150,15 @@ class GeneralizedPlant(Presented):
                 )
         names = [b.name for b in blocks]
         if len(set(names)) != len(names):
-            raise invalid("the block names", names, "unique", "one block per parameter; use repeat for repeated ones")
-        object.__setattr__(self, "system", select(system, groups["w"] + groups["u"], groups["z"] + groups["y"]))
+            raise invalid(
+                "the block names",
+                names,
+                "unique",
+                "one block per parameter; use repeat for repeated ones",
+            )
+        object.__setattr__(
+            self, "system", select(system, groups["w"] + groups["u"], groups["z"] + groups["y"])
+        )
         for side, signals in groups.items():
             object.__setattr__(self, side, signals)
         object.__setattr__(self, "blocks", blocks)
@@ -135,7 +166,11 @@ class GeneralizedPlant(Presented):
     def facts(self) -> Mapping[str, Any]:
         """Its size and its uncertainty."""
         counts = {f"n_{side}": len(getattr(self, side)) for side in "wuzy"}
-        return {"states": self.system.n_states, **counts, "blocks": [block.name for block in self.blocks]}
+        return {
+            "states": self.system.n_states,
+            **counts,
+            "blocks": [block.name for block in self.blocks],
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """The system, its signals and its blocks, ready for JSON."""
@@ -152,9 +187,11 @@ class GeneralizedPlant(Presented):
         return sum(block.n_z for block in self.blocks)
 
 
-def lft(plant: GeneralizedPlant, controller: Any) -> StateSpace:
-    """The lower LFT F_l(P, K): from w to z with u = K y closed. The controller's signals (y in, u out) are matched by name
-    where it has the plant's names, else by place. Raises NumericalFailure for an algebraic loop without a solution."""
+def lft(plant: GeneralizedPlant, controller: ControllerLike) -> StateSpace:
+    """The lower LFT F_l(P, K): from w to z with u = K y closed. The controller's signals (y in, u
+    out) are matched by name where it has the plant's names, else by place. Raises NumericalFailure
+    for an algebraic loop without a solution.
+    """
     controller = as_statespace(controller)
     if controller.D.shape != (len(plant.u), len(plant.y)):
         raise invalid(
@@ -164,27 +201,42 @@ def lft(plant: GeneralizedPlant, controller: Any) -> StateSpace:
             "match u and y",
         )
     controller = match_signals(controller, plant.y, plant.u)
-    return _star(plant.system, controller, list(plant.w), list(plant.z), list(plant.u), list(plant.y))
+    return _star(
+        plant.system, controller, list(plant.w), list(plant.z), list(plant.u), list(plant.y)
+    )
 
 
-def close_uncertainty(plant: GeneralizedPlant, delta: Mapping[str, float | np.ndarray]) -> StateSpace:
-    """The upper LFT F_u(P, Delta): each block closed with a number (or a matrix for a full block); absent blocks are zero.
+def close_uncertainty(
+    plant: GeneralizedPlant, delta: Mapping[str, float | np.ndarray]
+) -> StateSpace:
+    """The upper LFT F_u(P, Delta): each block closed with a number (or a matrix for a full block);
+    absent blocks are zero.
 
     Returns the system from the remaining w and u to the remaining z and y.
     """
     unknown = set(delta) - {block.name for block in plant.blocks}
     if unknown:
-        raise InvalidInput(f"block {sorted(unknown)[0]!r} is unknown; the plant has {', '.join(b.name for b in plant.blocks)}")
+        raise InvalidInput(
+            f"block {sorted(unknown)[0]!r} is unknown; the plant has "
+            f"{', '.join(b.name for b in plant.blocks)}"
+        )
     gain = np.zeros((plant.n_w_blocks, plant.n_z_blocks))
     i = j = 0
     for block in plant.blocks:
         value = check_finite(delta.get(block.name, 0.0), f"delta of {block.name}")
         if np.iscomplexobj(value):
-            raise invalid(f"delta of {block.name}", value, "real", "a real state space cannot hold a complex perturbation")
+            raise invalid(
+                f"delta of {block.name}",
+                value,
+                "real",
+                "a real state space cannot hold a complex perturbation",
+            )
         if not value.ndim:
             value = value * np.eye(block.n_w, block.n_z)
         elif not isinstance(block, FullBlock):
-            raise invalid(f"delta of {block.name}", value.tolist(), "one number", "it multiplies the identity")
+            raise invalid(
+                f"delta of {block.name}", value.tolist(), "one number", "it multiplies the identity"
+            )
         check_shape(value, f"delta of {block.name}", "(w, z)", w=block.n_w, z=block.n_z)
         gain[i : i + block.n_w, j : j + block.n_z] = value
         i, j = i + block.n_w, j + block.n_z
@@ -194,7 +246,9 @@ def close_uncertainty(plant: GeneralizedPlant, delta: Mapping[str, float | np.nd
     return _star(plant.system, static_gain(gain), keep_in, keep_out, list(w), list(z))
 
 
-def _star(system: StateSpace, gain: StateSpace, w: list[str], z: list[str], u: list[str], y: list[str]) -> StateSpace:
+def _star(
+    system: StateSpace, gain: StateSpace, w: list[str], z: list[str], u: list[str], y: list[str]
+) -> StateSpace:
     """Close u = gain y on ``system`` and keep w -> z."""
     inner = rename(gain, [f"from {name}" for name in y], [f"to {name}" for name in u])
     joined = append(system, inner)
@@ -207,7 +261,9 @@ def _star(system: StateSpace, gain: StateSpace, w: list[str], z: list[str], u: l
 
 
 def design_grid(plant: GeneralizedPlant) -> np.ndarray:
-    """Logarithmic frequencies [rad/s] from a decade below the plant's slowest pole to one above the fastest."""
+    """Logarithmic frequencies [rad/s] from a decade below the plant's slowest pole to one above the
+    fastest.
+    """
     size = np.abs(poles(plant.system))
     size = size[size > 1e-9 * size.max(initial=0.0)]
     low, high = (size.min() / _MARGIN, size.max() * _MARGIN) if size.size else (1e-2, 1e2)

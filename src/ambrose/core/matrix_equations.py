@@ -1,7 +1,7 @@
 """Lyapunov and Riccati equations, Gramians and balanced realisations.
 
-Everything is balanced by exact diagonal scaling first, and every result is put back into its equation: what does not fit
-is not returned.
+Everything is balanced by exact diagonal scaling first, and every result is put back into its
+equation: what does not fit is not returned.
 """
 
 from __future__ import annotations
@@ -13,7 +13,14 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike
 
-from ambrose.core.checks import InvalidInput, NumericalFailure, UnstableSystem, check_shape, invalid, named_failure
+from ambrose.core.checks import (
+    InvalidInput,
+    NumericalFailure,
+    UnstableSystem,
+    check_shape,
+    invalid,
+    named_failure,
+)
 from ambrose.core.frequency import schur_eigenvalues
 from ambrose.core.realisation.balancing import balance, balance_system
 from ambrose.core.statespace import StateSpace, as_statespace
@@ -26,8 +33,8 @@ _EPS = float(np.finfo(float).eps)
 def lyapunov(A: ArrayLike, Q: ArrayLike) -> np.ndarray:
     """X (n, n) with A X + X A^T + Q = 0.
 
-    A (n, n); Q (n, n), any; a symmetric Q gives a symmetric X. The residual is at most 1e-8 of the equation's terms. Raises
-    NumericalFailure otherwise, and when A and -A share an eigenvalue.
+    A (n, n); Q (n, n), any; a symmetric Q gives a symmetric X. The residual is at most 1e-8 of the
+    equation's terms. Raises NumericalFailure otherwise, and when A and -A share an eigenvalue.
     Source: Bartels & Stewart 1972, on the complex Schur form of the balanced A.
     """
     return _lyapunov(*_square(A, Q), discrete=False)
@@ -37,9 +44,9 @@ def lyapunov(A: ArrayLike, Q: ArrayLike) -> np.ndarray:
 def discrete_lyapunov(A: ArrayLike, Q: ArrayLike) -> np.ndarray:
     """X (n, n) with A X A^T - X + Q = 0.
 
-    A (n, n); Q (n, n), any; a symmetric Q gives a symmetric X. The residual is at most 1e-8 of the equation's terms. Raises
-    NumericalFailure otherwise, and when the product of two eigenvalues of A is 1. Source: Kitagawa 1977, on the complex Schur
-    form of the balanced A.
+    A (n, n); Q (n, n), any; a symmetric Q gives a symmetric X. The residual is at most 1e-8 of the
+    equation's terms. Raises NumericalFailure otherwise, and when the product of two eigenvalues of
+    A is 1. Source: Kitagawa 1977, on the complex Schur form of the balanced A.
     """
     return _lyapunov(*_square(A, Q), discrete=True)
 
@@ -66,7 +73,8 @@ def _lyapunov(A: np.ndarray, Q: np.ndarray, discrete: bool) -> np.ndarray:
         i, j = np.unravel_index(np.argmin(clash), clash.shape)
         what = "with the product 1" if discrete else "with the sum 0"
         raise NumericalFailure(
-            f"the Lyapunov equation has no unique solution: A has the eigenvalues {poles[i]:.6g} and {poles[j].conj():.6g} "
+            f"the Lyapunov equation has no unique solution: A has the eigenvalues {poles[i]:.6g} "
+            f"and {poles[j].conj():.6g} "
             f"{what}; remove or shift marginal states first"
         )
     X = U @ _triangular_lyapunov(T, U.conj().T @ Q @ U, discrete) @ U.conj().T
@@ -76,17 +84,22 @@ def _lyapunov(A: np.ndarray, Q: np.ndarray, discrete: bool) -> np.ndarray:
         X = (X + X.conj().T) / 2
     AX = A @ X
     terms = np.array((AX @ A.conj().T, -X, Q) if discrete else (AX, X @ A.conj().T, Q))
-    residual = float(np.linalg.norm(terms.sum(axis=0)) / max(np.linalg.norm(terms, axis=(1, 2)).sum(), 1e-280))
+    residual = float(
+        np.linalg.norm(terms.sum(axis=0)) / max(np.linalg.norm(terms, axis=(1, 2)).sum(), 1e-280)
+    )
     if not residual <= _RESIDUAL:
         raise NumericalFailure(
-            f"the Lyapunov equation's relative residual is {residual:.2g}, but must be at most {_RESIDUAL:g}; "
+            f"the Lyapunov equation's relative residual is {residual:.2g}, but must be at most "
+            f"{_RESIDUAL:g}; "
             "a pole is too close to the stability boundary, or the states are badly scaled"
         )
     return X * t[:, None] * t
 
 
 def _triangular_lyapunov(T: np.ndarray, Q: np.ndarray, discrete: bool) -> np.ndarray:
-    """Y with T Y + Y T^H + Q = 0, or T Y T^H - Y + Q = 0, for upper triangular T (n, n): the last column first."""
+    """Y with T Y + Y T^H + Q = 0, or T Y T^H - Y + Q = 0, for upper triangular T (n, n): the last
+    column first.
+    """
     n = T.shape[0]
     Y = np.zeros((n, n), dtype=complex)
     for j in range(n - 1, -1, -1):
@@ -106,8 +119,9 @@ def _triangular_lyapunov(T: np.ndarray, Q: np.ndarray, discrete: bool) -> np.nda
 class RiccatiSolution:
     """The stabilising solution of A^T X + X A - X G X + Q = 0, or why there is none.
 
-    X (n, n) symmetric; closed_loop_poles (n,): eigenvalues of A - G X; residual: relative to the sum of the equation's terms.
-    status: "solved", or the reason: "imaginary-axis eigenvalues", "X1 singular", "inaccurate"; X is NaN unless solved.
+    X (n, n) symmetric; closed_loop_poles (n,): eigenvalues of A - G X; residual: relative to the
+    sum of the equation's terms. status: "solved", or the reason: "imaginary-axis eigenvalues", "X1
+    singular", "inaccurate"; X is NaN unless solved.
     """
 
     X: np.ndarray
@@ -121,12 +135,13 @@ class RiccatiSolution:
 
 
 def solve_riccati(A: ArrayLike, G: ArrayLike, Q: ArrayLike) -> RiccatiSolution:
-    """The stabilising solution of A^T X + X A - X G X + Q = 0: the eigenvalues of A - G X lie in the open left half plane.
+    """The stabilising solution of A^T X + X A - X G X + Q = 0: the eigenvalues of A - G X lie in
+    the open left half plane.
 
-    A (n, n); G (n, n) and Q (n, n) symmetric, either may be indefinite. For LQR G = B R^-1 B^T; for H-infinity control
-    G = B2 B2^T - gamma^-2 B1 B1^T. A solution leaves at most 1e-8 of the equation's terms. Failure is a ``status``, not an
-    exception; raises InvalidInput only. Source: Laub 1979 (Schur vectors of the Hamiltonian), with symplectic balancing
-    (Benner 2001).
+    A (n, n); G (n, n) and Q (n, n) symmetric, either may be indefinite. For LQR G = B R^-1 B^T; for
+    H-infinity control G = B2 B2^T - gamma^-2 B1 B1^T. A solution leaves at most 1e-8 of the
+    equation's terms. Failure is a ``status``, not an exception; raises InvalidInput only. Source:
+    Laub 1979 (Schur vectors of the Hamiltonian), with symplectic balancing (Benner 2001).
     """
     a = check_shape(A, "A", "(n, n)")
     n = a.shape[0]
@@ -135,8 +150,12 @@ def solve_riccati(A: ArrayLike, G: ArrayLike, Q: ArrayLike) -> RiccatiSolution:
     g, q = _symmetric(G, "G", n), _symmetric(Q, "Q", n)
     scale = balance(np.block([[a, -g], [-q, -a.T]]))[1]
     d = np.exp2(np.round(np.log2(scale[:n] / scale[n:]) / 2))  # diag(d, 1/d) is symplectic
-    a, g, q = a * d / d[:, None], g / d[:, None] / d, q * d[:, None] * d
-    X, residual, poles = a, np.inf, np.zeros(n, complex)
+    a = a * d / d[:, None]
+    g = g / d[:, None] / d
+    q = q * d[:, None] * d
+    X = a
+    residual = np.inf
+    poles = np.zeros(n, complex)
     try:
         X, status = _stable_subspace(np.block([[a, -g], [-q, -a.T]]))
         if status == "solved":
@@ -149,7 +168,9 @@ def solve_riccati(A: ArrayLike, G: ArrayLike, Q: ArrayLike) -> RiccatiSolution:
     except ValueError:  # LAPACK's refusal, or scipy's of what overflowed
         status = "inaccurate"
     if status != "solved":
-        return RiccatiSolution(np.full((n, n), np.nan), np.full(n, np.nan, complex), float(residual), status)
+        return RiccatiSolution(
+            np.full((n, n), np.nan), np.full(n, np.nan, complex), float(residual), status
+        )
     return RiccatiSolution(X / d[:, None] / d, poles, float(residual), status)
 
 
@@ -161,10 +182,12 @@ def _symmetric(X: ArrayLike, name: str, n: int) -> np.ndarray:
 
 
 def _stable_subspace(H: np.ndarray) -> tuple[np.ndarray, str]:
-    """X = X2 X1^-1 from the n most stable Schur vectors of the Hamiltonian (2n, 2n), and the status.
+    """X = X2 X1^-1 from the n most stable Schur vectors of the Hamiltonian (2n, 2n), and the
+    status.
 
-    The n most stable eigenvalues are taken, whatever their sign after rounding: slow poles far below the norm would break a
-    count of negative real parts. That they mirror the others shows in the symmetry of X (a Lagrangian subspace).
+    The n most stable eigenvalues are taken, whatever their sign after rounding: slow poles far
+    below the norm would break a count of negative real parts. That they mirror the others shows in
+    the symmetry of X (a Lagrangian subspace).
     """
     n = H.shape[0] // 2
     T, Z = sla.schur(H)
@@ -187,7 +210,9 @@ def _stable_subspace(H: np.ndarray) -> tuple[np.ndarray, str]:
 
 
 def _refine(A: np.ndarray, G: np.ndarray, Q: np.ndarray, X: np.ndarray) -> tuple[np.ndarray, float]:
-    """One Newton step where the residual asks for it, kept only if it helps; the residual (relative)."""
+    """One Newton step where the residual asks for it, kept only if it helps; the residual
+    (relative).
+    """
 
     def put_in(X: np.ndarray) -> tuple[np.ndarray, float]:
         XA, XGX = X @ A, X @ G @ X
@@ -208,7 +233,9 @@ def _refine(A: np.ndarray, G: np.ndarray, Q: np.ndarray, X: np.ndarray) -> tuple
 
 @named_failure("the controllability Gramian")
 def controllability_gramian(system: Any) -> np.ndarray:
-    """P (n, n) with A P + P A^T + B B^T = 0, or A P A^T - P + B B^T = 0 when sampled. Raises UnstableSystem."""
+    """P (n, n) with A P + P A^T + B B^T = 0, or A P A^T - P + B B^T = 0 when sampled. Raises
+    UnstableSystem.
+    """
     system = as_statespace(system)
     L = _gramian_factor(system.A, system.B, system.dt is not None)
     return L @ L.T
@@ -216,17 +243,20 @@ def controllability_gramian(system: Any) -> np.ndarray:
 
 @named_failure("the observability Gramian")
 def observability_gramian(system: Any) -> np.ndarray:
-    """Q (n, n) with A^T Q + Q A + C^T C = 0, or A^T Q A - Q + C^T C = 0 when sampled. Raises UnstableSystem."""
+    """Q (n, n) with A^T Q + Q A + C^T C = 0, or A^T Q A - Q + C^T C = 0 when sampled. Raises
+    UnstableSystem.
+    """
     system = as_statespace(system)
     L = _gramian_factor(system.A.T, system.C.T, system.dt is not None)
     return L @ L.T
 
 
 def _gramian_factor(A: np.ndarray, B: np.ndarray, discrete: bool) -> np.ndarray:
-    """L (n, n) real with P = L L^T, found without forming P, so that small singular values keep their digits.
+    """L (n, n) real with P = L L^T, found without forming P, so that small singular values keep
+    their digits.
 
-    Source: Hammarling 1982, on the complex Schur form, one column at a time; real and imaginary parts side by side are a
-    real factor of the same Gramian.
+    Source: Hammarling 1982, on the complex Schur form, one column at a time; real and imaginary
+    parts side by side are a real factor of the same Gramian.
     """
     n = A.shape[0]
     if n == 0:
@@ -239,13 +269,16 @@ def _gramian_factor(A: np.ndarray, B: np.ndarray, discrete: bool) -> np.ndarray:
     if (distance <= error).any():
         worst = poles[np.argmin(distance - error)]
         raise UnstableSystem(
-            f"the pole {'z' if discrete else 's'} = {worst:.6g} is not inside the stability region, so the Gramian does not "
+            f"the pole {'z' if discrete else 's'} = {worst:.6g} is not inside the stability "
+            "region, so the Gramian does not "
             "exist; stabilise the system, or split off its unstable part"
         )
     R = np.zeros((n, n), dtype=complex)
     W = (U.conj().T @ B).astype(complex)
     for k in range(n - 1, -1, -1):
-        b, tau, above = W[k], T[k, k], T[:k, k]
+        b = W[k]
+        tau = T[k, k]
+        above = T[:k, k]
         size_b = np.linalg.norm(b)
         if size_b == 0.0:
             W = W[:k]
@@ -257,7 +290,10 @@ def _gramian_factor(A: np.ndarray, B: np.ndarray, discrete: bool) -> np.ndarray:
         left = T[:k, :k] * tau.conj() if discrete else T[:k, :k].copy(order="F")
         left[np.diag_indices(k)] += -1 if discrete else tau.conj()
         if k:
-            r = sla.blas.ztrsv(left, -above * rho * tau.conj() - alpha * c if discrete else -above * rho - alpha * c)
+            r = sla.blas.ztrsv(
+                left,
+                -above * rho * tau.conj() - alpha * c if discrete else -above * rho - alpha * c,
+            )
             R[:k, k] = r
             change = alpha * (T[:k, :k] @ r + above * rho) - tau * c - c if discrete else -alpha * r
             W = W[:k] + np.outer(change, unit.conj())
@@ -270,9 +306,10 @@ def _gramian_factor(A: np.ndarray, B: np.ndarray, discrete: bool) -> np.ndarray:
 def balanced_realization(system: Any) -> tuple[StateSpace, np.ndarray, np.ndarray, np.ndarray]:
     """The realisation with equal, diagonal Gramians: (system, hankel (n,), T_L (k, n), T_R (n, k)).
 
-    The new system has A = T_L A T_R, B = T_L B, C = C T_R, T_L T_R = I; its Gramians are diag(hankel[:k]), in descending order.
-    States whose Hankel singular value is below n eps of the largest cannot be told from zero and are left out, so k <= n for
-    a system that is not minimal. hankel is good to about 1e-15 of the largest times the condition of the poles. Raises
+    The new system has A = T_L A T_R, B = T_L B, C = C T_R, T_L T_R = I; its Gramians are
+    diag(hankel[:k]), in descending order. States whose Hankel singular value is below n eps of the
+    largest cannot be told from zero and are left out, so k <= n for a system that is not minimal.
+    hankel is good to about 1e-15 of the largest times the condition of the poles. Raises
     UnstableSystem. Source: Tombs & Postlethwaite 1987 (square-root method).
     """
     system = as_statespace(system)
@@ -286,6 +323,12 @@ def balanced_realization(system: Any) -> tuple[StateSpace, np.ndarray, np.ndarra
     T_L = (Lo @ (U[:, :k] / root)).T / t
     T_R = (Lc @ (Vt[:k].T / root)) * t[:, None]
     balanced = StateSpace(
-        T_L @ system.A @ T_R, T_L @ system.B, system.C @ T_R, system.D, system.inputs, system.outputs, system.dt
-    )  # fmt: skip
+        T_L @ system.A @ T_R,
+        T_L @ system.B,
+        system.C @ T_R,
+        system.D,
+        system.inputs,
+        system.outputs,
+        system.dt,
+    )
     return balanced, hankel, T_L, T_R

@@ -1,13 +1,17 @@
-"""The H-infinity norm: two-step bisection (Bruinsma & Steinbuch 1990) without any classification of eigenvalues.
+"""The H-infinity norm: two-step bisection (Bruinsma & Steinbuch 1990) without any classification of
+eigenvalues.
 
-gamma is a singular value of G(j omega) exactly where a Hamiltonian matrix has the eigenvalue j omega. Whether a computed
-eigenvalue lies "on" the axis is a fragile question; it is not asked. The imaginary part of *every* eigenvalue, and the
-midpoints between neighbours, are candidate frequencies: were there an interval with a gain above gamma, its ends would be
-eigenvalues, so one candidate at least would lie inside it and show that gain by evaluation. A wrong candidate costs one
-evaluation. The lower bound starts from the poles' frequencies and climbs to the local maximum after each step.
+gamma is a singular value of G(j omega) exactly where a Hamiltonian matrix has the eigenvalue j
+omega. Whether a computed eigenvalue lies "on" the axis is a fragile question; it is not asked. The
+imaginary part of *every* eigenvalue, and the midpoints between neighbours, are candidate
+frequencies: were there an interval with a gain above gamma, its ends would be eigenvalues, so one
+candidate at least would lie inside it and show that gain by evaluation. A wrong candidate costs one
+evaluation. The lower bound starts from the poles' frequencies and climbs to the local maximum after
+each step.
 
-Between two eigenvalue problems gains are read from the partial fractions, where the eigenvectors keep their digits (core/
-frequency.py), else from the Schur form; the value that is returned is recomputed from the system as it was given.
+Between two eigenvalue problems gains are read from the partial fractions, where the eigenvectors
+keep their digits (core/ frequency.py), else from the Schur form; the value that is returned is
+recomputed from the system as it was given.
 """
 
 from __future__ import annotations
@@ -27,19 +31,24 @@ from ambrose.core.statespace import StateSpace, as_statespace
 _MAX_STEPS = 60
 _STENCIL = np.linspace(-1.0, 1.0, 17)  # points of one pass of the local search
 _PASSES = 5
-_FINE_STENCIL = np.linspace(-1.0, 1.0, 13)  # the same with partial fractions, where the last parabola is enough
+# the same with partial fractions, where the last parabola is enough
+_FINE_STENCIL = np.linspace(-1.0, 1.0, 13)
 _FINE_PASSES = 3
-_EXPANDED = 1e-8  # tolerance from which on partial fractions, which lose up to four digits, may choose the frequencies
+# tolerance from which on partial fractions, which lose up to four digits, may choose the
+# frequencies
+_EXPANDED = 1e-8
 _PEAKS = 6  # local maxima followed at once
-_ROUNDING = 10.0  # a pole is marginal when it is closer to the boundary than this many rounding errors
+# a pole is marginal when it is closer to the boundary than this many rounding errors
+_ROUNDING = 10.0
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class HinfNorm(Presented):
     """The largest singular value over all frequencies, and where it is attained.
 
-    value: attained at ``frequency`` [rad/s] (inf when only approached at infinite frequency); no frequency has a gain above
-    ``upper`` = (1 + tolerance) value, up to rounding. ``steps`` counts Hamiltonian eigenvalue problems.
+    value: attained at ``frequency`` [rad/s] (inf when only approached at infinite frequency); no
+    frequency has a gain above ``upper`` = (1 + tolerance) value, up to rounding. ``steps`` counts
+    Hamiltonian eigenvalue problems.
     """
 
     value: float
@@ -50,12 +59,14 @@ class HinfNorm(Presented):
 
 @named_failure("the H-infinity norm")
 def hinf_norm(system: Any, tolerance: float = 1e-6, allow_unstable: bool = False) -> HinfNorm:
-    """The H-infinity norm of a continuous or sampled system, with the frequency of its peak [rad/s].
+    """The H-infinity norm of a continuous or sampled system, with the frequency of its peak
+    [rad/s].
 
-    system: a StateSpace or python-control system; tolerance: relative distance from the value to the certified upper bound;
-    allow_unstable: return the L-infinity norm (largest gain on the axis or unit circle) of an unstable system; a pole on the
-    boundary then gives inf. Raises UnstableSystem for an unstable or marginal system, NumericalFailure when the bounds do not
-    meet. Source: Bruinsma & Steinbuch 1990, Systems & Control Letters 14, algorithm 2.
+    system: a StateSpace or python-control system; tolerance: relative distance from the value to
+    the certified upper bound; allow_unstable: return the L-infinity norm (largest gain on the axis
+    or unit circle) of an unstable system; a pole on the boundary then gives inf. Raises
+    UnstableSystem for an unstable or marginal system, NumericalFailure when the bounds do not meet.
+    Source: Bruinsma & Steinbuch 1990, Systems & Control Letters 14, algorithm 2.
     """
     system = as_statespace(system)
     check_positive(tolerance, "tolerance", "1e-6 suits most uses")
@@ -82,9 +93,11 @@ class _Peak:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Problem:
-    """One system prepared: ``form`` for gains at many points, ``A .. D`` of the continuous equivalent for the Hamiltonian.
+    """One system prepared: ``form`` for gains at many points, ``A .. D`` of the continuous
+    equivalent for the Hamiltonian.
 
-    Frequencies are angles theta = omega dt in 0..pi when sampled, else omega in 0..inf; ``unit`` is dt or 1.
+    Frequencies are angles theta = omega dt in 0..pi when sampled, else omega in 0..inf; ``unit`` is
+    dt or 1.
     """
 
     original: StateSpace
@@ -123,7 +136,9 @@ class _Problem:
         return float(abs(np.angle(np.exp(1j * angle))) if self.sampled else abs(angle))
 
     def gains(self, angle: np.ndarray, floor: float = 0.0) -> np.ndarray:
-        """The largest singular value at each frequency, fast; a bound below ``floor`` where it is not above that."""
+        """The largest singular value at each frequency, fast; a bound below ``floor`` where it is
+        not above that.
+        """
         values = evaluate(self.form, self.point(angle))
         parts = np.ascontiguousarray(values).view(float).reshape(len(values), -1)
         bound = np.sqrt(np.einsum("ij,ij->i", parts, parts))
@@ -133,7 +148,9 @@ class _Problem:
         return bound
 
     def peak(self, angle: float) -> _Peak:
-        """The largest singular value at one frequency, as exactly as the data allow, with its rounding error."""
+        """The largest singular value at one frequency, as exactly as the data allow, with its
+        rounding error.
+        """
         s = self.original
         if np.isinf(angle):
             return _Peak(_gain(s.D), angle, 0.0)
@@ -142,7 +159,9 @@ class _Problem:
         return _Peak(_gain(s.C @ X + s.D), angle, float(noise))
 
     def candidates(self, gamma: float) -> np.ndarray:
-        """Every frequency at which gamma may be a singular value, sorted, with the points between neighbours."""
+        """Every frequency at which gamma may be a singular value, sorted, with the points between
+        neighbours.
+        """
         values = np.linalg.eigvals(_hamiltonian(self.A, self.B, self.C, self.D, gamma)).imag
         if self.sampled:
             angles = np.abs(np.angle(np.exp(1j * (2 * np.arctan(values) + self.rotation))))
@@ -156,11 +175,15 @@ class _Problem:
 def _continuous(
     A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, poles: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
-    """The bilinear image z = e^(j rotation) (1 + s) / (1 - s); rotated (and complex) only when a pole is close to z = -1."""
+    """The bilinear image z = e^(j rotation) (1 + s) / (1 - s); rotated (and complex) only when a
+    pole is close to z = -1.
+    """
     rotation = 0.0
     if np.abs(poles + 1).min() < 1e-3:
         angles = np.linspace(0.0, np.pi, 65)
-        rotation = float(angles[np.argmax(np.abs(poles[:, None] + np.exp(1j * angles)).min(axis=0))])
+        rotation = float(
+            angles[np.argmax(np.abs(poles[:, None] + np.exp(1j * angles)).min(axis=0))]
+        )
         A, B = A * np.exp(-1j * rotation), B * np.exp(-1j * rotation)
     plus = A + np.eye(len(A))
     lu = sla.lu_factor(plus)
@@ -169,10 +192,18 @@ def _continuous(
     return left[:, : len(A)], np.sqrt(2) * left[:, len(A) :], np.sqrt(2) * CE, D - CE @ B, rotation
 
 
-def _hamiltonian(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, gamma: float) -> np.ndarray:
-    """Eigenvalues j omega where gamma is a singular value of C (j omega - A)^-1 B + D; scaled to gamma = 1."""
-    B, C, D = B / np.sqrt(gamma), C / np.sqrt(gamma), D / gamma
-    DH, CH, BH = D.conj().T, C.conj().T, B.conj().T
+def _hamiltonian(
+    A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, gamma: float
+) -> np.ndarray:
+    """Eigenvalues j omega where gamma is a singular value of C (j omega - A)^-1 B + D; scaled to
+    gamma = 1.
+    """
+    B = B / np.sqrt(gamma)
+    C = C / np.sqrt(gamma)
+    D = D / gamma
+    DH = D.conj().T
+    CH = C.conj().T
+    BH = B.conj().T
     right = np.linalg.solve(np.eye(D.shape[1]) - DH @ D, np.hstack([DH @ C, BH]))
     n = len(A)
     H = np.empty((2 * n, 2 * n), right.dtype)
@@ -188,7 +219,9 @@ def _gain(M: np.ndarray) -> float:
 
 
 def _check_stability(problem: _Problem, allow_unstable: bool) -> float | None:
-    """The frequency of a pole on the stability boundary, or None; refuses unstable systems unless they are allowed."""
+    """The frequency of a pole on the stability boundary, or None; refuses unstable systems unless
+    they are allowed.
+    """
     poles, errors = problem.poles, _ROUNDING * problem.form.pole_errors
     distance = 1 - np.abs(poles) if problem.sampled else -poles.real
     if (distance <= errors).any():
@@ -196,8 +229,10 @@ def _check_stability(problem: _Problem, allow_unstable: bool) -> float | None:
         if not allow_unstable:
             kind = "z" if problem.sampled else "s"
             raise UnstableSystem(
-                f"the pole {kind} = {poles[worst]:.6g} is not inside the stability region, so the H-infinity norm does not "
-                "exist; stabilise the loop first, or ask for the L-infinity norm with allow_unstable=True"
+                f"the pole {kind} = {poles[worst]:.6g} is not inside the stability region, so the "
+                "H-infinity norm does not "
+                "exist; stabilise the loop first, or ask for the L-infinity norm with "
+                "allow_unstable=True"
             )
         on_boundary = np.flatnonzero(np.abs(distance) <= errors)
         if on_boundary.size:
@@ -207,19 +242,24 @@ def _check_stability(problem: _Problem, allow_unstable: bool) -> float | None:
 
 
 def _bisect(problem: _Problem, tolerance: float) -> tuple[float, float, float, int]:
-    """Raise the lower bound until no candidate beats it by more than ``tolerance``: value, angle, upper bound, steps."""
+    """Raise the lower bound until no candidate beats it by more than ``tolerance``: value, angle,
+    upper bound, steps.
+    """
     best = _Peak(0.0, 0.0, 0.0) if problem.sampled else problem.peak(np.inf)
     best = _climb(problem, _seeds(problem), best, 0.0)
     for step in range(_MAX_STEPS):
         level = best.gain * (1 + tolerance) + best.noise
         if level == 0.0:
             return 0.0, 0.0, 0.0, step
-        higher = _climb(problem, problem.candidates(level), best, level - 0.5 * tolerance * best.gain)
+        higher = _climb(
+            problem, problem.candidates(level), best, level - 0.5 * tolerance * best.gain
+        )
         if higher.gain <= level:
             return higher.gain, higher.angle, level, step + 1
         best = higher
     raise NumericalFailure(
-        f"the H-infinity norm's lower bound {best.gain:.6g} still rises after {_MAX_STEPS} steps; use a larger tolerance "
+        f"the H-infinity norm's lower bound {best.gain:.6g} still rises after {_MAX_STEPS} steps; "
+        "use a larger tolerance "
         f"than {tolerance:g}, or rescale the inputs and outputs"
     )
 
@@ -236,10 +276,14 @@ def _seeds(problem: _Problem) -> np.ndarray:
 
 
 def _climb(problem: _Problem, angles: np.ndarray, best: _Peak, level: float) -> _Peak:
-    """The highest of ``best`` and the local maxima near the best of these (sorted) frequencies with gains above ``level``."""
+    """The highest of ``best`` and the local maxima near the best of these (sorted) frequencies with
+    gains above ``level``.
+    """
     gains = problem.gains(angles, level)
     left, right = np.append(-np.inf, gains[:-1]), np.append(gains[1:], -np.inf)
-    peaks = np.flatnonzero((gains >= left) & (gains >= right) & (gains > max(level, 0.5 * gains.max())))
+    peaks = np.flatnonzero(
+        (gains >= left) & (gains >= right) & (gains > max(level, 0.5 * gains.max()))
+    )
     peaks = peaks[np.argsort(-gains[peaks])][:_PEAKS]
     if peaks.size == 0:
         return best
@@ -261,8 +305,9 @@ def _zoom(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Local maximisation from several starts (k,) at once: centres, remaining radii, gains.
 
-    The first radius is the distance to the nearest pole: on that scale G changes. Frequencies may leave the half axis (or the
-    half circle); the gain is symmetric. Where the last stencil holds the maximum, its parabola gives the centre.
+    The first radius is the distance to the nearest pole: on that scale G changes. Frequencies may
+    leave the half axis (or the half circle); the gain is symmetric. Where the last stencil holds
+    the maximum, its parabola gives the centre.
     """
     points = problem.point(centre)
     radius = np.abs(points[:, None] - problem.poles).min(axis=1)
@@ -283,7 +328,9 @@ def _zoom(
 
 
 def _polish(problem: _Problem, angle: float, step: float) -> _Peak:
-    """The same for one start with exactly evaluated gains: walk while a neighbour is higher, end with a parabola."""
+    """The same for one start with exactly evaluated gains: walk while a neighbour is higher, end
+    with a parabola.
+    """
     step = max(step, 8 * np.spacing(angle))
     here = problem.peak(angle)
     low, high = problem.peak(angle - step), problem.peak(angle + step)

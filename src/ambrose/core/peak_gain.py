@@ -1,4 +1,6 @@
-"""How large a state can become under bounded inputs: the sum of the absolute impulse response (the l1 norm), from above."""
+"""How large a state can become under bounded inputs: the sum of the absolute impulse response (the
+l1 norm), from above.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +14,13 @@ _DOUBLINGS = 60
 
 
 def peak_gains(increment: np.ndarray, B: np.ndarray, steps: float = np.inf) -> np.ndarray:
-    """Bounds (n, m) on |x_i| for |u_j| <= 1 and x[k+1] = x[k] + increment x[k] + B u[k] from rest; infinite when unstable.
+    """Bounds (n, m) on |x_i| for |u_j| <= 1 and x[k+1] = x[k] + increment x[k] + B u[k] from rest;
+    infinite when unstable.
 
-    increment (n, n), B (n, m). steps: how many samples the input acts (infinite: for ever). A - I is given, not A: a slow pole
-    keeps its digits. Exact for one state; for several an upper bound, exact over the first 4096 samples
-    (Dahleh & Diaz-Bobillo 1995, ch. 2: the l1 norm is the peak gain).
+    increment (n, n), B (n, m). steps: how many samples the input acts (infinite: for ever). A - I
+    is given, not A: a slow pole keeps its digits. Exact for one state; for several an upper bound,
+    exact over the first 4096 samples (Dahleh & Diaz-Bobillo 1995, ch. 2: the l1 norm is the peak
+    gain).
     """
     increment = check_shape(increment, "increment", "(n, n)")
     B = check_shape(B, "B", "(n, m)", n=len(increment))
@@ -34,7 +38,11 @@ def _single(increment: float, steps: float) -> float:
         if steps == np.inf:
             return np.inf
         return steps if distance == 0 else float(np.expm1(steps * np.log1p(-distance)) / -distance)
-    return 1 / distance if steps == np.inf else float(-np.expm1(steps * np.log1p(-min(distance, 1.0))) / distance)
+    return (
+        1 / distance
+        if steps == np.inf
+        else float(-np.expm1(steps * np.log1p(-min(distance, 1.0))) / distance)
+    )
 
 
 def _summed(A: np.ndarray, B: np.ndarray, steps: float) -> np.ndarray:

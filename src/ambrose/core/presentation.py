@@ -1,4 +1,6 @@
-"""How results show themselves: one line at a prompt, a table in a notebook, plain data for a file."""
+"""How results show themselves: one line at a prompt, a table in a notebook, plain data for a
+file.
+"""
 
 from __future__ import annotations
 
@@ -21,22 +23,30 @@ def with_unit(value: float, unit: str, digits: int = 4) -> str:
 class Presented:
     """A result with a one-line ``repr`` and a table for notebooks, both made from its ``facts``.
 
-    A subclass is a dataclass with ``repr=False``; it says by ``facts`` what it is, where its fields are not that.
+    A subclass is a dataclass with ``repr=False``; it says by ``facts`` what it is, where its fields
+    are not that.
     """
 
     __slots__ = ()
 
     def facts(self) -> Mapping[str, Any]:
-        """What a reader wants to know first, most important first (SI); else the fields that are not at their default."""
+        """What a reader wants to know first, most important first (SI); else the fields that are
+        not at their default.
+        """
         fields = dataclasses.fields(self)  # type: ignore[arg-type]  # every subclass is a dataclass
         values = {field.name: getattr(self, field.name) for field in fields}
-        told = [f.name for f in fields if hasattr(values[f.name], "shape") or values[f.name] not in ((), f.default)]
+        told = [
+            f.name
+            for f in fields
+            if hasattr(values[f.name], "shape") or values[f.name] not in ((), f.default)
+        ]
         return {name: _fact(values[name]) for name in told}
 
     def to_dict(self) -> dict[str, Any]:
         """All fields of the dataclass, ready for JSON (``to_plain``)."""
-        fields: dict[str, Any] = to_plain({field.name: getattr(self, field.name) for field in dataclasses.fields(self)})  # type: ignore[arg-type]
-        return fields
+        names = (field.name for field in dataclasses.fields(self))  # type: ignore[arg-type]
+        plain: dict[str, Any] = to_plain({name: getattr(self, name) for name in names})
+        return plain
 
     def __repr__(self) -> str:
         words = ", ".join(f"{name}={in_words(value)}" for name, value in self.facts().items())
@@ -45,7 +55,8 @@ class Presented:
 
     def _repr_html_(self) -> str:
         return html_table(
-            [(name.replace("_", " "), in_words(value)) for name, value in self.facts().items()], type(self).__name__
+            [(name.replace("_", " "), in_words(value)) for name, value in self.facts().items()],
+            type(self).__name__,
         )
 
 
@@ -65,12 +76,17 @@ def in_words(value: Any) -> str:
     return str(value)
 
 
-def html_table(rows: Iterable[Iterable[str]], caption: str = "", heading: Iterable[str] = ()) -> str:
+def html_table(
+    rows: Iterable[Iterable[str]], caption: str = "", heading: Iterable[str] = ()
+) -> str:
     """Rows of texts as an HTML table; every text is escaped."""
     head = "".join(f"<th>{escape(text)}</th>" for text in heading)
-    body = "".join("<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>" for row in rows)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>" for row in rows
+    )
     title = f"<caption><b>{escape(caption)}</b></caption>" if caption else ""
-    return f"<table>{title}{f'<thead><tr>{head}</tr></thead>' if head else ''}<tbody>{body}</tbody></table>"
+    top = f"<thead><tr>{head}</tr></thead>" if head else ""
+    return f"<table>{title}{top}<tbody>{body}</tbody></table>"
 
 
 def data_frame(columns: Mapping[str, Any], index: str | None = None) -> Any:
@@ -81,13 +97,17 @@ def data_frame(columns: Mapping[str, Any], index: str | None = None) -> Any:
     try:
         import pandas as pd
     except ImportError as error:
-        raise InvalidInput("to_frame() needs pandas, which is not installed; pip install pandas, or use to_dict()") from error
+        raise InvalidInput(
+            "to_frame() needs pandas, which is not installed; pip install pandas, or use to_dict()"
+        ) from error
     frame = pd.DataFrame(dict(columns))
     return frame if index is None else frame.set_index(index)
 
 
 def to_plain(value: Any) -> Any:
-    """Nested data with JSON types only: NaN and infinities as strings, complex numbers as [real, imaginary]."""
+    """Nested data with JSON types only: NaN and infinities as strings, complex numbers as [real,
+    imaginary].
+    """
     if isinstance(value, Mapping):
         return {str(key): to_plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -101,5 +121,7 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, str | int | float | bool) or value is None:
         return value
     if dataclasses.is_dataclass(value):
-        return {field.name: to_plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
+        return {
+            field.name: to_plain(getattr(value, field.name)) for field in dataclasses.fields(value)
+        }
     raise TypeError(f"{type(value).__name__} is no plain data")

@@ -1,11 +1,13 @@
-"""Rational functions through complex frequency responses: vector fitting with stable poles common to all responses.
+"""Rational functions through complex frequency responses: vector fitting with stable poles common
+to all responses.
 
     H_i(s) = sum_n r_in/(s - p_n) + d_i + s e_i,   poles real or in conjugate pairs, Re p_n < 0
 
-The poles move to the zeros of a weighting function sigma(s) = d + sum_n c_n/(s - p_n) for which sigma H is fitted on the old
-poles, linear least squares each time (Gustavsen & Semlyen 1999, IEEE Trans. Power Delivery 14, 1052-1061), sigma kept from
-vanishing by its mean (Gustavsen 2006, the relaxed form), and what only one response needs eliminated from its rows (Deschrijver
-et al. 2008). Poles that come out unstable are mirrored. Residues follow from one last least-squares problem.
+The poles move to the zeros of a weighting function sigma(s) = d + sum_n c_n/(s - p_n) for which
+sigma H is fitted on the old poles, linear least squares each time (Gustavsen & Semlyen 1999, IEEE
+Trans. Power Delivery 14, 1052-1061), sigma kept from vanishing by its mean (Gustavsen 2006, the
+relaxed form), and what only one response needs eliminated from its rows (Deschrijver et al. 2008).
+Poles that come out unstable are mirrored. Residues follow from one last least-squares problem.
 """
 
 from __future__ import annotations
@@ -26,8 +28,9 @@ _LEAST_DAMPING = 1e-6  # of a mirrored pole, relative
 class RationalFit:
     """The m functions of the formula above.
 
-    poles (n,) [rad/s]: stable, a pair's upper one first. residues (m, n), constant (m,), slope (m,) [s]: r, d, e.
-    error (m,): largest distance of a response from its data over the data's largest magnitude.
+    poles (n,) [rad/s]: stable, a pair's upper one first. residues (m, n), constant (m,), slope (m,)
+    [s]: r, d, e. error (m,): largest distance of a response from its data over the data's largest
+    magnitude.
     """
 
     poles: np.ndarray
@@ -39,12 +42,16 @@ class RationalFit:
     def response(self, omega: ArrayLike) -> np.ndarray:
         """H(j omega) (m, w) at omega (w,) [rad/s]."""
         s = 1j * np.asarray(omega, dtype=float)
-        return (self.residues @ (1 / (s - self.poles[:, None])) + self.constant[:, None] + s * self.slope[:, None]).reshape(
-            -1, len(s)
-        )
+        return (
+            self.residues @ (1 / (s - self.poles[:, None]))
+            + self.constant[:, None]
+            + s * self.slope[:, None]
+        ).reshape(-1, len(s))
 
     def real_form(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """A (n, n), b (n,), C (m, n) of the part with poles: H = C (s - A)^-1 b + d + s e, all real."""
+        """A (n, n), b (n,), C (m, n) of the part with poles: H = C (s - A)^-1 b + d + s e, all
+        real.
+        """
         A, b = _real_poles(self.poles)
         C = self.residues.real.copy()
         upper = np.flatnonzero(self.poles.imag > 0)
@@ -53,7 +60,9 @@ class RationalFit:
 
 
 def _real_poles(poles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A (n, n) and b (n,), real, with C (s - A)^-1 b a sum of fractions on the poles: a pair is a rotation fed by [2, 0]."""
+    """A (n, n) and b (n,), real, with C (s - A)^-1 b a sum of fractions on the poles: a pair is a
+    rotation fed by [2, 0].
+    """
     A, b = np.zeros((len(poles), len(poles))), np.ones(len(poles))
     for i, p in enumerate(poles):
         if p.imag > 0:
@@ -66,34 +75,49 @@ def _real_poles(poles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @named_failure("the rational fit")
 def fit_rational(omega: ArrayLike, data: ArrayLike, order: int, slope: bool = False) -> RationalFit:
-    """The rational functions with ``order`` common stable poles nearest to the data, by least squares.
+    """The rational functions with ``order`` common stable poles nearest to the data, by least
+    squares.
 
-    omega (w,) [rad/s]: positive, ascending. data (m, w) or (w,), complex: H_i(j omega), each over its largest magnitude. slope:
-    whether terms s e_i are allowed.
-    Data that are such functions are met to rounding (``error`` below 1e-9); else ``error`` says how far the fit is off.
-    Raises InvalidInput, among others when the points do not determine so many parameters; NumericalFailure.
+    omega (w,) [rad/s]: positive, ascending. data (m, w) or (w,), complex: H_i(j omega), each over
+    its largest magnitude. slope: whether terms s e_i are allowed. Data that are such functions are
+    met to rounding (``error`` below 1e-9); else ``error`` says how far the fit is off. Raises
+    InvalidInput, among others when the points do not determine so many parameters;
+    NumericalFailure.
     """
     omega = check_shape(omega, "omega", "(w,)").astype(float)
     H = np.atleast_2d(check_shape(data, "data", "(..., w)", w=len(omega))).astype(complex)
     if H.ndim != 2:
-        raise invalid("the shape of data", H.shape, "(m, w)", "stack the responses along the first axis")
+        raise invalid(
+            "the shape of data", H.shape, "(m, w)", "stack the responses along the first axis"
+        )
     if omega.size == 0 or omega[0] <= 0 or (np.diff(omega) <= 0).any():
-        raise invalid("omega", omega.tolist()[:5], "positive and ascending", "sort it, and leave out zero")
+        raise invalid(
+            "omega", omega.tolist()[:5], "positive and ascending", "sort it, and leave out zero"
+        )
     if order < 1 or 2 * len(omega) < 2 * order + 1 + slope:
         limit = f"between 1 and {(2 * len(omega) - 1 - slope) // 2} for {len(omega)} frequencies"
-        raise invalid("the order of the fit", order, limit, "give more frequencies or lower the order")
+        raise invalid(
+            "the order of the fit", order, limit, "give more frequencies or lower the order"
+        )
     weights = np.broadcast_to(1 / _size(H), H.shape)
-    unit = np.sqrt(omega[0] * omega[-1])  # frequencies of order one: the powers of s stay comparable
+    # frequencies of order one: the powers of s stay comparable
+    unit = np.sqrt(omega[0] * omega[-1])
     poles = _poles(1j * omega / unit, H, weights, _start(omega / unit, order), slope)
     return _on_poles(omega, H, weights, poles * unit, slope)
 
 
 @named_failure("the rational fit")
-def fit_on_poles(omega: ArrayLike, data: ArrayLike, poles: ArrayLike, slope: bool = False) -> RationalFit:
-    """As ``fit_rational``, with poles (n,) [rad/s] that are given, those of another fit say: only what is linear is found."""
+def fit_on_poles(
+    omega: ArrayLike, data: ArrayLike, poles: ArrayLike, slope: bool = False
+) -> RationalFit:
+    """As ``fit_rational``, with poles (n,) [rad/s] that are given, those of another fit say: only
+    what is linear is found.
+    """
     omega = check_shape(omega, "omega", "(w,)").astype(float)
     H = check_shape(data, "data", "(m, w)", w=len(omega)).astype(complex)
-    return _on_poles(omega, H, np.broadcast_to(1 / _size(H), H.shape), np.asarray(poles, dtype=complex), slope)
+    return _on_poles(
+        omega, H, np.broadcast_to(1 / _size(H), H.shape), np.asarray(poles, dtype=complex), slope
+    )
 
 
 def _size(H: np.ndarray) -> np.ndarray:
@@ -103,20 +127,29 @@ def _size(H: np.ndarray) -> np.ndarray:
     return size
 
 
-def _on_poles(omega: np.ndarray, H: np.ndarray, weights: np.ndarray, poles: np.ndarray, slope: bool) -> RationalFit:
+def _on_poles(
+    omega: np.ndarray, H: np.ndarray, weights: np.ndarray, poles: np.ndarray, slope: bool
+) -> RationalFit:
     """Residues, constants and slopes by one least-squares problem per response."""
     order, unit = len(poles), np.sqrt(omega[0] * omega[-1])
     fitted = _residues(1j * omega / unit, H, weights, poles / unit, slope)
-    residues, constant, slopes = fitted[:, :order] * unit, fitted[:, order].real, fitted[:, order + 1].real / unit
+    residues = fitted[:, :order] * unit
+    constant = fitted[:, order].real
+    slopes = fitted[:, order + 1].real / unit
     fit = RationalFit(poles, residues, constant, slopes, np.zeros(len(H)))
     error = np.abs(fit.response(omega) - H).max(axis=1) / _size(H)[:, 0]
     if not np.isfinite(error).all():
-        raise NumericalFailure("vector fitting did not end in finite numbers; lower the order or widen the frequency range")
+        raise NumericalFailure(
+            "vector fitting did not end in finite numbers; lower the order or widen the frequency "
+            "range"
+        )
     return RationalFit(fit.poles, fit.residues, fit.constant, fit.slope, error)
 
 
 def _start(omega: np.ndarray, order: int) -> np.ndarray:
-    """Weakly damped pairs spread over the logarithm of the frequency, and one real pole where the order is odd."""
+    """Weakly damped pairs spread over the logarithm of the frequency, and one real pole where the
+    order is odd.
+    """
     pairs = order // 2
     corner = np.geomspace(omega[0], omega[-1], pairs + 2)[1:-1] if pairs else np.array([])
     poles = np.stack([corner * (-0.1 + 1j), corner * (-0.1 - 1j)], axis=1).ravel()
@@ -124,7 +157,9 @@ def _start(omega: np.ndarray, order: int) -> np.ndarray:
 
 
 def _basis(s: np.ndarray, poles: np.ndarray) -> np.ndarray:
-    """Real-coefficient basis (w, n): 1/(s - p), and for a pair the sum and j times the difference of its two fractions."""
+    """Real-coefficient basis (w, n): 1/(s - p), and for a pair the sum and j times the difference
+    of its two fractions.
+    """
     basis = 1 / (s[:, None] - poles)
     up = np.flatnonzero(poles.imag > 0)
     first, second = basis[:, up], basis[:, up + 1]
@@ -137,21 +172,30 @@ def _stack(rows: np.ndarray) -> np.ndarray:
     return np.concatenate([rows.real, rows.imag])
 
 
-def _poles(s: np.ndarray, H: np.ndarray, weights: np.ndarray, poles: np.ndarray, slope: bool) -> np.ndarray:
-    """Poles (n,) after relocation until they settle or the rounds are used up (the best round counts)."""
+def _poles(
+    s: np.ndarray, H: np.ndarray, weights: np.ndarray, poles: np.ndarray, slope: bool
+) -> np.ndarray:
+    """Poles (n,) after relocation until they settle or the rounds are used up (the best round
+    counts).
+    """
     best, smallest = poles, np.inf
     for _ in range(_ROUNDS):
         moved = _relocate(s, H, weights, poles, slope)
         misfit = _misfit(s, H, weights, moved, slope)
         if misfit < smallest:
             best, smallest = moved, misfit
-        if np.abs(np.sort_complex(moved) - np.sort_complex(poles)).max() < _SETTLED * np.abs(moved).max():
+        if (
+            np.abs(np.sort_complex(moved) - np.sort_complex(poles)).max()
+            < _SETTLED * np.abs(moved).max()
+        ):
             break
         poles = moved
     return best
 
 
-def _relocate(s: np.ndarray, H: np.ndarray, weights: np.ndarray, poles: np.ndarray, slope: bool) -> np.ndarray:
+def _relocate(
+    s: np.ndarray, H: np.ndarray, weights: np.ndarray, poles: np.ndarray, slope: bool
+) -> np.ndarray:
     """One step: the stable zeros of sigma."""
     n = len(poles)
     basis = _basis(s, poles)
@@ -176,7 +220,9 @@ def _relocate(s: np.ndarray, H: np.ndarray, weights: np.ndarray, poles: np.ndarr
 
 
 def _ordered(zeros: np.ndarray) -> np.ndarray:
-    """Mirrored into the left half plane, real ones first, pairs side by side and exactly conjugate."""
+    """Mirrored into the left half plane, real ones first, pairs side by side and exactly
+    conjugate.
+    """
     damped = np.minimum(-np.abs(zeros.real), -_LEAST_DAMPING * np.abs(zeros))
     real = np.sort(damped[zeros.imag == 0])
     upper = zeros.imag > 0
@@ -185,22 +231,31 @@ def _ordered(zeros: np.ndarray) -> np.ndarray:
     return np.concatenate([real, np.stack([pairs, pairs.conj()], axis=1).ravel()])
 
 
-def _residues(s: np.ndarray, H: np.ndarray, weights: np.ndarray, poles: np.ndarray, slope: bool) -> np.ndarray:
-    """Residues, constant and slope (m, n + 2) by least squares on given poles; complex, conjugate for a pair."""
+def _residues(
+    s: np.ndarray, H: np.ndarray, weights: np.ndarray, poles: np.ndarray, slope: bool
+) -> np.ndarray:
+    """Residues, constant and slope (m, n + 2) by least squares on given poles; complex, conjugate
+    for a pair.
+    """
     basis = np.column_stack([_basis(s, poles), np.ones_like(s), s])
     used = basis.shape[1] - (not slope)
     result = np.zeros((len(H), basis.shape[1]), dtype=complex)
     for i, (response, weight) in enumerate(zip(H, weights, strict=True)):
         rows = _stack(basis[:, :used] * weight[:, None])
         norm = np.linalg.norm(rows, axis=0)
-        result[i, :used] = np.linalg.lstsq(rows / norm, _stack((response * weight)[:, None])[:, 0], rcond=None)[0] / norm
+        result[i, :used] = (
+            np.linalg.lstsq(rows / norm, _stack((response * weight)[:, None])[:, 0], rcond=None)[0]
+            / norm
+        )
     up = np.flatnonzero(poles.imag > 0)
     both = result[:, up] + 1j * result[:, up + 1]
     result[:, up], result[:, up + 1] = both, both.conj()
     return result
 
 
-def _misfit(s: np.ndarray, H: np.ndarray, weights: np.ndarray, poles: np.ndarray, slope: bool) -> float:
+def _misfit(
+    s: np.ndarray, H: np.ndarray, weights: np.ndarray, poles: np.ndarray, slope: bool
+) -> float:
     """Weighted sum of squares on given poles."""
     r = _residues(s, H, weights, poles, slope)
     n = len(poles)

@@ -1,12 +1,14 @@
 """Sampled time responses, exact at the samples, and their parameter derivatives.
 
-Inputs are held between samples (zero-order hold) or follow a polynomial in each interval; nothing is interpolated behind the
-caller's back. Long records are computed in blocks of L samples by the lifted system (Chen & Francis 1995, ch. 8)
+Inputs are held between samples (zero-order hold) or follow a polynomial in each interval; nothing
+is interpolated behind the caller's back. Long records are computed in blocks of L samples by the
+lifted system (Chen & Francis 1995, ch. 8)
 
     x[k+L] = A^L x[k] + R u_block,    y_block = O x[k] + T u_block,
 
-so that nearly all work is matrix times matrix and the sequential part is one product with A^L per block. No eigenvectors
-are formed: defective and badly conditioned systems are as exact as any other.
+so that nearly all work is matrix times matrix and the sequential part is one product with A^L per
+block. No eigenvectors are formed: defective and badly conditioned systems are as exact as any
+other.
 """
 
 from __future__ import annotations
@@ -25,12 +27,17 @@ from ambrose.core.statespace import StateSpace, as_statespace, balance
 
 _CHUNK = 2_000_000  # numbers held for one batch of blocks: 16 MB, whatever the record length
 _LIFTED = 8_000_000  # numbers allowed in the matrices of the lifted system: 64 MB
-_FINITE = "the system is unstable over this record; shorten it, or stop at a limit as simulate.linear.run does"
+_FINITE = (
+    "the system is unstable over this record; shorten it, or stop at a limit as "
+    "simulate.linear.run does"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SystemDerivative:
-    """d/dtheta of the four matrices of a StateSpace for one parameter: A (n, n), B (n, m), C (p, n), D (p, m)."""
+    """d/dtheta of the four matrices of a StateSpace for one parameter: A (n, n), B (n, m), C (p,
+    n), D (p, m).
+    """
 
     A: np.ndarray
     B: np.ndarray
@@ -38,11 +45,14 @@ class SystemDerivative:
     D: np.ndarray
 
 
-def simulate(system: Any, u: ArrayLike, dt: float | None = None, x0: ArrayLike | None = None) -> np.ndarray:
+def simulate(
+    system: Any, u: ArrayLike, dt: float | None = None, x0: ArrayLike | None = None
+) -> np.ndarray:
     """The outputs y (p, k) at the samples for inputs u (m, k), each held until the next sample.
 
-    dt [s]: needed for a continuous system, which is then sampled exactly; None or the same for a sampled one. x0 (n,): the
-    state at the first sample, default zero. Raises InvalidInput, and NumericalFailure when an unstable response overflows.
+    dt [s]: needed for a continuous system, which is then sampled exactly; None or the same for a
+    sampled one. x0 (n,): the state at the first sample, default zero. Raises InvalidInput, and
+    NumericalFailure when an unstable response overflows.
     """
     sampled, t = _sampled(system, dt)
     u = check_shape(u, "u", "(m, k)", m=len(sampled.inputs)).astype(float)
@@ -56,11 +66,13 @@ def simulate_piecewise(
     x0: ArrayLike | None = None,
     stop: Callable[[np.ndarray], bool] | None = None,
 ) -> np.ndarray:
-    """The outputs y (p, k) of a system that changes from one stretch of samples to the next; the state carries over.
+    """The outputs y (p, k) of a system that changes from one stretch of samples to the next; the
+    state carries over.
 
-    systems: sampled systems with the same states and signals (and dt), one per stretch. inputs: u (m, k_i) of each stretch,
-    k = sum k_i, fewer when ``stop`` is true of the outputs (p, k_i) of a stretch: that one is the last. Raises InvalidInput,
-    and NumericalFailure when the response overflows.
+    systems: sampled systems with the same states and signals (and dt), one per stretch. inputs: u
+    (m, k_i) of each stretch, k = sum k_i, fewer when ``stop`` is true of the outputs (p, k_i) of a
+    stretch: that one is the last. Raises InvalidInput, and NumericalFailure when the response
+    overflows.
     """
     parts: list[np.ndarray] = []
     x: np.ndarray | None = None
@@ -69,7 +81,12 @@ def simulate_piecewise(
         if x is None:
             x = _start(x0, system.n_states)
         elif len(x) != system.n_states:
-            raise invalid("a later system's number of states", system.n_states, str(len(x)), "keep one state basis")
+            raise invalid(
+                "a later system's number of states",
+                system.n_states,
+                str(len(x)),
+                "keep one state basis",
+            )
         u = check_shape(piece, "u", "(m, k)", m=len(system.inputs)).astype(float)
         y, x = _respond(system, u, x)
         parts.append(y)
@@ -83,8 +100,9 @@ def simulate_piecewise(
 def impulse_response(system: Any, samples: int, dt: float | None = None) -> np.ndarray:
     """The response (p, m, samples) of every output to a unit impulse at every input.
 
-    Continuous: C exp(A t) B at t = 0, dt, ... [unit of y per unit of u and second]. Sampled: the Markov parameters D, C B,
-    C A B, ... Raises InvalidInput for a continuous system with direct feedthrough (its response holds a Dirac impulse).
+    Continuous: C exp(A t) B at t = 0, dt, ... [unit of y per unit of u and second]. Sampled: the
+    Markov parameters D, C B, C A B, ... Raises InvalidInput for a continuous system with direct
+    feedthrough (its response holds a Dirac impulse).
     """
     system = as_statespace(system)
     samples = _count(samples)
@@ -101,14 +119,19 @@ def impulse_response(system: Any, samples: int, dt: float | None = None) -> np.n
 def sample_polynomial(system: Any, dt: float, degree: int = 3) -> StateSpace:
     """The exact sampled equivalent for inputs that are polynomials between samples.
 
-    In each interval u_i(tau) = sum_j c_ij (tau/dt)^j, j = 0..degree; the sampled inputs are the coefficients, named
-    ``u_i`` for j = 0 and ``u_i^j`` above, in the order j, i. dt [s]. Van Loan (1978) with a chain of integrators.
+    In each interval u_i(tau) = sum_j c_ij (tau/dt)^j, j = 0..degree; the sampled inputs are the
+    coefficients, named ``u_i`` for j = 0 and ``u_i^j`` above, in the order j, i. dt [s]. Van Loan
+    (1978) with a chain of integrators.
     """
     system = as_statespace(system)
     if system.dt is not None:
-        raise invalid("the system's dt", system.dt, "None (continuous)", "a sampled system holds its inputs")
+        raise invalid(
+            "the system's dt", system.dt, "None (continuous)", "a sampled system holds its inputs"
+        )
     dt = check_positive(dt, "dt", "give the sample time in seconds")
-    n, m, d = system.n_states, len(system.inputs), degree
+    n = system.n_states
+    m = len(system.inputs)
+    d = degree
     A, t = balance(system.A)
     M = np.zeros((n + (d + 1) * m, n + (d + 1) * m))
     M[:n, :n], M[:n, n : n + m] = A * dt, system.B / t[:, None] * dt
@@ -122,21 +145,26 @@ def sample_polynomial(system: Any, dt: float, degree: int = 3) -> StateSpace:
 
 
 def hermite(values: ArrayLike, slopes: ArrayLike, dt: float) -> np.ndarray:
-    """Coefficients c (4, m, k) of the cubic through values (m, k + 1) with slopes (m, k + 1) [1/s] at both interval ends.
+    """Coefficients c (4, m, k) of the cubic through values (m, k + 1) with slopes (m, k + 1) [1/s]
+    at both interval ends.
 
-    For ``sample_polynomial(system, dt, 3)``, stacked to (4 m, k). A sine of frequency w is met to (w dt)^4/384.
+    For ``sample_polynomial(system, dt, 3)``, stacked to (4 m, k). A sine of frequency w is met to
+    (w dt)^4/384.
     """
     f = check_shape(values, "values", "(m, k)")
     g = dt * check_shape(slopes, "slopes", "(m, k)", m=f.shape[0], k=f.shape[1])
-    f0, f1, g0, g1 = f[:, :-1], f[:, 1:], g[:, :-1], g[:, 1:]
+    f0 = f[:, :-1]
+    f1 = f[:, 1:]
+    g0 = g[:, :-1]
+    g1 = g[:, 1:]
     return np.stack([f0, g0, 3 * (f1 - f0) - 2 * g0 - g1, 2 * (f0 - f1) + g0 + g1])
 
 
 def expm_derivative(A: ArrayLike, dA: ArrayLike, t: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """exp(A t) (n, n) and its exact derivatives in the directions dA (..., n, n).
 
-    From the exponential of [[A, dA], [0, A]] t (Van Loan 1978; Al-Mohy & Higham 2009, eq. 1.5), balanced and with dA scaled
-    to the size of A. Raises InvalidInput.
+    From the exponential of [[A, dA], [0, A]] t (Van Loan 1978; Al-Mohy & Higham 2009, eq. 1.5),
+    balanced and with dA scaled to the size of A. Raises InvalidInput.
     """
     A = check_shape(A, "A", "(n, n)")
     n = len(A)
@@ -146,7 +174,9 @@ def expm_derivative(A: ArrayLike, dA: ArrayLike, t: float = 1.0) -> tuple[np.nda
     A, scale = balance(A)
     directions = (dA * scale / scale[:, None]).reshape(-1, n, n)
     size = np.linalg.norm(directions, 1, axis=(1, 2))
-    gain = np.where(size > 0, size, 1.0) / max(float(np.linalg.norm(A, 1)), np.finfo(float).tiny ** 0.5)
+    gain = np.where(size > 0, size, 1.0) / max(
+        float(np.linalg.norm(A, 1)), np.finfo(float).tiny ** 0.5
+    )
     block = np.zeros((len(directions), 2 * n, 2 * n))
     block[:, :n, :n] = block[:, n:, n:] = A
     block[:, :n, n:] = directions / gain[:, None, None]
@@ -163,15 +193,24 @@ def held_derivative(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The sampled matrices of x' = A x + B u with u held, and their derivatives: Ad, Bd, dAd, dBd.
 
-    A (n, n), B (n, m), dA (..., n, n), dB (..., n, m), dt [s]. Exact: ``expm_derivative`` of [[A, B], [0, 0]].
+    A (n, n), B (n, m), dA (..., n, n), dB (..., n, m), dt [s]. Exact: ``expm_derivative`` of [[A,
+    B], [0, 0]].
     """
     A = check_shape(A, "A", "(n, n)")
     n = len(A)
     B = check_shape(B, "B", "(n, m)", n=n)
     m = B.shape[1]
-    dA, dB = check_shape(dA, "dA", "(..., n, n)", n=n), check_shape(dB, "dB", "(..., n, m)", n=n, m=m)
+    dA, dB = (
+        check_shape(dA, "dA", "(..., n, n)", n=n),
+        check_shape(dB, "dB", "(..., n, m)", n=n, m=m),
+    )
     if dA.shape[:-2] != dB.shape[:-2]:
-        raise invalid("the leading axes of dB", dB.shape[:-2], f"those of dA, {dA.shape[:-2]}", "give both per parameter")
+        raise invalid(
+            "the leading axes of dB",
+            dB.shape[:-2],
+            f"those of dA, {dA.shape[:-2]}",
+            "give both per parameter",
+        )
     M = np.zeros((n + m, n + m))
     M[:n, :n], M[:n, n:] = A, B
     dM = np.zeros((*dA.shape[:-2], n + m, n + m))
@@ -181,10 +220,11 @@ def held_derivative(
 
 
 def settling_time(time: ArrayLike, y: ArrayLike, band: float = 0.05, start: float = 0.0) -> float:
-    """The time [s] after ``start`` from which every channel stays within ``band`` times the largest excursion; inf if never.
+    """The time [s] after ``start`` from which every channel stays within ``band`` times the largest
+    excursion; inf if never.
 
-    time (k,) [s]; y (p, k) or (k,); band: fraction of the peak of |y| over all channels and times from ``start``.
-    The last crossing is interpolated between samples. Raises InvalidInput.
+    time (k,) [s]; y (p, k) or (k,); band: fraction of the peak of |y| over all channels and times
+    from ``start``. The last crossing is interpolated between samples. Raises InvalidInput.
     """
     time = check_shape(time, "time", "(k)")
     y = check_shape(np.atleast_2d(y), "y", "(p, k)", k=len(time))
@@ -192,7 +232,12 @@ def settling_time(time: ArrayLike, y: ArrayLike, band: float = 0.05, start: floa
         raise invalid("band", band, "between 0 and 1", "give a fraction of the peak, such as 0.05")
     kept = time >= start
     if not kept.any():
-        raise invalid("start", start, f"at most the last time {time[-1] if len(time) else 0:g}", "give a longer record")
+        raise invalid(
+            "start",
+            start,
+            f"at most the last time {time[-1] if len(time) else 0:g}",
+            "give a longer record",
+        )
     time, envelope = time[kept], np.abs(y).max(axis=0)[kept]
     limit = band * envelope.max()
     outside = np.flatnonzero(envelope > limit)
@@ -206,18 +251,27 @@ def settling_time(time: ArrayLike, y: ArrayLike, band: float = 0.05, start: floa
 
 
 def _sampled(system: Any, dt: float | None) -> tuple[StateSpace, np.ndarray]:
-    """The sampled system in balanced states z, and t (n,) with x = t z (ones for a system that is sampled already)."""
+    """The sampled system in balanced states z, and t (n,) with x = t z (ones for a system that is
+    sampled already).
+    """
     system = as_statespace(system)
     if system.dt is not None:
         if dt is not None and abs(dt - system.dt) > 1e-9 * system.dt:
-            raise invalid("dt", dt, f"the system's own {system.dt:g} s, or None", "resample the continuous system instead")
+            raise invalid(
+                "dt",
+                dt,
+                f"the system's own {system.dt:g} s, or None",
+                "resample the continuous system instead",
+            )
         return system, np.ones(system.n_states)
     if dt is None:
         if system.n_states:
             raise invalid("dt", None, "the sample time in seconds", "a continuous system needs one")
         dt = 1.0  # a static gain answers at any rate
     A, t = balance(system.A)
-    balanced = StateSpace(A, system.B / t[:, None], system.C * t, system.D, system.inputs, system.outputs)
+    balanced = StateSpace(
+        A, system.B / t[:, None], system.C * t, system.D, system.inputs, system.outputs
+    )
     return sample_polynomial(balanced, dt, degree=0), t
 
 
@@ -234,8 +288,12 @@ def _count(samples: int) -> int:
 def _respond(system: StateSpace, u: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Outputs (p, k) of a sampled system from state x, and the state after the last sample."""
     active = u.any(axis=1)
-    B, D, u = system.B[:, active], system.D[:, active], u[active]
-    (p, m), n, k = D.shape, len(x), u.shape[1]
+    B = system.B[:, active]
+    D = system.D[:, active]
+    u = u[active]
+    p, m = D.shape
+    n = len(x)
+    k = u.shape[1]
     y = np.empty((p, k))
     L = _block_length(n, m, p, k)
     whole = k // L * L
@@ -251,14 +309,19 @@ def _respond(system: StateSpace, u: np.ndarray, x: np.ndarray) -> tuple[np.ndarr
 
 
 def _block_length(n: int, m: int, p: int, k: int) -> int:
-    """The power of two that makes the estimated work least, in multiplications; the weights only steer the choice."""
-    best, least, j = 1, np.inf, 0
+    """The power of two that makes the estimated work least, in multiplications; the weights only
+    steer the choice.
+    """
+    best = 1
+    least = np.inf
+    j = 0
     while 2**j <= min(k, 1024):
         L = 2**j
         if j and (p + m) * n * L + p * m * L * L > _LIFTED:
             break
         setup = j * n**3 + (p + m) * n * n * L + p * m * (n + L) * L
-        steps = k / L * (4 * n * n + 20_000)  # matrix times vector: bound by memory and by the interpreter
+        # matrix times vector: bound by memory and by the interpreter
+        steps = k / L * (4 * n * n + 20_000)
         work = setup + steps + k * (p * m * L + (p + m) * n)
         if work < least:
             best, least = L, work
@@ -270,20 +333,33 @@ def _lift(
     A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, L: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """A^L (n, n), R (n, L m), O (L p, n) and T (L p, L m) for a power of two L, by doubling."""
-    (p, m), R, Ob = D.shape, B, C
+    p, m = D.shape
+    R = B
+    Ob = C
     for _ in range(L.bit_length() - 1):
-        Ob, R, A = np.vstack([Ob, Ob @ A]), np.hstack([A @ R, R]), A @ A
+        Ob = np.vstack([Ob, Ob @ A])
+        R = np.hstack([A @ R, R])
+        A = A @ A
     markov = np.concatenate([np.zeros((1, p, m)), D[None], (Ob @ B).reshape(L, p, m)[:-1]])
-    lag = np.maximum(np.subtract.outer(np.arange(L), np.arange(L)) + 1, 0)  # 0 picks the zero block: the future
+    # 0 picks the zero block: the future
+    lag = np.maximum(np.subtract.outer(np.arange(L), np.arange(L)) + 1, 0)
     return A, R, Ob, markov[lag].transpose(0, 2, 1, 3).reshape(L * p, L * m)
 
 
 def _blocks(
-    lifted: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], L: int, u: np.ndarray, x: np.ndarray, y: np.ndarray
+    lifted: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    L: int,
+    u: np.ndarray,
+    x: np.ndarray,
+    y: np.ndarray,
 ) -> np.ndarray:
-    """Write the outputs into y (p, k), k a multiple of L, in batches of blocks; returns the state after the last block."""
+    """Write the outputs into y (p, k), k a multiple of L, in batches of blocks; returns the state
+    after the last block.
+    """
     A, R, Ob, T = lifted
-    (p, k), m, n = y.shape, len(u), len(x)
+    p, k = y.shape
+    m = len(u)
+    n = len(x)
     batch = max(1, _CHUNK // (L * (p + m) + n))
     for first in range(0, k // L, batch):
         part = slice(first * L, min((first + batch) * L, k))
@@ -294,12 +370,19 @@ def _blocks(
         for b in range(count):
             starts[b] = x
             x = A @ x + w[b]
-        y[:, part] = (Ob @ starts.T + T @ block).reshape(L, p, count).transpose(1, 2, 0).reshape(p, count * L)
+        y[:, part] = (
+            (Ob @ starts.T + T @ block)
+            .reshape(L, p, count)
+            .transpose(1, 2, 0)
+            .reshape(p, count * L)
+        )
     return x
 
 
 def _markov(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, k: int) -> np.ndarray:
-    """D, C B, C A B, ... as (p, m, k): rows C A^j of one block times columns A^(L i) B of all blocks."""
+    """D, C B, C A B, ... as (p, m, k): rows C A^j of one block times columns A^(L i) B of all
+    blocks.
+    """
     p, m = D.shape
     L = 1
     while k > L * L:
@@ -309,7 +392,12 @@ def _markov(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, k: int) 
     with np.errstate(over="ignore", invalid="ignore"):
         while len(columns) * L < k:
             columns.append(power @ columns[-1])
-        values = (Ob @ np.hstack(columns)).reshape(L, p, len(columns), m).transpose(1, 3, 2, 0).reshape(p, m, -1)
+        values = (
+            (Ob @ np.hstack(columns))
+            .reshape(L, p, len(columns), m)
+            .transpose(1, 3, 2, 0)
+            .reshape(p, m, -1)
+        )
     values = np.concatenate([D[:, :, None], values], axis=2)[:, :, :k]
     if not np.isfinite(values).all():
         raise NumericalFailure(f"the response overflows within {k} samples: {_FINITE}")

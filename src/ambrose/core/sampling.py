@@ -10,7 +10,13 @@ from typing import Any, Literal, get_args
 import numpy as np
 import scipy.linalg as sla
 
-from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, invalid, named_failure
+from ambrose.core.checks import (
+    InvalidInput,
+    NumericalFailure,
+    check_positive,
+    invalid,
+    named_failure,
+)
 from ambrose.core.realisation.balancing import balance
 from ambrose.core.realisation.zeros import invariant_zeros
 from ambrose.core.statespace import StateSpace, as_statespace, series, transfer_function
@@ -18,19 +24,23 @@ from ambrose.core.statespace import StateSpace, as_statespace, series, transfer_
 Method = Literal["zoh", "tustin", "backward-euler", "matched"]
 _NO_PREWARP = ("zoh", "backward-euler")
 _UNSEEN = 1e-12  # of the largest state's response
-_MIXING, _MATCHED = 1e-9, 1e-8  # of the largest gain: between channels that are apart; by which poles and zeros may be missed
+# of the largest gain: between channels that are apart; by which poles and zeros may be missed
+_MIXING, _MATCHED = 1e-9, 1e-8
 
 
 @named_failure("the sampled system")
-def c2d(system: Any, dt: float, method: Method = "zoh", delay: float = 0.0, prewarp: float | None = None) -> StateSpace:
+def c2d(
+    system: Any, dt: float, method: Method = "zoh", delay: float = 0.0, prewarp: float | None = None
+) -> StateSpace:
     """The sampled equivalent of a continuous system.
 
-    dt [s]; ``zoh`` is exact for an input held between samples (plants), ``tustin`` the bilinear map (controllers), exact at
-    the frequency ``prewarp`` [rad/s] if given, ``backward-euler`` s = (z - 1)/(z dt); all to rounding (1e-11 of the largest
-    sample of the impulse response). ``matched`` maps every channel's poles and zeros by z = exp(s dt), those at infinity to -1,
-    with the gain at rest, or at ``prewarp``, as before (Franklin, Powell & Workman 1998, sec. 6.2); its channels must not mix.
-    ``delay`` [s] acts on the input: any value for ``zoh`` (the fractional part exactly, the same, sec. 4.3.4), whole samples
-    for the others. Raises InvalidInput.
+    dt [s]; ``zoh`` is exact for an input held between samples (plants), ``tustin`` the bilinear map
+    (controllers), exact at the frequency ``prewarp`` [rad/s] if given, ``backward-euler`` s = (z -
+    1)/(z dt); all to rounding (1e-11 of the largest sample of the impulse response). ``matched``
+    maps every channel's poles and zeros by z = exp(s dt), those at infinity to -1, with the gain at
+    rest, or at ``prewarp``, as before (Franklin, Powell & Workman 1998, sec. 6.2); its channels
+    must not mix. ``delay`` [s] acts on the input: any value for ``zoh`` (the fractional part
+    exactly, the same, sec. 4.3.4), whole samples for the others. Raises InvalidInput.
     """
     system = as_statespace(system)
     if system.dt is not None:
@@ -42,15 +52,27 @@ def c2d(system: Any, dt: float, method: Method = "zoh", delay: float = 0.0, prew
     if fraction < 1e-9 * dt:
         fraction = 0.0
     if method not in get_args(Method):
-        raise invalid("method", repr(method), f"one of {', '.join(get_args(Method))}", "choose one of them")
+        raise invalid(
+            "method", repr(method), f"one of {', '.join(get_args(Method))}", "choose one of them"
+        )
     if method in _NO_PREWARP and prewarp is not None:
         raise invalid("prewarp", prewarp, f"None with method {method!r}", "use method='tustin'")
-    if prewarp is not None and check_positive(prewarp, "prewarp", "give a frequency in rad/s") * dt >= np.pi:
-        raise invalid("prewarp", f"{prewarp:g} rad/s", f"below Nyquist {np.pi / dt:g} rad/s", "sample faster")
+    if (
+        prewarp is not None
+        and check_positive(prewarp, "prewarp", "give a frequency in rad/s") * dt >= np.pi
+    ):
+        raise invalid(
+            "prewarp", f"{prewarp:g} rad/s", f"below Nyquist {np.pi / dt:g} rad/s", "sample faster"
+        )
     if method == "zoh":
         return delayed(_zoh(system, dt, fraction), whole)
     if fraction:
-        raise invalid("delay", f"{delay:g} s", f"a whole number of samples of {dt:g} s", "use method='zoh' for fractions")
+        raise invalid(
+            "delay",
+            f"{delay:g} s",
+            f"a whole number of samples of {dt:g} s",
+            "use method='zoh' for fractions",
+        )
     if method == "matched":
         sampled = _matched(system, dt, prewarp)
     elif method == "backward-euler":
@@ -71,8 +93,12 @@ def delayed(system: Any, samples: int) -> StateSpace:
 
 
 def _zoh(system: StateSpace, dt: float, fraction: float) -> StateSpace:
-    A, B, C, D = system.A, system.B, system.C, system.D
-    early, gain_early = _held(A, B, dt - fraction)  # the part of the interval in which the newest input acts
+    A = system.A
+    B = system.B
+    C = system.C
+    D = system.D
+    # the part of the interval in which the newest input acts
+    early, gain_early = _held(A, B, dt - fraction)
     if fraction == 0.0:
         return StateSpace(early, gain_early, C, D, system.inputs, system.outputs, dt)
     n, m = B.shape
@@ -82,14 +108,18 @@ def _zoh(system: StateSpace, dt: float, fraction: float) -> StateSpace:
         np.vstack([gain_early, np.eye(m)]),
         np.hstack([C, D]),
         np.zeros_like(D),
-        system.inputs, system.outputs, dt,
-    )  # fmt: skip
+        system.inputs,
+        system.outputs,
+        dt,
+    )
 
 
 def _held(A: np.ndarray, B: np.ndarray, time: float) -> tuple[np.ndarray, np.ndarray]:
-    """exp(A t) and the integral of exp(A s) B over 0..t, from one exponential (Van Loan 1978) of the balanced matrix.
+    """exp(A t) and the integral of exp(A s) B over 0..t, from one exponential (Van Loan 1978) of
+    the balanced matrix.
 
-    B is scaled to the size of A: without both scalings large entries cost as many squarings, and digits.
+    B is scaled to the size of A: without both scalings large entries cost as many squarings, and
+    digits.
     """
     n, m = B.shape
     A, t = balance(A)
@@ -104,49 +134,78 @@ def _size(X: np.ndarray) -> float:
 
 
 def _mapped(system: StateSpace, dt: float, ahead: float, behind: float) -> StateSpace:
-    """s = (z - 1)/(ahead z + behind): Tustin's map with half the sample time twice, backward Euler with all of it ahead."""
+    """s = (z - 1)/(ahead z + behind): Tustin's map with half the sample time twice, backward Euler
+    with all of it ahead.
+    """
     n = system.n_states
     A, t = balance(system.A)
     B, C = system.B / t[:, None], system.C * t
     if n and np.abs(1 - ahead * np.linalg.eigvals(A)).min() < 1e-12:
-        raise InvalidInput(f"a pole at {1 / ahead:g} rad/s has no sampled equivalent by this map; change the sample time")
+        raise InvalidInput(
+            f"a pole at {1 / ahead:g} rad/s has no sampled equivalent by this map; change the "
+            "sample time"
+        )
     E = np.eye(n) - ahead * A
     Ad = np.linalg.solve(E, np.eye(n) + behind * A)
     Bd = np.linalg.solve(E, B) * (ahead + behind)
     CE = np.linalg.solve(E.T, C.T).T
     D = system.D + ahead * CE @ B
-    return StateSpace(Ad * t[:, None] / t, Bd * t[:, None], CE / t, D, system.inputs, system.outputs, dt)
+    return StateSpace(
+        Ad * t[:, None] / t, Bd * t[:, None], CE / t, D, system.inputs, system.outputs, dt
+    )
 
 
 def _matched(system: StateSpace, dt: float, prewarp: float | None) -> StateSpace:
-    """Every channel with the states, A and B of its zero-order hold, and the C and D that give it the zeros it must have."""
-    held, n, m = _zoh(system, dt, 0.0), system.n_states, len(system.inputs)
+    """Every channel with the states, A and B of its zero-order hold, and the C and D that give it
+    the zeros it must have.
+    """
+    held = _zoh(system, dt, 0.0)
+    n = system.n_states
+    m = len(system.inputs)
     C, D = np.zeros((m, n)), np.zeros((m, m))
     omega = np.geomspace(1e-5, 0.99, 8 * n + 40) * np.pi / dt
     before = _responses(system, 1j * omega)
-    if before.shape[1] != m or np.abs(before * (1 - np.eye(m))).max(initial=0.0) > _MIXING * np.abs(before).max(initial=0.0):
-        raise InvalidInput("'matched' maps poles and zeros of one channel at a time, and here channels mix; use 'tustin'")
+    if before.shape[1] != m or np.abs(before * (1 - np.eye(m))).max(initial=0.0) > _MIXING * np.abs(
+        before
+    ).max(initial=0.0):
+        raise InvalidInput(
+            "'matched' maps poles and zeros of one channel at a time, and here channels mix; use "
+            "'tustin'"
+        )
     z = np.exp(1j * omega * dt)
     for i in range(m):
         own = _between(system, i)
-        A, b, c, d = (
-            system.A[np.ix_(own, own)],
-            system.B[own, i : i + 1],
-            system.C[i : i + 1, own],
-            system.D[i : i + 1, i : i + 1],
-        )
+        A = system.A[np.ix_(own, own)]
+        b = system.B[own, i : i + 1]
+        c = system.C[i : i + 1, own]
+        d = system.D[i : i + 1, i : i + 1]
         target = _matched_response(StateSpace(A, b, c, d), before[:, i, i], omega, dt, prewarp)
         states = _responses(
-            StateSpace(held.A[np.ix_(own, own)], held.B[own, i : i + 1], np.eye(len(own)), np.zeros((len(own), 1))), z
+            StateSpace(
+                held.A[np.ix_(own, own)],
+                held.B[own, i : i + 1],
+                np.eye(len(own)),
+                np.zeros((len(own), 1)),
+            ),
+            z,
         )
-        known = np.hstack([states[:, :, 0], np.ones((len(z), 1))]) / np.maximum(np.abs(target), 1e-300)[:, None]
+        known = (
+            np.hstack([states[:, :, 0], np.ones((len(z), 1))])
+            / np.maximum(np.abs(target), 1e-300)[:, None]
+        )
         size = np.linalg.norm(known, axis=0)
         seen = size > _UNSEEN * size.max()
         wanted = target / np.maximum(np.abs(target), 1e-300)
-        rows, right = np.vstack([known.real, known.imag])[:, seen] / size[seen], np.concatenate([wanted.real, wanted.imag])
+        rows, right = (
+            np.vstack([known.real, known.imag])[:, seen] / size[seen],
+            np.concatenate([wanted.real, wanted.imag]),
+        )
         found = np.linalg.lstsq(rows, right, rcond=None)[0]
         if np.abs(rows @ found - right).max() > _MATCHED:
-            raise NumericalFailure("'matched' misses its zeros: the channel's poles are too close for that; use 'tustin'")
+            raise NumericalFailure(
+                "'matched' misses its zeros: the channel's poles are too close for that; use "
+                "'tustin'"
+            )
         values = np.zeros(len(size))
         values[seen] = found / size[seen]
         C[i, own], D[i, i] = values[:-1], values[-1]
@@ -164,7 +223,10 @@ def _between(system: StateSpace, i: int) -> np.ndarray:
 def _responses(system: StateSpace, points: np.ndarray) -> np.ndarray:
     """C (s - A)^-1 B + D at the points s (k,): (k, p, m)."""
     inner = points[:, None, None] * np.eye(system.n_states) - system.A
-    return system.C @ np.linalg.solve(inner, np.broadcast_to(system.B, (len(points), *system.B.shape))) + system.D
+    return (
+        system.C @ np.linalg.solve(inner, np.broadcast_to(system.B, (len(points), *system.B.shape)))
+        + system.D
+    )
 
 
 def _matched_response(
@@ -173,16 +235,30 @@ def _matched_response(
     """The sampled channel at omega (k,) [rad/s]; before (k,): the continuous one."""
     below, above = np.linalg.eigvals(channel.A).astype(complex), invariant_zeros(channel)
     s = 1j * omega
-    gain = np.median((before * np.prod(s[:, None] - below, axis=1) / np.prod(s[:, None] - above, axis=1)).real)
+    gain = np.median(
+        (before * np.prod(s[:, None] - below, axis=1) / np.prod(s[:, None] - above, axis=1)).real
+    )
 
     def sampled(z: np.ndarray) -> np.ndarray:
-        """With unit gain of s at rest: (s - a) stands for (z - exp(a dt)) a/expm1(a dt), and 1 for (z + 1)/2."""
-        factors = [_slope(roots, dt) * (z[:, None] - np.exp(roots * dt)) for roots in (above, below)]
-        return ((z + 1) / 2) ** (len(below) - len(above)) * np.prod(factors[0], axis=1) / np.prod(factors[1], axis=1)
+        """With unit gain of s at rest: (s - a) stands for (z - exp(a dt)) a/expm1(a dt), and 1 for
+        (z + 1)/2.
+        """
+        factors = [
+            _slope(roots, dt) * (z[:, None] - np.exp(roots * dt)) for roots in (above, below)
+        ]
+        return (
+            ((z + 1) / 2) ** (len(below) - len(above))
+            * np.prod(factors[0], axis=1)
+            / np.prod(factors[1], axis=1)
+        )
 
     if prewarp is not None:
         at = np.array([prewarp])
-        gain *= float(np.abs(_responses(channel, 1j * at)[0, 0, 0] / (gain * sampled(np.exp(1j * at * dt))[0])))
+        gain *= float(
+            np.abs(
+                _responses(channel, 1j * at)[0, 0, 0] / (gain * sampled(np.exp(1j * at * dt))[0])
+            )
+        )
     return np.asarray(gain * sampled(np.exp(1j * omega * dt)))
 
 
@@ -193,7 +269,9 @@ def _slope(roots: np.ndarray, dt: float) -> np.ndarray:
 
 
 def hold(omega: np.ndarray, dt: float) -> np.ndarray:
-    """Zero-order hold over dt [s] at omega (w,) [rad/s], unit gain at zero frequency: sinc(w T/2) exp(-j w T/2), (w,)."""
+    """Zero-order hold over dt [s] at omega (w,) [rad/s], unit gain at zero frequency: sinc(w T/2)
+    exp(-j w T/2), (w,).
+    """
     half = omega * dt / 2
     return np.sinc(half / np.pi) * np.exp(-1j * half)
 
@@ -202,7 +280,9 @@ def pade(delay: float, order: int, input: str = "u1", output: str = "y1") -> Sta
     """All-pass approximation of a pure delay [s] (diagonal Pade), for continuous loop models."""
     check_positive(delay, "delay", "leave the delay out if there is none")
     if not isinstance(order, int | np.integer) or not 1 <= order <= 12:
-        raise invalid("order", order, "a whole number from 1 to 12", "2 suits a delay of one sample")
+        raise invalid(
+            "order", order, "a whole number from 1 to 12", "2 suits a delay of one sample"
+        )
     c = np.ones(order + 1)
     for k in range(1, order + 1):
         c[k] = c[k - 1] * (order - k + 1) / (k * (2 * order - k + 1))

@@ -1,7 +1,9 @@
-"""A system that depends on measured parameters: matrices on a grid of their values, interpolated linearly between them.
+"""A system that depends on measured parameters: matrices on a grid of their values, interpolated
+linearly between them.
 
-A grid of several parameters is rectangular, and its matrices are linear in each of them between two neighbours (bilinear of
-two). A point of one parameter is a number, of several a tuple; the points of a grid are counted with the last parameter first.
+A grid of several parameters is rectangular, and its matrices are linear in each of them between two
+neighbours (bilinear of two). A point of one parameter is a number, of several a tuple; the points
+of a grid are counted with the last parameter first.
 """
 
 from __future__ import annotations
@@ -24,13 +26,15 @@ _EDGE = 1e-9  # of the range: rounding of its ends is no excursion
 
 @dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
 class ScheduledSystem(Presented):
-    """x' = A(p) x + B(p) u, y = C(p) x + D(p) u with every matrix piecewise linear in the parameter p, or in each of several.
+    """x' = A(p) x + B(p) u, y = C(p) x + D(p) u with every matrix piecewise linear in the parameter
+    p, or in each of several.
 
-    axes: ascending values (k,) of the parameter; of "a and b" an array for each. systems: a StateSpace for each point of the
-    grid, all in the same states, with the same signals and sample time. ``outside``: what ``at`` does with a value beyond the
-    grid, "refuse" it or "clamp" it to the nearest end. parameter, unit: what p is; "speed and pressure", "rad/s and Pa" of two.
-    Called with a value it returns the StateSpace there, as the simulations expect of a controller that changes with speed.
-    Raises InvalidInput.
+    axes: ascending values (k,) of the parameter; of "a and b" an array for each. systems: a
+    StateSpace for each point of the grid, all in the same states, with the same signals and sample
+    time. ``outside``: what ``at`` does with a value beyond the grid, "refuse" it or "clamp" it to
+    the nearest end. parameter, unit: what p is; "speed and pressure", "rad/s and Pa" of two. Called
+    with a value it returns the StateSpace there, as the simulations expect of a controller that
+    changes with speed. Raises InvalidInput.
     """
 
     axes: tuple[np.ndarray, ...]
@@ -48,38 +52,59 @@ class ScheduledSystem(Presented):
         outside: Literal["refuse", "clamp"] = "refuse",
     ) -> None:
         values = check_axes(axes, parameter)
-        members, count = tuple(as_statespace(system) for system in systems), int(np.prod([len(axis) for axis in values]))
+        members, count = (
+            tuple(as_statespace(system) for system in systems),
+            int(np.prod([len(axis) for axis in values])),
+        )
         if len(members) != count:
-            raise invalid("the number of systems", len(members), f"{count}, one per grid point", "give one for each")
+            raise invalid(
+                "the number of systems",
+                len(members),
+                f"{count}, one per grid point",
+                "give one for each",
+            )
         check_alike(members, "system")
         if outside not in ("refuse", "clamp"):
-            raise invalid("outside", repr(outside), '"refuse" or "clamp"', "refuse is the safe choice")
+            raise invalid(
+                "outside", repr(outside), '"refuse" or "clamp"', "refuse is the safe choice"
+            )
         for axis in values:
             axis.setflags(write=False)
-        for name, value in zip(self.__slots__, (values, members, parameter, unit, outside), strict=True):
+        for name, value in zip(
+            self.__slots__, (values, members, parameter, unit, outside), strict=True
+        ):
             object.__setattr__(self, name, value)
 
     def facts(self) -> Mapping[str, Any]:
         """The parameters and their ranges, and the size of the system."""
         return {
-            "over": f"{self.words()}, {' x '.join(str(len(axis)) for axis in self.axes)} points", "states": self.n_states,
-            "time": "continuous" if self.dt is None else f"sampled, dt = {self.dt:g} s", "outside": self.outside,
-            "inputs": self.inputs, "outputs": self.outputs,
-        }  # fmt: skip
+            "over": f"{self.words()}, {' x '.join(str(len(axis)) for axis in self.axes)} points",
+            "states": self.n_states,
+            "time": "continuous" if self.dt is None else f"sampled, dt = {self.dt:g} s",
+            "outside": self.outside,
+            "inputs": self.inputs,
+            "outputs": self.outputs,
+        }
 
     def words(self) -> str:
         """Its range: "speed 100 to 500 rad/s and pressure 0 to 2e+05 Pa"."""
         named = zip(self.parameter.split(AND), self.axes, self.unit.split(AND), strict=True)
-        return AND.join(f"{name} {axis[0]:.4g} to {axis[-1]:.4g} {unit}" for name, axis, unit in named)
+        return AND.join(
+            f"{name} {axis[0]:.4g} to {axis[-1]:.4g} {unit}" for name, axis, unit in named
+        )
 
     def to_dict(self) -> dict[str, Any]:
-        """Grid, parameter, unit, what happens outside and systems, ready for JSON; a second parameter as "second"."""
+        """Grid, parameter, unit, what happens outside and systems, ready for JSON; a second
+        parameter as "second".
+        """
         return {**self.scheduling(), "systems": [system.to_dict() for system in self.systems]}
 
     def scheduling(self) -> dict[str, Any]:
         """``to_dict`` without the systems."""
         named = zip(self.parameter.split(AND), self.unit.split(AND), self.axes, strict=True)
-        first, *others = [{"parameter": name, "unit": unit, "grid": axis.tolist()} for name, unit, axis in named]
+        first, *others = [
+            {"parameter": name, "unit": unit, "grid": axis.tolist()} for name, unit, axis in named
+        ]
         head = {"parameter": "", "unit": "", "interpolation": "linear", "outside": self.outside}
         return head | first | ({"second": others[0]} if others else {})
 
@@ -87,7 +112,10 @@ class ScheduledSystem(Presented):
     def grid(self) -> np.ndarray:
         """The values (k,) of its one parameter. Raises InvalidInput where there are several."""
         if len(self.axes) > 1:
-            raise InvalidInput(f"a schedule over {self.parameter} was given where one over a single parameter can be taken")
+            raise InvalidInput(
+                f"a schedule over {self.parameter} was given where one over a single parameter "
+                "can be taken"
+            )
         return self.axes[0]
 
     @property
@@ -122,23 +150,34 @@ class ScheduledSystem(Presented):
         return values[0], values[-1]
 
     def at(self, value: ArrayLike) -> StateSpace:
-        """The system at one value of the parameter, or a tuple of several. Raises InvalidInput outside the range, unless it
-        clamps."""
+        """The system at one value of the parameter, or a tuple of several. Raises InvalidInput
+        outside the range, unless it clamps.
+        """
         names, d = self.parameter.split(AND), len(self.axes)
-        found = np.atleast_1d(check_shape(value, self.parameter, "()" if d == 1 else f"({d})")).astype(float)
-        for i, (name, unit, axis) in enumerate(zip(names, self.unit.split(AND), self.axes, strict=True)):
-            low, high, given = float(axis[0]), float(axis[-1]), float(found[i])
+        found = np.atleast_1d(
+            check_shape(value, self.parameter, "()" if d == 1 else f"({d})")
+        ).astype(float)
+        for i, (name, unit, axis) in enumerate(
+            zip(names, self.unit.split(AND), self.axes, strict=True)
+        ):
+            low = float(axis[0])
+            high = float(axis[-1])
+            given = float(found[i])
             slack = _EDGE * (high - low)
             if not low - slack <= given <= high + slack and self.outside == "refuse":
                 raise invalid(
-                    f"the {name}", f"{given:g} {unit}", f"between {low:g} and {high:g} {unit}",
-                    'design over a wider range; outside="clamp" holds the controller of the nearest end, without any guarantee',
-                )  # fmt: skip
+                    f"the {name}",
+                    f"{given:g} {unit}",
+                    f"between {low:g} and {high:g} {unit}",
+                    'design over a wider range; outside="clamp" holds the controller of the '
+                    "nearest end, without any guarantee",
+                )
             found[i] = min(max(given, low), high)
         index, share = (part[0].tolist() for part in corners(self.axes, found[None]))
         A, B, C, D = (
-            sum(part * getattr(self.systems[i], x) for i, part in zip(index, share, strict=True)) for x in "ABCD"
-        )  # fmt: skip
+            sum(part * getattr(self.systems[i], x) for i, part in zip(index, share, strict=True))
+            for x in "ABCD"
+        )
         first = self.systems[0]
         return StateSpace(A, B, C, D, first.inputs, first.outputs, first.dt)
 
@@ -146,11 +185,22 @@ class ScheduledSystem(Presented):
 
 
 def check_axes(axes: ArrayLike | Sequence[ArrayLike], parameter: str) -> tuple[np.ndarray, ...]:
-    """The values (k,) of every parameter as ``check_grid`` takes them; ``axes``: an array of one alone. Raises InvalidInput."""
+    """The values (k,) of every parameter as ``check_grid`` takes them; ``axes``: an array of one
+    alone. Raises InvalidInput.
+    """
     names = parameter.split(AND)
-    given: Any = axes if len(names) > 1 or (isinstance(axes, tuple) and len(axes) == 1 and np.ndim(axes[0])) else (axes,)
+    given: Any = (
+        axes
+        if len(names) > 1 or (isinstance(axes, tuple) and len(axes) == 1 and np.ndim(axes[0]))
+        else (axes,)
+    )
     if len(given) != len(names):
-        raise invalid("the number of the grid's axes", len(given), f"{len(names)}, for {parameter}", "give one for each")
+        raise invalid(
+            "the number of the grid's axes",
+            len(given),
+            f"{len(names)}, for {parameter}",
+            "give one for each",
+        )
     return tuple(check_grid(axis, name) for axis, name in zip(given, names, strict=True))
 
 
@@ -161,12 +211,16 @@ def grid_points(axes: Sequence[np.ndarray]) -> list[Any]:
 
 
 def corners(axes: Sequence[np.ndarray], values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The points of the grid around each of the values (s, d) within it: their indices (s, 2^d), and their shares (s, 2^d)."""
+    """The points of the grid around each of the values (s, d) within it: their indices (s, 2^d),
+    and their shares (s, 2^d).
+    """
     index, share = np.zeros((len(values), 1), int), np.ones((len(values), 1))
     for axis, v in zip(axes, values.T, strict=True):
         low = np.clip(np.searchsorted(axis, v, side="right") - 1, 0, len(axis) - 2)
         far = (v - axis[low]) / (axis[low + 1] - axis[low])
-        index = (len(axis) * index[:, :, None] + np.stack([low, low + 1], axis=1)[:, None]).reshape(len(v), -1)
+        index = (len(axis) * index[:, :, None] + np.stack([low, low + 1], axis=1)[:, None]).reshape(
+            len(v), -1
+        )
         share = (share[:, :, None] * np.stack([1 - far, far], axis=1)[:, None]).reshape(len(v), -1)
     return index, share
 
@@ -182,23 +236,35 @@ def check_grid(grid: ArrayLike, parameter: str) -> np.ndarray:
             "one point needs no scheduling: use hinf",
         )
     if not (np.diff(values) > 0).all():
-        raise invalid(f"the grid of the {parameter}", values.tolist(), "ascending without repetition", "sort it")
+        raise invalid(
+            f"the grid of the {parameter}",
+            values.tolist(),
+            "ascending without repetition",
+            "sort it",
+        )
     return values
 
 
 def check_alike(systems: Sequence[StateSpace], what: str) -> None:
-    """Same states, signals and sample time throughout. Raises InvalidInput that names the first difference."""
+    """Same states, signals and sample time throughout. Raises InvalidInput that names the first
+    difference.
+    """
     for i, (first, other) in enumerate(pairwise(systems)):
         for name in ("n_states", "inputs", "outputs", "dt"):
             if getattr(first, name) != getattr(other, name):
                 raise invalid(
-                    f"{name} of {what} {i + 2}", getattr(other, name), f"that of {what} {i + 1}, {getattr(first, name)}",
-                    "scheduling needs the same signals and a state basis that does not depend on the parameter",
-                )  # fmt: skip
+                    f"{name} of {what} {i + 2}",
+                    getattr(other, name),
+                    f"that of {what} {i + 1}, {getattr(first, name)}",
+                    "scheduling needs the same signals and a state basis that does not depend on "
+                    "the parameter",
+                )
 
 
 def interval_points(grid: ArrayLike, between: int) -> np.ndarray:
-    """The grid (k,) with ``between`` further points evenly in every interval, ascending ((k - 1) (between + 1) + 1,)."""
+    """The grid (k,) with ``between`` further points evenly in every interval, ascending ((k - 1)
+    (between + 1) + 1,).
+    """
     values = check_grid(grid, "parameter")
     check_positive(between, "between", "0 gives the grid itself", zero_allowed=True)
     inner = [np.linspace(a, b, int(between) + 1, endpoint=False) for a, b in pairwise(values)]

@@ -1,7 +1,8 @@
 """Linear time-invariant systems with named signals, and their algebra.
 
-Signals are picked by name; integers never select a channel outside ``core``. All functions return new systems.
-Any argument documented as a *system* may also be a python-control system (a ``ControllerLike``).
+Signals are picked by name; integers never select a channel outside ``core``. All functions return
+new systems. Any argument documented as a *system* may also be a python-control system (a
+``ControllerLike``).
 """
 
 from __future__ import annotations
@@ -33,8 +34,9 @@ Names = str | Sequence[str]
 class ControllerLike(Protocol):
     """Anything that is a linear system: a StateSpace, a python-control or scipy.signal system.
 
-    A (n, n), B (n, m), C (p, n), D (p, m). Its sample time ``dt`` [s] (None or 0: continuous) and its signal names
-    (``inputs``, ``outputs``, or python-control's ``input_labels``, ``output_labels``) are read where it has them.
+    A (n, n), B (n, m), C (p, n), D (p, m). Its sample time ``dt`` [s] (None or 0: continuous) and
+    its signal names (``inputs``, ``outputs``, or python-control's ``input_labels``,
+    ``output_labels``) are read where it has them.
     """
 
     @property
@@ -54,9 +56,10 @@ class ControllerLike(Protocol):
 class StateSpace(Presented):
     """x' = A x + B u, y = C x + D u; with ``dt`` [s] given, x[k+1] = A x[k] + B u[k].
 
-    A (n, n), B (n, m), C (p, n), D (p, m): real arrays, kept read-only. ``inputs`` (m names) and ``outputs`` (p names)
-    default to u1.. and y1... ``StateSpace(system)`` takes all of it from a python-control system (a ``ControllerLike``).
-    Raises InvalidInput on shapes that do not fit, non-finite entries or repeated names.
+    A (n, n), B (n, m), C (p, n), D (p, m): real arrays, kept read-only. ``inputs`` (m names) and
+    ``outputs`` (p names) default to u1.. and y1... ``StateSpace(system)`` takes all of it from a
+    python-control system (a ``ControllerLike``). Raises InvalidInput on shapes that do not fit,
+    non-finite entries or repeated names.
     """
 
     A: np.ndarray
@@ -85,19 +88,27 @@ class StateSpace(Presented):
             dt = _sample_time_of(given) if dt is None else dt
             given, B, C, D = given.A, given.B, given.C, given.D
         if B is None or C is None or D is None:
-            raise InvalidInput("a StateSpace needs its matrices A, B, C and D, or one system that has them")
-        A, B, C, D = (np.asarray(check_finite(x, letter)) for x, letter in zip((given, B, C, D), "ABCD", strict=True))
+            raise InvalidInput(
+                "a StateSpace needs its matrices A, B, C and D, or one system that has them"
+            )
+        A, B, C, D = (
+            np.asarray(check_finite(x, letter))
+            for x, letter in zip((given, B, C, D), "ABCD", strict=True)
+        )
         A, B, C, D = (np.atleast_2d(x) if x.ndim == 0 else x for x in (A, B, C, D))  # scalars
         D = np.atleast_2d(D)
         p, m = D.shape if D.ndim == 2 else check_shape(D, "D", "(p, m)").shape
         n = A.shape[0] if A.size else 0
-        if (A.shape, B.shape, C.shape) != ((n, n), (n, m), (p, n)):  # empty in another way, or refused
+        # empty in another way, or refused
+        if (A.shape, B.shape, C.shape) != ((n, n), (n, m), (p, n)):
             A = check_shape(A.reshape(n, n) if A.size == n * n else A, "A", "(n, n)")
             B = check_shape(B.reshape(0, m) if n == B.size == 0 else B, "B", "(n, m)", n=n, m=m)
             C = check_shape(C.reshape(p, 0) if n == C.size == 0 else C, "C", "(p, n)", p=p, n=n)
         for letter, matrix in zip("ABCD", (A, B, C, D), strict=True):
             if np.iscomplexobj(matrix):
-                raise invalid(f"matrix {letter}", "complex", "real", "transform to a real state basis first")
+                raise invalid(
+                    f"matrix {letter}", "complex", "real", "transform to a real state basis first"
+                )
             frozen = np.array(matrix, dtype=float)
             frozen.flags.writeable = False
             object.__setattr__(self, letter, frozen)
@@ -105,8 +116,15 @@ class StateSpace(Presented):
         object.__setattr__(self, "outputs", _names(outputs, "y", p, "outputs"))
         if dt is not None:
             if isinstance(dt, bool):
-                raise invalid("dt", dt, "the sample time in seconds, or None", "True and False say nothing about seconds")
-            dt = check_positive(dt, "dt", "give the sample time in seconds, or None for continuous time")
+                raise invalid(
+                    "dt",
+                    dt,
+                    "the sample time in seconds, or None",
+                    "True and False say nothing about seconds",
+                )
+            dt = check_positive(
+                dt, "dt", "give the sample time in seconds, or None for continuous time"
+            )
         object.__setattr__(self, "dt", dt)
 
     @property
@@ -115,21 +133,36 @@ class StateSpace(Presented):
 
     def __repr__(self) -> str:
         time = "continuous" if self.dt is None else f"dt = {self.dt:g} s"
-        return f"StateSpace({self.n_states} states, {len(self.inputs)} inputs, {len(self.outputs)} outputs, {time})"
+        return (
+            f"StateSpace({self.n_states} states, {len(self.inputs)} inputs, {len(self.outputs)} "
+            f"outputs, {time})"
+        )
 
     def facts(self) -> Mapping[str, Any]:
         """Its size, its signals and its sample time."""
         time = "continuous" if self.dt is None else f"sampled, dt = {self.dt:g} s"
-        return {"states": self.n_states, "inputs": self.inputs, "outputs": self.outputs, "time": time}
+        return {
+            "states": self.n_states,
+            "inputs": self.inputs,
+            "outputs": self.outputs,
+            "time": time,
+        }
 
     def to_control(self) -> Any:
-        """The same system as a ``control.StateSpace`` with signal labels (python-control must be installed)."""
+        """The same system as a ``control.StateSpace`` with signal labels (python-control must be
+        installed).
+        """
         import control
 
         return control.ss(
-            self.A, self.B, self.C, self.D, 0 if self.dt is None else self.dt,
-            inputs=list(self.inputs), outputs=list(self.outputs),
-        )  # fmt: skip
+            self.A,
+            self.B,
+            self.C,
+            self.D,
+            0 if self.dt is None else self.dt,
+            inputs=list(self.inputs),
+            outputs=list(self.outputs),
+        )
 
 
 def _names(names: Sequence[str] | None, letter: str, count: int, what: str) -> tuple[str, ...]:
@@ -137,10 +170,20 @@ def _names(names: Sequence[str] | None, letter: str, count: int, what: str) -> t
         return tuple(f"{letter}{i + 1}" for i in range(count))
     result = (names,) if isinstance(names, str) else tuple(names)
     if len(result) != count:
-        raise invalid(f"the number of {what} names", len(result), f"{count}", "give one name for each column or row of D")
+        raise invalid(
+            f"the number of {what} names",
+            len(result),
+            f"{count}",
+            "give one name for each column or row of D",
+        )
     repeated = sorted({name for name in result if result.count(name) > 1})
     if repeated:
-        raise invalid(f"the {what} names", f"repeating {', '.join(repeated)}", "unique", "rename() one of the systems first")
+        raise invalid(
+            f"the {what} names",
+            f"repeating {', '.join(repeated)}",
+            "unique",
+            "rename() one of the systems first",
+        )
     return result
 
 
@@ -150,19 +193,24 @@ def is_system(value: object) -> TypeGuard[ControllerLike]:
 
 
 def _names_of(system: ControllerLike, side: str) -> Sequence[str] | None:
-    names = (getattr(system, name, None) for name in (f"{side}_labels", f"{side}s"))  # scipy.signal counts its inputs
+    # scipy.signal counts its inputs
+    names = (getattr(system, name, None) for name in (f"{side}_labels", f"{side}s"))
     return next((name for name in names if isinstance(name, list | tuple)), None)
 
 
 def _sample_time_of(system: ControllerLike) -> float | None:
     dt = getattr(system, "dt", None)
     if dt is True:
-        raise InvalidInput("the system's dt is True (discrete, unspecified); give the sample time in seconds")
+        raise InvalidInput(
+            "the system's dt is True (discrete, unspecified); give the sample time in seconds"
+        )
     return dt or None
 
 
 def as_statespace(system: Any) -> StateSpace:
-    """``system`` as a StateSpace: itself, a python-control system, or an array taken as a static gain."""
+    """``system`` as a StateSpace: itself, a python-control system, or an array taken as a static
+    gain.
+    """
     if isinstance(system, StateSpace):
         return system
     if is_system(system):
@@ -171,7 +219,9 @@ def as_statespace(system: Any) -> StateSpace:
         raise InvalidInput("a transfer function was given; convert it with control.ss(...) first")
     if not isinstance(system, np.ndarray | np.generic | list | tuple | int | float):
         remedy = "give a StateSpace, a python-control system or an array of gains"
-        raise invalid("the system", f"{system!r:.60}", "something with matrices A, B, C and D", remedy)
+        raise invalid(
+            "the system", f"{system!r:.60}", "something with matrices A, B, C and D", remedy
+        )
     return static_gain(system)
 
 
@@ -194,16 +244,22 @@ def transfer_function(
     output: str = "y1",
     dt: float | None = None,
 ) -> StateSpace:
-    """One-input one-output system from polynomial coefficients, highest power first (controllable canonical form).
+    """One-input one-output system from polynomial coefficients, highest power first (controllable
+    canonical form).
 
-    The states are scaled so that A and B are balanced. Raises InvalidInput when improper or the leading coefficient is 0.
+    The states are scaled so that A and B are balanced. Raises InvalidInput when improper or the
+    leading coefficient is 0.
     """
     num, den = _polynomial(numerator, "numerator"), _polynomial(denominator, "denominator")
     num = np.trim_zeros(num, "f")
     if den[0] == 0:
-        raise invalid("the leading denominator coefficient", 0, "non-zero", "drop the leading zeros")
+        raise invalid(
+            "the leading denominator coefficient", 0, "non-zero", "drop the leading zeros"
+        )
     if len(num) > len(den):
-        raise invalid("the numerator's order", len(num) - 1, f"at most {len(den) - 1}", "add a roll-off pole")
+        raise invalid(
+            "the numerator's order", len(num) - 1, f"at most {len(den) - 1}", "add a roll-off pole"
+        )
     n = len(den) - 1
     b = np.concatenate([np.zeros(len(den) - len(num)), num]) / den[0]
     a = den / den[0]
@@ -219,19 +275,28 @@ def transfer_function(
 def _polynomial(coefficients: ArrayLike, name: str) -> np.ndarray:
     values = check_shape(np.atleast_1d(check_finite(coefficients, name)), name, "(k)")
     if np.iscomplexobj(values) or not values.size:
-        raise invalid(name, values.tolist(), "at least one real coefficient", "give them from the highest power down")
+        raise invalid(
+            name,
+            values.tolist(),
+            "at least one real coefficient",
+            "give them from the highest power down",
+        )
     return values
 
 
 def poles(system: Any) -> np.ndarray:
     """Eigenvalues of A, (n,) complex [rad/s, or z-plane when sampled], sorted by modulus."""
     system = as_statespace(system)
-    values = np.linalg.eigvals(system.A).astype(complex) if system.n_states else np.zeros(0, complex)
+    values = (
+        np.linalg.eigvals(system.A).astype(complex) if system.n_states else np.zeros(0, complex)
+    )
     return values[np.lexsort((values.imag, values.real, np.abs(values)))]
 
 
 def spectral_abscissa(system: Any) -> float:
-    """Largest real part of the poles [rad/s]; for a sampled system ln|z|/dt of the outermost pole. -inf without states."""
+    """Largest real part of the poles [rad/s]; for a sampled system ln|z|/dt of the outermost pole.
+    -inf without states.
+    """
     system = as_statespace(system)
     values = poles(system)
     if values.size == 0 or system.dt is None:
@@ -245,24 +310,36 @@ def is_stable(system: Any) -> bool:
 
 
 def index_of(names: Names, available: Sequence[str], what: str) -> list[int]:
-    """Positions of ``names`` in ``available``; raises InvalidInput naming the unknown one and the known ones."""
+    """Positions of ``names`` in ``available``; raises InvalidInput naming the unknown one and the
+    known ones.
+    """
     wanted = [names] if isinstance(names, str) else list(names)
     position = {name: i for i, name in enumerate(available)}
     for name in wanted:
         if name not in position:
-            raise InvalidInput(f"{what} {name!r} is not a signal of this system; it has {', '.join(available) or 'none'}")
+            raise InvalidInput(
+                f"{what} {name!r} is not a signal of this system; it has "
+                f"{', '.join(available) or 'none'}"
+            )
     return [position[name] for name in wanted]
 
 
 def select(system: Any, inputs: Names | None = None, outputs: Names | None = None) -> StateSpace:
-    """The subsystem between the named inputs and outputs, in the order given; None keeps all. States are kept."""
+    """The subsystem between the named inputs and outputs, in the order given; None keeps all.
+    States are kept.
+    """
     system = as_statespace(system)
     j = index_of(system.inputs if inputs is None else inputs, system.inputs, "input")
     i = index_of(system.outputs if outputs is None else outputs, system.outputs, "output")
     return StateSpace(
-        system.A, system.B[:, j], system.C[i], system.D[np.ix_(i, j)],
-        [system.inputs[k] for k in j], [system.outputs[k] for k in i], system.dt,
-    )  # fmt: skip
+        system.A,
+        system.B[:, j],
+        system.C[i],
+        system.D[np.ix_(i, j)],
+        [system.inputs[k] for k in j],
+        [system.outputs[k] for k in i],
+        system.dt,
+    )
 
 
 def rename(
@@ -273,23 +350,30 @@ def rename(
     """The same system with other signal names: a full list, or a mapping from old to new."""
     system = as_statespace(system)
 
-    def new(names: tuple[str, ...], change: Mapping[str, str] | Sequence[str] | None, what: str) -> Sequence[str]:
+    def new(
+        names: tuple[str, ...], change: Mapping[str, str] | Sequence[str] | None, what: str
+    ) -> Sequence[str]:
         if isinstance(change, Mapping):
             index_of(list(change), names, what)
             return [change.get(name, name) for name in names]
         return names if change is None else change
 
     return StateSpace(
-        system.A, system.B, system.C, system.D,
-        new(system.inputs, inputs, "input"), new(system.outputs, outputs, "output"), system.dt,
-    )  # fmt: skip
+        system.A,
+        system.B,
+        system.C,
+        system.D,
+        new(system.inputs, inputs, "input"),
+        new(system.outputs, outputs, "output"),
+        system.dt,
+    )
 
 
 def match_signals(system: Any, inputs: Sequence[str], outputs: Sequence[str]) -> StateSpace:
     """The system with its signals in the order of ``inputs`` and ``outputs``, and with these names.
 
-    A side that has the same names in another order is permuted; any other side is taken by place. Raises InvalidInput where
-    the numbers of signals differ.
+    A side that has the same names in another order is permuted; any other side is taken by place.
+    Raises InvalidInput where the numbers of signals differ.
     """
     system = as_statespace(system)
     for side, names in (("inputs", inputs), ("outputs", outputs)):
@@ -300,18 +384,27 @@ def match_signals(system: Any, inputs: Sequence[str], outputs: Sequence[str]) ->
 
 
 def append(*systems: Any) -> StateSpace:
-    """Block-diagonal combination: all inputs and all outputs side by side (names must not repeat)."""
+    """Block-diagonal combination: all inputs and all outputs side by side (names must not
+    repeat).
+    """
     parts = [as_statespace(s) for s in systems]
     A, B, C, D = (_side_by_side([getattr(s, letter) for s in parts]) for letter in "ABCD")
     return StateSpace(
-        A, B, C, D,
-        [name for s in parts for name in s.inputs], [name for s in parts for name in s.outputs], _common_dt(parts),
-    )  # fmt: skip
+        A,
+        B,
+        C,
+        D,
+        [name for s in parts for name in s.inputs],
+        [name for s in parts for name in s.outputs],
+        _common_dt(parts),
+    )
 
 
 def _side_by_side(blocks: list[np.ndarray]) -> np.ndarray:
     """The block-diagonal matrix, in a tenth of the time of scipy's where blocks are small."""
-    whole = np.zeros(np.sum([block.shape for block in blocks], axis=0, dtype=int) if blocks else (0, 0))
+    whole = np.zeros(
+        np.sum([block.shape for block in blocks], axis=0, dtype=int) if blocks else (0, 0)
+    )
     row = column = 0
     for block in blocks:
         rows, columns = block.shape
@@ -324,21 +417,42 @@ def _common_dt(systems: Iterable[StateSpace]) -> float | None:
     """The sample time shared by all systems that have one; static gains go with any."""
     times = {s.dt for s in systems if s.n_states or s.dt is not None}
     first = next(iter(times), None)
-    if len(times) > 1 and (None in times or not all(np.isclose(t, first, rtol=1e-9, atol=0) for t in times)):  # type: ignore[arg-type]
-        raise invalid("the sample times", sorted(map(str, times)), "equal", "resample with sampling.c2d first")
+    sampled = [t for t in times if t is not None]
+    if len(times) > 1 and (
+        first is None
+        or len(sampled) < len(times)
+        or not all(np.isclose(t, first, rtol=1e-9, atol=0) for t in sampled)
+    ):
+        raise invalid(
+            "the sample times", sorted(map(str, times)), "equal", "resample with sampling.c2d first"
+        )
     return first
 
 
 def series(first: Any, second: Any) -> StateSpace:
-    """``second`` after ``first``: every output of the first feeds the input of the second in the same place."""
+    """``second`` after ``first``: every output of the first feeds the input of the second in the
+    same place.
+    """
     first, second = as_statespace(first), as_statespace(second)
     if len(first.outputs) != len(second.inputs):
-        raise invalid("the first system's output count", len(first.outputs), str(len(second.inputs)), "select() signals")
-    A = np.block([[first.A, np.zeros((first.n_states, second.n_states))], [second.B @ first.C, second.A]])
+        raise invalid(
+            "the first system's output count",
+            len(first.outputs),
+            str(len(second.inputs)),
+            "select() signals",
+        )
+    A = np.block(
+        [[first.A, np.zeros((first.n_states, second.n_states))], [second.B @ first.C, second.A]]
+    )
     return StateSpace(
-        A, np.vstack([first.B, second.B @ first.D]), np.hstack([second.D @ first.C, second.C]), second.D @ first.D,
-        first.inputs, second.outputs, _common_dt([first, second]),
-    )  # fmt: skip
+        A,
+        np.vstack([first.B, second.B @ first.D]),
+        np.hstack([second.D @ first.C, second.C]),
+        second.D @ first.D,
+        first.inputs,
+        second.outputs,
+        _common_dt([first, second]),
+    )
 
 
 def feedback(forward: Any, backward: Any, sign: int = -1) -> StateSpace:
@@ -348,34 +462,53 @@ def feedback(forward: Any, backward: Any, sign: int = -1) -> StateSpace:
     """
     forward, backward = as_statespace(forward), as_statespace(backward)
     if forward.D.shape != backward.D.shape[::-1]:
-        raise invalid("the feedback's size", backward.D.shape, str(forward.D.shape[::-1]), "select() signals")
+        raise invalid(
+            "the feedback's size", backward.D.shape, str(forward.D.shape[::-1]), "select() signals"
+        )
     if sign not in {-1, 1}:
         raise invalid("the feedback's sign", sign, "-1 or 1", "put a gain into the backward system")
     parts = [StateSpace(s.A, s.B, s.C, s.D, dt=s.dt) for s in (forward, backward)]
     p, m = forward.D.shape
-    joined = append(parts[0], rename(parts[1], [f"v{i}" for i in range(p)], [f"b{i}" for i in range(m)]))
+    joined = append(
+        parts[0], rename(parts[1], [f"v{i}" for i in range(p)], [f"b{i}" for i in range(m)])
+    )
     loop = np.zeros((m + p, p + m))
     loop[:m, p:] = sign * np.eye(m)
     loop[m:, :p] = np.eye(p)
     closed = close(joined, loop)
-    return StateSpace(closed.A, closed.B[:, :m], closed.C[:p], closed.D[:p, :m], forward.inputs, forward.outputs, closed.dt)
+    return StateSpace(
+        closed.A,
+        closed.B[:, :m],
+        closed.C[:p],
+        closed.D[:p, :m],
+        forward.inputs,
+        forward.outputs,
+        closed.dt,
+    )
 
 
 @named_failure("the closed loop")
 def close(system: StateSpace, loop: np.ndarray) -> StateSpace:
-    """``system`` with its own outputs fed back, u = loop y + r; loop (m, p). From r to y, names kept.
+    """``system`` with its own outputs fed back, u = loop y + r; loop (m, p). From r to y, names
+    kept.
 
     Raises NumericalFailure when I - D loop is singular (an algebraic loop).
     """
     loop = check_shape(loop, "loop", "(m, p)", m=len(system.inputs), p=len(system.outputs))
     DL = system.D @ loop
     E = np.eye(len(DL)) - DL
-    if E.size and np.abs(1 - np.linalg.eigvals(DL)).min() < 1e-14 * max(1.0, float(np.abs(balance(DL)[0]).max())):
-        raise NumericalFailure("the loop is algebraic (I - D L is singular); add a sample of delay or a roll-off pole")
+    if E.size and np.abs(1 - np.linalg.eigvals(DL)).min() < 1e-14 * max(
+        1.0, float(np.abs(balance(DL)[0]).max())
+    ):
+        raise NumericalFailure(
+            "the loop is algebraic (I - D L is singular); add a sample of delay or a roll-off pole"
+        )
     # y = E^-1 (C x + D r)
     C, D = np.linalg.solve(E, system.C), np.linalg.solve(E, system.D)
     BL = system.B @ loop
-    return StateSpace(system.A + BL @ C, system.B + BL @ D, C, D, system.inputs, system.outputs, system.dt)
+    return StateSpace(
+        system.A + BL @ C, system.B + BL @ D, C, D, system.inputs, system.outputs, system.dt
+    )
 
 
 def connect(
@@ -386,17 +519,23 @@ def connect(
 ) -> StateSpace:
     """Interconnection by name.
 
-    An input of a system is fed by the output (of any system) or the external input of the same name, unless ``sums`` says
-    what it is: ``sums={"e_A": ["r_A", "-y_A"]}`` makes the input e_A equal r_A - y_A; an empty list makes it zero. The terms
-    of a sum, and ``outputs``, name a system's output, an external input or another sum, looked up in that order. Raises
-    InvalidInput for a name that leads nowhere, and for sums that need each other.
+    An input of a system is fed by the output (of any system) or the external input of the same
+    name, unless ``sums`` says what it is: ``sums={"e_A": ["r_A", "-y_A"]}`` makes the input e_A
+    equal r_A - y_A; an empty list makes it zero. The terms of a sum, and ``outputs``, name a
+    system's output, an external input or another sum, looked up in that order. Raises InvalidInput
+    for a name that leads nowhere, and for sums that need each other.
     """
     joined = append(*systems)
     sums = {} if sums is None else dict(sums)
     sources = [*joined.outputs, *inputs]
     repeated = sorted(set(joined.outputs) & set(inputs))
     if repeated:
-        raise invalid("the external inputs", ", ".join(repeated), "different from the systems' outputs", "rename them")
+        raise invalid(
+            "the external inputs",
+            ", ".join(repeated),
+            "different from the systems' outputs",
+            "rename them",
+        )
     position = {name: i for i, name in enumerate(sources)}
 
     used: set[str] = set()
@@ -406,9 +545,14 @@ def connect(
             return np.eye(1, len(sources), position[name])[0]
         if name not in sums:
             by = f" (wanted by {wanted_by[-1]!r})" if wanted_by else ""
-            raise InvalidInput(f"signal {name!r}{by} is no system's output, no external input and no sum")
+            raise InvalidInput(
+                f"signal {name!r}{by} is no system's output, no external input and no sum"
+            )
         if name in wanted_by:
-            raise InvalidInput(f"the sums {' <- '.join([*wanted_by, name])} need each other; break the circle with a system")
+            raise InvalidInput(
+                f"the sums {' <- '.join([*wanted_by, name])} need each other; break the circle "
+                "with a system"
+            )
         return total(name, wanted_by)
 
     def total(name: str, wanted_by: tuple[str, ...] = ()) -> np.ndarray:
@@ -426,6 +570,9 @@ def connect(
     B, D = closed.B @ mixing[:, p:], closed.D @ mixing[:, p:]
     pick = np.array([signal(name, ()) for name in outputs]).reshape(len(outputs), len(sources))
     if set(sums) - used:
-        raise InvalidInput(f"the sum {sorted(set(sums) - used)[0]!r} leads nowhere: it is no input, no output and no term")
+        raise InvalidInput(
+            f"the sum {sorted(set(sums) - used)[0]!r} leads nowhere: it is no input, no output "
+            "and no term"
+        )
     C, D = pick[:, :p] @ closed.C, pick[:, :p] @ D + pick[:, p:]
     return StateSpace(closed.A, B, C, D, list(inputs), list(outputs), closed.dt)

@@ -1,4 +1,6 @@
-"""What is wrong, or doubtful, with a record or with what was identified from it: findings, each with a code to act upon."""
+"""What is wrong, or doubtful, with a record or with what was identified from it: findings, each
+with a code to act upon.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ class Code(StrEnum):
     SAMPLE_RATE = "sample-rate"  # not the stated one
     MIXED_CHANNELS = "mixed-channels"  # swapped or inverted
     NO_RESPONSE = "no-response"  # the displacements do not follow the excitation
-    FAR_FROM_START = "far-from-start"  # the model with the start values responds otherwise; settled by the fit
+    # the model with the start values responds otherwise; settled by the fit
+    FAR_FROM_START = "far-from-start"
     OTHER_CONTROLLER = "other-controller"
     CONTROLLER_GAIN = "controller-gain"
     OTHER_DELAY = "other-delay"  # another computing delay explains the record better
@@ -46,7 +49,8 @@ class Code(StrEnum):
     FAR_FROM_FILE = "far-from-file"  # a value far from the machine file's
     COMMON_FACTOR = "common-factor"  # every K_i and K_s moved alike: a wrong mass
     MISSING_RESPONSE = "missing-response"  # what the model cannot reproduce at any parameter values
-    TONE = "tone"  # most of what the model leaves of a signal is one frequency, which is not excited
+    # most of what the model leaves of a signal is one frequency, which is not excited
+    TONE = "tone"
     BURST = "burst"  # a short time in which a signal leaves the model
     # A seal over pressure (seal/by_pressure.py)
     SEAL_SCATTER = "seal-scatter"  # a point off the line through the others
@@ -63,8 +67,10 @@ class Code(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """severity: "error" (no number from this record can be trusted) or "warning"; ``what`` names record and signal,
-    ``evidence`` the numbers that show it, ``remedy`` what to do. Raises InvalidInput for another severity."""
+    """severity: "error" (no number from this record can be trusted) or "warning"; ``what`` names
+    record and signal, ``evidence`` the numbers that show it, ``remedy`` what to do. Raises
+    InvalidInput for another severity.
+    """
 
     code: Code
     severity: str
@@ -74,7 +80,12 @@ class Finding:
 
     def __post_init__(self) -> None:
         if self.severity not in {ERROR, WARNING}:
-            raise invalid("the severity of a finding", repr(self.severity), '"error" or "warning"', "choose one")
+            raise invalid(
+                "the severity of a finding",
+                repr(self.severity),
+                '"error" or "warning"',
+                "choose one",
+            )
 
     def __str__(self) -> str:
         text = f"{self.what}: {self.evidence}" if self.evidence else self.what

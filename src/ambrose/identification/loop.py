@@ -1,5 +1,6 @@
-"""Identification from closed-loop records with its checks: the records before, the result after; a refusal instead of a
-silent wrong number."""
+"""Identification from closed-loop records with its checks: the records before, the result after; a
+refusal instead of a silent wrong number.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +15,11 @@ from ambrose.identification.findings import WARNING, Code, Finding, refuse
 from ambrose.identification.output_error import closed_loop
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.output_error.magnetic_force import without_magnets
-from ambrose.identification.output_error.problem import FitOptions, build_experiment, deployed_controller
+from ambrose.identification.output_error.problem import (
+    FitOptions,
+    build_experiment,
+    deployed_controller,
+)
 from ambrose.identification.parameters import COVERAGE, plant_at, split_timing
 from ambrose.identification.result import LoopIdentification
 from ambrose.identification.validation.plausibility import delay_findings, diagnose_result
@@ -22,10 +27,11 @@ from ambrose.identification.validation.repeatability import of_estimates
 from ambrose.identification.validation.simulated_output import simulate_outputs
 from ambrose.identification.validation.suspects import Suspect, explained, judged, suspects
 from ambrose.identification.youla import identify as youla
+from ambrose.law.law import LawLike
 from ambrose.machine.description import AMPLIFIER_PARAMETERS
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 _SHORT = 1.0  # [s] of every record on which other delays are tried
 Progress = Callable[[str], None]
@@ -34,7 +40,7 @@ Progress = Callable[[str], None]
 def identify_loop(
     machine: Machine,
     records: Sequence[Record],
-    controller: Any,
+    controller: LawLike,
     unknown: Sequence[str],
     *,
     method: str = "closed-loop",
@@ -44,12 +50,13 @@ def identify_loop(
     progress: Progress = lambda stage: None,
     options: FitOptions | None = None,
 ) -> LoopIdentification:
-    """``closed_loop.identify`` or ``youla.identify`` between diagnose_records and diagnose_result; ``machine`` is not yet
-    updated.
+    """``closed_loop.identify`` or ``youla.identify`` between diagnose_records and diagnose_result;
+    ``machine`` is not yet updated.
 
-    unknown: none means usual_unknowns. repeats: the records repeat one experiment; each is identified alone, too, and a
-    standard deviation below what their scatter allows for is widened to it. others: records that are checked with these, as
-    further numbers, and not fitted. Raises InvalidInput with every error that was found, each with its evidence and remedy.
+    unknown: none means usual_unknowns. repeats: the records repeat one experiment; each is
+    identified alone, too, and a standard deviation below what their scatter allows for is widened
+    to it. others: records that are checked with these, as further numbers, and not fitted. Raises
+    InvalidInput with every error that was found, each with its evidence and remedy.
     """
     options = options or FitOptions()
     unknown = tuple(unknown) or usual_unknowns(machine, records)
@@ -57,26 +64,42 @@ def identify_loop(
     if method == "youla":
         for path in paths:
             if path in TIMING:
-                raise InvalidInput(f"{path} as an unknown goes with the method closed-loop; its delay must be known here")
+                raise InvalidInput(
+                    f"{path} as an unknown goes with the method closed-loop; its delay must be "
+                    "known here"
+                )
     seen = None
     if CONTROLLER_DELAY in paths and CONTROLLER_DELAY not in (start or {}):
-        law = deployed_controller(plant_at(machine, records[0].point, {}), controller, records[0].dt, 0)
+        law = deployed_controller(
+            plant_at(machine, records[0].point, {}), controller, records[0].dt, 0
+        )
         seen = seen_delay(controller_match(machine, records[0], law))
     if seen is not None:
         options = replace(options, computing_delay=seen)
-    setup: dict[str, Any] = {"bending_modes": options.bending_modes, "computing_delay": options.computing_delay}
+    setup: dict[str, Any] = {
+        "bending_modes": options.bending_modes,
+        "computing_delay": options.computing_delay,
+    }
     progress("checking the records")
     known = {path: value for path, value in (start or {}).items() if path not in TIMING}
     checks = diagnose_records(machine, (*records, *others), controller, start=known, **setup)
     if CONTROLLER_DELAY in paths:  # then the delay is found, not given
         checks = tuple(finding for finding in checks if finding.code != Code.OTHER_DELAY)
     refuse(checks)
-    experiment = build_experiment(machine, records, controller, unknown, options) if method == "closed-loop" else None
+    experiment = (
+        build_experiment(machine, records, controller, unknown, options)
+        if method == "closed-loop"
+        else None
+    )
 
     def identify_alone(record: Record, begin: Mapping[str, float]) -> ParameterEstimate:
         if method == "youla":
-            return youla.identify(machine, record, controller, unknown, start=begin, **asdict(options)).estimate
-        return closed_loop.fit(build_experiment(machine, record, controller, unknown, options), begin)
+            return youla.identify(
+                machine, record, controller, unknown, start=begin, **asdict(options)
+            ).estimate
+        return closed_loop.fit(
+            build_experiment(machine, record, controller, unknown, options), begin
+        )
 
     progress(f"identifying {len(paths)} parameters")
     residual = None
@@ -88,8 +111,15 @@ def identify_loop(
         except InvalidInput:
             if seen is None or len(paths) == 1:
                 raise
-        if seen is not None and len(paths) > 1 and (result is None or _unsure(result, records[0].dt)):
-            progress(f"the delay cannot be told; u follows the controller after {seen} samples: taken as its delay")
+        if (
+            seen is not None
+            and len(paths) > 1
+            and (result is None or _unsure(result, records[0].dt))
+        ):
+            progress(
+                f"the delay cannot be told; u follows the controller after {seen} samples: taken "
+                "as its delay"
+            )
             paths = [path for path in paths if path != CONTROLLER_DELAY]
             unknown = tuple(paths)
             experiment = build_experiment(machine, records, controller, paths, options)
@@ -99,17 +129,24 @@ def identify_loop(
         assert result is not None
         if result.converged and options.period is None:
             progress("taking out what the magnets' nonlinearity makes")
-            magnets, records, experiment, result = without_magnets(machine, records, controller, experiment, result)
+            magnets, records, experiment, result = without_magnets(
+                machine, records, controller, experiment, result
+            )
     else:
-        residual = youla.identify(machine, records, controller, unknown, start=start, **asdict(options))
+        residual = youla.identify(
+            machine, records, controller, unknown, start=start, **asdict(options)
+        )
         result = residual.estimate
         experiment = build_experiment(machine, records, controller, unknown, FitOptions(**setup))
     progress("checking the result")
     outputs = simulate_outputs(experiment, records, result.values)
-    checks = tuple(finding for finding in checks if finding.code != Code.FAR_FROM_START)  # no longer relevant
+    # no longer relevant
+    checks = tuple(finding for finding in checks if finding.code != Code.FAR_FROM_START)
     doubts = diagnose_result(machine, result, outputs)
     found: tuple[Suspect, ...] = ()
-    if method == "closed-loop" and (result.converged or any(item.code == Code.MISSING_RESPONSE for item in doubts)):
+    if method == "closed-loop" and (
+        result.converged or any(item.code == Code.MISSING_RESPONSE for item in doubts)
+    ):
         progress("looking for what the model lacks")
         found = suspects(machine, records, controller, result, options)
     checks += tuple(explained(item, found) for item in doubts)
@@ -117,39 +154,59 @@ def identify_loop(
     if result.converged and method == "closed-loop":
         result = judged(result, found, records[0].dt)
     if not result.adequate and not any(finding.code == Code.OTHER_DELAY for finding in checks):
-        checks += _other_delay(machine, measured, controller, result, options)  # what was taken out went by the wrong one
+        # what was taken out went by the wrong one
+        checks += _other_delay(machine, measured, controller, result, options)
     done = LoopIdentification(
-        given=machine, machine=machine, result=result, checks=checks, outputs=outputs, controller=controller,
-        residual=residual, magnets=magnets, **setup,
-    )  # fmt: skip
+        given=machine,
+        machine=machine,
+        result=result,
+        checks=checks,
+        outputs=outputs,
+        controller=controller,
+        residual=residual,
+        magnets=magnets,
+        **setup,
+    )
     if seen is not None:
         done = replace(done, seen_delay=seen)
     return _with_repeats(done, records, identify_alone, progress) if repeats else done
 
 
 def _unsure(result: ParameterEstimate, dt: float) -> bool:
-    """Whether a fitted delay of the controller says nothing: not converged, or known to half a sample at most."""
+    """Whether a fitted delay of the controller says nothing: not converged, or known to half a
+    sample at most.
+    """
     deviation = float(result.standard_deviations[result.paths.index(CONTROLLER_DELAY)])
     return not result.converged or COVERAGE * deviation > 0.5 * dt
 
 
 def _other_delay(
-    machine: Machine, records: Sequence[Record], controller: Any, result: ParameterEstimate, options: FitOptions
+    machine: Machine,
+    records: Sequence[Record],
+    controller: LawLike,
+    result: ParameterEstimate,
+    options: FitOptions,
 ) -> tuple[Finding, ...]:
-    """Whether another delay explains the first second of the records better, all parameters free."""
+    """Whether another delay explains the first second of the records better, all parameters
+    free.
+    """
     early = [record.between(record.start_time, record.start_time + _SHORT) for record in records]
     begin = dict(zip(result.paths, result.values.tolist(), strict=True))
 
     def refit(delay: float, *extra: str) -> ParameterEstimate:
         changed = replace(options, computing_delay=delay, period=None)
-        return closed_loop.fit(build_experiment(machine, early, controller, (*result.paths, *extra), changed), begin)
+        return closed_loop.fit(
+            build_experiment(machine, early, controller, (*result.paths, *extra), changed), begin
+        )
 
     delay = float(options.computing_delay)
     try:
         given = refit(delay)
     except InvalidInput:  # the first second says too little
         return ()
-    return delay_findings(given, delay, records[0].dt, lambda: refit(delay, CONTROLLER_DELAY), refit)
+    return delay_findings(
+        given, delay, records[0].dt, lambda: refit(delay, CONTROLLER_DELAY), refit
+    )
 
 
 def _with_repeats(
@@ -166,19 +223,29 @@ def _with_repeats(
         estimates.append(identify_alone(record, begin))
         if not estimates[-1].converged:
             remedy = "the scatter of the repeats holds a value that is not the best"
-            lost.append(Finding(Code.NOT_CONVERGED, WARNING, f"record {number} alone did not converge", remedy=remedy))
+            lost.append(
+                Finding(
+                    Code.NOT_CONVERGED,
+                    WARNING,
+                    f"record {number} alone did not converge",
+                    remedy=remedy,
+                )
+            )
     repeats = of_estimates(estimates)
     result = done.result.widened(repeats.half_width / COVERAGE)
-    return replace(done, result=replace(result, warnings=(*result.warnings, *lost)), repeats=repeats)
+    return replace(
+        done, result=replace(result, warnings=(*result.warnings, *lost)), repeats=repeats
+    )
 
 
 def usual_unknowns(machine: Machine, records: Sequence[Record] = ()) -> tuple[str, ...]:
-    """What is identified when nothing is named: the machine's uncertain parameters, K_i and K_s of every bearing and axis, and
-    the amplifier's lag (its bandwidth, or its natural frequency).
+    """What is identified when nothing is named: the machine's uncertain parameters, K_i and K_s of
+    every bearing and axis, and the amplifier's lag (its bandwidth, or its natural frequency).
 
-    A seal's coefficient that scales with the pressure is left out where no record was taken under pressure; so is one that a
-    table or a geometry gives, for it could not be written back. A seal's uncertain pressure, which comes with a record, stands
-    for k, the coefficient that a record tells best (C and c are several times less certain).
+    A seal's coefficient that scales with the pressure is left out where no record was taken under
+    pressure; so is one that a table or a geometry gives, for it could not be written back. A seal's
+    uncertain pressure, which comes with a record, stands for k, the coefficient that a record tells
+    best (C and c are several times less certain).
     """
     paths = [
         f"bearing.{item.name}.{quantity}.{axis}"

@@ -1,69 +1,112 @@
-"""The machine with its identified parameters written in, each with a tolerance as wide as it is uncertain, and its origin."""
+"""The machine with its identified parameters written in, each with a tolerance as wide as it is
+uncertain, and its origin.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.identification.parameters import COVERAGE, Estimate, half_width, part_names, with_bending
-from ambrose.machine.description import BiasPoint, MagneticBearing, OperatingPoint, Pair, Seal, Tolerance
+from ambrose.identification.parameters import (
+    COVERAGE,
+    Estimate,
+    half_width,
+    part_names,
+    with_bending,
+)
+from ambrose.machine.attachment import attachment_of
+from ambrose.machine.description import BiasPoint, MagneticBearing, OperatingPoint, Pair, Tolerance
 from ambrose.machine.machine import Machine
-from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, Parameter, find_uncertain, parse_parameter
-from ambrose.machine.seals import constant_under_pressure
-from ambrose.physics import magnet
-from ambrose.physics.seal import coefficients
-from ambrose.plant.static_load import stated_at_load
+from ambrose.machine.parameters import (
+    CONTROLLER_DELAY,
+    TIMING,
+    Parameter,
+    find_uncertain,
+    parse_parameter,
+)
+from ambrose.machine.seals import Seal, constant_under_pressure
+from ambrose.model.effects import magnet
+from ambrose.model.effects.seal import coefficients
+from ambrose.model.static_load import stated_at_load
 
 
-def update_machine(machine: Machine, result: Estimate, *, origin: str = "", keep_wider: bool = False) -> Machine:
-    """The machine with the values found, and tolerances of 1.96 standard deviations (95 %) relative to them.
+def update_machine(
+    machine: Machine, result: Estimate, *, origin: str = "", keep_wider: bool = False
+) -> Machine:
+    """The machine with the values found, and tolerances of 1.96 standard deviations (95 %) relative
+    to them.
 
-    A bearing identified at another bias current than its own gets a row in ``measured``. Tolerances of the same parameters are
-    replaced; keep_wider: not a seal's, or its pressure's, that is wider than what was found: it may be the range of
-    operation. A seal holds one coefficient for both axes: single entries (K_xx, k_yx) are averaged with their fellow entry,
-    as found or as it was, and the tolerance of the coefficient covers both with their uncertainty. origin: where the values
-    are from, added to
-    ``source``; a delay that was found goes into the controller's settings, a bending mode's frequency and damping into its
-    [[bending_mode]]. Entries of ``assumed`` about a quantity whose every
-    value was identified are taken out; a seal's coefficient that does not follow the pressure as others do gets one.
-    Raises InvalidInput for what a machine cannot hold (a coefficient from a table or a geometry).
+    A bearing identified at another bias current than its own gets a row in ``measured``. Tolerances
+    of the same parameters are replaced; keep_wider: not a seal's, or its pressure's, that is wider
+    than what was found: it may be the range of operation. A seal holds one coefficient for both
+    axes: single entries (K_xx, k_yx) are averaged with their fellow entry, as found or as it was,
+    and the tolerance of the coefficient covers both with their uncertainty. origin: where the
+    values are from, added to ``source``; a delay that was found goes into the controller's
+    settings, a bending mode's frequency and damping into its [[bending_mode]]. Entries of
+    ``assumed`` about a quantity whose every value was identified are taken out; a seal's
+    coefficient that does not follow the pressure as others do gets one. Raises InvalidInput for
+    what a machine cannot hold (a coefficient from a table or a geometry).
     """
     if result.machine != machine.name:
-        raise invalid("the machine of the result", repr(result.machine), repr(machine.name), "take the machine it belongs to")
+        raise invalid(
+            "the machine of the result",
+            repr(result.machine),
+            repr(machine.name),
+            "take the machine it belongs to",
+        )
     entries = _entries(machine, result)
     values = [(one.parameter, one.value) for one in entries]
     tolerances = [one.tolerance for one in entries]
     if keep_wider:
         stated = {item.parameter: item for item in machine.tolerances}
         tolerances = [
-            _wider(stated.get(item.parameter), item, one.value) if one.parameter.table == "seal" else item
+            _wider(stated.get(item.parameter), item, one.value)
+            if one.parameter.table == "seal"
+            else item
             for item, one in zip(tolerances, entries, strict=True)
             if not _within_pressure(machine, result.point, one)
         ]
-    kept = [item for item in machine.tolerances if not any(parse_parameter(item.parameter).overlaps(p) for p, _ in values)]
-    own = {parameter.quantity: value for parameter, value in values if parameter.table == "amplifier"}
-    couplings = []
-    for item in machine.couplings:
-        mine = _of("coupling", item.name, values)
-        stiffness, damping = _pair(item.stiffness, "stiffness", mine), _pair(item.damping, "damping", mine)
-        couplings.append(replace(item, stiffness=stiffness, damping=damping))
+    kept = [
+        item
+        for item in machine.tolerances
+        if not any(parse_parameter(item.parameter).overlaps(p) for p, _ in values)
+    ]
+    own = {
+        parameter.quantity: value for parameter, value in values if parameter.table == "amplifier"
+    }
+    attached = [_attached(item, values) for item in machine.attached]
+    coupled = len(machine.couplings)
     pid, delays = machine.controller, dict(zip(result.paths, result.values.tolist(), strict=True))
-    seals = tuple(_seal(item, result.point, _of("seal", item.name, values)) for item in machine.seals)
-    reasons = dict(row for row in machine.assumed if not _settled(machine, row[0], [p for p, _ in values]))
+    seals = tuple(
+        _seal(item, result.point, _of("seal", item.name, values)) for item in machine.seals
+    )
+    reasons = dict(
+        row for row in machine.assumed if not _settled(machine, row[0], [p for p, _ in values])
+    )
     for seal in seals:
         if still := ", ".join(constant_under_pressure(seal)):
-            remark = f"{still}: found at {result.point.seal_pressure:g} Pa; how it follows the pressure is not known"
+            remark = (
+                f"{still}: found at {result.point.seal_pressure:g} Pa; how it follows the pressure "
+                "is not known"
+            )
             reasons.setdefault(f"seal.{seal.name}.scales_with_pressure", remark)
     modes = {parameter.path: value for parameter, value in values if parameter.table == "rotor"}
     return replace(
         machine,
         bending_modes=with_bending(machine, modes).bending_modes,
-        controller=replace(pid, delay=delays[CONTROLLER_DELAY]) if pid is not None and CONTROLLER_DELAY in delays else pid,
-        bearings=tuple(_bearing(machine, item, result.point, _of("bearing", item.name, values)) for item in machine.bearings),
-        couplings=tuple(couplings),
+        controller=replace(pid, delay=delays[CONTROLLER_DELAY])
+        if pid is not None and CONTROLLER_DELAY in delays
+        else pid,
+        bearings=tuple(
+            _bearing(machine, item, result.point, _of("bearing", item.name, values))
+            for item in machine.bearings
+        ),
+        couplings=tuple(attached[:coupled]),
+        effects=tuple(attached[coupled:]),
         amplifier=replace(machine.amplifier, **own),  # type: ignore[arg-type]
         seals=seals,
         tolerances=(*kept, *tolerances),
@@ -74,7 +117,9 @@ def update_machine(machine: Machine, result: Estimate, *, origin: str = "", keep
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
-    """A parameter of the machine file, its value at the operating point and the half-width of its tolerance, SI."""
+    """A parameter of the machine file, its value at the operating point and the half-width of its
+    tolerance, SI.
+    """
 
     parameter: Parameter
     value: float
@@ -88,10 +133,14 @@ class _Entry:
 
 
 def _entries(machine: Machine, result: Estimate) -> list[_Entry]:
-    """The parameters as a machine file holds them: single entries of a seal's matrices made one coefficient."""
+    """The parameters as a machine file holds them: single entries of a seal's matrices made one
+    coefficient.
+    """
     single: dict[tuple[str, str], list[tuple[float, float]]] = {}
     entries = []
-    for path, value, deviation in zip(result.paths, result.values.tolist(), result.standard_deviations.tolist(), strict=True):
+    for path, value, deviation in zip(
+        result.paths, result.values.tolist(), result.standard_deviations.tolist(), strict=True
+    ):
         if path in TIMING:
             continue  # no parameter of the machine; the controller's settings take its delay
         parameter, width = find_uncertain(machine, path), COVERAGE * deviation
@@ -101,7 +150,9 @@ def _entries(machine: Machine, result: Estimate) -> list[_Entry]:
             entries.append(_Entry(parameter, value, max(width, 1e-15 * abs(value), 1e-300)))
     for (name, quantity), parts in single.items():
         seal = next(item for item in machine.seals if item.name == name)
-        before = getattr(coefficients(seal, result.point.seal_pressure, result.point.speed), quantity)
+        before = getattr(
+            coefficients(seal, result.point.seal_pressure, result.point.speed), quantity
+        )
         both = [*parts, *[(before, 0.0)] * (2 - len(parts))]
         mean = float(np.mean([value for value, _ in both]))
         width = max(abs(value - mean) + width for value, width in both)
@@ -117,18 +168,28 @@ def _wider(stated: Tolerance | None, identified: Tolerance, value: float) -> Tol
 
 
 def _within_pressure(machine: Machine, point: OperatingPoint, entry: _Entry) -> bool:
-    """Whether a stated tolerance of the seal's pressure moves this coefficient by more than what was found leaves open."""
+    """Whether a stated tolerance of the seal's pressure moves this coefficient by more than what
+    was found leaves open.
+    """
     one, own = entry.parameter, f"seal.{entry.parameter.name}.pressure"
     if not any(
-        one.quantity in item.scales_with_pressure for item in machine.seals if one.table == "seal" and item.name == one.name
+        one.quantity in item.scales_with_pressure
+        for item in machine.seals
+        if one.table == "seal" and item.name == one.name
     ):
         return False
-    ranges = [half_width(item, point.seal_pressure) for item in machine.tolerances if item.parameter == own]
+    ranges = [
+        half_width(item, point.seal_pressure)
+        for item in machine.tolerances
+        if item.parameter == own
+    ]
     return any(half * abs(entry.value) > entry.width * point.seal_pressure for half in ranges)
 
 
 def _settled(machine: Machine, key: str, identified: Sequence[Parameter]) -> bool:
-    """Whether an entry of ``assumed`` speaks of a quantity ("bearing.force_per_current") all values of which are identified."""
+    """Whether an entry of ``assumed`` speaks of a quantity ("bearing.force_per_current") all values
+    of which are identified.
+    """
     table, _, rest = key.partition(".")
     name, _, quantity = rest.rpartition(".")
     if table == "amplifier":
@@ -138,7 +199,11 @@ def _settled(machine: Machine, key: str, identified: Sequence[Parameter]) -> boo
         return False
 
     def known(item: str) -> bool:
-        mine = [p.component for p in identified if (p.table, p.name, p.quantity) == (table, item, quantity)]
+        mine = [
+            p.component
+            for p in identified
+            if (p.table, p.name, p.quantity) == (table, item, quantity)
+        ]
         return "" in mine or {"zeta", "eta"} <= set(mine)
 
     return all(known(item) for item in names)
@@ -148,7 +213,35 @@ _Values = Sequence[tuple[Parameter, float]]
 
 
 def _of(table: str, name: str, values: _Values) -> _Values:
-    return [(parameter, value) for parameter, value in values if (parameter.table, parameter.name) == (table, name)]
+    return [
+        (parameter, value)
+        for parameter, value in values
+        if (parameter.table, parameter.name) == (table, name)
+    ]
+
+
+def _attached(item: Any, values: _Values) -> Any:
+    """A part of a registered effect with the values found of its quantities: pairs, or numbers."""
+    effect = attachment_of(item)
+    mine = _of(effect.table, item.name, values)
+    updated: dict[str, Any] = {}
+    for quantity, (_, components) in effect.quantities.items():
+        values_of = [value for parameter, value in mine if parameter.quantity == quantity]
+        if not values_of:
+            continue
+        old = getattr(item, quantity)
+        if components:
+            updated[quantity] = _pair(old, quantity, mine)
+        elif isinstance(old, float):
+            updated[quantity] = values_of[-1]
+        else:
+            raise invalid(
+                f"{quantity} of {effect.table} {item.name}",
+                "a table",
+                "one number, to take a value that was found",
+                "give a constant, or leave it out of the parameters to identify",
+            )
+    return replace(item, **updated)
 
 
 def _pair(pair: Pair, quantity: str, values: _Values) -> Pair:
@@ -160,8 +253,12 @@ def _pair(pair: Pair, quantity: str, values: _Values) -> Pair:
     return zeta, eta
 
 
-def _bearing(machine: Machine, item: MagneticBearing, point: OperatingPoint, values: _Values) -> MagneticBearing:
-    """A bearing with values found while it carried the rotor; what was not found becomes what it is there."""
+def _bearing(
+    machine: Machine, item: MagneticBearing, point: OperatingPoint, values: _Values
+) -> MagneticBearing:
+    """A bearing with values found while it carried the rotor; what was not found becomes what it is
+    there.
+    """
     if not values:
         return item
     item = stated_at_load(machine, item)
@@ -177,21 +274,32 @@ def _bearing(machine: Machine, item: MagneticBearing, point: OperatingPoint, val
 
 
 def _seal(item: Seal, point: OperatingPoint, values: _Values) -> Seal:
-    """A seal with values at the operating point, those that scale with the pressure at its reference pressure."""
+    """A seal with values at the operating point, those that scale with the pressure at its
+    reference pressure.
+    """
     changed = {}
     for parameter, value in values:
         quantity = parameter.quantity
         if item.geometry is not None and quantity in {"K", "k", "C", "c"}:
-            remedy = "remove the geometry, or write a table of what was measured (identification/seal/model_updating.py)"
-            raise InvalidInput(f'parameter "{parameter.path}" comes from the geometry of seal {item.name}; {remedy}')
+            remedy = (
+                "remove the geometry, or write a table of what was measured "
+                "(identification/seal/model_updating.py)"
+            )
+            raise InvalidInput(
+                f'parameter "{parameter.path}" comes from the geometry of seal {item.name}; '
+                f"{remedy}"
+            )
         if item.table is not None and quantity in dict(item.table.values):
             remedy = "remove it from the table, or enter the value there by hand"
-            raise InvalidInput(f'parameter "{parameter.path}" is tabulated over {item.table.axes[0][0]}; {remedy}')
+            raise InvalidInput(
+                f'parameter "{parameter.path}" is tabulated over {item.table.axes[0][0]}; {remedy}'
+            )
         changed[quantity] = value
         if quantity in item.scales_with_pressure and item.reference_pressure is not None:
             if point.seal_pressure == 0:
                 raise InvalidInput(
-                    f'parameter "{parameter.path}" scales with pressure, which was zero; identify it under pressure'
+                    f'parameter "{parameter.path}" scales with pressure, which was zero; identify '
+                    "it under pressure"
                 )
             changed[quantity] = value * item.reference_pressure / point.seal_pressure
     return replace(item, **changed)  # type: ignore[arg-type]

@@ -1,4 +1,6 @@
-"""What an identification gives, whatever its method: parameters, findings, the updated machine, plain data, provenance."""
+"""What an identification gives, whatever its method: parameters, findings, the updated machine,
+plain data, provenance.
+"""
 
 from __future__ import annotations
 
@@ -22,6 +24,7 @@ from ambrose.identification.validation.operating_load import load_remarks
 from ambrose.identification.validation.repeatability import Repeats
 from ambrose.identification.validation.simulated_output import SimulatedOutput
 from ambrose.identification.youla.identify import ResidualIdentification
+from ambrose.law.law import LawLike
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import one_line
 from ambrose.machine.parameters import CONTROLLER_DELAY
@@ -37,7 +40,8 @@ class Provenance:
     date: str = field(default_factory=lambda: date.today().isoformat())
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "records", tuple(map(one_line, self.records)))  # they stand in files of text
+        # they stand in files of text
+        object.__setattr__(self, "records", tuple(map(one_line, self.records)))
         object.__setattr__(self, "controller", one_line(self.controller))
 
     @property
@@ -47,7 +51,9 @@ class Provenance:
 
 @dataclass(frozen=True, slots=True)
 class IdentifiedParameter:
-    """A parameter in SI: where its value began, where it ended, and the standard deviation that noise makes."""
+    """A parameter in SI: where its value began, where it ended, and the standard deviation that
+    noise makes.
+    """
 
     path: str
     unit: str
@@ -69,9 +75,10 @@ class IdentifiedParameter:
 class Identification(Presented, ABC):
     """The result of ``identify``: a LoopIdentification or a StaticIdentification.
 
-    given: the machine as it was; machine: with the identified values, and tolerances as wide as they are uncertain. result:
-    values with their covariance, as the method left them. checks: findings about the records, and about what can be true of
-    the result. repeats: what every record alone gives, where that was asked for.
+    given: the machine as it was; machine: with the identified values, and tolerances as wide as
+    they are uncertain. result: values with their covariance, as the method left them. checks:
+    findings about the records, and about what can be true of the result. repeats: what every record
+    alone gives, where that was asked for.
     """
 
     given: Machine
@@ -90,7 +97,11 @@ class Identification(Presented, ABC):
     def parameters(self) -> tuple[IdentifiedParameter, ...]:
         """In the order of ``result.paths``."""
         result = self.result
-        numbers = (result.start.tolist(), result.values.tolist(), result.standard_deviations.tolist())
+        numbers = (
+            result.start.tolist(),
+            result.values.tolist(),
+            result.standard_deviations.tolist(),
+        )
         rows = zip(result.paths, *numbers, strict=True)
         return tuple(IdentifiedParameter(path, unit_of(path), *values) for path, *values in rows)
 
@@ -134,9 +145,14 @@ class Identification(Presented, ABC):
     @property
     def comment(self) -> str:
         """Where the values are from, as a comment to stand above the machine's file."""
-        lines = [*self._heading(), f"Verdict: {self.verdict}", *[f"Warning: {finding}" for finding in self.doubts]]
+        lines = [
+            *self._heading(),
+            f"Verdict: {self.verdict}",
+            *[f"Warning: {finding}" for finding in self.doubts],
+        ]
         lines += [
-            f"  {row.path} = {with_unit(row.value, row.unit, 6)}, standard deviation {row.standard_deviation:.2g}, "
+            f"  {row.path} = {with_unit(row.value, row.unit, 6)}, standard deviation "
+            f"{row.standard_deviation:.2g}, "
             f"{self._remark(i)}"
             for i, row in enumerate(self.parameters)
         ]
@@ -144,8 +160,13 @@ class Identification(Presented, ABC):
         return as_comment(lines) + (as_comment(appendix) if appendix else "")
 
     def updated(self) -> Identification:
-        """The same with ``machine`` made from the result. Raises InvalidInput for what a machine file cannot hold."""
-        return replace(self, machine=update_machine(self.given, self.result, origin=self.origin, keep_wider=True))
+        """The same with ``machine`` made from the result. Raises InvalidInput for what a machine
+        file cannot hold.
+        """
+        return replace(
+            self,
+            machine=update_machine(self.given, self.result, origin=self.origin, keep_wider=True),
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready data, SI."""
@@ -160,40 +181,54 @@ class Identification(Presented, ABC):
             "findings": [{**asdict(one), "code": str(one.code)} for one in self.checks],
             "warnings": [str(finding) for finding in self.result.warnings],
             "repeats": None if self.repeats is None else self.repeats.to_dict(),
-        }  # fmt: skip
+        }
 
     def to_frame(self) -> Any:
-        """The parameters as a pandas DataFrame, a row each. Raises InvalidInput where pandas is not installed."""
+        """The parameters as a pandas DataFrame, a row each. Raises InvalidInput where pandas is not
+        installed.
+        """
         rows = [{**row.to_dict(), "interval_95": row.interval} for row in self.parameters]
         return data_frame({name: [row[name] for row in rows] for name in rows[0]}, "path")
 
     def facts(self) -> Mapping[str, Any]:
         return {
-            "machine": self.result.machine, "method": self.method, "parameters": len(self.result.paths),
-            "passed": self.passed, "findings": [str(finding.code) for finding in self.findings],
-        }  # fmt: skip
+            "machine": self.result.machine,
+            "method": self.method,
+            "parameters": len(self.result.paths),
+            "passed": self.passed,
+            "findings": [str(finding.code) for finding in self.findings],
+        }
 
     def _repr_html_(self) -> str:
         rows = [
-            [row.path, *map(in_words, (row.start, row.value, COVERAGE * row.standard_deviation)), row.unit]
+            [
+                row.path,
+                *map(in_words, (row.start, row.value, COVERAGE * row.standard_deviation)),
+                row.unit,
+            ]
             for row in self.parameters
         ]
         table = html_table(rows, self.verdict, ("parameter", "start", "value", "± 95 %", "unit"))
-        return table + html_table([[str(finding)] for finding in self.doubts], "Findings") if self.doubts else table
+        return (
+            table + html_table([[str(finding)] for finding in self.doubts], "Findings")
+            if self.doubts
+            else table
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
 class LoopIdentification(Identification):
-    """From closed-loop records. outputs: every record beside the model; controller, computing_delay [samples], bending_modes:
-    how the loop was modelled. residual: what else the method "youla" gave (None: the method was "closed-loop"). seal: the
-    seal's coefficients at every pressure, all else as in ``result``, where they were asked for. magnets: the nonlinearity
-    that was taken out of the records beforehand (None: it was not certain, or the method another). seen_delay [samples]: of u
+    """From closed-loop records. outputs: every record beside the model; controller, computing_delay
+    [samples], bending_modes: how the loop was modelled. residual: what else the method "youla" gave
+    (None: the method was "closed-loop"). seal: the seal's coefficients at every pressure, all else
+    as in ``result``, where they were asked for. magnets: the nonlinearity that was taken out of the
+    records beforehand (None: it was not certain, or the method another). seen_delay [samples]: of u
     behind the controller, taken as known although it was asked for.
     """
 
     result: ParameterEstimate
     outputs: tuple[SimulatedOutput, ...]
-    controller: Any
+    controller: LawLike
     computing_delay: float
     bending_modes: int
     residual: ResidualIdentification | None = None
@@ -207,11 +242,17 @@ class LoopIdentification(Identification):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What the reader must know of the values beside the file's, a sentence each without its stop; no doubts."""
+        """What the reader must know of the values beside the file's, a sentence each without its
+        stop; no doubts.
+        """
         loads = {} if self.magnets is None else self.magnets.loads
         own = load_remarks(self.given, [output.record for output in self.outputs], loads)
         if self.seen_delay is not None:
-            own = (f"u follows the controller after {self.seen_delay} samples, which was taken as its delay", *own)
+            own = (
+                f"u follows the controller after {self.seen_delay} samples, which was taken as "
+                "its delay",
+                *own,
+            )
         own = own if self.magnets is None else (self.magnets.words, *own)
         return own if self.seal is None or not self.seal.note else (*own, self.seal.note)
 
@@ -233,9 +274,11 @@ class LoopIdentification(Identification):
         point, source = self.result.point, self.provenance
         with_controller = f" (controller {source.controller})" if source.controller else ""
         return [
-            f"Identified {source.date} by ambrose {__version__} from {source.of_records}{with_controller},",
+            f"Identified {source.date} by ambrose {__version__} from "
+            f"{source.of_records}{with_controller},",
             f"at {point.speed:g} rad/s and a seal pressure of {point.seal_pressure:g} Pa.",
-            "The values below are in the file; its tolerances are their 95 % intervals, unless a seal's stated one is wider.",
+            "The values below are in the file; its tolerances are their 95 % intervals, unless a "
+            "seal's stated one is wider.",
         ]
 
     def _appendix(self) -> list[str]:
@@ -246,39 +289,62 @@ class LoopIdentification(Identification):
             done = Identification.updated(self)
             return replace(done, machine=self._as_late(done.machine))
         made = self.seal.update(self.given, self.result)
-        return replace(self, machine=replace(made, source="; ".join(part for part in (self.given.source, self.origin) if part)))
+        return replace(
+            self,
+            machine=replace(
+                made, source="; ".join(part for part in (self.given.source, self.origin) if part)
+            ),
+        )
 
     def _as_late(self, machine: Machine) -> Machine:
-        """The machine whose [controller] is as late as the one that ran, where it states a rate and that is the records'."""
+        """The machine whose [controller] is as late as the one that ran, where it states a rate and
+        that is the records'.
+        """
         settings = machine.controller
-        if settings is None or settings.sample_time is None or CONTROLLER_DELAY in self.result.paths or not self.outputs:
+        if (
+            settings is None
+            or settings.sample_time is None
+            or CONTROLLER_DELAY in self.result.paths
+            or not self.outputs
+        ):
             return machine
         dt = self.outputs[0].record.dt
         stated = settings.sample_time if settings.delay is None else settings.delay
-        if abs(settings.sample_time / dt - 1) > 1e-6 or abs(stated / dt - self.computing_delay) < 1e-6:
+        if (
+            abs(settings.sample_time / dt - 1) > 1e-6
+            or abs(stated / dt - self.computing_delay) < 1e-6
+        ):
             return machine
         return replace(machine, controller=replace(settings, delay=self.computing_delay * dt))
 
     def to_dict(self) -> dict[str, Any]:
         result, residual = self.result, self.residual
-        error = None if residual is None or not np.isfinite(residual.controller_error) else residual.controller_error
+        error = (
+            None
+            if residual is None or not np.isfinite(residual.controller_error)
+            else residual.controller_error
+        )
         data = Identification.to_dict(self) | {
             "correlation": result.correlation.tolist(),
             "column_cosine": result.column_cosine.tolist(),
-            "fit_percent": [{"record": n, "signal": name, "fit": float(fit)} for n, name, fit in result.fit],
+            "fit_percent": [
+                {"record": n, "signal": name, "fit": float(fit)} for n, name, fit in result.fit
+            ],
             "residual_tests": [asdict(test) for test in result.tests],
             "turning": [asdict(wave) for wave in result.turning],
             "converged": result.converged,
             "iterations": result.iterations,
             "controller_error": error,
             "remarks": list(self.remarks),
-        }  # fmt: skip
+        }
         return data if self.seal is None else data | {"seal": self.seal.to_dict()}
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
 class StaticIdentification(Identification):
-    """From static loads: the result also holds the levels, and the slopes at the unloaded working point."""
+    """From static loads: the result also holds the levels, and the slopes at the unloaded working
+    point.
+    """
 
     result: StaticLoad
 
@@ -289,24 +355,33 @@ class StaticIdentification(Identification):
     @property
     def origin(self) -> str:
         source = self.provenance
-        return f"{len(self.result.paths)} values of K_i identified {source.date} by static loads from {source.of_records}"
+        return (
+            f"{len(self.result.paths)} values of K_i identified {source.date} by static loads from "
+            f"{source.of_records}"
+        )
 
     def _heading(self) -> list[str]:
         count = len(self.result.levels.loads)
         return [
-            f"Identified {self.provenance.date} by ambrose {__version__} from static loads in {self.provenance.of_records},",
-            f"{count} steady levels. Slope of the line over these loads, and at the unloaded working point.",
+            f"Identified {self.provenance.date} by ambrose {__version__} from static loads in "
+            f"{self.provenance.of_records},",
+            f"{count} steady levels. Slope of the line over these loads, and at the unloaded "
+            "working point.",
         ]
 
     def _remark(self, i: int) -> str:
-        return f"at rest {self.result.at_rest[i]:.6g}, in the file before {self.result.start[i]:.6g}"
+        return (
+            f"at rest {self.result.at_rest[i]:.6g}, in the file before {self.result.start[i]:.6g}"
+        )
 
     def to_dict(self) -> dict[str, Any]:
         data, result = Identification.to_dict(self), self.result
         columns = {
-            "at_rest": result.at_rest, "at_rest_standard_deviation": result.at_rest_deviations,
-            "share_by_displacement": result.stiffness_share, "linearity": result.linearity,
-        }  # fmt: skip
+            "at_rest": result.at_rest,
+            "at_rest_standard_deviation": result.at_rest_deviations,
+            "share_by_displacement": result.stiffness_share,
+            "linearity": result.linearity,
+        }
         for i, row in enumerate(data["parameters"]):
             row.update({name: float(column[i]) for name, column in columns.items()})
         return data | {"levels": len(result.levels.loads)}

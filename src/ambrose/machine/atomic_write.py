@@ -1,4 +1,6 @@
-"""Files that appear complete or not at all: written under a temporary name, then renamed. Several together: all or none."""
+"""Files that appear complete or not at all: written under a temporary name, then renamed. Several
+together: all or none.
+"""
 
 from __future__ import annotations
 
@@ -17,15 +19,17 @@ from ambrose.core.presentation import to_plain
 from ambrose.machine.claim import claimed
 from ambrose.machine.ordinary_file import refuse_special
 
-INTERRUPTED = "interrupted-write"  # in a folder: old and new files of a write that was killed while it replaced them
+# in a folder: old and new files of a write that was killed while it replaced them
+INTERRUPTED = "interrupted-write"
 
 
 @contextmanager
 def draft_of(path: str | os.PathLike[str], what: str) -> Iterator[Path]:
-    """A temporary name beside ``path``; after the block it replaces ``path``, or is removed if the block failed.
+    """A temporary name beside ``path``; after the block it replaces ``path``, or is removed if the
+    block failed.
 
-    What was written is on the disk before it gets its name. what: the kind of file, for the message. Raises InvalidInput where
-    the place cannot be written.
+    What was written is on the disk before it gets its name. what: the kind of file, for the
+    message. Raises InvalidInput where the place cannot be written.
     """
     target = check_file(path, what)
     draft = _beside(target)
@@ -37,7 +41,8 @@ def draft_of(path: str | os.PathLike[str], what: str) -> Iterator[Path]:
     except OSError as error:
         reason = error.strerror or str(error)
         raise InvalidInput(
-            f"cannot write the {what} {target}: {reason}; give a file in an existing, writable folder"
+            f"cannot write the {what} {target}: {reason}; give a file in an existing, writable "
+            "folder"
         ) from error
     finally:
         with suppress(OSError):
@@ -46,7 +51,9 @@ def draft_of(path: str | os.PathLike[str], what: str) -> Iterator[Path]:
 
 
 class Steady(io.FileIO):
-    """A new file for libraries that crash where a disk is full: they are told that all is well, and its end raises OSError."""
+    """A new file for libraries that crash where a disk is full: they are told that all is well, and
+    its end raises OSError.
+    """
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, "x+")
@@ -76,7 +83,9 @@ class Steady(io.FileIO):
 
 
 def set_aside(path: Path) -> None:
-    """What stands at ``path``, if anything, makes room and is called ``earlier-<name>``. Raises InvalidInput."""
+    """What stands at ``path``, if anything, makes room and is called ``earlier-<name>``. Raises
+    InvalidInput.
+    """
     earlier = path.with_name(f"earlier-{path.name}")
     try:
         if os.path.lexists(path):
@@ -85,7 +94,9 @@ def set_aside(path: Path) -> None:
             os.replace(path, earlier)
     except OSError as error:
         reason = error.strerror or str(error)
-        raise InvalidInput(f"cannot rename {path} to {earlier.name}: {reason}; remove one of them") from error
+        raise InvalidInput(
+            f"cannot rename {path} to {earlier.name}: {reason}; remove one of them"
+        ) from error
 
 
 def make_folder(path: str | os.PathLike[str]) -> Path:
@@ -94,7 +105,9 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
         Path(path).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         reason = error.strerror or str(error)
-        raise InvalidInput(f"cannot make the folder {path}: {reason}; give one that can be written") from error
+        raise InvalidInput(
+            f"cannot make the folder {path}: {reason}; give one that can be written"
+        ) from error
     return Path(path)
 
 
@@ -102,7 +115,9 @@ def check_file(path: str | os.PathLike[str], what: str) -> Path:
     """``path``, after refusing one that cannot become a file. Raises InvalidInput."""
     target = Path(path)
     if not target.name or target.is_dir():
-        raise invalid(f"the path of the {what}", repr(str(target)), "that of a file", "add a file name")
+        raise invalid(
+            f"the path of the {what}", repr(str(target)), "that of a file", "add a file name"
+        )
     if not target.parent.is_dir():
         raise InvalidInput(
             f"cannot write the {what} {target}: {target.parent} is not a directory; "
@@ -120,17 +135,24 @@ def write_text(path: str | os.PathLike[str], text: str, what: str) -> Path:
 
 
 def write_json(path: str | os.PathLike[str], content: Any, what: str = "result file") -> Path:
-    """``content`` as a JSON file in one step, infinities and NaN as strings. Raises InvalidInput."""
+    """``content`` as a JSON file in one step, infinities and NaN as strings. Raises
+    InvalidInput.
+    """
     return write_text(path, json.dumps(to_plain(content), indent=1) + "\n", what)
 
 
-def write_files(directory: str | os.PathLike[str], files: Mapping[str, str | bytes], *, held: bool = False) -> list[Path]:
-    """Write texts (UTF-8) and bytes by name into ``directory``, made if absent (its parent must exist). Returns their paths.
+def write_files(
+    directory: str | os.PathLike[str], files: Mapping[str, str | bytes], *, held: bool = False
+) -> list[Path]:
+    """Write texts (UTF-8) and bytes by name into ``directory``, made if absent (its parent must
+    exist). Returns their paths.
 
-    Everything is written and flushed beside the directory first, so that a full disk or an unwritable place leaves what was
-    there before; then a new directory appears in one step. In one that exists the files are replaced one after the other, and
-    put back where one cannot be; a kill meanwhile leaves all of them, old and new, in its folder ``interrupted-write``, and the
-    next write into the directory first finishes that one. held: the caller has claimed the directory. Raises InvalidInput.
+    Everything is written and flushed beside the directory first, so that a full disk or an
+    unwritable place leaves what was there before; then a new directory appears in one step. In one
+    that exists the files are replaced one after the other, and put back where one cannot be; a kill
+    meanwhile leaves all of them, old and new, in its folder ``interrupted-write``, and the next
+    write into the directory first finishes that one. held: the caller has claimed the directory.
+    Raises InvalidInput.
     """
     target = check_place(directory, files)
     with nullcontext() if held else claimed(target, "folder"):
@@ -154,7 +176,10 @@ def write_files(directory: str | os.PathLike[str], files: Mapping[str, str | byt
             reason = error.strerror or str(error)
             state = "nothing was changed there, give a writable folder"
             if (target / INTERRUPTED).exists():
-                state = f"its files, old and new, stand in {target / INTERRUPTED}: repeat the write, it is finished first"
+                state = (
+                    f"its files, old and new, stand in {target / INTERRUPTED}: repeat the write, "
+                    "it is finished first"
+                )
             raise InvalidInput(f"cannot write to {target}: {reason}; {state}") from error
         finally:
             shutil.rmtree(draft, ignore_errors=True)
@@ -173,7 +198,9 @@ def _fill(folder: Path, files: Mapping[str, str | bytes]) -> None:
 
 
 def _switch(target: Path, names: Iterable[str], away: Path) -> None:
-    """The new files of an interrupted write get their places, or the old ones back; what is left of it goes ``away``."""
+    """The new files of an interrupted write get their places, or the old ones back; what is left of
+    it goes ``away``.
+    """
     held, done = target / INTERRUPTED, []
     try:
         for name in names:
@@ -218,12 +245,16 @@ def _settle(folder: Path) -> None:
 
 
 def check_place(directory: str | os.PathLike[str], names: Iterable[str] = ()) -> Path:
-    """``directory`` as a path, after refusing one that cannot become or hold these files. Raises InvalidInput."""
+    """``directory`` as a path, after refusing one that cannot become or hold these files. Raises
+    InvalidInput.
+    """
     target = Path(directory)
     if os.path.lexists(target) and not target.is_dir():
         raise InvalidInput(f"cannot write to {target}: it is no folder; give the path of one")
     if not target.parent.is_dir():
-        raise InvalidInput(f"cannot write to {target}: {target.parent} is not a directory; create it first")
+        raise InvalidInput(
+            f"cannot write to {target}: {target.parent} is not a directory; create it first"
+        )
     for name in names:
         refuse_special(target / name, "file")
     return target

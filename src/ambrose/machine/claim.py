@@ -1,7 +1,9 @@
-"""One run at a time into a file or a folder: the second is refused, and nothing that a killed run leaves is in the way.
+"""One run at a time into a file or a folder: the second is refused, and nothing that a killed run
+leaves is in the way.
 
-The lock is the operating system's, on an empty file beside the place: it ends with the process that holds it, also by a kill.
-Where a file system has no locks (some network folders), two runs are not told apart.
+The lock is the operating system's, on an empty file beside the place: it ends with the process that
+holds it, also by a kill. Where a file system has no locks (some network folders), two runs are not
+told apart.
 """
 
 from __future__ import annotations
@@ -42,10 +44,12 @@ else:
 
 @contextmanager
 def claimed(path: str | os.PathLike[str], what: str) -> Iterator[None]:
-    """Holds the file or folder ``path`` against every other run that claims it, until the block ends.
+    """Holds the file or folder ``path`` against every other run that claims it, until the block
+    ends.
 
-    what: the kind of file, for the message. The lock file is ``.<name>.lock`` beside it; ``.lock`` in a folder whose own
-    cannot be written. Raises InvalidInput where another run holds it, and where no file can be made there.
+    what: the kind of file, for the message. The lock file is ``.<name>.lock`` beside it; ``.lock``
+    in a folder whose own cannot be written. Raises InvalidInput where another run holds it, and
+    where no file can be made there.
     """
     target = Path(os.path.realpath(path))
     lock = target.with_name(f".{target.name}.lock")
@@ -61,7 +65,9 @@ def claimed(path: str | os.PathLike[str], what: str) -> Iterator[None]:
         raise InvalidInput(f"another run is writing {path}; {remedy}") from None
     except OSError as error:
         reason = error.strerror or str(error)
-        raise InvalidInput(f"cannot write the {what} {path}: {reason}; give a place in a writable folder") from error
+        raise InvalidInput(
+            f"cannot write the {what} {path}: {reason}; give a place in a writable folder"
+        ) from error
     try:
         yield
     finally:
@@ -75,7 +81,9 @@ def claimed(path: str | os.PathLike[str], what: str) -> Iterator[None]:
 
 
 def _hold(lock: Path) -> int:
-    """The descriptor of the lock file, locked. Raises OSError where it cannot be made, BlockingIOError where it is held."""
+    """The descriptor of the lock file, locked. Raises OSError where it cannot be made,
+    BlockingIOError where it is held.
+    """
     for _ in range(_ATTEMPTS):
         try:
             descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o666)

@@ -1,7 +1,9 @@
-"""Limits as data: what the standards and the reference work ask for, and how a user's requirement overrides it.
+"""Limits as data: what the standards and the reference work ask for, and how a user's requirement
+overrides it.
 
-Nothing here computes a quantity. A ``Criterion`` is a row with its source; a ``Rule`` says which row (if any) and which field
-of ``Requirements`` judge a quantity. What verification judges by and what tuning aims at is the same.
+Nothing here computes a quantity. A ``Criterion`` is a row with its source; a ``Rule`` says which
+row (if any) and which field of ``Requirements`` judge a quantity. What verification judges by and
+what tuning aims at is the same.
 """
 
 from __future__ import annotations
@@ -15,7 +17,9 @@ from ambrose.machine.description import Requirements
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """Upper end of a zone (or the one limit, with zone ""); confirmed: seen in a source at hand, False: recalled only."""
+    """Upper end of a zone (or the one limit, with zone ""); confirmed: seen in a source at hand,
+    False: recalled only.
+    """
 
     zone: str
     value: float
@@ -26,7 +30,8 @@ class Limit:
 class Criterion:
     """One criterion of a standard: what it limits, where it is written, and how well we know it.
 
-    limits ascend; a value below the first is in its zone, past the last one in ``beyond``. relation: "<", "<=" or ">=".
+    limits ascend; a value below the first is in its zone, past the last one in ``beyond``.
+    relation: "<", "<=" or ">=".
     """
 
     name: str
@@ -42,8 +47,14 @@ class Criterion:
 
     @property
     def source(self) -> str:
-        """Standard, edition and clause in one line, with a remark when the applied (first) limit is recalled only."""
-        recalled = "" if self.limits and self.limits[0].confirmed else " (recalled, not checked against the text)"
+        """Standard, edition and clause in one line, with a remark when the applied (first) limit is
+        recalled only.
+        """
+        recalled = (
+            ""
+            if self.limits and self.limits[0].confirmed
+            else " (recalled, not checked against the text)"
+        )
         return f"{self.standard}:{self.edition}, {self.clause}{recalled}"
 
 
@@ -56,11 +67,13 @@ SENSITIVITY = Criterion(
     "-",
     (Limit("A", 3.0, True), Limit("B", 4.0, False), Limit("C", 5.0, False)),
     beyond="D",
-    note="zone A is quoted by the reference work; B and C are recalled. Per axis: the maximum singular value is stricter",
+    note="zone A is quoted by the reference work; B and C are recalled. Per axis: the maximum "
+    "singular value is stricter",
 )
 SENSITIVITY_RANGE = Criterion(
     "iso-14839-3.frequency-range",
-    "frequency up to which the sensitivity is evaluated: the greater of this and 3 times the rated speed",
+    "frequency up to which the sensitivity is evaluated: the greater of this and 3 times the "
+    "rated speed",
     "ISO 14839-3",
     "2006",
     "measuring range",
@@ -77,7 +90,8 @@ CLEARANCE = Criterion(
     "-",
     (Limit("A", 0.3, False), Limit("B", 0.4, False), Limit("C", 0.5, False)),
     beyond="D",
-    note="the standard's displacement includes a static offset; here it is the unbalance orbit about the centre",
+    note="the standard's displacement includes a static offset; here it is the unbalance orbit "
+    "about the centre",
 )
 LOG_DECREMENT = Criterion(
     "api-617.log-decrement",
@@ -92,14 +106,16 @@ LOG_DECREMENT = Criterion(
 )
 SEPARATION = Criterion(
     "api-617.separation-margin",
-    "amplification factor of a critical speed over the one that its place allows (plant/separation.py)",
+    "amplification factor of a critical speed over the one that its place allows "
+    "(plant/separation.py)",
     "API 617",
     "9th edition (2022)",
     "separation margin",
     "-",
     (Limit("", 1.0, False),),
     relation="<=",
-    note="the formula from public code that cites the 8th edition and API 684; the text was not seen",
+    note="the formula from public code that cites the 8th edition and API 684; the text was not "
+    "seen",
 )
 BALANCE_GRADE = Criterion(
     "iso-21940-11.balance-grade",
@@ -109,18 +125,21 @@ BALANCE_GRADE = Criterion(
     "balance quality grade G2.5",
     "m/s",
     (Limit("", 2.5e-3, True),),
-    note="G2.5 is the grade the reference work assumes; the force at speed W balanced at W_b is mass grade W^2 / W_b",
+    note="G2.5 is the grade the reference work assumes; the force at speed W balanced at W_b is "
+    "mass grade W^2 / W_b",
 )
 
 TWO_PI = 2 * np.pi
-SPEED_RANGE_FACTOR = 3.0  # ISO 14839-3: multiples of the rated speed that the sensitivity is evaluated to
+# ISO 14839-3: multiples of the rated speed that the sensitivity is evaluated to
+SPEED_RANGE_FACTOR = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class Pulse:
     """A test disturbance: a rectangular pulse of excitation current, one axis at a time.
 
-    duration [s], amplitude [A]; settled once every displacement stays within ``band`` [-] times the peak displacement.
+    duration [s], amplitude [A]; settled once every displacement stays within ``band`` [-] times the
+    peak displacement.
     """
 
     duration: float
@@ -129,18 +148,23 @@ class Pulse:
     source: str
 
 
-CURRENT_PULSE = Pulse(10e-3, 0.05, 0.05, "Lauridsen, PhD thesis, paper P5 (10 ms, 0.05 A); the 5 % band is ours")
+CURRENT_PULSE = Pulse(
+    10e-3, 0.05, 0.05, "Lauridsen, PhD thesis, paper P5 (10 ms, 0.05 A); the 5 % band is ours"
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """Which requirement and which criterion judge a quantity; either may be missing. relation holds for the requirement."""
+    """Which requirement and which criterion judge a quantity; either may be missing. relation holds
+    for the requirement.
+    """
 
     quantity: str
     requirement: str | None = None
     criterion: Criterion | None = None
     relation: str = "<="
-    default: bool = True  # whether the criterion sets the limit without a requirement; False: it only tells the zone
+    # whether the criterion sets the limit without a requirement; False: it only tells the zone
+    default: bool = True
 
 
 RULES: dict[str, Rule] = {
@@ -148,7 +172,12 @@ RULES: dict[str, Rule] = {
     for rule in (
         Rule("sensitivity of an axis", "sensitivity_peak", SENSITIVITY),
         Rule("input sensitivity of an axis", None, SENSITIVITY, default=False),
-        Rule("maximum singular value of a sensitivity", "sensitivity_peak", SENSITIVITY, default=False),
+        Rule(
+            "maximum singular value of a sensitivity",
+            "sensitivity_peak",
+            SENSITIVITY,
+            default=False,
+        ),
         Rule("maximum singular value of the input sensitivity", None, SENSITIVITY, default=False),
         Rule("compliance", "compliance_peak"),
         Rule("log decrement", "log_decrement", LOG_DECREMENT, ">="),
@@ -176,19 +205,32 @@ class Demand:
 
 
 def demand(quantity: str, requirements: Requirements) -> Demand:
-    """The limit for a quantity of ``RULES``: the user's requirement if set, else the standard's, else none."""
+    """The limit for a quantity of ``RULES``: the user's requirement if set, else the standard's,
+    else none.
+    """
     rule = RULES[quantity]
     wanted = None if rule.requirement is None else getattr(requirements, rule.requirement)
-    zones = rule.criterion if rule.criterion is not None and rule.criterion.beyond is not None else None
+    zones = (
+        rule.criterion if rule.criterion is not None and rule.criterion.beyond is not None else None
+    )
     if wanted is not None:
         return Demand(float(wanted), rule.relation, f"requirement {rule.requirement}", zones)
     if rule.criterion is None:
         return Demand(None, rule.relation, "")
     if not rule.default:
-        return Demand(None, rule.criterion.relation, f"{rule.criterion.source}, zone for comparison only", zones)
-    return Demand(rule.criterion.limits[0].value, rule.criterion.relation, rule.criterion.source, zones)
+        return Demand(
+            None,
+            rule.criterion.relation,
+            f"{rule.criterion.source}, zone for comparison only",
+            zones,
+        )
+    return Demand(
+        rule.criterion.limits[0].value, rule.criterion.relation, rule.criterion.source, zones
+    )
 
 
 def machine_limit(value: float | None, source: str) -> Demand:
-    """A limit that the machine itself sets, such as a bearing's largest current; None means information only."""
+    """A limit that the machine itself sets, such as a bearing's largest current; None means
+    information only.
+    """
     return Demand(value, "<=", source if value is not None else "")

@@ -1,8 +1,9 @@
 """What the user writes down about a machine. Data only: no matrices, no units but SI, no files.
 
-A field states what it holds and, by its kind, what that measures: ``Length`` is in m, every dimension in the SI unit that
-units.py gives it. Pairs are (zeta, eta) in the actuator axes, tilted by ``angle`` from the global x, y. The tables of machine
-files are made from these fields (file/tables.py). Parts are not checked on their own: the Machine made of them is (machine.py).
+A field states what it holds and, by its kind, what that measures: ``Length`` is in m, every
+dimension in the SI unit that units.py gives it. Pairs are (zeta, eta) in the actuator axes, tilted
+by ``angle`` from the global x, y. The tables of machine files are made from these fields
+(file/tables.py). Parts are not checked on their own: the Machine made of them is (machine.py).
 """
 
 from __future__ import annotations
@@ -13,13 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 from ambrose.core.checks import invalid
-from ambrose.machine.controller import CONTROLLER_COORDINATES as CONTROLLER_COORDINATES  # noqa: PLC0414
-from ambrose.machine.controller import MODES as MODES  # noqa: PLC0414
-from ambrose.machine.controller import SECTIONS as SECTIONS  # noqa: PLC0414
-from ambrose.machine.controller import Channel as Channel  # noqa: PLC0414
-from ambrose.machine.controller import Notch as Notch  # noqa: PLC0414
-from ambrose.machine.controller import PidSettings as PidSettings  # noqa: PLC0414
-from ambrose.machine.controller import Section as Section  # noqa: PLC0414
+from ambrose.machine.controller import PidSettings
 from ambrose.machine.kinds import (
     Angle,
     Choice,
@@ -40,20 +35,9 @@ from ambrose.machine.kinds import (
     Words,
 )
 from ambrose.machine.part import Part
-from ambrose.machine.rotor_model import BendingMode as BendingMode  # noqa: PLC0414
-from ambrose.machine.rotor_model import Disc as Disc  # noqa: PLC0414
-from ambrose.machine.rotor_model import Material as Material  # noqa: PLC0414
-from ambrose.machine.rotor_model import ShaftSection as ShaftSection  # noqa: PLC0414
-from ambrose.machine.seals import FREQUENCY_DEPENDENCE as FREQUENCY_DEPENDENCE  # noqa: PLC0414
-from ambrose.machine.seals import SEAL_AXES as SEAL_AXES  # noqa: PLC0414
-from ambrose.machine.seals import SEAL_COEFFICIENTS as SEAL_COEFFICIENTS  # noqa: PLC0414
-from ambrose.machine.seals import GasSealGeometry as GasSealGeometry  # noqa: PLC0414
-from ambrose.machine.seals import Seal as Seal  # noqa: PLC0414
-from ambrose.machine.seals import SealTable as SealTable  # noqa: PLC0414
-from ambrose.machine.stator import CasingMode as CasingMode  # noqa: PLC0414
-from ambrose.machine.stator import Runout as Runout  # noqa: PLC0414
-from ambrose.machine.stator import Sensor as Sensor  # noqa: PLC0414
-from ambrose.machine.stator import Support as Support  # noqa: PLC0414
+from ambrose.machine.rotor_model import BendingMode, Disc, ShaftSection
+from ambrose.machine.seals import Seal
+from ambrose.machine.stator import CasingMode, Sensor, Support
 
 Pair = tuple[float, float]  # (zeta, eta)
 
@@ -73,35 +57,50 @@ AMPLIFIER_PARAMETERS: Mapping[str, tuple[str, ...]] = {
 class MagnetGeometry(Part):
     """A heteropolar magnet, from which coefficients are computed when they are not given.
 
-    One opposing pair of horseshoes per axis, differential driving; eight poles have a pole_half_angle of 22.5 degrees.
+    One opposing pair of horseshoes per axis, differential driving; eight poles have a
+    pole_half_angle of 22.5 degrees.
     """
 
     turns: Annotated[float, Quantity("plain number"), "turns of one horseshoe"]
     pole_area: Annotated[float, Quantity("area"), "area of one pole face"]
     gap: Annotated[Length, "nominal radial air gap"]
-    pole_half_angle: Annotated[Angle, "half the angle between the two poles of a horseshoe"] = 0.39269908169872414
+    pole_half_angle: Annotated[Angle, "half the angle between the two poles of a horseshoe"] = (
+        0.39269908169872414
+    )
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class MagnetIron(Part):
-    """The magnet's iron, whose flux density levels off; for the virtual rig and for coefficients from geometry."""
+    """The magnet's iron, whose flux density levels off; for the virtual rig and for coefficients
+    from geometry.
+    """
 
-    turns: Annotated[float, Quantity("plain number"), "turns of one horseshoe, both of its poles together"]
-    flux_density: Annotated[
-        float, Quantity("magnetic flux density"), "flux density in the air gap that full saturation never passes"
+    turns: Annotated[
+        float, Quantity("plain number"), "turns of one horseshoe, both of its poles together"
     ]
-    equivalent_gap: Annotated[Length, "air gap that the unsaturated iron is worth, its path length/(2 mu_r)"]
+    flux_density: Annotated[
+        float,
+        Quantity("magnetic flux density"),
+        "flux density in the air gap that full saturation never passes",
+    ]
+    equivalent_gap: Annotated[
+        Length, "air gap that the unsaturated iron is worth, its path length/(2 mu_r)"
+    ]
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Touchdown(Part):
-    """Contact in the touchdown bearing, for the virtual rig; the defaults are assumed, not measured."""
+    """Contact in the touchdown bearing, for the virtual rig; the defaults are assumed, not
+    measured.
+    """
 
     stiffness: Annotated[Stiffness, "contact stiffness; the default is assumed"] = 1e8
     damping: Annotated[Damping, "contact damping; the default is assumed"] = 1e4
     friction: Annotated[Ratio, "Coulomb friction; the default is assumed"] = 0.2
     radius: Annotated[Length | None, "radius of the contact; default: the shaft's there"] = None
-    sliding_speed: Annotated[float, Quantity("velocity"), "sliding speed below which friction fades to zero"] = 0.01
+    sliding_speed: Annotated[
+        float, Quantity("velocity"), "sliding speed below which friction fades to zero"
+    ] = 0.01
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -110,16 +109,19 @@ class BiasPoint(Part):
 
     bias_current: Annotated[Current, "bias current of the measurement"]
     force_per_current: Annotated[ForcePerCurrentPair, "force per control current, k_i"]
-    negative_stiffness: Annotated[StiffnessPair, "negative stiffness k_s, positive where it destabilises"]
+    negative_stiffness: Annotated[
+        StiffnessPair, "negative stiffness k_s, positive where it destabilises"
+    ]
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class MagneticBearing(Part):
     """A radial magnetic bearing with two axes; f = k_i i + k_s x on each, k_s > 0 destabilising.
 
-    Either force_per_current and negative_stiffness are given, or ``geometry``; ``measured`` holds coefficients at other bias
-    currents. The plant has those at the static load, computed where they are of the magnet without it (``coefficients_at``).
-    gap, touchdown_gap, max_current (amplitude of the control current) and max_force are limits used in verification.
+    Either force_per_current and negative_stiffness are given, or ``geometry``; ``measured`` holds
+    coefficients at other bias currents. The plant has those at the static load, computed where they
+    are of the magnet without it (``coefficients_at``). gap, touchdown_gap, max_current (amplitude
+    of the control current) and max_force are limits used in verification.
     """
 
     name: Annotated[Name, "name, first part of its axes' names: A gives A_zeta and A_eta"]
@@ -127,10 +129,12 @@ class MagneticBearing(Part):
     bias_current: Annotated[Current, "bias (premagnetisation) current"]
     angle: Annotated[Angle, "angle of the axis zeta from the global x"] = 0.0
     force_per_current: Annotated[
-        ForcePerCurrentPair | None, "force per control current k_i at bias_current; or give geometry or measured"
+        ForcePerCurrentPair | None,
+        "force per control current k_i at bias_current; or give geometry or measured",
     ] = None
     negative_stiffness: Annotated[
-        StiffnessPair | None, "negative stiffness k_s at bias_current, positive where it destabilises"
+        StiffnessPair | None,
+        "negative stiffness k_s at bias_current, positive where it destabilises",
     ] = None
     geometry: Annotated[MagnetGeometry | None, "the magnet's geometry"] = None
     measured: Annotated[tuple[BiasPoint, ...], "coefficients at other bias currents"] = ()
@@ -140,12 +144,18 @@ class MagneticBearing(Part):
     max_force: Annotated[float | None, Quantity("force"), "largest force"] = None
     iron: Annotated[MagnetIron | None, "the magnet's iron"] = None
     touchdown: Annotated[Touchdown | None, "contact in the touchdown bearing"] = None
-    cross_coupling: Annotated[Ratio, "part of the other axis' control current that acts on an axis; for the virtual rig"] = 0.0
-    magnetic_offset: Annotated[Pair, PairOf("length"), "magnetic centre from the sensors' zero"] = (0.0, 0.0)
+    cross_coupling: Annotated[
+        Ratio, "part of the other axis' control current that acts on an axis; for the virtual rig"
+    ] = 0.0
+    magnetic_offset: Annotated[Pair, PairOf("length"), "magnetic centre from the sensors' zero"] = (
+        0.0,
+        0.0,
+    )
     coefficients_at: Annotated[
         str,
         Choice(COEFFICIENTS_AT),
-        "of what the coefficients and measured rows are: the magnet without load (a data sheet), or while it carries the "
+        "of what the coefficients and measured rows are: the magnet without load (a data sheet), "
+        "or while it carries the "
         "rotor's weight (as identified)",
     ] = "no-load"
 
@@ -154,8 +164,9 @@ class MagneticBearing(Part):
 class Amplifier(Part):
     """Current amplifier and coil of every axis, unit gain at standstill.
 
-    order "first": bandwidth/(s + bandwidth); "twice-first": that times eddy_bandwidth/(s + eddy_bandwidth);
-    "second": natural_frequency^2/(s^2 + damping s + natural_frequency^2); "none": ideal.
+    order "first": bandwidth/(s + bandwidth); "twice-first": that times eddy_bandwidth/(s +
+    eddy_bandwidth); "second": natural_frequency^2/(s^2 + damping s + natural_frequency^2); "none":
+    ideal.
     """
 
     order: Annotated[str, Choice(tuple(AMPLIFIER_PARAMETERS)), "the model's form"] = field(
@@ -164,13 +175,17 @@ class Amplifier(Part):
     bandwidth: Annotated[Rate | None, 'corner frequency, for "first" and "twice-first"'] = None
     eddy_bandwidth: Annotated[Rate | None, 'second corner frequency, for "twice-first"'] = None
     natural_frequency: Annotated[Rate | None, 'natural frequency, for "second"'] = None
-    damping: Annotated[Rate | None, 'damping term d in s^2 + d s + natural_frequency^2, for "second"'] = None
+    damping: Annotated[
+        Rate | None, 'damping term d in s^2 + d s + natural_frequency^2, for "second"'
+    ] = None
     max_voltage: Annotated[
         float | None,
         Quantity("voltage"),
         "largest voltage at the coil, which limits the slope of the current; for the virtual rig",
     ] = None
-    inductance: Annotated[float | None, Quantity("inductance"), "inductance of a coil; for the virtual rig"] = None
+    inductance: Annotated[
+        float | None, Quantity("inductance"), "inductance of a coil; for the virtual rig"
+    ] = None
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -191,23 +206,36 @@ class OperatingPoint(Part):
     speed: Annotated[Rate, "spin speed"] = 0.0
     seal_pressure: Annotated[Pressure, "differential pressure of every seal"] = 0.0
     bias_current: Annotated[Current | None, "bias current; default: that of each bearing"] = None
-    whirl_frequency: Annotated[Rate | None, "frequency at which frequency-dependent seals are read; default: the speed"] = None
+    whirl_frequency: Annotated[
+        Rate | None, "frequency at which frequency-dependent seals are read; default: the speed"
+    ] = None
     label: Annotated[Words, "its name in reports"] = ""
 
     def __post_init__(self) -> None:
         for name in ("speed", "seal_pressure", "bias_current", "whirl_frequency"):
             value = getattr(self, name)
             if isinstance(value, str):
-                raise invalid(f"{name} of an operating point", repr(value), "a number in SI", "units are for machine files")
+                raise invalid(
+                    f"{name} of an operating point",
+                    repr(value),
+                    "a number in SI",
+                    "units are for machine files",
+                )
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class OperatingRange(Part):
-    """All speeds and seal pressures of a rectangle: its corners are operating points, and what lies between is judged, too."""
+    """All speeds and seal pressures of a rectangle: its corners are operating points, and what lies
+    between is judged, too.
+    """
 
     label: Annotated[Words, "its name in reports"]
-    speed: Annotated[Pair, PairOf("angular rate", "lowest, highest"), "[lowest, highest] spin speed, or one"] = (0.0, 0.0)
-    seal_pressure: Annotated[Pair, PairOf("pressure", "lowest, highest"), "[lowest, highest] pressure, or one"] = (0.0, 0.0)
+    speed: Annotated[
+        Pair, PairOf("angular rate", "lowest, highest"), "[lowest, highest] spin speed, or one"
+    ] = (0.0, 0.0)
+    seal_pressure: Annotated[
+        Pair, PairOf("pressure", "lowest, highest"), "[lowest, highest] pressure, or one"
+    ] = (0.0, 0.0)
     bias_current: Annotated[Current | None, "bias current; default: that of each bearing"] = None
 
     def at(self, speed: float, seal_pressure: float) -> OperatingPoint:
@@ -218,26 +246,39 @@ class OperatingRange(Part):
     @property
     def corners(self) -> tuple[OperatingPoint, ...]:
         """Its two or four corners, lowest speed and pressure first."""
-        return tuple(self.at(v, p) for v in dict.fromkeys(self.speed) for p in dict.fromkeys(self.seal_pressure))
+        return tuple(
+            self.at(v, p)
+            for v in dict.fromkeys(self.speed)
+            for p in dict.fromkeys(self.seal_pressure)
+        )
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Operation(Part):
     """Where the machine runs."""
 
-    points: Annotated[tuple[OperatingPoint, ...], "operating points at which the machine is verified; default: standstill"] = (
-        field(default=(OperatingPoint(label="standstill"),), metadata={"key": "point"})
-    )
-    speed_range: Annotated[Pair, PairOf("angular rate", "lowest, highest", scalar=False), "[lowest, highest] spin speed"] = (
+    points: Annotated[
+        tuple[OperatingPoint, ...],
+        "operating points at which the machine is verified; default: standstill",
+    ] = field(default=(OperatingPoint(label="standstill"),), metadata={"key": "point"})
+    speed_range: Annotated[
+        Pair,
+        PairOf("angular rate", "lowest, highest", scalar=False),
+        "[lowest, highest] spin speed",
+    ] = (
         0.0,
         0.0,
     )
-    design_point: Annotated[Words, "label of the point that controllers are designed for; default: the nominal one"] = ""
-    ranges: Annotated[tuple[OperatingRange, ...], "ranges of speed and pressure in which the machine runs"] = field(
-        default=(), metadata={"key": "range"}
-    )
+    design_point: Annotated[
+        Words, "label of the point that controllers are designed for; default: the nominal one"
+    ] = ""
+    ranges: Annotated[
+        tuple[OperatingRange, ...], "ranges of speed and pressure in which the machine runs"
+    ] = field(default=(), metadata={"key": "range"})
     pressure_rate: Annotated[
-        float | None, Quantity("pressure per time"), "fastest change of the seal pressure, for a proof while it changes"
+        float | None,
+        Quantity("pressure per time"),
+        "fastest change of the seal pressure, for a proof while it changes",
     ] = None
 
     @property
@@ -258,15 +299,20 @@ class Operation(Part):
     @property
     def design(self) -> OperatingPoint:
         """The point that controllers are designed for."""
-        return next((point for point in self.envelope if point.label == self.design_point and point.label), self.nominal)
+        return next(
+            (point for point in self.envelope if point.label == self.design_point and point.label),
+            self.nominal,
+        )
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Tolerance(Part):
-    """One uncertain parameter, named by its path ("seal.center.k", "bearing.A.negative_stiffness.zeta").
+    """One uncertain parameter, named by its path ("seal.center.k",
+    "bearing.A.negative_stiffness.zeta").
 
-    relative: half-width as a fraction of the nominal value; or absolute: half-width in SI units. One of the two. around: labels
-    of the operating points around which it holds; by default every one.
+    relative: half-width as a fraction of the nominal value; or absolute: half-width in SI units.
+    One of the two. around: labels of the operating points around which it holds; by default every
+    one.
     """
 
     parameter: str
@@ -277,11 +323,17 @@ class Tolerance(Part):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Requirements(Part):
-    """What verification demands; a key left out is judged by its standard's default, or not at all."""
+    """What verification demands; a key left out is judged by its standard's default, or not at
+    all.
+    """
 
     sensitivity_peak: Annotated[Ratio | None, "largest sensitivity"] = None
-    compliance_peak: Annotated[float | None, Quantity("compliance"), "largest displacement per force"] = None
-    balance_grade: Annotated[float | None, Quantity("velocity"), 'balance grade; G2.5 is "2.5 mm/s"'] = None
+    compliance_peak: Annotated[
+        float | None, Quantity("compliance"), "largest displacement per force"
+    ] = None
+    balance_grade: Annotated[
+        float | None, Quantity("velocity"), 'balance grade; G2.5 is "2.5 mm/s"'
+    ] = None
     balance_speed: Annotated[Rate | None, "speed at which the residual unbalance is set"] = None
     unbalance_orbit: Annotated[Length | None, "largest unbalance response, zero to peak"] = None
     unbalance_to: Annotated[Rate | None, "speed up to which unbalance_orbit holds"] = None
@@ -291,9 +343,13 @@ class Requirements(Part):
     log_decrement: Annotated[Ratio | None, "smallest logarithmic decrement"] = None
     max_current: Annotated[Current | None, "largest control current"] = None
     control_gain: Annotated[
-        float | None, Quantity("current per displacement"), "largest gain from measurement to current, K S_o"
+        float | None,
+        Quantity("current per displacement"),
+        "largest gain from measurement to current, K S_o",
     ] = None
-    roll_off: Annotated[Rate | None, "frequency above which control_gain falls by 20 dB per decade"] = None
+    roll_off: Annotated[
+        Rate | None, "frequency above which control_gain falls by 20 dB per decade"
+    ] = None
     running_speeds: Annotated[
         Pair | None,
         PairOf("angular rate", "lowest, highest", scalar=False),
@@ -305,61 +361,91 @@ class Requirements(Part):
 class DesignWeights(Part):
     """What a robust design (H-infinity, mu) aims at; weights are the inverse of what is allowed.
 
-    With a control_crossover W_u rises from control_level through 1 there to control_limit, with control_order
-    (``synthesis/weights.py`` makes transfer functions of it).
+    With a control_crossover W_u rises from control_level through 1 there to control_limit, with
+    control_order (``synthesis/weights.py`` makes transfer functions of it).
     """
 
     error_scale: Annotated[Length, "D_e, the largest acceptable control error"]
     current_scale: Annotated[Current, "D_u, the largest control current"]
     bandwidth: Annotated[Rate, "w_B, below which disturbances are reduced"]
-    control_level: Annotated[Ratio, "W_u at low frequencies, weight of the current in units of current_scale"]
+    control_level: Annotated[
+        Ratio, "W_u at low frequencies, weight of the current in units of current_scale"
+    ]
     peak: Annotated[Ratio, "M, the largest sensitivity; default: 3"] = 3.0
-    low_frequency_error: Annotated[Ratio, "A_w, what is left of a constant disturbance; default: 0.001"] = 1e-3
-    control_crossover: Annotated[Rate | None, "frequency above which W_u exceeds 1; default: W_u is constant"] = None
+    low_frequency_error: Annotated[
+        Ratio, "A_w, what is left of a constant disturbance; default: 0.001"
+    ] = 1e-3
+    control_crossover: Annotated[
+        Rate | None, "frequency above which W_u exceeds 1; default: W_u is constant"
+    ] = None
     control_order: Annotated[int, Count(), "order of W_u's rise"] = 1
     control_limit: Annotated[Ratio | None, "W_u far above its crossover; default: 30"] = None
-    current_disturbance: Annotated[Ratio, "size of the disturbing current, in units of current_scale; default: 1"] = 1.0
-    output_disturbance: Annotated[Ratio, "size of the disturbance of the measurement, in units of error_scale; default: 1"] = (
-        1.0
-    )
+    current_disturbance: Annotated[
+        Ratio, "size of the disturbing current, in units of current_scale; default: 1"
+    ] = 1.0
+    output_disturbance: Annotated[
+        Ratio, "size of the disturbance of the measurement, in units of error_scale; default: 1"
+    ] = 1.0
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class MachineDescription(Part):
     """A rotor on magnetic bearings as written down, not yet checked; a Machine is one that was.
 
-    ``assumed`` lists the parameters that were chosen, not measured or published, each with its reason. file_text is the file
-    that the machine was read from (empty: none), for its comments, order and units; it is not compared.
+    ``assumed`` lists the parameters that were chosen, not measured or published, each with its
+    reason. ``effects`` are the parts of registered effects that have no field here, in the file a
+    table each (``machine.attachment``). file_text is the file that the machine was read from
+    (empty: none), for its comments, order and units; it is not compared.
     """
 
     name: Annotated[Name, "name of the machine"]
     shaft: Annotated[tuple[ShaftSection, ...], "shaft sections from the left end to the right"]
-    bearings: Annotated[tuple[MagneticBearing, ...], "radial magnetic bearings"] = field(metadata={"key": "bearing"})
-    sensors: Annotated[tuple[Sensor, ...], "displacement sensors, a pair or more per bearing"] = field(
-        metadata={"key": "sensor"}
+    bearings: Annotated[tuple[MagneticBearing, ...], "radial magnetic bearings"] = field(
+        metadata={"key": "bearing"}
+    )
+    sensors: Annotated[tuple[Sensor, ...], "displacement sensors, a pair or more per bearing"] = (
+        field(metadata={"key": "sensor"})
     )
     amplifier: Annotated[Amplifier, "amplifier and coil of every axis"] = field(
         default_factory=Amplifier, metadata={"required": True}
     )
     discs: Annotated[tuple[Disc, ...], "rigid discs"] = field(default=(), metadata={"key": "disc"})
-    seals: Annotated[tuple[Seal, ...], "annular seals"] = field(default=(), metadata={"key": "seal"})
-    couplings: Annotated[tuple[Coupling, ...], "flexible couplings to ground"] = field(default=(), metadata={"key": "coupling"})
-    supports: Annotated[tuple[Support, ...], "supports under bearings"] = field(default=(), metadata={"key": "support"})
-    casing_modes: Annotated[tuple[CasingMode, ...], "modes of the casing"] = field(default=(), metadata={"key": "casing_mode"})
-    bending_modes: Annotated[tuple[BendingMode, ...], "bending modes of the rotor as measured"] = field(
-        default=(), metadata={"key": "bending_mode"}
+    seals: Annotated[tuple[Seal, ...], "annular seals"] = field(
+        default=(), metadata={"key": "seal"}
+    )
+    couplings: Annotated[tuple[Coupling, ...], "flexible couplings to ground"] = field(
+        default=(), metadata={"key": "coupling"}
+    )
+    effects: tuple[Part, ...] = ()
+    supports: Annotated[tuple[Support, ...], "supports under bearings"] = field(
+        default=(), metadata={"key": "support"}
+    )
+    casing_modes: Annotated[tuple[CasingMode, ...], "modes of the casing"] = field(
+        default=(), metadata={"key": "casing_mode"}
+    )
+    bending_modes: Annotated[tuple[BendingMode, ...], "bending modes of the rotor as measured"] = (
+        field(default=(), metadata={"key": "bending_mode"})
     )
     controller: Annotated[PidSettings | None, "the reference controller"] = None
-    operation: Annotated[Operation, "operating points and speed range"] = field(default_factory=Operation)
-    tolerances: Annotated[tuple[Tolerance, ...], "uncertain parameters"] = field(default=(), metadata={"key": "tolerance"})
-    requirements: Annotated[Requirements, "what verification demands"] = field(default_factory=Requirements)
+    operation: Annotated[Operation, "operating points and speed range"] = field(
+        default_factory=Operation
+    )
+    tolerances: Annotated[tuple[Tolerance, ...], "uncertain parameters"] = field(
+        default=(), metadata={"key": "tolerance"}
+    )
+    requirements: Annotated[Requirements, "what verification demands"] = field(
+        default_factory=Requirements
+    )
     weights: Annotated[DesignWeights | None, "what a robust design aims at"] = None
     description: Annotated[Words, "what it is, in a sentence"] = ""
     source: Annotated[Words, "where its figures come from"] = ""
     modal_damping: Annotated[Ratio, "damping ratio of every bending mode"] = 0.005
-    beam_theory: Annotated[str, Choice(BEAM_THEORIES), "theory of the shaft's beam elements"] = "bernoulli-euler"
+    beam_theory: Annotated[str, Choice(BEAM_THEORIES), "theory of the shaft's beam elements"] = (
+        "bernoulli-euler"
+    )
     gravity_direction: Annotated[
-        Angle | None, "where the rotor's weight points, from the global x towards y; default: no weight"
+        Angle | None,
+        "where the rotor's weight points, from the global x towards y; default: no weight",
     ] = None
     assumed: tuple[tuple[str, str], ...] = ()
     file_text: str = field(default="", compare=False)
@@ -370,22 +456,40 @@ class MachineDescription(Part):
         return self.shaft[-1].start + self.shaft[-1].length
 
     @property
+    def attached(self) -> tuple[Any, ...]:
+        """The parts of all registered effects, in the order of their ports."""
+        return (*self.couplings, *self.effects)
+
+    @property
     def reference(self) -> PidSettings | None:
-        """The reference controller; None where there is none, or [controller] states only when controllers run."""
-        return self.controller if self.controller is not None and (self.controller.gain or self.controller.channels) else None
+        """The reference controller; None where there is none, or [controller] states only when
+        controllers run.
+        """
+        return (
+            self.controller
+            if self.controller is not None and (self.controller.gain or self.controller.channels)
+            else None
+        )
 
     @property
     def sensor_pairs(self) -> tuple[Sensor, ...]:
-        """The sensors in the order of the bearings, each with its angle [rad], and its share in the mean as weight."""
+        """The sensors in the order of the bearings, each with its angle [rad], and its share in the
+        mean as weight.
+        """
         found: list[Sensor] = []
         for bearing in self.bearings:
             own = [sensor for sensor in self.sensors if sensor.bearing == bearing.name]
             total = sum(sensor.weight for sensor in own)
             angles = [bearing.angle if sensor.angle is None else sensor.angle for sensor in own]
-            found += [replace(s, angle=angle, weight=s.weight / total) for s, angle in zip(own, angles, strict=True)]
+            found += [
+                replace(s, angle=angle, weight=s.weight / total)
+                for s, angle in zip(own, angles, strict=True)
+            ]
         return tuple(found)
 
     @property
     def axes(self) -> tuple[str, ...]:
         """The control axes in their fixed order: A_zeta, A_eta, B_zeta, B_eta."""
-        return tuple(f"{bearing.name}_{axis}" for bearing in self.bearings for axis in ("zeta", "eta"))
+        return tuple(
+            f"{bearing.name}_{axis}" for bearing in self.bearings for axis in ("zeta", "eta")
+        )

@@ -1,7 +1,8 @@
-"""Kinds of value in a machine file: how each is read, what to say when it is wrong, and how an editor's schema describes it.
+"""Kinds of value in a machine file: how each is read, what to say when it is wrong, and how an
+editor's schema describes it.
 
-A kind is a pydantic annotation: ``length: Annotated[float, Quantity("length")]``. Its ``read`` raises ValueError with a text
-that follows the key's name; the schema adds table, entry and key.
+A kind is a pydantic annotation: ``length: Annotated[float, Quantity("length")]``. Its ``read``
+raises ValueError with a text that follows the key's name; the schema adds table, entry and key.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ from ambrose.machine.units import DIMENSIONS, read_quantity
 
 UNIT_STRING = r"^\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*[A-Za-zµμ°%].*$"
 _LARGEST_COUNT = 1_000_000
-PLACEHOLDER = "x-quantity"  # stands for a reference until pydantic has made the schema, which knows only its own definitions
+# stands for a reference until pydantic has made the schema, which knows only its own definitions
+PLACEHOLDER = "x-quantity"
 
 
 class _Kind:
@@ -61,7 +63,9 @@ class Quantity(_Kind):
     @property
     def expects(self) -> str:
         dimension = DIMENSIONS[self.dimension]
-        return dimension.phrase + (f', for example "{dimension.example}"' if dimension.example else "")
+        return dimension.phrase + (
+            f', for example "{dimension.example}"' if dimension.example else ""
+        )
 
     def read(self, value: object) -> float:
         return read_quantity(value, DIMENSIONS[self.dimension])
@@ -86,7 +90,10 @@ class PairOf(_Kind):
     def read(self, value: object) -> tuple[float, float]:
         if isinstance(value, list):
             if len(value) != 2:
-                raise ValueError(f"is {shown(value)}, a list of {len(value)}, but must have two elements; give {self.expects}")
+                raise ValueError(
+                    f"is {shown(value)}, a list of {len(value)}, but must have two elements; give "
+                    f"{self.expects}"
+                )
             first, second = _read_elements(value, self.dimension)
             return first, second
         if not self.scalar:
@@ -117,7 +124,9 @@ class ListOf(_Kind):
                 return (read_quantity(value, DIMENSIONS[self.dimension]),)
             raise ValueError(f"is {shown(value)}, but must be a list; give {self.expects}")
         if not value:
-            raise ValueError(f"is an empty list, but must have at least one element; give {self.expects}")
+            raise ValueError(
+                f"is an empty list, but must have at least one element; give {self.expects}"
+            )
         return tuple(_read_elements(value, self.dimension))
 
     def schema(self) -> dict[str, Any]:
@@ -134,7 +143,10 @@ class NestedOf(_Kind):
 
     @property
     def expects(self) -> str:
-        return f"lists nested in the order of the table's axes, each element {Quantity(self.dimension).expects}"
+        return (
+            "lists nested in the order of the table's axes, each element "
+            f"{Quantity(self.dimension).expects}"
+        )
 
     def read(self, value: object) -> Any:
         if not isinstance(value, list):
@@ -148,7 +160,11 @@ class NestedOf(_Kind):
         for i, element in enumerate(value):
             try:
                 one = Quantity(self.dimension)
-                read.append(self._read_level(element, depth + 1) if isinstance(element, list) else one.read(element))
+                read.append(
+                    self._read_level(element, depth + 1)
+                    if isinstance(element, list)
+                    else one.read(element)
+                )
             except ValueError as error:
                 raise ValueError(f"(element {i + 1}) {error}") from None
         return tuple(read)
@@ -248,7 +264,10 @@ class Count(_Kind):
 
     def read(self, value: object) -> int:
         if isinstance(value, bool) or not isinstance(value, int):
-            raise ValueError(f"is {shown(value)}, but must be a whole number; write it without decimals, quotes or unit")
+            raise ValueError(
+                f"is {shown(value)}, but must be a whole number; write it without decimals, "
+                "quotes or unit"
+            )
         if abs(value) > _LARGEST_COUNT:
             raise ValueError(f"is {shown(value)}, but must be at most {_LARGEST_COUNT}; correct it")
         return value
@@ -269,7 +288,10 @@ class Version(_Kind):
 
     def read(self, value: object) -> int:
         if isinstance(value, bool) or value != self.only:
-            remedy = f"this version of ambrose reads schema {self.only} only; update ambrose, or write schema = {self.only}"
+            remedy = (
+                f"this version of ambrose reads schema {self.only} only; update ambrose, or write "
+                f"schema = {self.only}"
+            )
             raise ValueError(f"is {shown(value)}, but must be {self.only}; {remedy}")
         return self.only
 
@@ -308,8 +330,12 @@ def _quantity_schema(name: str) -> dict[str, Any]:
     if not dimension.units:
         return {"description": "a plain number", "type": "number"}
     return {
-        "description": f'{name}: a plain number in {dimension.unit}, or a string with a unit such as "{dimension.example}"',
-        "anyOf": [{"type": "number"}, {"type": "string", "pattern": UNIT_STRING, "examples": [dimension.example]}],
+        "description": f"{name}: a plain number in {dimension.unit}, or a string with a unit such "
+        f'as "{dimension.example}"',
+        "anyOf": [
+            {"type": "number"},
+            {"type": "string", "pattern": UNIT_STRING, "examples": [dimension.example]},
+        ],
     }
 
 

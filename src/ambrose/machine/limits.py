@@ -1,8 +1,8 @@
-"""What a file may hold at most; beyond it is refused before anything is built. Stated for users in docs/machine-file.md and
-docs/records.md.
+"""What a file may hold at most; beyond it is refused before anything is built. Stated for users in
+docs/machine-file.md and docs/records.md.
 
-Machine: what a real machine needs with room to spare, and what all commands still do in minutes. Records: what a computer's
-memory holds.
+Machine: what a real machine needs with room to spare, and what all commands still do in minutes.
+Records: what a computer's memory holds.
 """
 
 from __future__ import annotations
@@ -15,8 +15,10 @@ TOML_DEPTH = 12  # of brackets, and of dotted keys
 TOML_ENTRIES = 100_000  # keys, list elements and tables together
 TEXT, NAME = 10_000, 100  # characters of a text, and of a key, a name or a label
 _NAMES = {"name", "label", "bearing", "material"}
-ELEMENTS = 800  # of the whole shaft: so many elements of equal length leave nine digits of the bending frequencies
-FINE_MESH_MODES, LEAST_MODES = 64, 24  # bending modes per plane in the full model, at most and at least (``plant.basis``)
+# of the whole shaft: so many elements of equal length leave nine digits of the bending frequencies
+ELEMENTS = 800
+# bending modes per plane in the full model, at most and at least (``model.basis``)
+FINE_MESH_MODES, LEAST_MODES = 64, 24
 SEAL_POLES = 60  # of all seals with states together; two to four states each
 DELAY_SAMPLES = 100
 SAMPLE_TIME = 1e-7  # [s] the least
@@ -43,9 +45,12 @@ TABLES: Mapping[str, int] = {
 }  # and at most ENTRIES_EACH in any other list
 ENTRIES_EACH = 1000
 
-NUMBERS = 125_000_000  # samples times signals of one record: 1 GB, 10 minutes of 20 signals at 10 kHz
-CHECKED_FIRST = 40_000_000  # numbers beyond which a file is read once to check it before memory is taken for it
-FOREIGN_NUMBERS = 30_000_000  # of one variable or channel of a MAT or TDMS file, whose readers take it several times
+# samples times signals of one record: 1 GB, 10 minutes of 20 signals at 10 kHz
+NUMBERS = 125_000_000
+# numbers beyond which a file is read once to check it before memory is taken for it
+CHECKED_FIRST = 40_000_000
+# of one variable or channel of a MAT or TDMS file, whose readers take it several times
+FOREIGN_NUMBERS = 30_000_000
 PACKED = 100  # times as many bytes as its file a record may unpack to,
 UNPACKED = 80_000_000  # ... or so many in any case
 CHUNK_BYTES = 64_000_000  # of one chunk of an HDF5 dataset, which is unpacked as a whole
@@ -53,23 +58,30 @@ BESIDE = 50_000_000  # bytes of an HDF5 record beside its signals: attributes, o
 SIGNALS, NOTES = 1000, 1000  # of a record
 
 
-CONTROLLER_BYTES, CONTROLLER_NUMBERS = 64_000_000, 1_000_000  # of a controller file; one with 500 states and 4 axes: 6 MB
+# of a controller file; one with 500 states and 4 axes: 6 MB
+CONTROLLER_BYTES, CONTROLLER_NUMBERS = 64_000_000, 1_000_000
 STATES, GRID_POINTS = 500, 200  # of a controller, and of its schedule
 JSON_KEYS, JSON_DEPTH = 1000, 20  # of one table, and within each other
 
 
 def excess(tables: Mapping[str, Any], above: str = "") -> Iterator[str]:
-    """A complaint for everything of which the tables of a file, or a machine's parts by their keys, hold too much."""
+    """A complaint for everything of which the tables of a file, or a machine's parts by their keys,
+    hold too much.
+    """
     for key, value in tables.items():
         if len(key) > NAME:
-            yield f'the key "{above}{key[:20]} ..." has {len(key)} characters, but at most {NAME} are allowed; shorten it'
+            yield (
+                f'the key "{above}{key[:20]} ..." has {len(key)} characters, but at most {NAME} '
+                "are allowed; shorten it"
+            )
         else:
             yield from _excess(f"{above}{key}", value)
 
 
 def _excess(path: str, value: Any) -> Iterator[str]:
     if isinstance(value, str):
-        table, _, key = path.rpartition(".")  # the keys of [machine.assumed] are the user's, its values are reasons
+        # the keys of [machine.assumed] are the user's, its values are reasons
+        table, _, key = path.rpartition(".")
         most = NAME if key in _NAMES and not table.startswith("machine.assumed") else TEXT
         if len(value) > most:
             yield f"{path} has {len(value)} characters, but at most {most} are allowed; shorten it"
@@ -77,19 +89,31 @@ def _excess(path: str, value: Any) -> Iterator[str]:
         most = TABLES.get(path, ENTRIES_EACH)
         if len(value) > most:
             what = f"entries of [[{path}]]" if path in TABLES else f"entries in {path}"
-            yield f"there are {len(value)} {what}, but at most {most} are allowed; leave some out or merge them"
+            yield (
+                f"there are {len(value)} {what}, but at most {most} are allowed; leave some out or "
+                "merge them"
+            )
             return
         if isinstance(value, Mapping):
             yield from excess(value, f"{path}.")
             return
         for entry in value:
-            yield from excess(entry, f"{path}.") if isinstance(entry, Mapping) else _excess(path, entry)
+            yield from (
+                excess(entry, f"{path}.") if isinstance(entry, Mapping) else _excess(path, entry)
+            )
         elements = sum(max(_elements(section), 0) for section in value) if path == "shaft" else 0
         if elements > ELEMENTS:
             remedy = "one element per diameter of length is a good start"
-            yield f"the shaft has {elements} elements in all, but at most {ELEMENTS} are allowed; {remedy}"
+            yield (
+                f"the shaft has {elements} elements in all, but at most {ELEMENTS} are allowed; "
+                f"{remedy}"
+            )
 
 
 def _elements(section: Any) -> int:
-    count = section.get("elements", 1) if isinstance(section, Mapping) else getattr(section, "elements", 1)
+    count = (
+        section.get("elements", 1)
+        if isinstance(section, Mapping)
+        else getattr(section, "elements", 1)
+    )
     return count if type(count) is int else 1

@@ -1,4 +1,6 @@
-"""How complaints about a machine are worded: values as they stand in the file, and the word that was probably meant."""
+"""How complaints about a machine are worded: values as they stand in the file, and the word that
+was probably meant.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +14,18 @@ BULLET = "\n  - "  # before each further line of a message
 
 
 def one_line(text: str) -> str:
-    """``text`` as one line that steers no terminal: what is neither printed nor a space stands as its escape, ``\\x1b``.
+    """``text`` as one line that steers no terminal: what is neither printed nor a space stands as
+    its escape, ``\\x1b``.
 
-    These are control characters (line ends and tabs among them), marks of the reading direction, halves of a character.
+    These are control characters (line ends and tabs among them), marks of the reading direction,
+    halves of a character.
     """
     if text.isprintable():
         return text
-    shown = (c if c.isprintable() or category(c) == "Zs" else c.encode("unicode_escape").decode() for c in text)
+    shown = (
+        c if c.isprintable() or category(c) == "Zs" else c.encode("unicode_escape").decode()
+        for c in text
+    )
     return "".join(shown)
 
 
@@ -42,7 +49,9 @@ def quoted(value: object) -> str:
 
 
 def meant(word: str, known: Iterable[str]) -> str:
-    """The known word that ``word`` probably is, in other spelling or case; "" where none is close."""
+    """The known word that ``word`` probably is, in other spelling or case; "" where none is
+    close.
+    """
     spelled = {name.lower(): name for name in known}
     close = get_close_matches(word.lower(), spelled, n=1, cutoff=0.6)
     return spelled[close[0]] if close else ""

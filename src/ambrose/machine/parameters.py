@@ -1,15 +1,19 @@
 """Names in a machine: operating points by label, and single parameters as tolerances name them.
 
-seal.<name>.K | k | C | c                        one parameter for both axes (k also as -k), a repeated real block
+seal.<name>.K | k | C | c                        one parameter for both axes (k also as -k), a
+                                                 repeated real block
 seal.<name>.M                                    of both axes; it takes no tolerance
 seal.<name>.K_xx | K_yy | k_xy | k_yx | C_xx | C_yy | c_xy | c_yx     one entry of the matrix alone
-seal.<name>.pressure                             every coefficient that follows the pressure, together
+seal.<name>.pressure                             every coefficient that follows the pressure,
+                                                 together
 bearing.<name>.force_per_current | negative_stiffness [.zeta | .eta]
 coupling.<name>.stiffness | damping [.zeta | .eta]
 amplifier.bandwidth | eddy_bandwidth | natural_frequency | damping    of all axes together
-rotor.bending_1.frequency | damping              of a free bending mode, bending_2 and so on, in both planes
+rotor.bending_1.frequency | damping              of a free bending mode, bending_2 and so on, in
+                                                 both planes
 
-controller.delay and excitation.delay name the timing of a measured loop: not the machine's, but identified with its parameters.
+controller.delay and excitation.delay name the timing of a measured loop: not the machine's, but
+identified with its parameters.
 """
 
 from __future__ import annotations
@@ -18,6 +22,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.machine.attachment import attached, attachments
 from ambrose.machine.description import AMPLIFIER_PARAMETERS, MachineDescription, OperatingPoint
 from ambrose.machine.limits import LEAST_MODES
 from ambrose.machine.messages import shown, suggestion
@@ -26,7 +31,8 @@ from ambrose.machine.seals import not_straight
 _TILTED = ("zeta", "eta")
 _DIRECT, _CROSS = ("xx", "yy"), ("xy", "yx")
 
-# table -> quantity -> (its dimension, the components that can be named alone)
+# table -> quantity -> (its dimension, the components that can be named alone); those of registered
+# effects are theirs (``quantities``)
 QUANTITIES: Mapping[str, Mapping[str, tuple[str, tuple[str, ...]]]] = {
     "seal": {
         "K": ("stiffness", _DIRECT),
@@ -36,23 +42,44 @@ QUANTITIES: Mapping[str, Mapping[str, tuple[str, tuple[str, ...]]]] = {
         "M": ("mass", ()),
         "pressure": ("pressure", ()),
     },
-    "bearing": {"force_per_current": ("force per current", _TILTED), "negative_stiffness": ("stiffness", _TILTED)},
-    "coupling": {"stiffness": ("stiffness", _TILTED), "damping": ("damping", _TILTED)},
-    "amplifier": {name: ("angular rate", ()) for name in ("bandwidth", "eddy_bandwidth", "natural_frequency", "damping")},
+    "bearing": {
+        "force_per_current": ("force per current", _TILTED),
+        "negative_stiffness": ("stiffness", _TILTED),
+    },
+    "amplifier": {
+        name: ("angular rate", ())
+        for name in ("bandwidth", "eddy_bandwidth", "natural_frequency", "damping")
+    },
     "rotor": {"frequency": ("angular rate", ()), "damping": ("ratio", ())},
 }
 
+
+def quantities() -> dict[str, Mapping[str, tuple[str, tuple[str, ...]]]]:
+    """``QUANTITIES`` with those of the registered effects: table -> quantity -> (dimension,
+    components).
+    """
+    own = {table: item.quantities for table, item in attachments().items() if item.quantities}
+    return {**QUANTITIES, **own}
+
+
 BENDING = "bending_"  # rotor.bending_<k>: the k-th free bending mode
 CONTROLLER_DELAY, EXCITATION_DELAY = "controller.delay", "excitation.delay"
-TIMING = (CONTROLLER_DELAY, EXCITATION_DELAY)  # [s]; what an identification may find beside the machine's parameters
+# [s]; what an identification may find beside the machine's parameters
+TIMING = (CONTROLLER_DELAY, EXCITATION_DELAY)
 
-_POINT_UNITS = {"speed": "rad/s", "seal_pressure": "Pa", "bias_current": "A", "whirl_frequency": "rad/s"}
+_POINT_UNITS = {
+    "speed": "rad/s",
+    "seal_pressure": "Pa",
+    "bias_current": "A",
+    "whirl_frequency": "rad/s",
+}
 _MAY_BE_NONE = ("bias_current", "whirl_frequency")
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A parsed path: ``quantity`` of the entry ``name`` (amplifier: "") in ``table``; component "" means both axes.
+    """A parsed path: ``quantity`` of the entry ``name`` (amplifier: "") in ``table``; component ""
+    means both axes.
 
     dimension: the key of units.DIMENSIONS in which an absolute tolerance is given.
     """
@@ -67,64 +94,92 @@ class Parameter:
     def overlaps(self, other: Parameter) -> bool:
         """Whether both name the same number, one of them perhaps together with its fellow axis."""
         same = (self.table, self.name, self.quantity) == (other.table, other.name, other.quantity)
-        return same and (self.component == other.component or not (self.component and other.component))
+        return same and (
+            self.component == other.component or not (self.component and other.component)
+        )
 
 
 def parse_parameter(path: str) -> Parameter:
-    """The parameter that ``path`` names, by the grammar above. Raises InvalidInput saying which part is wrong."""
+    """The parameter that ``path`` names, by the grammar above. Raises InvalidInput saying which
+    part is wrong.
+    """
     table, *parts = path.split(".")
-    if table not in QUANTITIES:
-        raise _wrong(path, f'has the unknown first part "{table}"; {suggestion(table, QUANTITIES)}')
-    quantities = QUANTITIES[table]
+    tables = quantities()
+    if table not in tables:
+        raise _wrong(path, f'has the unknown first part "{table}"; {suggestion(table, tables)}')
+    known = tables[table]
     name = parts.pop(0) if table != "amplifier" and parts else ""
     if not parts or (table != "amplifier" and not name):
-        form = f"{table}.<{'|'.join(quantities)}>" if table == "amplifier" else f"{table}.<name>.<{'|'.join(quantities)}>"
+        form = (
+            f"{table}.<{'|'.join(known)}>"
+            if table == "amplifier"
+            else f"{table}.<name>.<{'|'.join(known)}>"
+        )
         raise _wrong(path, f"is incomplete; write {form}")
-    quantity, component, rest = parts[0], "", parts[1:]
+    quantity = parts[0]
+    component = ""
+    rest = parts[1:]
     if table == "seal":
         quantity, _, component = quantity.partition("_")
     elif rest:
         component, *rest = rest
-    if quantity not in quantities:
-        raise _wrong(path, f'has the unknown quantity "{parts[0]}"; {_list(quantities)}')
-    dimension, components = quantities[quantity]
+    if quantity not in known:
+        raise _wrong(path, f'has the unknown quantity "{parts[0]}"; {_list(known)}')
+    dimension, components = known[quantity]
     if rest or (component and component not in components) or path.endswith(("_", ".")):
-        raise _wrong(path, f'cannot go beyond "{quantity}" like that; {_forms(table, quantity, components)}')
+        raise _wrong(
+            path, f'cannot go beyond "{quantity}" like that; {_forms(table, quantity, components)}'
+        )
     return Parameter(path, table, name, quantity, component, dimension)
 
 
 def find_parameter(machine: MachineDescription, path: str) -> Parameter:
-    """The parameter that ``path`` names, after checking that this machine has it. Raises InvalidInput."""
+    """The parameter that ``path`` names, after checking that this machine has it. Raises
+    InvalidInput.
+    """
     parameter = parse_parameter(path)
     if parameter.table == "amplifier":
         used = AMPLIFIER_PARAMETERS.get(machine.amplifier.order, ())
         if parameter.quantity not in used:
             has = f"has only {' and '.join(used)}" if used else "has no parameter"
-            raise _wrong(path, f'names nothing here; an amplifier of order "{machine.amplifier.order}" {has}')
+            raise _wrong(
+                path, f'names nothing here; an amplifier of order "{machine.amplifier.order}" {has}'
+            )
         return parameter
     names = {
         "seal": [seal.name for seal in machine.seals],
         "bearing": [bearing.name for bearing in machine.bearings],
-        "coupling": [coupling.name for coupling in machine.couplings],
         "rotor": [f"{BENDING}{k + 1}" for k in range(bending_modes_of_mesh(machine))],
-    }[parameter.table]
+    }.get(parameter.table)
+    if names is None:
+        names = [part.name for effect, part in attached(machine) if effect.table == parameter.table]
     if parameter.table == "rotor" and parameter.name not in names:
-        raise _wrong(path, f"names no bending mode of this mesh; write {BENDING}1 to {BENDING}{len(names)}")
+        raise _wrong(
+            path, f"names no bending mode of this mesh; write {BENDING}1 to {BENDING}{len(names)}"
+        )
     if parameter.name not in names:
         nothing = f"the machine has no [[{parameter.table}]]"
         raise _wrong(
-            path, f'names the unknown {parameter.table} "{parameter.name}"; {suggestion(parameter.name, names, nothing)}'
+            path,
+            f'names the unknown {parameter.table} "{parameter.name}"; '
+            f"{suggestion(parameter.name, names, nothing)}",
         )
     return parameter
 
 
 def find_uncertain(machine: MachineDescription, path: str) -> Parameter:
-    """``find_parameter`` for a tolerance. Raises InvalidInput for a parameter of the machine that cannot be uncertain, too."""
+    """``find_parameter`` for a tolerance. Raises InvalidInput for a parameter of the machine that
+    cannot be uncertain, too.
+    """
     parameter = find_parameter(machine, path)
     own = f'"seal.{parameter.name}.K" or "seal.{parameter.name}.C"'
     if (parameter.table, parameter.quantity) == ("seal", "M"):
         remedy = f"remove it and give {own} a tolerance"
-        raise _wrong(path, f"cannot be uncertain: it acts on the acceleration, which no port of the plant carries; {remedy}")
+        raise _wrong(
+            path,
+            "cannot be uncertain: it acts on the acceleration, which no port of the plant "
+            f"carries; {remedy}",
+        )
     if (parameter.table, parameter.quantity) == ("seal", "pressure"):
         fault = not_straight(next(item for item in machine.seals if item.name == parameter.name))
         if fault:
@@ -135,20 +190,29 @@ def find_uncertain(machine: MachineDescription, path: str) -> Parameter:
 def operating_point(
     machine: MachineDescription, point: OperatingPoint | str | None = None, **values: float | None
 ) -> OperatingPoint:
-    """An operating point of a machine: by its label, or the beginning of it that only one has; None: its design point.
+    """An operating point of a machine: by its label, or the beginning of it that only one has;
+    None: its design point.
 
-    ``values`` change it: speed [rad/s], seal_pressure [Pa], bias_current [A], whirl_frequency [rad/s]. What was changed has no
-    label. Raises InvalidInput for an unknown label or keyword, and for a value that no point can have.
+    ``values`` change it: speed [rad/s], seal_pressure [Pa], bias_current [A], whirl_frequency
+    [rad/s]. What was changed has no label. Raises InvalidInput for an unknown label or keyword, and
+    for a value that no point can have.
     """
     if isinstance(point, str):
         point = _labelled(machine, point)
     elif point is None:
         point = machine.operation.design
     elif not isinstance(point, OperatingPoint):
-        raise invalid("the operating point", shown(point), "a label or an OperatingPoint", f"choose {_labels(machine)}")
+        raise invalid(
+            "the operating point",
+            shown(point),
+            "a label or an OperatingPoint",
+            f"choose {_labels(machine)}",
+        )
     for name, value in values.items():
         if name not in _POINT_UNITS:
-            raise InvalidInput(f'operating point: unknown keyword "{name}"; {suggestion(name, _POINT_UNITS)}')
+            raise InvalidInput(
+                f'operating point: unknown keyword "{name}"; {suggestion(name, _POINT_UNITS)}'
+            )
         if value is not None or name not in _MAY_BE_NONE:
             remedy = f"give it in {_POINT_UNITS[name]}"
             check_positive(value, name, remedy, zero_allowed=name != "bias_current")
@@ -159,21 +223,34 @@ def operating_point(
 
 
 def bending_modes_of_mesh(machine: MachineDescription) -> int:
-    """How many bending modes per plane every full model of so many elements has, see ``plant.basis.bending_modes_of``."""
+    """How many bending modes per plane every full model of so many elements has, see
+    ``model.basis.bending_modes_of``.
+    """
     return min(2 * sum(section.elements for section in machine.shaft), LEAST_MODES)
 
 
 def uncertain_modes(machine: MachineDescription) -> tuple[int, ...]:
-    """The numbers, from 1, of the free bending modes that the machine's tolerances name; ascending."""
-    paths = [parse_parameter(item.parameter) for item in machine.tolerances if item.parameter.startswith("rotor.")]
+    """The numbers, from 1, of the free bending modes that the machine's tolerances name;
+    ascending.
+    """
+    paths = [
+        parse_parameter(item.parameter)
+        for item in machine.tolerances
+        if item.parameter.startswith("rotor.")
+    ]
     return tuple(sorted({int(path.name.removeprefix(BENDING)) for path in paths}))
 
 
 def _labelled(machine: MachineDescription, label: str) -> OperatingPoint:
     points = machine.operation.envelope
-    matches = [p for p in points if p.label == label] or [p for p in points if p.label.startswith(label)]
+    matches = [p for p in points if p.label == label] or [
+        p for p in points if p.label.startswith(label)
+    ]
     if len(matches) != 1:
-        raise InvalidInput(f"operating point {label!r} is not one point of machine {machine.name!r}; it has {_labels(machine)}")
+        raise InvalidInput(
+            f"operating point {label!r} is not one point of machine {machine.name!r}; it has "
+            f"{_labels(machine)}"
+        )
     return matches[0]
 
 

@@ -1,4 +1,6 @@
-"""What every part of a machine can do: show itself in a line, and give its plain data under the keys of a machine file."""
+"""What every part of a machine can do: show itself in a line, and give its plain data under the
+keys of a machine file.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,9 @@ from ambrose.core.presentation import Presented
 
 
 class Part(Presented):
-    """A noun of the machine file. A field whose key in the file differs names it in its metadata; what is not compared is no
-    key of the file."""
+    """A noun of the machine file. A field whose key in the file differs names it in its metadata;
+    what is not compared is no key of the file.
+    """
 
     __slots__ = ()
 
@@ -21,21 +24,33 @@ class Part(Presented):
         return {key: _named(value) for key, value in self.to_dict().items()}
 
     def to_dict(self, *, defaults: bool = False) -> dict[str, Any]:
-        """The values by their keys in a machine file, SI, as plain data; those at their default only with ``defaults``."""
+        """The values by their keys in a machine file, SI, as plain data; those at their default
+        only with ``defaults``.
+        """
         table = {}
         for item in fields(self):  # type: ignore[arg-type]  # every Part is a dataclass
             value = getattr(self, item.name)
-            default = item.default_factory() if item.default_factory is not MISSING else item.default
-            if item.compare and value is not None and (defaults or default is MISSING or value != default):
+            default = (
+                item.default_factory() if item.default_factory is not MISSING else item.default
+            )
+            if (
+                item.compare
+                and value is not None
+                and (defaults or default is MISSING or value != default)
+            ):
                 key = item.metadata.get("key", item.name)
                 table[key] = (
-                    int(value) if str(item.type).startswith("Annotated[int") else to_plain_values(value, defaults=defaults)
+                    int(value)
+                    if str(item.type).startswith("Annotated[int")
+                    else to_plain_values(value, defaults=defaults)
                 )
         return table
 
 
 def to_plain_values(value: Any, *, defaults: bool = False) -> Any:
-    """A value of a field as a file holds it: parts as tables, tuples and arrays as lists, every number a float."""
+    """A value of a field as a file holds it: parts as tables, tuples and arrays as lists, every
+    number a float.
+    """
     if isinstance(value, Part):
         return value.to_dict(defaults=defaults)
     if isinstance(value, np.ndarray):

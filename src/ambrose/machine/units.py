@@ -1,6 +1,8 @@
-"""Quantities as people write them: a plain SI number, or a string with a unit ("0.5 mm", "31500 rpm") -> a float in SI.
+"""Quantities as people write them: a plain SI number, or a string with a unit ("0.5 mm", "31500
+rpm") -> a float in SI.
 
-The units of everyday use are a table with exact factors; any other unit is left to pint, which is imported only then.
+The units of everyday use are a table with exact factors; any other unit is left to pint, which is
+imported only then.
 """
 
 from __future__ import annotations
@@ -27,10 +29,12 @@ _MOST_DIGITS = 50
 
 @dataclass(frozen=True, slots=True)
 class Dimension:
-    """What a number measures: the SI unit it is stored in, an example as written in a file, and its everyday units.
+    """What a number measures: the SI unit it is stored in, an example as written in a file, and its
+    everyday units.
 
-    ``units`` maps a unit to its factor to SI: a decimal number, followed by "pi" where pi is a factor, or by "+" and what is
-    added. A closed dimension takes these units only: ratio and angle are both "dimensionless" to pint, which would mix them up.
+    ``units`` maps a unit to its factor to SI: a decimal number, followed by "pi" where pi is a
+    factor, or by "+" and what is added. A closed dimension takes these units only: ratio and angle
+    are both "dimensionless" to pint, which would mix them up.
     """
 
     name: str
@@ -56,22 +60,36 @@ class Dimension:
         return f'write a plain number in {self.unit} or a string such as "{self.example}"'
 
 
-def _dimension(name: str, unit: str, example: str, units: str, *, closed: bool = False) -> tuple[str, Dimension]:
+def _dimension(
+    name: str, unit: str, example: str, units: str, *, closed: bool = False
+) -> tuple[str, Dimension]:
     """``units`` lists "unit=factor" pairs, separated by commas."""
     pairs = (entry.split("=") for entry in units.split(",") if entry)
-    return name, Dimension(name, unit, example, {key.strip(): factor for key, factor in pairs}, closed)
+    return name, Dimension(
+        name, unit, example, {key.strip(): factor for key, factor in pairs}, closed
+    )
 
 
 DIMENSIONS: dict[str, Dimension] = dict(
     (
         _dimension("length", "m", "0.5 mm", "m=1,cm=1e-2,mm=1e-3,um=1e-6,in=0.0254"),
         _dimension("mass", "kg", "1.2 kg", "kg=1,g=1e-3"),
-        _dimension("moment of inertia", "kg m^2", "0.0021 kg m^2", "kg m2=1,kg mm2=1e-6,kg cm2=1e-4,g mm2=1e-9"),
+        _dimension(
+            "moment of inertia",
+            "kg m^2",
+            "0.0021 kg m^2",
+            "kg m2=1,kg mm2=1e-6,kg cm2=1e-4,g mm2=1e-9",
+        ),
         _dimension("density", "kg/m^3", "7850 kg/m^3", "kg/m3=1,g/cm3=1e3,kg/dm3=1e3"),
         _dimension("area", "m^2", "480 mm^2", "m2=1,cm2=1e-4,mm2=1e-6"),
-        _dimension("angle", "rad", "45 deg", "rad=1,mrad=1e-3,deg=1/180 pi,°=1/180 pi", closed=True),
         _dimension(
-            "angular rate", "rad/s", "31500 rpm", "rad/s=1,rpm=1/30 pi,Hz=2 pi,kHz=2000 pi,deg/s=1/180 pi,krpm=100/3 pi"
+            "angle", "rad", "45 deg", "rad=1,mrad=1e-3,deg=1/180 pi,°=1/180 pi", closed=True
+        ),
+        _dimension(
+            "angular rate",
+            "rad/s",
+            "31500 rpm",
+            "rad/s=1,rpm=1/30 pi,Hz=2 pi,kHz=2000 pi,deg/s=1/180 pi,krpm=100/3 pi",
         ),
         _dimension("time", "s", "0.2 ms", "s=1,ms=1e-3,us=1e-6"),
         _dimension("current", "A", "4.5 A", "A=1,mA=1e-3"),
@@ -82,14 +100,28 @@ DIMENSIONS: dict[str, Dimension] = dict(
         _dimension("pressure", "Pa", "2.04 bar", "Pa=1,kPa=1e3,MPa=1e6,bar=1e5,mbar=1e2"),
         _dimension("elastic modulus", "Pa", "210 GPa", "Pa=1,MPa=1e6,GPa=1e9,N/mm2=1e6"),
         _dimension("force per current", "N/A", "180 N/A", "N/A=1"),
-        _dimension("stiffness", "N/m", "2.4 N/um", "N/m=1,N/mm=1e3,N/um=1e6,kN/m=1e3,kN/mm=1e6,MN/m=1e6"),
-        _dimension("damping", "N s/m", "300 N s/m", "N s/m=1,Ns/m=1,kN s/m=1e3,kNs/m=1e3,N s/mm=1e3,Ns/mm=1e3"),
-        _dimension("pressure per time", "Pa/s", "20 bar/s", "Pa/s=1,kPa/s=1e3,MPa/s=1e6,bar/s=1e5,mbar/s=1e2"),
+        _dimension(
+            "stiffness", "N/m", "2.4 N/um", "N/m=1,N/mm=1e3,N/um=1e6,kN/m=1e3,kN/mm=1e6,MN/m=1e6"
+        ),
+        _dimension(
+            "damping",
+            "N s/m",
+            "300 N s/m",
+            "N s/m=1,Ns/m=1,kN s/m=1e3,kNs/m=1e3,N s/mm=1e3,Ns/mm=1e3",
+        ),
+        _dimension(
+            "pressure per time",
+            "Pa/s",
+            "20 bar/s",
+            "Pa/s=1,kPa/s=1e3,MPa/s=1e6,bar/s=1e5,mbar/s=1e2",
+        ),
         _dimension("velocity", "m/s", "2.5 mm/s", "m/s=1,mm/s=1e-3"),
         _dimension("compliance", "m/N", "0.1 um/N", "m/N=1,mm/N=1e-3,um/N=1e-6"),
         _dimension("current per displacement", "A/m", "18 A/mm", "A/m=1,A/mm=1e3,A/um=1e6"),
         _dimension("temperature", "K", "17.4 degC", "K=1,degC=1 +273.15,°C=1 +273.15", closed=True),
-        _dimension("specific gas constant", "J/(kg K)", "287.05 J/(kg K)", "J/(kg K)=1,kJ/(kg K)=1e3"),
+        _dimension(
+            "specific gas constant", "J/(kg K)", "287.05 J/(kg K)", "J/(kg K)=1,kJ/(kg K)=1e3"
+        ),
         _dimension("viscosity", "Pa s", "18 uPa s", "Pa s=1,mPa s=1e-3,uPa s=1e-6"),
         _dimension("ratio", "-", "40 %", "%=1e-2", closed=True),
         _dimension("plain number", "-", "", "", closed=True),
@@ -100,7 +132,8 @@ DIMENSIONS: dict[str, Dimension] = dict(
 def read_quantity(value: object, dimension: Dimension) -> float:
     """``value`` as written in a file (number or string with unit) in SI.
 
-    Raises ValueError whose text goes after the name of the key: 'is "5 kg", but must be a length [m]; write ...'.
+    Raises ValueError whose text goes after the name of the key: 'is "5 kg", but must be a length
+    [m]; write ...'.
     """
     if isinstance(value, str):
         number = _read_text(value, dimension)
@@ -114,7 +147,8 @@ def read_quantity(value: object, dimension: Dimension) -> float:
 
 
 def rewrite_quantity(old: str, value: float, dimension: Dimension) -> str:
-    """``value`` [SI] in the unit of ``old``, such as "0.5 mm", with the fewest digits that read back as the very same number.
+    """``value`` [SI] in the unit of ``old``, such as "0.5 mm", with the fewest digits that read
+    back as the very same number.
 
     Where no number in an uncommon unit does, it is written in the SI unit.
     """
@@ -125,7 +159,9 @@ def rewrite_quantity(old: str, value: float, dimension: Dimension) -> str:
     exact = (Fraction(value) - offset) / factor / (_PI if pi else 1)
     for digits in range(1, _MOST_DIGITS):
         context = Context(prec=digits)
-        rounded = context.divide(Decimal(exact.numerator), Decimal(exact.denominator)).normalize(context)
+        rounded = context.divide(Decimal(exact.numerator), Decimal(exact.denominator)).normalize(
+            context
+        )
         text = f"{rounded:f}" if -6 < rounded.adjusted() < 16 else str(rounded)
         if read_quantity(f"{text}{unit}", dimension) == value:
             return f"{text}{unit}"
@@ -134,7 +170,16 @@ def rewrite_quantity(old: str, value: float, dimension: Dimension) -> str:
 
 def canonical_unit(text: str) -> str:
     """One spelling for "kg*m**2", "kg·m^2", "kg m²" and "kg m2": the last; micro is "u"."""
-    for old, new in (("**", ""), ("^", ""), ("²", "2"), ("³", "3"), ("*", " "), ("·", " "), ("μ", "u"), ("µ", "u")):
+    for old, new in (
+        ("**", ""),
+        ("^", ""),
+        ("²", "2"),
+        ("³", "3"),
+        ("*", " "),
+        ("·", " "),
+        ("μ", "u"),
+        ("µ", "u"),
+    ):
         text = text.replace(old, new)
     return re.sub(r"\s*/\s*", "/", " ".join(text.split()))
 
@@ -155,17 +200,24 @@ def _read_text(text: str, dimension: Dimension) -> float:
         return float(digits) * float(factor)
     if not pi:
         return _as_float(Fraction(digits) * factor + offset)
-    if len(re.sub(r"[eE].*|[^0-9]", "", digits)) > _FLOAT_DIGITS:  # written by rewrite_quantity: round once, to the very number
+    # written by rewrite_quantity: round once, to the very number
+    if len(re.sub(r"[eE].*|[^0-9]", "", digits)) > _FLOAT_DIGITS:
         return _as_float(Fraction(digits) * factor * _PI)
     return _as_float(Fraction(digits) * factor) * math.pi
 
 
 def _conversion(unit: str, dimension: Dimension) -> tuple[Fraction, bool, Fraction]:
-    """The factor from a unit to SI, whether it is a multiple of pi, and what is added. Raises LookupError."""
+    """The factor from a unit to SI, whether it is a multiple of pi, and what is added. Raises
+    LookupError.
+    """
     if unit not in dimension.units:
         return Fraction(_factor_by_pint(unit, dimension.name)), False, Fraction(0)
     rational, _, rest = dimension.units[unit].partition(" ")
-    return Fraction(rational), rest == "pi", Fraction(rest[1:]) if rest.startswith("+") else Fraction(0)
+    return (
+        Fraction(rational),
+        rest == "pi",
+        Fraction(rest[1:]) if rest.startswith("+") else Fraction(0),
+    )
 
 
 def _as_float(number: float | Fraction) -> float:
@@ -181,22 +233,37 @@ def _unreadable(value: object, dimension: Dimension) -> ValueError:
 
 @lru_cache(maxsize=256)
 def _factor_by_pint(unit: str, dimension_name: str) -> float:
-    """The factor from a less common unit to SI; raises LookupError saying what is wrong (nothing: the wrong dimension)."""
+    """The factor from a less common unit to SI; raises LookupError saying what is wrong (nothing:
+    the wrong dimension).
+    """
     dimension = DIMENSIONS[dimension_name]
     if len(unit) > _LONGEST_UNIT or not _UNIT.fullmatch(unit):
         raise LookupError("its unit cannot be read")
     registry, errors = _registry()
     try:
         given = registry.Unit(re.sub(r"([A-Za-z])(-?\d)", r"\1**\2", unit))
-    except (errors.PintError, TokenError, AttributeError, TypeError, ValueError, KeyError, AssertionError) as error:
+    except (
+        errors.PintError,
+        TokenError,
+        AttributeError,
+        TypeError,
+        ValueError,
+        KeyError,
+        AssertionError,
+    ) as error:
         close = meant(unit, dimension.units)
-        raise LookupError("its unit is unknown" + (f' (did you mean "{close}"?)' if close else "")) from error
+        raise LookupError(
+            "its unit is unknown" + (f' (did you mean "{close}"?)' if close else "")
+        ) from error
     if dimension.closed or not given.is_compatible_with(canonical_for_pint(dimension.unit)):
         raise LookupError("")
     quantity = registry.Quantity(1.0, given)
     factor = float(quantity.to(canonical_for_pint(dimension.unit)).magnitude)
-    if dimension.name == "angular rate":  # pint's hertz is 1/s, here it means revolutions per second
-        factor *= (2 * math.pi) ** sum(power for name, power in quantity.unit_items() if name.endswith("hertz"))
+    # pint's hertz is 1/s, here it means revolutions per second
+    if dimension.name == "angular rate":
+        factor *= (2 * math.pi) ** sum(
+            power for name, power in quantity.unit_items() if name.endswith("hertz")
+        )
     return factor
 
 
@@ -207,7 +274,9 @@ def canonical_for_pint(unit: str) -> str:
 
 @lru_cache(maxsize=1)
 def _registry() -> tuple[Any, Any]:
-    """pint's unit registry, made when the first uncommon unit is met (it takes a few tenths of a second)."""
+    """pint's unit registry, made when the first uncommon unit is met (it takes a few tenths of a
+    second).
+    """
     import pint
     import pint.errors
 

@@ -1,15 +1,20 @@
-"""One self-contained page: `report.html`, readable on a screen without any network, printable and signable on A4.
+"""One self-contained page: `report.html`, readable on a screen without any network, printable and
+signable on A4.
 
-    report = Report("Verification", machine, sections=(Section("Closed loop", "What to look at ...", figures, tables),))
-    write(report, Path("report.html"))                                  # atomic: complete or not there at all
+    write(page_of(result), "report.html")             # whatever has a page: see page_of
+    closed = Section("Closed loop", "What to look at", figures, tables)
+    page = Page("Verification", machine, (closed,))
+    write(page, "report.html")                        # atomic: complete or not there at all
 
-The nouns are generic; ``verification``, ``comparison``, ``identification`` and ``record`` fill them. All text is plain text: it
-is escaped here. jinja2 and plotly are imported inside the functions.
+The nouns are generic; the modules beside this one and the annexes fill them, a page for each kind
+of result. All text is plain text: it is escaped here. jinja2 and plotly are imported inside the
+functions.
 """
 
 from __future__ import annotations
 
 import gzip
+import itertools
 from base64 import b64encode
 from dataclasses import dataclass
 from datetime import date as calendar
@@ -20,27 +25,47 @@ from typing import Any
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.atomic_write import write_text
 from ambrose.machine.machine import Machine
+from ambrose.registry import registered, resolve
 from ambrose.version import __version__
 
-# Grounds of the cells of a map, on white and on dark paper; blue-green against orange is told apart by colour-blind readers.
+# Grounds of the cells of a map, on white and on dark paper; blue-green against orange is told apart
+# by colour-blind readers.
 SHADES = {
-    "meets-1": ("#74c4b1", "#1f7a66"), "meets-2": ("#a9dccf", "#1b5f51"), "meets-3": ("#d5efe8", "#17463d"),
-    "fails-1": ("#fbe0ba", "#5e4a1c"), "fails-2": ("#f7bd80", "#7d4d1a"), "fails-3": ("#ee9566", "#96421c"),
-    "fails-4": ("#de6d48", "#b03a1c"), "unstable": ("#4a1626", "#4a1626"), "absent": ("#e4e8eb", "#333c43"),
+    "meets-1": ("#74c4b1", "#1f7a66"),
+    "meets-2": ("#a9dccf", "#1b5f51"),
+    "meets-3": ("#d5efe8", "#17463d"),
+    "fails-1": ("#fbe0ba", "#5e4a1c"),
+    "fails-2": ("#f7bd80", "#7d4d1a"),
+    "fails-3": ("#ee9566", "#96421c"),
+    "fails-4": ("#de6d48", "#b03a1c"),
+    "unstable": ("#4a1626", "#4a1626"),
+    "absent": ("#e4e8eb", "#333c43"),
     "free": ("#f6f8f9", "#1d2328"),
-}  # fmt: skip
-_ONE_PANEL, _PANEL, _WIDEST = 330, 265, 900  # [px], the least width of a figure with one panel, of every further one, of any
-MARKS = {"": "", "sign": "", "pass": "✓", "fail": "✗", "none": "–", "number": "", "muted": "", "heading": ""}
+}
+# [px], the least width of a figure with one panel, of every further one, of any
+_ONE_PANEL = 330
+_PANEL = 265
+_WIDEST = 900
+MARKS = {
+    "": "",
+    "sign": "",
+    "pass": "✓",
+    "fail": "✗",
+    "none": "–",
+    "number": "",
+    "muted": "",
+    "heading": "",
+}
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One entry of a table; mark: "pass", "fail", "none" (information only), "number" (right-aligned), "muted", "sign" (room
-    for a signature) or "".
+    """One entry of a table; mark: "pass", "fail", "none" (information only), "number"
+    (right-aligned), "muted", "sign" (room for a signature) or "".
 
-    A first cell marked "heading" makes its row a heading across the table. best: the best of its kind, set off quietly;
-    detail: more words, small, on a line of their own; shade: the colour of its ground in a map, one of SHADES. link: a page
-    beside this one that the text leads to.
+    A first cell marked "heading" makes its row a heading across the table. best: the best of its
+    kind, set off quietly; detail: more words, small, on a line of their own; shade: the colour of
+    its ground in a map, one of SHADES. link: a page beside this one that the text leads to.
     """
 
     text: str
@@ -52,9 +77,15 @@ class Cell:
 
     def __post_init__(self) -> None:
         if self.mark not in MARKS:
-            raise InvalidInput(f"the mark of cell {self.text!r} is {self.mark!r}, but must be one of {', '.join(MARKS)}")
+            raise InvalidInput(
+                f"the mark of cell {self.text!r} is {self.mark!r}, but must be one of "
+                f"{', '.join(MARKS)}"
+            )
         if self.shade and self.shade not in SHADES:
-            raise InvalidInput(f"the shade of cell {self.text!r} is {self.shade!r}, but must be one of {', '.join(SHADES)}")
+            raise InvalidInput(
+                f"the shade of cell {self.text!r} is {self.shade!r}, but must be one of "
+                f"{', '.join(SHADES)}"
+            )
 
     @property
     def symbol(self) -> str:
@@ -72,10 +103,12 @@ def numbers(*texts: str) -> tuple[Cell, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table with its heading; every row as long as ``columns``; ``note`` stands beneath it. Raises InvalidInput.
+    """A table with its heading; every row as long as ``columns``; ``note`` stands beneath it.
+    Raises InvalidInput.
 
-    widths: of the columns [%], where tables are to line up with each other. groups: (heading, number of columns) from left to
-    right, above the columns' own headings. by_cell: a failure tints its cell, not its row.
+    widths: of the columns [%], where tables are to line up with each other. groups: (heading,
+    number of columns) from left to right, above the columns' own headings. by_cell: a failure tints
+    its cell, not its row.
     """
 
     title: str
@@ -89,19 +122,25 @@ class Table:
     def __post_init__(self) -> None:
         if self.groups and sum(span for _, span in self.groups) != len(self.columns):
             raise InvalidInput(
-                f"the groups of table {self.title!r} span {sum(span for _, span in self.groups)} columns, "
-                f"but must span {len(self.columns)}; give the columns without heading a group named ''"
+                f"the groups of table {self.title!r} span {sum(span for _, span in self.groups)} "
+                "columns, "
+                f"but must span {len(self.columns)}; give the columns without heading a group "
+                "named ''"
             )
         for i, row in enumerate(self.rows):
             if len(row) != len(self.columns):
                 raise InvalidInput(
-                    f"row {i} of table {self.title!r} has {len(row)} cells, but must have {len(self.columns)}; fill it with ''"
+                    f"row {i} of table {self.title!r} has {len(row)} cells, but must have "
+                    f"{len(self.columns)}; fill it with ''"
                 )
 
     @property
     def cells(self) -> tuple[tuple[Cell, ...], ...]:
         """The rows with every entry a Cell."""
-        return tuple(tuple(entry if isinstance(entry, Cell) else Cell(entry) for entry in row) for row in self.rows)
+        return tuple(
+            tuple(entry if isinstance(entry, Cell) else Cell(entry) for entry in row)
+            for row in self.rows
+        )
 
     @property
     def starts(self) -> tuple[int, ...]:
@@ -122,8 +161,8 @@ class Figure:
 class Section:
     """A heading, some paragraphs, then figures and tables (tables first if ``tables_first``).
 
-    folded: the tables stand closed, each under its title, until the reader opens them; paper shows those that are open. hint:
-    how to use the section on a screen, left out on paper.
+    folded: the tables stand closed, each under its title, until the reader opens them; paper shows
+    those that are open. hint: how to use the section on a screen, left out on paper.
     """
 
     title: str
@@ -160,12 +199,12 @@ class Verdict:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Report:
-    """Everything on the page. date: ISO date, today if empty; signatures: the lines to sign at the end. Facts without a text
-    are left out.
+class Page:
+    """Everything on the page. date: ISO date, today if empty; signatures: the lines to sign at the
+    end. Facts without a text are left out.
 
-    result: how it all turned out (None: whether every verdict is good, in words of the page); it begins the page. opening: what
-    stands before the verdicts.
+    result: how it all turned out (None: whether every verdict is good, in words of the page); it
+    begins the page. opening: what stands before the verdicts.
     """
 
     title: str
@@ -185,24 +224,53 @@ class Report:
         return all(known) if known else None
 
 
-def render(report: Report) -> str:
+# What makes the page of a result, by the name of its type; annexes register theirs as "page".
+_MAKERS = {
+    "Verification": "ambrose.report.verification:page_of_verification",
+    "LoopIdentification": "ambrose.report.identification.page:identification_page",
+    "StaticIdentification": "ambrose.report.identification.static_load:static_page",
+    "SealByFrequency": "ambrose.report.identification.seal:seal_page",
+    "Record": "ambrose.report.record:record_page",
+    "Trace": "ambrose.report.record:record_page",
+    "Exploration": "ambrose.report.exploration:exploration_page",
+}
+
+
+def page_of(result: Any, *beside: Any, **options: Any) -> Page:
+    """The page of any result that has one.
+
+    result: a Verification, Identification, Record, Trace, Exploration, or a result of an annex.
+    beside: what that page needs next to it (the machine of a record or trace); options: those of
+    the page's own function, such as ``date``. Raises InvalidInput for a result without a page.
+    """
+    makers = {**_MAKERS, **registered("page")}
+    for kind in type(result).__mro__:
+        if kind.__name__ in makers:
+            page: Page = resolve(makers[kind.__name__])(result, *beside, **options)
+            return page
+    raise InvalidInput(
+        f"a {type(result).__name__} has no page of its own; give one of {', '.join(sorted(makers))}"
+    )
+
+
+def render(page: Page) -> str:
     """The page as text."""
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
 
-    template = files("ambrose.report").joinpath("templates/report.html.j2").read_text(encoding="utf-8")
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    pictures = [figure for section in report.sections for figure in section.figures]
-    data = [Markup(packed(figure.picture.to_json())) for figure in pictures]
+    template = files("ambrose.report").joinpath("templates/page.html.j2").read_text("utf-8")
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    pictures = [figure for section in page.sections for figure in section.figures]
     return environment.from_string(template).render(
-        report=report,
-        date=report.date or calendar.today().isoformat(),
+        page=page,
+        date=page.date or calendar.today().isoformat(),
         version=__version__,
-        offsets=[sum(len(before.figures) for before in report.sections[:i]) for i in range(len(report.sections))],
-        heights=[int(figure.picture.layout.height or 400) for figure in pictures],
-        widths=[_least_width(figure.picture) for figure in pictures],
+        number=itertools.count(1).__next__,
+        least_width=_least_width,
         shades=SHADES,
-        data=data,
+        data=[Markup(packed(figure.picture.to_json())) for figure in pictures],
         library=Markup(packed(get_library())) if pictures else "",
     )
 
@@ -210,7 +278,11 @@ def render(report: Report) -> str:
 def _least_width(picture: Any) -> int:
     """What a figure needs to be read [px]; a narrower page scrolls it."""
     layout = picture.layout.to_plotly_json()
-    starts = {round((layout[name].get("domain") or (0,))[0], 3) for name in layout if name.startswith("xaxis")}
+    starts = {
+        round((layout[name].get("domain") or (0,))[0], 3)
+        for name in layout
+        if name.startswith("xaxis")
+    }
     return min(_ONE_PANEL + _PANEL * max(0, len(starts) - 1), _WIDEST)
 
 
@@ -222,12 +294,15 @@ def get_library() -> str:
 
 
 def packed(text: str) -> str:
-    """``text`` as the page carries it, a third as long: gzip (RFC 1952), in letters that no markup can come from."""
+    """``text`` as the page carries it, a third as long: gzip (RFC 1952), in letters that no markup
+    can come from.
+    """
     return b64encode(gzip.compress(text.encode(), mtime=0)).decode("ascii")
 
 
-def write(report: Report, path: str | Path) -> Path:
-    """Render the report and put it at ``path`` in one step: a reader sees the old page or the new one, never half of it.
+def write(report: Page, path: str | Path) -> Path:
+    """Render the report and put it at ``path`` in one step: a reader sees the old page or the new
+    one, never half of it.
 
     Returns the path. Raises InvalidInput when the folder does not exist or cannot be written to.
     """

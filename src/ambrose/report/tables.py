@@ -1,16 +1,22 @@
-"""Checks and machine data as tables and sentences."""
+"""What several pages share: checks, findings and machine data as tables, verdicts and sentences."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
+from ambrose.identification.findings import ERROR, Finding
+from ambrose.judge.checks import Check, Checks
+from ambrose.judge.verification import OVER_TOLERANCES
+from ambrose.machine.attachment import attached
 from ambrose.machine.description import OperatingPoint
+from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
+from ambrose.machine.part import Part
+from ambrose.machine.validation.signs import unit_and_names
 from ambrose.report import units
-from ambrose.report.page import Cell, Row, Table, Verdict, numbers
-from ambrose.verification.checks import Check, Checks
-from ambrose.verification.verification import OVER_TOLERANCES
+from ambrose.report.page import Cell, Row, Section, Table, Verdict, numbers
 
 _WIDEST = 6  # operating points side by side in one table
 RELATION = {"<=": "≤", ">=": "≥", "<": "<", ">": ">"}
@@ -18,7 +24,8 @@ _VIOLATED = {"<=": ">", ">=": "<", "<": "≥", ">": "≤"}
 
 
 def verdict(checks: Checks) -> Verdict:
-    """The verdict in plain words: "stable, 14 of 16 checks passed; fails: output sensitivity 4.1 > 3 (at 41 Hz)".
+    """The verdict in plain words: "stable, 14 of 16 checks passed; fails: output sensitivity 4.1 >
+    3 (at 41 Hz)".
 
     Of an unstable loop it names the rightmost pole.
     """
@@ -26,10 +33,14 @@ def verdict(checks: Checks) -> Verdict:
     failed = [check for check in judged if not check.passed]
     if not checks.stable:
         why = ", ".join(place(check) or reason(check) for check in failed)
-        return Verdict(checks.label, False, f"UNSTABLE{': ' if why else ''}{why}; nothing else was evaluated")
+        return Verdict(
+            checks.label, False, f"UNSTABLE{': ' if why else ''}{why}; nothing else was evaluated"
+        )
     if not judged:
         return Verdict(checks.label, True, "stable; no limits were given to check against")
-    counted = f"all {len(judged)}" if not failed else f"{len(judged) - len(failed)} of {len(judged)}"
+    counted = (
+        f"all {len(judged)}" if not failed else f"{len(judged) - len(failed)} of {len(judged)}"
+    )
     why = "; fails: " + ", ".join(reason(check) for check in failed) if failed else ""
     return Verdict(checks.label, checks.passed, f"stable, {counted} checks passed{why}")
 
@@ -37,8 +48,16 @@ def verdict(checks: Checks) -> Verdict:
 def reason(check: Check) -> str:
     """Why a check fails, as a clause: "output sensitivity 4.1 > 3 at 41 Hz"."""
     detail = place(check)
-    where = "" if not detail or len(detail) > 60 else f" {detail}" if detail.startswith("at ") else f" ({detail})"
-    title = units.prose(check.title if check.title[:2].isupper() else check.title[:1].lower() + check.title[1:])
+    where = (
+        ""
+        if not detail or len(detail) > 60
+        else f" {detail}"
+        if detail.startswith("at ")
+        else f" ({detail})"
+    )
+    title = units.prose(
+        check.title if check.title[:2].isupper() else check.title[:1].lower() + check.title[1:]
+    )
     if check.limit is None:
         return f"{title} {units.quantity(check.value, _unit(check))}{where}"
     value, limit = units.pair(check.value, check.limit, _unit(check))
@@ -61,7 +80,9 @@ def listed(words: Sequence[str]) -> str:
 
 
 def _unit(check: Check) -> str:
-    """The unit a check is shown from; the real part of a pole is a decay in 1/s, not a frequency in Hz."""
+    """The unit a check is shown from; the real part of a pole is a decay in 1/s, not a frequency in
+    Hz.
+    """
     return "1/s" if check.unit == "rad/s" and "abscissa" in check.name else check.unit
 
 
@@ -71,69 +92,158 @@ def _value_and_limit(check: Check, *, level: bool = True) -> tuple[str, str]:
     else:
         value, limit = units.pair(check.value, check.limit, _unit(check))
         limit = f"{RELATION.get(check.relation, check.relation)} {limit}"
-    ratio = check.unit in {"", "-", "1"} and any(word in check.name for word in ("sensitivity", "gain_margin"))
+    ratio = check.unit in {"", "-", "1"} and any(
+        word in check.name for word in ("sensitivity", "gain_margin")
+    )
     decibel = units.decibel(check.value) if ratio and level else ""
     return value + (f" ({decibel})" if decibel else ""), limit
 
 
 def checks_table(checks: Checks) -> Table:
-    """Every check at one operating point: value, limit, verdict, zone, standard and clause, detail."""
+    """Every check at one operating point: value, limit, verdict, zone, standard and clause,
+    detail.
+    """
     rows: list[Row] = []
     for check in checks.checks:
         value, limit = _value_and_limit(check)
         title, detail = units.prose(check.title), units.prose(check.detail)
-        marks = {None: Cell("information", "muted"), True: Cell("pass", "pass"), False: Cell("fail", "fail")}
+        marks = {
+            None: Cell("information", "muted"),
+            True: Cell("pass", "pass"),
+            False: Cell("fail", "fail"),
+        }
         words = marks[check.passed]
         rows.append((title, *numbers(value, limit), words, check.zone or "", check.source, detail))
     columns = ("Quantity", "Value", "Limit", "Verdict", "Zone", "Standard, clause", "Where or why")
-    return Table(checks.label, columns, tuple(rows), " ".join(checks.notes), (23, 11, 10, 9, 4, 16, 27))
+    return Table(
+        checks.label, columns, tuple(rows), " ".join(checks.notes), (23, 11, 10, 9, 4, 16, 27)
+    )
+
+
+def findings_table(findings: Sequence[Finding]) -> Table:
+    """Everything that makes the result doubtful."""
+    rows = [
+        (
+            Cell(units.prose(finding.what), "fail" if finding.severity == ERROR else "none"),
+            units.prose(finding.evidence),
+            units.prose(finding.remedy),
+        )
+        for finding in findings
+    ]
+    return Table("Findings", ("What", "Evidence", "What to do"), tuple(rows))
+
+
+def doubtful(findings: Sequence[Finding]) -> tuple[Section, ...]:
+    """The section that begins the page of a measured result: its findings; none without any."""
+    if not findings:
+        return ()
+    return (Section("What makes this doubtful", "", (), (findings_table(findings),)),)
+
+
+def without_findings(label: str, findings: Sequence[Any], good: str, *, see: str = "; ") -> Verdict:
+    """Passed without findings, in the words ``good``; else their number."""
+    count = len(findings)
+    words = f"{count} finding{'s' * (count > 1)}{see}see below"
+    return Verdict(label, not count, words if count else good)
+
+
+def believed(verb: str, findings: Sequence[Any]) -> Verdict:
+    """How a measured result turned out: "identified, and nothing speaks against it"."""
+    words = (
+        f"{verb}, but to be doubted: see the findings"
+        if findings
+        else f"{verb}, and nothing speaks against it"
+    )
+    return Verdict("Result", not findings, words)
+
+
+def machine_fact(machine: Machine) -> tuple[str, str]:
+    """The machine file in the head of a page: its name and the first digits of its hash."""
+    return "Machine file", f"{machine.name}, {machine_hash(machine)[:12]}"
+
+
+def capitalised(notes: Sequence[str], joint: str = " ", end: str = ".") -> str:
+    """Notes as sentences: each begins with a capital."""
+    return joint.join(f"{note[:1].upper()}{note[1:]}{end}" for note in notes)
 
 
 def overview_tables(verifications: Sequence[Checks]) -> tuple[Table, ...]:
-    """One row per check that has a limit somewhere, one column per operating point: the verification at a glance.
+    """One row per check that has a limit somewhere, one column per operating point: the
+    verification at a glance.
 
     Many operating points are cut into several tables, so that each fits on paper.
     """
     every = [check for checks in verifications for check in checks.checks]
     judged = [check for check in every if check.passed is not None]
-    names = list(dict.fromkeys(check.name for check in judged or every))  # of all checks where none has a limit
+    # of all checks where none has a limit
+    names = list(dict.fromkeys(check.name for check in judged or every))
     starts = range(0, len(verifications), _WIDEST)
     parts = [verifications[i : i + _WIDEST] for i in starts]
-    return tuple(_overview_table(part, names, i + 1 if len(parts) > 1 else 0) for i, part in enumerate(parts))
+    return tuple(
+        _overview_table(part, names, i + 1 if len(parts) > 1 else 0) for i, part in enumerate(parts)
+    )
 
 
 def _overview_table(verifications: Sequence[Checks], names: Sequence[str], part: int) -> Table:
-    stable = (Cell("stable", "pass") if checks.stable else Cell("unstable", "fail") for checks in verifications)
+    stable = (
+        Cell("stable", "pass") if checks.stable else Cell("unstable", "fail")
+        for checks in verifications
+    )
     rows: list[tuple[str | Cell, ...]] = [("Stability", Cell("", "number"), *stable)]
     for name in names:
-        matches = [next((check for check in checks.checks if check.name == name), None) for checks in verifications]
+        matches = [
+            next((check for check in checks.checks if check.name == name), None)
+            for checks in verifications
+        ]
         first = next((check for check in matches if check is not None), None)
         limits = {_value_and_limit(check)[1] for check in matches if check is not None}
         if first is None:
             continue
         cells = (_overview_cell(check, with_limit=len(limits) > 1) for check in matches)
-        rows.append((units.prose(first.title), Cell(limits.pop() if len(limits) == 1 else "", "number"), *cells))
+        rows.append(
+            (
+                units.prose(first.title),
+                Cell(limits.pop() if len(limits) == 1 else "", "number"),
+                *cells,
+            )
+        )
     columns = ("Quantity", "Limit", *(checks.label for checks in verifications))
     note = "✓ pass, ✗ fail, – no limit. Quantities without any limit are in the detailed tables."
     rest = 60 // max(len(verifications), 3)
     widths = (100 - 12 - rest * len(verifications), 12, *(rest for _ in verifications))
-    return Table("All operating points" + (f", part {part}" if part else ""), columns, tuple(rows), note, widths)
+    return Table(
+        "All operating points" + (f", part {part}" if part else ""),
+        columns,
+        tuple(rows),
+        note,
+        widths,
+    )
 
 
 def _overview_cell(check: Check | None, *, with_limit: bool) -> Cell:
     if check is None:
         return Cell("not evaluated", "muted")
     value, limit = _value_and_limit(check, level=False)
-    words = [value + (f" ({limit})" if with_limit and limit else ""), *([f"zone\u00a0{check.zone}"] if check.zone else [])]
-    return Cell(" · ".join(words), "none" if check.passed is None else "pass" if check.passed else "fail")
+    words = [
+        value + (f" ({limit})" if with_limit and limit else ""),
+        *([f"zone\u00a0{check.zone}"] if check.zone else []),
+    ]
+    return Cell(
+        " · ".join(words), "none" if check.passed is None else "pass" if check.passed else "fail"
+    )
 
 
 def operating_points_table(points: Sequence[OperatingPoint]) -> Table:
     """Speed, seal pressure and bias current of the operating points."""
     rows: list[Row] = []
     for point in points:
-        speed = f"{units.number(point.speed * units.RPM, 5)} rpm ({units.quantity(point.speed, 'rad/s')})"
-        bias = "machine's" if point.bias_current is None else units.quantity(point.bias_current, "A")
+        speed = (
+            f"{units.number(point.speed * units.RPM, 5)} rpm "
+            f"({units.quantity(point.speed, 'rad/s')})"
+        )
+        bias = (
+            "machine's" if point.bias_current is None else units.quantity(point.bias_current, "A")
+        )
         rows.append((point.label, *numbers(speed, units.quantity(point.seal_pressure, "Pa"), bias)))
     columns = ("Operating point", "Speed", "Seal pressure difference", "Bias current")
     return Table("Operating points", columns, tuple(rows))
@@ -143,48 +253,115 @@ def stations_table(machine: Machine) -> Table:
     """What acts on the rotor, where, and how strongly, from left to right."""
     rows: list[tuple[float, str, str]] = []
     for bearing in machine.bearings:
-        words = [f"bias {units.quantity(bearing.bias_current, 'A')}", f"ζ at {units.quantity(bearing.angle, 'rad')}"]
-        words += _pair_of("kᵢ", bearing.force_per_current, "N/A") + _pair_of("kₛ", bearing.negative_stiffness, "N/m")
+        words = [
+            f"bias {units.quantity(bearing.bias_current, 'A')}",
+            f"ζ at {units.quantity(bearing.angle, 'rad')}",
+        ]
+        words += _pair_of("kᵢ", bearing.force_per_current, "N/A") + _pair_of(
+            "kₛ", bearing.negative_stiffness, "N/m"
+        )
         limits = [("gap", bearing.gap, "m"), ("touchdown gap", bearing.touchdown_gap, "m")]
-        limits += [("largest control current", bearing.max_current, "A"), ("largest force", bearing.max_force, "N")]
-        words += [f"{name} {units.quantity(value, unit)}" for name, value, unit in limits if value is not None]
+        limits += [
+            ("largest control current", bearing.max_current, "A"),
+            ("largest force", bearing.max_force, "N"),
+        ]
+        words += [
+            f"{name} {units.quantity(value, unit)}"
+            for name, value, unit in limits
+            if value is not None
+        ]
         rows.append((bearing.position, f"bearing {bearing.name}", ", ".join(words)))
     for sensor in machine.sensors:
-        lag = "no lag" if sensor.bandwidth is None else f"bandwidth {units.quantity(sensor.bandwidth, 'rad/s')}"
+        lag = (
+            "no lag"
+            if sensor.bandwidth is None
+            else f"bandwidth {units.quantity(sensor.bandwidth, 'rad/s')}"
+        )
         words = [*_pair_of("gain", sensor.gain, ""), lag]
         words += [] if sensor.angle is None else [f"at {units.quantity(sensor.angle, 'rad')}"]
         words += [] if sensor.weight == 1 else [f"weight {units.number(sensor.weight)}"]
         rows.append((sensor.position, f"sensor {sensor.bearing}", ", ".join(words)))
     for seal in machine.seals:
         values = (
-            (c, getattr(seal, c), u) for c, u in (("K", "N/m"), ("k", "N/m"), ("C", "N s/m"), ("c", "N s/m"), ("M", "kg"))
+            (c, getattr(seal, c), u)
+            for c, u in (("K", "N/m"), ("k", "N/m"), ("C", "N s/m"), ("c", "N s/m"), ("M", "kg"))
         )
         words = [f"{name} {units.quantity(value, unit)}" for name, value, unit in values if value]
-        words += [] if seal.reference_pressure is None else [f"at {units.quantity(seal.reference_pressure, 'Pa')}"]
+        words += (
+            []
+            if seal.reference_pressure is None
+            else [f"at {units.quantity(seal.reference_pressure, 'Pa')}"]
+        )
         words += [] if seal.table is None else ["coefficients from a table"]
         words += [] if seal.geometry is None else ["coefficients from its geometry"]
-        words += [] if seal.frequency_dependence == "synchronous" else [f"frequency dependence with {seal.poles} poles"]
-        rows.append((seal.position, _titled("seal", seal.name), ", ".join(words) or "no coefficients"))
-    for coupling in machine.couplings:
-        words = _pair_of("stiffness", coupling.stiffness, "N/m")
-        words += _pair_of("damping", coupling.damping, "N s/m") if any(coupling.damping) else []
-        rows.append((coupling.position, _titled("coupling", coupling.name), ", ".join(words)))
+        words += (
+            []
+            if seal.frequency_dependence == "synchronous"
+            else [f"frequency dependence with {seal.poles} poles"]
+        )
+        rows.append(
+            (seal.position, _titled("seal", seal.name), ", ".join(words) or "no coefficients")
+        )
+    for effect, part in attached(machine):
+        title = _titled(effect.table.replace("_", " "), part.name)
+        words = _figures_of(part)
+        rows += [(station.position, title, ", ".join(words)) for station in effect.stations(part)]
     for support in machine.supports:
-        place = next(bearing.position for bearing in machine.bearings if bearing.name == support.bearing)
-        pairs = (("mass", support.mass, "kg"), ("stiffness", support.stiffness, "N/m"), ("damping", support.damping, "N s/m"))
-        words = [f"{name} {' and '.join(units.quantity(v, u) for v in dict.fromkeys(pair))}" for name, pair, u in pairs]
-        words += [f"with seal {name}" for name in support.seals] + ["sensors on the ground"] * (support.sensor == "ground")
+        place = next(
+            bearing.position for bearing in machine.bearings if bearing.name == support.bearing
+        )
+        pairs = (
+            ("mass", support.mass, "kg"),
+            ("stiffness", support.stiffness, "N/m"),
+            ("damping", support.damping, "N s/m"),
+        )
+        words = [
+            f"{name} {' and '.join(units.quantity(v, u) for v in dict.fromkeys(pair))}"
+            for name, pair, u in pairs
+        ]
+        words += [f"with seal {name}" for name in support.seals] + ["sensors on the ground"] * (
+            support.sensor == "ground"
+        )
         rows.append((place, f"support {support.bearing}", ", ".join(words)))
     for disc in machine.discs:
         inertias = (("polar", disc.polar_inertia), ("diametral", disc.diametral_inertia))
-        words = [f"{name} inertia {units.quantity(value, 'kg m2')}" for name, value in inertias if value]
-        rows.append((disc.position, units.axis_name(disc.name), ", ".join([f"mass {units.quantity(disc.mass, 'kg')}", *words])))
-    cells = tuple((what, Cell(units.number(x * 1e3, 4), "number"), text) for x, what, text in sorted(rows))
+        words = [
+            f"{name} inertia {units.quantity(value, 'kg m2')}" for name, value in inertias if value
+        ]
+        rows.append(
+            (
+                disc.position,
+                units.axis_name(disc.name),
+                ", ".join([f"mass {units.quantity(disc.mass, 'kg')}", *words]),
+            )
+        )
+    cells = tuple(
+        (what, Cell(units.number(x * 1e3, 4), "number"), text) for x, what, text in sorted(rows)
+    )
     return Table("Stations", ("Station", "Position [mm]", "Data"), cells)
 
 
 def _titled(kind: str, name: str) -> str:
     return name if name.lower() == kind else f"{kind} {units.axis_name(name)}"
+
+
+def _figures_of(part: Part) -> list[str]:
+    """The numbers of a registered effect's part that are not at their default, in words; of a list
+    or a table how many there are.
+    """
+    words = []
+    for key in part.to_dict():
+        value = getattr(part, key)
+        name = key.replace("_", " ")
+        unit, _ = unit_and_names(type(part), key)  # type: ignore[arg-type]  # a class is hashable
+        pair = isinstance(value, tuple) and len(value) == 2
+        if pair and all(isinstance(number, float) for number in value):
+            words += _pair_of(name, value, unit)
+        elif isinstance(value, float) and key not in {"position", "angle"}:
+            words.append(f"{name} {units.quantity(value, unit)}")
+        elif isinstance(value, tuple):
+            words.append(f"{name} at {len(value)} points")
+    return words
 
 
 def _pair_of(name: str, values: tuple[float, float] | None, unit: str) -> list[str]:

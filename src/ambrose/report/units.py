@@ -1,6 +1,7 @@
 """Numbers and units as people read them: the only place that leaves SI for the page.
 
-Everything arrives in SI (rad/s, m, A, N, Pa); ``scale`` says which unit is shown and by which factor, the rest is text.
+Everything arrives in SI (rad/s, m, A, N, Pa); ``scale`` says which unit is shown and by which
+factor, the rest is text.
 """
 
 from __future__ import annotations
@@ -11,7 +12,8 @@ import re
 TWO_PI = 2.0 * math.pi
 RPM = 60.0 / TWO_PI  # rpm per rad/s
 
-# SI unit -> shown units as (magnitude from which it is used, factor, name); the first row is the smallest.
+# SI unit -> shown units as (magnitude from which it is used, factor, name); the first row is the
+# smallest.
 _SHOWN: dict[str, tuple[tuple[float, float, str], ...]] = {
     "m": ((0.0, 1e6, "µm"), (1e-2, 1e3, "mm")),
     "rad/s": ((0.0, 1 / TWO_PI, "Hz"),),
@@ -35,7 +37,9 @@ _GREEK = {"zeta": "ζ", "eta": "η", "sigma": "σ", "omega": "ω", "mu": "µ"}
 
 
 def scale(unit: str, magnitude: float = 0.0) -> tuple[float, str]:
-    """The factor and the name of the unit in which a quantity of that SI unit and magnitude is shown."""
+    """The factor and the name of the unit in which a quantity of that SI unit and magnitude is
+    shown.
+    """
     rows = _SHOWN.get(unit, ((0.0, 1.0, unit),))
     size = abs(magnitude) if math.isfinite(magnitude) else 0.0
     _, factor, name = max((row for row in rows if row[0] <= size), key=lambda row: row[0])
@@ -58,10 +62,13 @@ def number(value: float, digits: int = 3) -> str:
     mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
     power = int(exponent)
     if -4 < power < 6:
-        text = f"{float(f'{value:.{digits - 1}e}'):,.{max(digits - 1 - power, 0)}f}".replace(",", "\u202f")
+        text = f"{float(f'{value:.{digits - 1}e}'):,.{max(digits - 1 - power, 0)}f}".replace(
+            ",", "\u202f"
+        )
         text = text.rstrip("0").rstrip(".") if "." in text else text
     else:
-        text = f"{mantissa.rstrip('0').rstrip('.') if '.' in mantissa else mantissa}×10{str(power).translate(_SUPERSCRIPTS)}"
+        short = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
+        text = f"{short}×10{str(power).translate(_SUPERSCRIPTS)}"
     return text.replace("-", "−", 1) if text.startswith("-") else text
 
 
@@ -72,13 +79,19 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
 
 
 def join(text: str, unit: str) -> str:
-    """A number's text and its unit; the degree sign sits close, all others after a no-break space."""
+    """A number's text and its unit; the degree sign sits close, all others after a no-break
+    space.
+    """
     return text + ("" if unit in {"", "°"} else "\u00a0") + unit
 
 
 def pair(value: float, limit: float, unit: str) -> tuple[str, str]:
-    """Value and limit in one shown unit, with as many digits as it takes to tell them apart (3.0004 is not "3")."""
-    factor, name = scale(unit, max((abs(x) for x in (value, limit) if math.isfinite(x)), default=0.0))
+    """Value and limit in one shown unit, with as many digits as it takes to tell them apart (3.0004
+    is not "3").
+    """
+    factor, name = scale(
+        unit, max((abs(x) for x in (value, limit) if math.isfinite(x)), default=0.0)
+    )
     for digits in range(3, 9):
         left, right = number(value * factor, digits), number(limit * factor, digits)
         if left != right or value == limit:
@@ -105,3 +118,16 @@ def axis_name(name: str) -> str:
 def prose(text: str) -> str:
     """Text with the axes written as people do: "loop A_zeta" -> "loop A ζ"."""
     return re.sub(r"(?<=[A-Za-z0-9])_(zeta|eta)\b", lambda found: "\u00a0" + _GREEK[found[1]], text)
+
+
+def fixed(value: float, half: float) -> str:
+    """A number with as many digits as its half-width makes sense of: two of the half-width's."""
+    if not (math.isfinite(value) and math.isfinite(half)) or half <= 0 or value == 0:
+        return number(value, 5)
+    digits = 2 + math.floor(math.log10(abs(value))) - math.floor(math.log10(half))
+    return number(value, min(max(digits, 1), 9))
+
+
+def plus_minus(value: float, half: float, unit: str) -> str:
+    """ "3.10 ± 0.04 kN/m", all in the shown unit."""
+    return f"{fixed(value, half)} ± {number(half, 2)} {unit}"

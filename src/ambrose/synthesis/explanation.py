@@ -9,19 +9,20 @@ import numpy as np
 from ambrose.core.checks import AmbroseError
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
+from ambrose.judge.result import Synthesis
+from ambrose.judge.unavoidable import beyond_reach, unavoidable_sensitivity
+from ambrose.law.law import law_of
+from ambrose.law.loop import closed_loop
+from ambrose.law.timing import DEFAULT, Timing
 from ambrose.machine.criteria import SENSITIVITY, demand
 from ambrose.machine.machine import Machine
-from ambrose.physics.rotor import free_modes
-from ambrose.plant.assemble import assemble
-from ambrose.plant.basis import bending_modes_of
-from ambrose.plant.loop import closed_loop, law_at
-from ambrose.plant.model import Plant
-from ambrose.plant.reduce import reduce_from
-from ambrose.plant.static_load import magnet_coefficients
-from ambrose.plant.timing import DEFAULT, Timing
-from ambrose.plant.unavoidable import beyond_reach, unavoidable_sensitivity
+from ambrose.model.assemble import assemble
+from ambrose.model.basis import bending_modes_of
+from ambrose.model.effects.rotor import free_modes
+from ambrose.model.plant import Plant
+from ambrose.model.reduce import reduce_from
+from ambrose.model.static_load import magnet_coefficients
 from ambrose.synthesis.pid import channel_chains
-from ambrose.synthesis.result import Synthesis
 
 _ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth")
 _PEAK = "maximum singular value of a sensitivity"
@@ -29,17 +30,27 @@ _TRIED = 6  # bending modes
 _TWO_PI = 2 * np.pi
 
 
-def explained(plant: Plant, result: Synthesis, timing: Timing | None, bending_modes: int) -> Synthesis:
-    """The synthesis; a note says why where it does not hold an operating point, and where its S_o is above the file's
-    limit or only a continuous controller would."""
-    result = replace(result, notes=(*result.notes, *_above_limit(plant, result), *_unsampled(plant, result, timing)))
+def explained(
+    plant: Plant, result: Synthesis, timing: Timing | None, bending_modes: int
+) -> Synthesis:
+    """The synthesis; a note says why where it does not hold an operating point, and where its S_o
+    is above the file's limit or only a continuous controller would.
+    """
+    result = replace(
+        result,
+        notes=(*result.notes, *_above_limit(plant, result), *_unsampled(plant, result, timing)),
+    )
     lost = [label for label, abscissa in result.certificate.envelope.items() if not abscissa < 0]
     if result.status != "unstable" and not lost:
         missed = result.method == "tuned" and result.gamma > 1
         why = why_none(plant, timing) if missed else ""
         return replace(result, notes=(*result.notes, why)) if why else result
     point = next((p for p in plant.machine.operation.envelope if p.label in lost), plant.point)
-    place = plant if result.status == "unstable" or plant.point.label in lost else assemble(plant.machine, point)
+    place = (
+        plant
+        if result.status == "unstable" or plant.point.label in lost
+        else assemble(plant.machine, point)
+    )
     try:
         reason = why_unstable(place, result.law, timing, bending_modes, result.method)
     except AmbroseError:
@@ -49,18 +60,25 @@ def explained(plant: Plant, result: Synthesis, timing: Timing | None, bending_mo
 
 
 def _above_limit(plant: Plant, result: Synthesis) -> list[str]:
-    """Stable is not good enough: what the certificate's peak says against the machine's own limit. Tuning tells it itself."""
+    """Stable is not good enough: what the certificate's peak says against the machine's own limit.
+    Tuning tells it itself.
+    """
     margins, limit = result.certificate.margins, demand(_PEAK, plant.machine.requirements).limit
     names = ("sampled_sensitivity_peak", "full_sensitivity_peak", "sensitivity_peak")
     peak = next((margins[name] for name in names if name in margins), 0.0)
     if result.method == "tuned" or limit is None or not limit < peak < np.inf:
         return []
-    return [f"sigma_max(S_o) of {peak:.3g} is above the machine's limit of {limit:g}; verify tells all that is missed"]
+    return [
+        f"sigma_max(S_o) of {peak:.3g} is above the machine's limit of {limit:g}; verify tells "
+        "all that is missed"
+    ]
 
 
 def _unsampled(plant: Plant, result: Synthesis, timing: Timing | None) -> list[str]:
-    """Where nobody stated a rate the loop was judged continuous; whether it would run at the rate that the rig assumes."""
-    law = law_at(result.law, plant.point)
+    """Where nobody stated a rate the loop was judged continuous; whether it would run at the rate
+    that the rig assumes.
+    """
+    law = law_of(result.law).at(plant.point)
     if timing is not None or law.dt is not None or result.status == "unstable":
         return []
     modes = min(_TRIED, bending_modes_of(plant.rotor_model))
@@ -72,7 +90,10 @@ def _unsampled(plant: Plant, result: Synthesis, timing: Timing | None) -> list[s
         return []
     late = f"{DEFAULT.rate:g} Hz and one sample late, as virtual rig and export assume,"
     pole = f"{abscissa:+.4g} rad/s at {frequency:.4g} Hz"
-    return [f"judged as continuous; at {late} it would be unstable ({pole}); state the rate, --rate-hz or sample_time"]
+    return [
+        f"judged as continuous; at {late} it would be unstable ({pole}); state the rate, "
+        "--rate-hz or sample_time"
+    ]
 
 
 def why_none(plant: Plant, timing: Timing | None) -> str:
@@ -85,10 +106,16 @@ def why_none(plant: Plant, timing: Timing | None) -> str:
 
 
 def why_unstable(
-    plant: Plant, law: StateSpace | ScheduledSystem, timing: Timing | None, bending_modes: int, method: str
+    plant: Plant,
+    law: StateSpace | ScheduledSystem,
+    timing: Timing | None,
+    bending_modes: int,
+    method: str,
 ) -> str:
-    """Why a law does not hold a full plant: a bending mode, a gain below k_s/k_i, or what the poles tell."""
-    runs = law_at(law, plant.point)
+    """Why a law does not hold a full plant: a bending mode, a gain below k_s/k_i, or what the poles
+    tell.
+    """
+    runs = law_of(law).at(plant.point)
     runs = runs if timing is None else timing.in_loop(runs)
     margin = stiffness_margin(plant.machine) if method == "pid" else None
     if margin is not None and margin < 1:
@@ -105,21 +132,36 @@ def why_unstable(
             break
         what = f"the {_ORDINALS[kept - 1]} bending mode ({modes[kept - 1]:.4g} Hz)"
         if method == "pid":
-            return f"{what} is driven unstable by the [controller]; add a [[controller.notch]] there, or use method tuned"
+            return (
+                f"{what} is driven unstable by the [controller]; add a [[controller.notch]] there, "
+                "or use method tuned"
+            )
         if kept > bending_modes:
-            return f"{what} is not in the design model; design with --bending-modes {kept}, or use method tuned"
-        return f"{what} is driven unstable although it is in the design model; lower weights.bandwidth, or use method tuned"
+            return (
+                f"{what} is not in the design model; design with --bending-modes {kept}, or use "
+                "method tuned"
+            )
+        return (
+            f"{what} is driven unstable although it is in the design model; lower "
+            "weights.bandwidth, or use method tuned"
+        )
     abscissa, frequency = _rightmost(plant, runs)
     where = f"{frequency:.4g} Hz" if frequency > 0 else "standstill of whirl"
     if why := why_none(plant, timing):
         return why
     loop = "" if timing is None else " as it runs, sampled and late,"
-    remedy = "tune its gains and times, or sample faster" if method == "tuned" else "use method tuned, or sample faster"
+    remedy = (
+        "tune its gains and times, or sample faster"
+        if method == "tuned"
+        else "use method tuned, or sample faster"
+    )
     return f"the loop{loop} has a pole at {abscissa:+.4g} rad/s ({where}); {remedy}"
 
 
 def stiffness_margin(machine: Machine) -> float | None:
-    """The least K_p k_i / k_s of the channels of the reference controller; below 1 a bearing pushes away at rest."""
+    """The least K_p k_i / k_s of the channels of the reference controller; below 1 a bearing pushes
+    away at rest.
+    """
     if machine.reference is None:
         return None
     k_i, k_s = magnet_coefficients(machine, machine.operation.design)
@@ -133,7 +175,8 @@ def stiffness_margin(machine: Machine) -> float | None:
 def below_stiffness(margin: float) -> str:
     """What to say of a margin below one."""
     return (
-        f"K_p k_i is below k_s ({margin:.3g} of it): the [controller] leaves negative stiffness and holds nothing; raise gain "
+        f"K_p k_i is below k_s ({margin:.3g} of it): the [controller] leaves negative stiffness "
+        "and holds nothing; raise gain "
         f"{1.5 / margin:.2g} times or more"
     )
 

@@ -1,7 +1,9 @@
-"""The reference controller: decentralised PID or filter bank, as vendors ship them, certified on the plant it is meant for.
+"""The reference controller: decentralised PID or filter bank, as vendors ship them, certified on
+the plant it is meant for.
 
-With e_y = r - y and u = K e_y (loop diagram in core/lft.py) and the bearing's force f = k_i i + k_s x, a positive gain
-pulls the rotor back: it must exceed k_s / k_i before the loop has any stiffness at all.
+With e_y = r - y and u = K e_y (loop diagram in core/lft.py) and the bearing's force f = k_i i + k_s
+x, a positive gain pulls the rotor back: it must exceed k_s / k_i before the loop has any stiffness
+at all.
 """
 
 from __future__ import annotations
@@ -13,57 +15,81 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_finite, invalid, named_failure
 from ambrose.core.statespace import StateSpace
-from ambrose.machine.controller import CONTROLLER_COORDINATES, MODES, PidSettings, Section, modal_channels
+from ambrose.judge.as_it_runs import certify_as_it_runs
+from ambrose.judge.certificate import certify
+from ambrose.judge.result import Status, Synthesis
+from ambrose.law.filters import bank, chain, check_sections, section_matrix
+from ambrose.law.timing import Timing, machine_timing
+from ambrose.machine.controller import (
+    CONTROLLER_COORDINATES,
+    MODES,
+    PidSettings,
+    Section,
+    modal_channels,
+)
 from ambrose.machine.machine import Machine
 from ambrose.machine.validation.controller import channel_problems
-from ambrose.physics import sensor
-from ambrose.physics.rotor import finite_element_rotor, mass_properties
-from ambrose.plant.model import Plant
-from ambrose.plant.ports import measured_ports, sensor_turn
-from ambrose.plant.static_load import magnet_coefficients
-from ambrose.plant.timing import Timing, machine_timing
-from ambrose.synthesis.as_it_runs import certify_as_it_runs
-from ambrose.synthesis.certificate import certify
-from ambrose.synthesis.filters import bank, chain, check_sections, section_matrix
-from ambrose.synthesis.result import Status, Synthesis
+from ambrose.model.effects import sensor
+from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
+from ambrose.model.plant import Plant
+from ambrose.model.ports import measured_ports, sensor_turn
+from ambrose.model.static_load import magnet_coefficients
+
+
+def pid_synthesis(
+    plant: Plant, settings: PidSettings | None = None, timing: Timing | None = None
+) -> Synthesis:
+    """The PID controller of the settings (None: of the plant's machine), certified on the plant.
+
+    The controller returned is continuous. With a timing (None: that of the settings) the sampled
+    and delayed one is certified as well (``certify_as_it_runs``), and both must be stable for the
+    status "verified"; otherwise it is "unstable", which is a verdict and raises nothing. Raises
+    InvalidInput for settings that describe no controller.
+    """
+    result = continuous_pid(plant, settings)
+    machine = replace(plant.machine, controller=result.filters)
+    return certify_as_it_runs(plant, result, timing or machine_timing(machine))
 
 
 @named_failure("the PID controller")
-def pid_synthesis(plant: Plant, settings: PidSettings | None = None, timing: Timing | None = None) -> Synthesis:
-    """The PID controller of the settings (None: of the plant's machine), certified on the plant.
-
-    The controller returned is continuous. With a timing (None: that of the settings) the sampled and delayed one is certified
-    as well (``certify_as_it_runs``), and both must be stable for the status "verified"; otherwise it is "unstable", which
-    is a verdict and raises nothing. Raises InvalidInput for settings that describe no controller.
-    """
+def continuous_pid(plant: Plant, settings: PidSettings | None = None) -> Synthesis:
+    """``pid_synthesis`` without the loop as it runs. Raises InvalidInput."""
     settings = plant.machine.reference if settings is None else settings
     if settings is None:
         raise InvalidInput(
-            f"machine {plant.machine.name!r} has no reference controller; add a [controller] with its gain or pass PidSettings"
+            f"machine {plant.machine.name!r} has no reference controller; add a [controller] with "
+            "its gain or pass PidSettings"
         )
-    design = pid_controller(settings, plant.machine)
-    certificate = certify(plant, design)
+    law = pid_controller(settings, plant.machine)
+    certificate = certify(plant, law)
     status = Status.VERIFIED if certificate.stable else Status.UNSTABLE
-    result = Synthesis(design, "pid", float("nan"), status, certificate, filters=settings)
-    return certify_as_it_runs(plant, result, timing or machine_timing(replace(plant.machine, controller=settings)))
+    return Synthesis(law, "pid", float("nan"), status, certificate, filters=settings)
 
 
 def pid_controller(settings: PidSettings, machine: Machine) -> StateSpace:
-    """The continuous controller: inputs err_<axis> [m], outputs u_<axis> [A], axes in the machine's order.
+    """The continuous controller: inputs err_<axis> [m], outputs u_<axis> [A], axes in the machine's
+    order.
 
-    Coordinates "axes" treat every actuator's axis alone, its displacement from the sensors at their angle; "tilt-translate"
-    splits the displacements into those of the parallel and of the conical mode first and scales the conical part by tilt_gain
-    (``modes``). Channels with a chain of their own run that instead. Raises InvalidInput.
+    Coordinates "axes" treat every actuator's axis alone, its displacement from the sensors at their
+    angle; "tilt-translate" splits the displacements into those of the parallel and of the conical
+    mode first and scales the conical part by tilt_gain (``modes``). Channels with a chain of their
+    own run that instead. Raises InvalidInput.
     """
     if settings.coordinates not in CONTROLLER_COORDINATES:
-        raise invalid("coordinates", repr(settings.coordinates), " or ".join(CONTROLLER_COORDINATES), "choose one of them")
+        raise invalid(
+            "coordinates",
+            repr(settings.coordinates),
+            " or ".join(CONTROLLER_COORDINATES),
+            "choose one of them",
+        )
     return axes_controller(settings, machine.axes, mixings(settings, machine))
 
 
 def mixings(settings: PidSettings, machine: Machine) -> tuple[np.ndarray, np.ndarray]:
     """From measured displacements to channels, and from channels to currents, [-] (``modes``).
 
-    Axes: sensors' directions are turned to the actuators' (``sensor_turn``), which is the identity where they are the same.
+    Axes: sensors' directions are turned to the actuators' (``sensor_turn``), which is the identity
+    where they are the same.
     """
     if settings.coordinates == "axes":
         return sensor_turn(machine), np.eye(len(machine.axes))
@@ -74,37 +100,58 @@ def mixings(settings: PidSettings, machine: Machine) -> tuple[np.ndarray, np.nda
 
 
 def first_settings(machine: Machine) -> PidSettings:
-    """A PID to start from where the machine file has none: twice the magnets' negative stiffness, half critically damped.
+    """A PID to start from where the machine file has none: twice the magnets' negative stiffness,
+    half critically damped.
 
-    Per axis K_p = 2 k_s / k_i leaves the stiffness k_s; with the rotor's mass shared by the bearings that gives w_0, and
-    T_d = 1 / (2 w_0), T_i = 20 / w_0. Nothing is promised of it; tuning starts from there. Raises InvalidInput.
+    Per axis K_p = 2 k_s / k_i leaves the stiffness k_s; with the rotor's mass shared by the
+    bearings that gives w_0, and T_d = 1 / (2 w_0), T_i = 20 / w_0. Nothing is promised of it;
+    tuning starts from there. Raises InvalidInput.
     """
     k_i, k_s = magnet_coefficients(machine, machine.operation.design)
     if not (k_i > 0).all() or not (k_s > 0).all():
-        raise InvalidInput(f"machine {machine.name!r} has magnets without force or stiffness; add a [controller] table")
-    rate = float(np.sqrt(k_s.mean() * len(machine.bearings) / mass_properties(finite_element_rotor(machine)).mass))
+        raise InvalidInput(
+            f"machine {machine.name!r} has magnets without force or stiffness; add a [controller] "
+            "table"
+        )
+    rate = float(
+        np.sqrt(
+            k_s.mean() * len(machine.bearings) / mass_properties(finite_element_rotor(machine)).mass
+        )
+    )
     return PidSettings(tuple(2 * k_s / k_i), integral_time=20 / rate, derivative_time=0.5 / rate)
 
 
 def axes_controller(
-    settings: PidSettings, axes: tuple[str, ...], mixing: tuple[np.ndarray, np.ndarray] | None = None
+    settings: PidSettings,
+    axes: tuple[str, ...],
+    mixing: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> StateSpace:
-    """The channels' chains between two mixings (``mixings``; None: every axis is a channel); no machine needed.
+    """The channels' chains between two mixings (``mixings``; None: every axis is a channel); no
+    machine needed.
 
     Raises InvalidInput.
     """
     into, out = axes_mixings(settings, axes, mixing)
-    chains = [chain(gain, [section_matrix(item) for item in sections]) for gain, sections in channel_chains(settings, axes)]
+    chains = [
+        chain(gain, [section_matrix(item) for item in sections])
+        for gain, sections in channel_chains(settings, axes)
+    ]
     return theta_system(bank(chains, into, out), axes)
 
 
 def axes_mixings(
-    settings: PidSettings, axes: tuple[str, ...], mixing: tuple[np.ndarray, np.ndarray] | None = None
+    settings: PidSettings,
+    axes: tuple[str, ...],
+    mixing: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """From displacements to channels and back (``mixings``; None: every axis is a channel), with gains that are of the axes."""
+    """From displacements to channels and back (``mixings``; None: every axis is a channel), with
+    gains that are of the axes.
+    """
     into, out = (np.eye(len(axes)),) * 2 if mixing is None else mixing
     gains = check_finite(settings.gain, "the controller's gain").ravel()
-    return into, gains[:, None] * out if gains.size == len(axes) and settings.coordinates != "axes" else out
+    return into, gains[:, None] * out if gains.size == len(
+        axes
+    ) and settings.coordinates != "axes" else out
 
 
 def theta_system(theta: np.ndarray, axes: tuple[str, ...], dt: float | None = None) -> StateSpace:
@@ -114,9 +161,14 @@ def theta_system(theta: np.ndarray, axes: tuple[str, ...], dt: float | None = No
     return StateSpace(*parts, [f"err_{a}" for a in axes], [f"u_{a}" for a in axes], dt)
 
 
-def channel_chains(settings: PidSettings, axes: tuple[str, ...]) -> list[tuple[float, tuple[Section, ...]]]:
+def channel_chains(
+    settings: PidSettings, axes: tuple[str, ...]
+) -> list[tuple[float, tuple[Section, ...]]]:
     """Gain and sections of every channel, in their order, all checked. Raises InvalidInput."""
-    check_finite([settings.tilt_gain, *settings.gain, *(item.gain for item in settings.channels)], "gain and tilt_gain")
+    check_finite(
+        [settings.tilt_gain, *settings.gain, *(item.gain for item in settings.channels)],
+        "gain and tilt_gain",
+    )
     for problem in channel_problems(settings, axes):
         raise InvalidInput(problem)
     common, modal = common_sections(settings), settings.coordinates == "tilt-translate"
@@ -128,7 +180,10 @@ def channel_chains(settings: PidSettings, axes: tuple[str, ...]) -> list[tuple[f
         gains = [gain, gain, *[settings.tilt_gain * gain] * len(axes)]
     else:
         gains = list(settings.gain) * (1 if len(settings.gain) == len(axes) else len(axes))
-    return [own[name] if name in own else (gains[i], common) for i, name in enumerate(channel_names(settings, axes))]
+    return [
+        own[name] if name in own else (gains[i], common)
+        for i, name in enumerate(channel_names(settings, axes))
+    ]
 
 
 def channel_names(settings: PidSettings, axes: tuple[str, ...]) -> tuple[str, ...]:
@@ -140,46 +195,78 @@ def channel_names(settings: PidSettings, axes: tuple[str, ...]) -> tuple[str, ..
 
 
 def common_sections(settings: PidSettings) -> tuple[Section, ...]:
-    """What [controller] says for all channels as a chain: PID, then notches, lead and low pass as far as they are set."""
+    """What [controller] says for all channels as a chain: PID, then notches, lead and low pass as
+    far as they are set.
+    """
     found = []
     if settings.integral_time is not None or settings.derivative_time is not None:
-        found.append(Section("pid", settings.integral_time, settings.derivative_time, settings.derivative_filter))
+        found.append(
+            Section(
+                "pid", settings.integral_time, settings.derivative_time, settings.derivative_filter
+            )
+        )
     for item in settings.notches:
         w = item.frequency
         found.append(
-            Section("notch", zero_frequency=w, zero_damping=item.zero_damping, pole_frequency=w, pole_damping=item.pole_damping)
+            Section(
+                "notch",
+                zero_frequency=w,
+                zero_damping=item.zero_damping,
+                pole_frequency=w,
+                pole_damping=item.pole_damping,
+            )
         )
     if settings.lead is not None:
-        found.append(Section("lead-lag", zero_frequency=settings.lead[0], pole_frequency=settings.lead[1]))
+        found.append(
+            Section("lead-lag", zero_frequency=settings.lead[0], pole_frequency=settings.lead[1])
+        )
     if settings.low_pass is not None:
-        found.append(Section("low-pass", frequency=settings.low_pass, damping=settings.low_pass_damping))
+        found.append(
+            Section("low-pass", frequency=settings.low_pass, damping=settings.low_pass_damping)
+        )
     return tuple(found)
 
 
 def modes(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
-    """From measured displacements to the rotor's coordinates, (c, 2 n) [-], and from these to currents, (2 n, c) [-].
+    """From measured displacements to the rotor's coordinates, (c, 2 n) [-], and from these to
+    currents, (2 n, c) [-].
 
-    In the order of ``modal_channels``, n bearings: the translation of the point midway between the outermost bearings, (t_x,
-    t_y) [m], and the displacement at these that tilting causes, (p_x, p_y) [m]. S maps them to the sensors' readings; its
-    pseudo-inverse gives the rigid motion nearest to what is measured. V gives all bearings equal currents for t, and for p in
-    proportion to their lever. Of three bearings and more each further channel bend_k is what is left, along the k-th of the
-    orthonormal polynomials of degree two and more over the places. All channels together, with sensors at the bearings, are
-    the identity; tilt and translate alone are exact for every rigid motion. Raises InvalidInput for bearings at one place.
+    In the order of ``modal_channels``, n bearings: the translation of the point midway between the
+    outermost bearings, (t_x, t_y) [m], and the displacement at these that tilting causes, (p_x,
+    p_y) [m]. S maps them to the sensors' readings; its pseudo-inverse gives the rigid motion
+    nearest to what is measured. V gives all bearings equal currents for t, and for p in proportion
+    to their lever. Of three bearings and more each further channel bend_k is what is left, along
+    the k-th of the orthonormal polynomials of degree two and more over the places. All channels
+    together, with sensors at the bearings, are the identity; tilt and translate alone are exact for
+    every rigid motion. Raises InvalidInput for bearings at one place.
     """
     places = np.array([bearing.position for bearing in machine.bearings])
     read = measured_ports(machine)[0::2]
     readings = np.array([port.position for port in read])
     for what, values in (("bearing", places), ("sensor", readings)):
         if (np.diff(np.sort(values)) < 1e-6).any():
-            raise invalid(f"the {what} positions", values.tolist(), "apart from each other", "use coordinates 'axes'")
-    middle, half = (places.max() + places.min()) / 2, np.ptp(places) / 2 * (1 if places[-1] >= places[0] else -1)
+            raise invalid(
+                f"the {what} positions",
+                values.tolist(),
+                "apart from each other",
+                "use coordinates 'axes'",
+            )
+    middle, half = (
+        (places.max() + places.min()) / 2,
+        np.ptp(places) / 2 * (1 if places[-1] >= places[0] else -1),
+    )
 
     def shapes(at: np.ndarray, angles: Sequence[float]) -> np.ndarray:
         lever = (at - middle) / (half or 1.0)
         rigid = np.column_stack([np.ones(len(at)), lever])[:, : len(at)]
         bent, R = np.linalg.qr(np.vander(lever, len(at), increasing=True))
         whole = np.hstack([rigid, (bent * np.sign(np.diag(R)))[:, 2:]])
-        return np.vstack([np.kron(row, sensor.rotation(-angle)) for row, angle in zip(whole, angles, strict=True)])
+        return np.vstack(
+            [
+                np.kron(row, sensor.rotation(-angle))
+                for row, angle in zip(whole, angles, strict=True)
+            ]
+        )
 
     S = shapes(readings, [port.direction for port in read])
     return np.linalg.inv(S), shapes(places, [bearing.angle for bearing in machine.bearings])

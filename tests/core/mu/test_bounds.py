@@ -1,4 +1,6 @@
-"""Structured singular value: textbook values, structure of what is returned, scaling extremes, refusals, frequency."""
+"""Structured singular value: textbook values, structure of what is returned, scaling extremes,
+refusals, frequency.
+"""
 
 from __future__ import annotations
 
@@ -34,21 +36,30 @@ def test_skogestad_postlethwaite_example_8_5():
         assert float(diagonal.upper) == pytest.approx(3.0, rel=1e-6)
         assert float(diagonal.lower) == pytest.approx(3.0, rel=1e-6)
         worst = diagonal.worst()
-        assert (worst["a"], worst["b"]) == (pytest.approx(1 / 3, rel=1e-6), pytest.approx(-1 / 3, rel=1e-6))
+        assert (worst["a"], worst["b"]) == (
+            pytest.approx(1 / 3, rel=1e-6),
+            pytest.approx(-1 / 3, rel=1e-6),
+        )
     assert float(mu_bounds(M, [ComplexBlock("c", 2)]).upper) == pytest.approx(1.0, rel=1e-4)
 
 
-@pytest.mark.parametrize(("m", "mu"), [(6.78j, 0.0), (5.34, 5.34), (-5.34, 5.34), (0.0, 0.0), (3 + 1e-3j, 0.0)])
+@pytest.mark.parametrize(
+    ("m", "mu"), [(6.78j, 0.0), (5.34, 5.34), (-5.34, 5.34), (0.0, 0.0), (3 + 1e-3j, 0.0)]
+)
 def test_one_real_scalar(m, mu):
     result = mu_bounds([[m]], [RealBlock("d")])
     assert float(result.lower) == pytest.approx(mu, rel=1e-12)
     assert float(result.upper) == pytest.approx(mu, rel=1e-6, abs=1e-6)
-    assert float(mu_bounds([[m]], [RealBlock("d")], g_scaling=False).upper) == pytest.approx(abs(m), rel=1e-12)
+    assert float(mu_bounds([[m]], [RealBlock("d")], g_scaling=False).upper) == pytest.approx(
+        abs(m), rel=1e-12
+    )
 
 
 @pytest.mark.campaign
 def test_real_structure_matters_and_the_order_of_bounds_holds():
-    """Refining the structure can only lower mu: full >= repeated complex and diagonal complex >= real."""
+    """Refining the structure can only lower mu: full >= repeated complex and diagonal complex >=
+    real.
+    """
     M = random_matrix(1, 50, 3, 3)
     full = mu_bounds(M, [FullBlock("f", 3, 3)]).upper
     diagonal = mu_bounds(M, [ComplexBlock(n) for n in "abc"]).upper
@@ -62,11 +73,19 @@ def test_real_structure_matters_and_the_order_of_bounds_holds():
 
 
 def test_the_scalings_prove_the_upper_bound():
-    """M^H D_z^2 M + j (G M - M^H G^H) <= upper^2 D_w^2, and D, G have the block structure; evaluated from the definition."""
+    """M^H D_z^2 M + j (G M - M^H G^H) <= upper^2 D_w^2, and D, G have the block structure;
+    evaluated from the definition.
+    """
     M = random_matrix(2, 20, 5, 6)
     result = mu_bounds(M, MIXED, lower=False)
-    for m, upper, D_w, D_z, G in zip(M, result.upper, result.D_w, result.D_z, result.G, strict=True):
-        gap = m.conj().T @ D_z @ D_z @ m + 1j * (G @ m - m.conj().T @ G.conj().T) - upper**2 * D_w @ D_w
+    for m, upper, D_w, D_z, G in zip(
+        M, result.upper, result.D_w, result.D_z, result.G, strict=True
+    ):
+        gap = (
+            m.conj().T @ D_z @ D_z @ m
+            + 1j * (G @ m - m.conj().T @ G.conj().T)
+            - upper**2 * D_w @ D_w
+        )
         size = np.linalg.norm(upper**2 * D_w @ D_w, 2)
         assert np.linalg.eigvalsh(gap).max() <= 1e-9 * size
         assert D_w[:3, :3] == pytest.approx(D_z[:3, :3])
@@ -111,7 +130,9 @@ def test_zero_matrix():
 
 @pytest.mark.campaign
 def test_scaling_of_units_changes_nothing():
-    """Channel units from 1e-9 to 1e9: mu is invariant to a scaling that commutes with Delta, and homogeneous."""
+    """Channel units from 1e-9 to 1e9: mu is invariant to a scaling that commutes with Delta, and
+    homogeneous.
+    """
     M = random_matrix(5, 10, 5, 6)
     plain = mu_bounds(M, MIXED)
     rng = np.random.default_rng(0)
@@ -194,7 +215,8 @@ def test_an_early_stop_still_gives_bounds():
     assert (rough.upper >= fine.lower).all()
 
 
-# ---- over frequency -------------------------------------------------------------------------------------------------
+# ---- over frequency
+# -------------------------------------------------------------------------------------------------
 
 
 def resonant(damping=0.002):
@@ -237,8 +259,15 @@ def test_peak_between_grid_points_is_found():
 
 def test_peak_of_a_callable_and_without_lower_bound():
     system = resonant(0.05)
-    peak = mu_peak(lambda omega: frequency_response(system, omega).values, BLOCKS, np.geomspace(1, 100, 60), lower=False)
-    assert peak.upper == pytest.approx(mu_peak(system, BLOCKS, np.geomspace(1, 100, 60)).upper, rel=2e-4)
+    peak = mu_peak(
+        lambda omega: frequency_response(system, omega).values,
+        BLOCKS,
+        np.geomspace(1, 100, 60),
+        lower=False,
+    )
+    assert peak.upper == pytest.approx(
+        mu_peak(system, BLOCKS, np.geomspace(1, 100, 60)).upper, rel=2e-4
+    )
     assert peak.lower == 0
 
 
@@ -249,22 +278,33 @@ def test_a_proof_is_tight_on_both_sides():
 
 
 def test_a_proof_does_not_believe_the_grid():
-    """A level above mu on a coarse grid but below the true peak: a grid says yes, the proof says no."""
+    """A level above mu on a coarse grid but below the true peak: a grid says yes, the proof says
+    no.
+    """
     system = resonant()
     omega = np.geomspace(1, 100, 40)
-    level = 1.3 * mu_bounds(frequency_response(system, omega).values, BLOCKS, lower=False).upper.max()
+    level = (
+        1.3 * mu_bounds(frequency_response(system, omega).values, BLOCKS, lower=False).upper.max()
+    )
     assert not proved_below(system, BLOCKS, level)
 
 
 @pytest.mark.campaign
 def test_proofs_of_random_systems_agree_with_a_fine_grid():
-    """12 random systems: never proved below a lower bound found on a grid; proved with 1 % room above the upper one."""
+    """12 random systems: never proved below a lower bound found on a grid; proved with 1 % room
+    above the upper one.
+    """
     rng = np.random.default_rng(8)
     blocks = [RealBlock("k", 2), FullBlock("f", 2, 2)]
     for _ in range(12):
         A = rng.standard_normal((5, 5))
         A -= (np.linalg.eigvals(A).real.max() + 0.1) * np.eye(5)
-        system = StateSpace(A, rng.standard_normal((5, 4)), rng.standard_normal((4, 5)), 0.3 * rng.standard_normal((4, 4)))
+        system = StateSpace(
+            A,
+            rng.standard_normal((5, 4)),
+            rng.standard_normal((4, 5)),
+            0.3 * rng.standard_normal((4, 4)),
+        )
         omega = np.concatenate([[0.0], np.geomspace(1e-2, 1e3, 120)])
         bounds = mu_bounds(frequency_response(system, omega).values, blocks, restarts=0)
         assert not proved_below(system, blocks, bounds.lower.max() * (1 - 1e-6))
@@ -291,7 +331,9 @@ def test_refusals_over_frequency():
 
 @pytest.mark.campaign
 def test_never_a_hang():
-    """The hardest kinds in one call each, within seconds: many real blocks alone, and a large repeated block."""
+    """The hardest kinds in one call each, within seconds: many real blocks alone, and a large
+    repeated block.
+    """
     start = time.perf_counter()
     mu_bounds(random_matrix(10, 10, 8, 8), [RealBlock(f"d{i}") for i in range(8)])
     mu_bounds(random_matrix(11, 3, 8, 8), [RealBlock("d", 6), FullBlock("f", 2, 2)])

@@ -1,4 +1,6 @@
-"""Chords of a response and levels of mu proved at all frequencies, against dense evaluation, norms and closed forms."""
+"""Chords of a response and levels of mu proved at all frequencies, against dense evaluation, norms
+and closed forms.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,10 @@ def random_system(seed: int, states: int = 6, ports: int = 3) -> StateSpace:
     A = rng.normal(size=(states, states))
     A -= (np.linalg.eigvals(A).real.max() + 10 ** rng.uniform(-3, -0.3)) * np.eye(states)
     return StateSpace(
-        A, rng.normal(size=(states, ports)), rng.normal(size=(ports, states)), 0.2 * rng.normal(size=(ports, ports))
+        A,
+        rng.normal(size=(states, ports)),
+        rng.normal(size=(ports, states)),
+        0.2 * rng.normal(size=(ports, ports)),
     )
 
 
@@ -31,7 +36,11 @@ def filter_chain(order: int) -> StateSpace:
     return StateSpace(A, np.eye(order)[:, :1], np.eye(order)[-1:], [[0.0]], ["in"], ["out"])
 
 
-SYSTEMS = [*(random_system(seed) for seed in range(6)), filter_chain(5), append(filter_chain(3), random_system(9, 4, 2))]
+SYSTEMS = [
+    *(random_system(seed) for seed in range(6)),
+    filter_chain(5),
+    append(filter_chain(3), random_system(9, 4, 2)),
+]
 
 
 @pytest.mark.parametrize("system", SYSTEMS)
@@ -48,11 +57,16 @@ def test_nothing_lies_farther_from_a_chord_than_its_bound(system):
             part = M[8 * i : 8 * i + 9]
             apart = np.abs(part - (1 - share) * part[0] - share * part[-1]).max(axis=0)
             assert (apart <= most * (1 + 1e-6) + 1e-9 * np.abs(M).max()).all()
-            used = max(used, float((apart / np.maximum(most, 1e-300))[apart > 1e-6].max(initial=0.0)))
+            used = max(
+                used, float((apart / np.maximum(most, 1e-300))[apart > 1e-6].max(initial=0.0))
+            )
     assert used > 0.9  # and the bound is no larger than it must be
     for low in (1.0, 30.0, 1e3):
         beyond = frequency_response(system, low * np.geomspace(1, 100, 50)).values - system.D
-        assert (np.abs(beyond).max(axis=0) <= model.distance(np.array([low]), np.array([np.inf]), cells)[0] + 1e-12).all()
+        assert (
+            np.abs(beyond).max(axis=0)
+            <= model.distance(np.array([low]), np.array([np.inf]), cells)[0] + 1e-12
+        ).all()
 
 
 @pytest.mark.parametrize("system", SYSTEMS)
@@ -61,13 +75,17 @@ def test_values_and_slopes(system):
     M = frequency_response(system, omega).values
     np.testing.assert_allclose(model.at(omega), M, atol=1e-9 * np.abs(M).max())
     np.testing.assert_allclose(model.at(np.array([np.inf]))[0], system.D)
-    slope = (model.at(omega * (1 + 1e-6)) - model.at(omega * (1 - 1e-6))) / (2e-6 * omega[:, None, None])
+    slope = (model.at(omega * (1 + 1e-6)) - model.at(omega * (1 - 1e-6))) / (
+        2e-6 * omega[:, None, None]
+    )
     np.testing.assert_allclose(model.slope(omega), slope, atol=1e-5 * np.abs(slope).max())
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_full_block_gives_the_norm(seed):
-    """mu of one full block is the largest singular value: its level at all frequencies is the H-infinity norm."""
+    """mu of one full block is the largest singular value: its level at all frequencies is the
+    H-infinity norm.
+    """
     system = random_system(seed)
     norm = hinf_norm(system).value
     found = proved_level(system, [FullBlock("all", 3, 3)], 0.5 * norm, room=1e-3)

@@ -1,4 +1,6 @@
-"""The unknowns of the scalings: their traces and second derivatives against dense matrices, one unknown at a time."""
+"""The unknowns of the scalings: their traces and second derivatives against dense matrices, one
+unknown at a time.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,14 @@ STRUCTURES: tuple[list[Block], ...] = (
     [RealBlock("r"), FullBlock("f", 1, 1)],  # dense coefficients
     [RealBlock("r", 2), FullBlock("f", 3, 2)],
     [FullBlock("f", 2, 3), FullBlock("g", 1, 2)],  # no sparse entries at all
-    [RealBlock("r", 3), ComplexBlock("c", 2), RealBlock("s"), FullBlock("f", 2, 1), ComplexBlock("d")],  # sparse coefficients
+    # sparse coefficients
+    [
+        RealBlock("r", 3),
+        ComplexBlock("c", 2),
+        RealBlock("s"),
+        FullBlock("f", 2, 1),
+        ComplexBlock("d"),
+    ],
     [*(RealBlock(f"r{i}") for i in range(8)), RealBlock("a", 4), FullBlock("f", 2, 2)],
 )
 
@@ -42,7 +51,9 @@ def test_traces_and_curvature(blocks, g_scaling, monkeypatch):
 
 
 def test_assemble_is_linear_and_holds_the_blocks():
-    """X on w, minus X on z, X once more for the barrier; -j G between w and z; a full block is one number."""
+    """X on w, minus X on z, X once more for the barrier; -j G between w and z; a full block is one
+    number.
+    """
     basis = scaling_basis(structure_of([RealBlock("r", 2), FullBlock("f", 1, 2)]), g_scaling=True)
     assert (basis.n_w, basis.n_z, basis.n_x, basis.count) == (3, 4, 3, 9)
     x = np.random.default_rng(0).standard_normal(9)
@@ -53,4 +64,6 @@ def test_assemble_is_linear_and_holds_the_blocks():
     np.testing.assert_allclose(S[7:9, 7:9], X)
     np.testing.assert_allclose(G, G.conj().T, atol=1e-15)
     np.testing.assert_allclose(np.diag(S)[[2, 5, 6, 9]], x[8] * np.array([1, -1, -1, 1]))
-    np.testing.assert_allclose(basis.assemble(2 * x[None] - 1)[0], 2 * S - basis.assemble(np.ones((1, 9)))[0], atol=1e-14)
+    np.testing.assert_allclose(
+        basis.assemble(2 * x[None] - 1)[0], 2 * S - basis.assemble(np.ones((1, 9)))[0], atol=1e-14
+    )

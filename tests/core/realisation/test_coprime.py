@@ -1,4 +1,6 @@
-"""Coprime factors and the residual system: identities of P1, at frequencies, for random plants and controllers of any kind."""
+"""Coprime factors and the residual system: identities of P1, at frequencies, for random plants and
+controllers of any kind.
+"""
 
 import numpy as np
 import pytest
@@ -16,7 +18,15 @@ from ambrose.core.realisation.coprime import (
     residual_system,
 )
 from ambrose.core.sampling import c2d
-from ambrose.core.statespace import StateSpace, feedback, is_stable, poles, select, spectral_abscissa, transfer_function
+from ambrose.core.statespace import (
+    StateSpace,
+    feedback,
+    is_stable,
+    poles,
+    select,
+    spectral_abscissa,
+    transfer_function,
+)
 
 OMEGA = np.array([0.0, 0.1, 0.7, 2.0, 9.0, 60.0])
 DT = 0.05
@@ -59,7 +69,10 @@ def test_double_bezout_identity_with_eight_stable_factors(seed, dt):
     K, L, _ = stabilising(G)
     general = StateSpace(K.A, K.B, K.C, K.D + 0.0, K.inputs, K.outputs, dt)
     for factors in (coprime_factors(G, general), coprime_factors(G, K, L, -G.B)):
-        eight = [getattr(factors, side) for side in ("M", "N", "U", "V", "M_left", "N_left", "U_left", "V_left")]
+        eight = [
+            getattr(factors, side)
+            for side in ("M", "N", "U", "V", "M_left", "N_left", "U_left", "V_left")
+        ]
         assert all(is_stable(one) for one in eight)
         M, N, U, V, Ml, Nl, Ul, Vl = (at(one) for one in eight)
         left, right = np.block([[Vl, -Ul], [-Nl, Ml]]), np.block([[M, U], [N, V]])
@@ -73,7 +86,9 @@ def test_double_bezout_identity_with_eight_stable_factors(seed, dt):
 
 
 def test_a_complex_pair_outside_the_unit_circle_is_moved():
-    """Its real part inside the circle: a test of real parts alone, as SciPy 1.14 makes it of a real matrix, leaves it there."""
+    """Its real part inside the circle: a test of real parts alone, as SciPy 1.14 makes it of a real
+    matrix, leaves it there.
+    """
     A = 2.5 * np.array([[np.cos(1.3), np.sin(1.3)], [-np.sin(1.3), np.cos(1.3)]])
     L, _ = injection_gain(A, [[1.0, 0.0]], DT)
     np.testing.assert_allclose(np.abs(np.linalg.eigvals(A + L @ [[1.0, 0.0]])), 1 / 2.5, rtol=1e-9)
@@ -88,7 +103,9 @@ def test_the_observer_based_controller_has_the_printed_factors():
     def printed(A, B, C, D):
         return at(StateSpace(A, B, C, D))
 
-    n, p, m = G.n_states, len(G.outputs), len(G.inputs)
+    n = G.n_states
+    p = len(G.outputs)
+    m = len(G.inputs)
     close_to(at(factors.U), printed(G.A + G.B @ F, -L, F, np.zeros((m, p))))
     close_to(at(factors.M), printed(G.A + G.B @ F, G.B, F, np.eye(m)))
     close_to(at(factors.M_left), printed(G.A + L @ G.C, L, G.C, np.eye(p)))
@@ -107,7 +124,9 @@ def test_residual_system_carries_the_plant(seed, dt):
     S = residual_system(factors, moved)
     s = at(S)
     M, N, U, V = (at(one) for one in (factors.M, factors.N, factors.U, factors.V))
-    Ml, Nl, Ul, Vl = (at(one) for one in (factors.M_left, factors.N_left, factors.U_left, factors.V_left))
+    Ml, Nl, Ul, Vl = (
+        at(one) for one in (factors.M_left, factors.N_left, factors.U_left, factors.V_left)
+    )
     true = at(moved)
     close_to(Ml @ (true - at(G)) @ np.linalg.inv(np.eye(2) - at(K) @ true) @ np.linalg.inv(Vl), s)
     close_to((N + V @ s) @ np.linalg.inv(M + U @ s), true, 1e-7)
@@ -118,14 +137,22 @@ def test_residual_system_carries_the_plant(seed, dt):
     # P1 (13), block by block
     part = {
         name: at(select(general.system, inputs, outputs))
-        for name, inputs, outputs in (("yw", ["w"], general.y), ("zu", general.u, ["z"]), ("zw", ["w"], ["z"]))
+        for name, inputs, outputs in (
+            ("yw", ["w"], general.y),
+            ("zu", general.u, ["z"]),
+            ("zw", ["w"], ["z"]),
+        )
     }
     close_to(at(select(lft.system, ["w"], factors.eps)), Ml @ part["yw"])
     close_to(at(select(lft.system, factors.alpha, ["z"])), part["zu"] @ M)
-    # Formed from a product up to 1e7 times as large (seed 3): rounding is measured against it, 2e-12 at most on 24 plants.
+    # Formed from a product up to 1e7 times as large (seed 3): rounding is measured against it,
+    # 2e-12 at most on 24 plants.
     product = np.prod([np.abs(factor).max() for factor in (part["zu"], U, Ml, part["yw"])])
     np.testing.assert_allclose(
-        at(select(lft.system, ["w"], ["z"])), part["zw"] + part["zu"] @ U @ Ml @ part["yw"], rtol=0, atol=1e-11 * product
+        at(select(lft.system, ["w"], ["z"])),
+        part["zw"] + part["zu"] @ U @ Ml @ part["yw"],
+        rtol=0,
+        atol=1e-11 * product,
     )
     close_to(at(select(lft.system, factors.alpha, factors.eps)), 0 * s)
 
@@ -158,7 +185,8 @@ def test_residual_system_is_stable_exactly_while_the_controller_holds_the_plant(
             assert is_stable(S) == is_stable(loop), (seed, k)
             both.add(is_stable(S))
             for pole in poles(loop):
-                assert np.abs(poles(S) - pole).min() < 1e-4 * (1 + abs(pole))  # at k = 0 they are double: root of eps
+                # at k = 0 they are double: root of eps
+                assert np.abs(poles(S) - pole).min() < 1e-4 * (1 + abs(pole))
     assert both == {True, False}
 
 
@@ -167,7 +195,12 @@ def test_injection_gain_moves_only_what_is_slow_and_keeps_white_noise_white():
     C = np.random.default_rng(0).standard_normal((2, 4))
     for decay in (0.0, 0.5):
         L, _ = injection_gain(A, C, None, decay)
-        expected = [-0.3 - 2 * decay + 2j, -0.3 - 2 * decay - 2j, -0.01 if decay == 0 else 0.01 - 2 * decay, -5.0]
+        expected = [
+            -0.3 - 2 * decay + 2j,
+            -0.3 - 2 * decay - 2j,
+            -0.01 if decay == 0 else 0.01 - 2 * decay,
+            -5.0,
+        ]
         found = np.linalg.eigvals(A + L @ C)
         assert max(np.abs(found - value).min() for value in expected) < 1e-9
     noise = np.array([0.5, 2.0])

@@ -16,7 +16,9 @@ def test_random_systems(seed):
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 25))
     A = rng.normal(0, 1, (n, n)) * 10.0 ** rng.uniform(-3, 3, n)
-    system = StateSpace(A, rng.normal(0, 1, (n, 2)), rng.normal(0, 1, (3, n)), rng.normal(0, 1, (3, 2)))
+    system = StateSpace(
+        A, rng.normal(0, 1, (n, 2)), rng.normal(0, 1, (3, n)), rng.normal(0, 1, (3, 2))
+    )
     found = modal_form(system)
     assert sum(found.sizes) == n
     inside = np.zeros((n, n), bool)
@@ -32,10 +34,14 @@ def test_random_systems(seed):
 
 @pytest.mark.parametrize("beside", [0.0, 1e-14, 1e-10, 1e-7])
 def test_a_double_pole_with_one_vector_stays_together(beside):
-    """Separating a Jordan block needs a transform of 1/distance: it stays a block of two, and the response stays right."""
+    """Separating a Jordan block needs a transform of 1/distance: it stays a block of two, and the
+    response stays right.
+    """
     J = np.array([[-1.0, 1.0, 0], [0, -1.0 - beside, 0], [0, 0, -5.0]])
     T = np.random.default_rng(1).normal(0, 1, (3, 3))
-    system = StateSpace(np.linalg.solve(T, J @ T), np.linalg.solve(T, np.ones((3, 1))), np.ones((1, 3)) @ T, [[0.0]])
+    system = StateSpace(
+        np.linalg.solve(T, J @ T), np.linalg.solve(T, np.ones((3, 1))), np.ones((1, 3)) @ T, [[0.0]]
+    )
     found = modal_form(system)
     assert sorted(found.sizes) == [1, 2]
     same(system, found.system, np.geomspace(1e-2, 1e2, 50), 1e-9)

@@ -1,4 +1,6 @@
-"""Invariant zeros against constructed systems and the square pencil; 200 random systems agreed with SLICOT's AB08ND."""
+"""Invariant zeros against constructed systems and the square pencil; 200 random systems agreed with
+SLICOT's AB08ND.
+"""
 
 import numpy as np
 import pytest
@@ -19,7 +21,8 @@ def same(found, expected):
 def test_zeros_of_transfer_functions():
     one = transfer_function(np.poly([-3.0, 2.0]), np.poly([-1.0, -4.0, -5.0, 1.0]))
     same(invariant_zeros(one), [-3, 2])
-    two = transfer_function(np.poly([1j, -1j]), np.poly([-1.0, -2.0]), "u2", "y2")  # with feedthrough
+    # with feedthrough
+    two = transfer_function(np.poly([1j, -1j]), np.poly([-1.0, -2.0]), "u2", "y2")
     same(invariant_zeros(append(one, two)), [-3, 2, 1j, -1j])
     assert invariant_zeros(transfer_function([1.0], [1.0, 0.0, -4.0])).size == 0
 
@@ -45,13 +48,18 @@ def test_decoupling_zeros_count():
 def test_square_systems_against_the_generalized_eigenproblem(seed):
     rng = np.random.default_rng(seed)
     n, m = int(rng.integers(3, 9)), int(rng.integers(1, 4))
-    A, B, C = rng.standard_normal((n, n)), rng.standard_normal((n, m)), rng.standard_normal((m, n))
+    A = rng.standard_normal((n, n))
+    B = rng.standard_normal((n, m))
+    C = rng.standard_normal((m, n))
     scale = 10 ** rng.uniform(-5, 5, n)
     pencil = np.block([[A, B], [C, np.zeros((m, m))]])
     values = sla.eigvals(pencil, sla.block_diag(np.eye(n), np.zeros((m, m))))
-    finite = values[np.isfinite(values) & (np.abs(values) < 1e4)]  # CB is regular: n - m finite zeros
+    # CB is regular: n - m finite zeros
+    finite = values[np.isfinite(values) & (np.abs(values) < 1e4)]
     units = 10 ** rng.uniform(-6, 6, m)
-    system = StateSpace(A * scale / scale[:, None], B / scale[:, None], C * scale * units[:, None], np.zeros((m, m)))
+    system = StateSpace(
+        A * scale / scale[:, None], B / scale[:, None], C * scale * units[:, None], np.zeros((m, m))
+    )
     found = invariant_zeros(system)
     assert len(found) == n - m
     for zero in found:
@@ -60,7 +68,12 @@ def test_square_systems_against_the_generalized_eigenproblem(seed):
 
 def test_a_tall_system_has_none_in_general():
     rng = np.random.default_rng(1)
-    tall = StateSpace(rng.standard_normal((5, 5)), rng.standard_normal((5, 1)), rng.standard_normal((3, 5)), np.zeros((3, 1)))
+    tall = StateSpace(
+        rng.standard_normal((5, 5)),
+        rng.standard_normal((5, 1)),
+        rng.standard_normal((3, 5)),
+        np.zeros((3, 1)),
+    )
     assert invariant_zeros(tall).size == 0
 
 

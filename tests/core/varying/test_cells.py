@@ -1,4 +1,6 @@
-"""Proofs on cells: control nets, products in twice the precision, an inequality of its own, norms at rest, motions in time."""
+"""Proofs on cells: control nets, products in twice the precision, an inequality of its own, norms
+at rest, motions in time.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,14 @@ from ambrose.core.checks import NumericalFailure
 from ambrose.core.matrix_inequalities.semidefinite import Inequality, minimise, svec
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace
-from ambrose.core.varying.cells import Cell, _entries, accurate_product, elevated, product, proved_on_cells
+from ambrose.core.varying.cells import (
+    Cell,
+    _entries,
+    accurate_product,
+    elevated,
+    product,
+    proved_on_cells,
+)
 
 C = np.array([[1.0, 0.0]])
 
@@ -32,7 +41,9 @@ def test_nets_multiply_and_rise_as_their_polynomials() -> None:
     both, higher = product(p, net), elevated(net, (6, 5))
     assert both.shape[:2] == (4, 4) and higher.shape[:2] == (6, 5)
     for s, t in ((0.0, 1.0), (0.3, 0.8), (0.9, 0.1)):
-        np.testing.assert_allclose(value(both, s, t), value(p[:, :, None, None], s, t) * value(net, s, t), atol=1e-13)
+        np.testing.assert_allclose(
+            value(both, s, t), value(p[:, :, None, None], s, t) * value(net, s, t), atol=1e-13
+        )
         np.testing.assert_allclose(value(higher, s, t), value(net, s, t), atol=1e-13)
 
 
@@ -49,9 +60,15 @@ def test_products_are_as_of_twice_the_precision() -> None:
 
 
 def test_entries_are_of_the_chebyshev_polynomials_and_their_slopes() -> None:
-    """Put together again, the entries of a cell give T_d(p) A, T_d(p) B and p' T_d'(p) everywhere in it."""
-    rng, degree, rate = np.random.default_rng(5), 3, 0.7
-    p, A, B = np.array([[-0.9, -0.2], [0.1, 0.8]]), rng.normal(size=(2, 2, 3, 3)), rng.normal(size=(1, 1, 3, 2))
+    """Put together again, the entries of a cell give T_d(p) A, T_d(p) B and p' T_d'(p) everywhere
+    in it.
+    """
+    rng = np.random.default_rng(5)
+    degree = 3
+    rate = 0.7
+    p = np.array([[-0.9, -0.2], [0.1, 0.8]])
+    A = rng.normal(size=(2, 2, 3, 3))
+    B = rng.normal(size=(1, 1, 3, 2))
     entries = _entries(p, A, B, degree, rate)
     shape = (len(A) + degree, A.shape[1] + degree)
     assert len(entries) == 2 * shape[0] * shape[1]
@@ -70,7 +87,10 @@ def test_entries_are_of_the_chebyshev_polynomials_and_their_slopes() -> None:
 
 def test_more_terms_prove_no_less_and_fewer_rows_no_more() -> None:
     cells = band(0.0)
-    gains = [proved_on_cells(cells, C, 0.2, degree=d, share=share).gamma for d, share in ((3, 1.0), (1, 1.0), (1, 0.5))]
+    gains = [
+        proved_on_cells(cells, C, 0.2, degree=d, share=share).gamma
+        for d, share in ((3, 1.0), (1, 1.0), (1, 0.5))
+    ]
     assert at_rest(cells) < gains[0] < 1.002 * gains[1] and gains[1] < 1.002 * gains[2]
     assert gains[2] < 1.002 * proved_on_cells(cells, C).gamma
 
@@ -81,19 +101,27 @@ def oscillator(stiffness: float, gain: float) -> np.ndarray:
 
 
 def band(error: float) -> list[Cell]:
-    """Stiffness 0.5 p, and a controller that is told p within the error and damps the less the stiffer it believes it."""
+    """Stiffness 0.5 p, and a controller that is told p within the error and damps the less the
+    stiffer it believes it.
+    """
     knots = sorted({-1.0, *(v for v in (-1 + error, 1 - error) if -1 < v < 1), 1.0})
     found = []
     for pair in pairwise(knots):
         p = np.array([[max(-1, told - error), min(1, told + error)] for told in pair])
-        A = np.array([[oscillator(0.5 * p[i, k], 0.4 - 0.3 * pair[i]) for k in (0, 1)] for i in (0, 1)])
+        A = np.array(
+            [[oscillator(0.5 * p[i, k], 0.4 - 0.3 * pair[i]) for k in (0, 1)] for i in (0, 1)]
+        )
         found.append(Cell(A, np.tile([[0.0], [1.0]], (2, 2, 1, 1)), p))
     return found
 
 
 def constant_gain(cells: list[Cell]) -> float:
     """The smallest gamma for one X at all corners, by an inequality assembled here."""
-    basis = [np.array([[1.0, 0], [0, 0]]), np.array([[0, 1.0], [1, 0]]), np.array([[0, 0], [0, 1.0]])]
+    basis = [
+        np.array([[1.0, 0], [0, 0]]),
+        np.array([[0, 1.0], [1, 0]]),
+        np.array([[0, 0], [0, 1.0]]),
+    ]
     items = []
     for cell in cells:
         for A, B in zip(cell.A.reshape(-1, 2, 2), cell.B.reshape(-1, 2, 1), strict=True):
@@ -108,13 +136,21 @@ def constant_gain(cells: list[Cell]) -> float:
 def test_any_speed_is_the_smallest_gamma_of_one_function(error: float) -> None:
     cells = band(error)
     found = proved_on_cells(cells, C)
-    assert found.gamma == pytest.approx(constant_gain(cells), rel=5e-3) and found.slack > found.rounding > 0
+    assert (
+        found.gamma == pytest.approx(constant_gain(cells), rel=5e-3)
+        and found.slack > found.rounding > 0
+    )
     assert found.gamma >= constant_gain(cells)
 
 
 def at_rest(cells: list[Cell]) -> float:
     places = np.linspace(0, 1, 9)
-    loops = [StateSpace(value(c.A, s, t), value(c.B, s, t), C, np.eye(1)) for c in cells for s in places for t in places]
+    loops = [
+        StateSpace(value(c.A, s, t), value(c.B, s, t), C, np.eye(1))
+        for c in cells
+        for s in places
+        for t in places
+    ]
     return max(hinf_norm(loop).value for loop in loops)
 
 
@@ -127,18 +163,28 @@ def test_a_slow_parameter_is_proved_close_to_rest_and_a_wider_error_costs() -> N
 
 @pytest.mark.parametrize(("rate", "share"), [(0.2, 0.75), (np.inf, 0.5)])
 def test_no_motion_passes_what_was_proved(rate: float, share: float) -> None:
-    """The gain along motions of p and of what is told, by power iteration over the sampled loop and its adjoint."""
-    error, h, steps = 0.5, 0.05, 1000
+    """The gain along motions of p and of what is told, by power iteration over the sampled loop and
+    its adjoint.
+    """
+    error = 0.5
+    h = 0.05
+    steps = 1000
     gamma = proved_on_cells(band(error), C, rate).gamma
     rng, worst = np.random.default_rng(3), 0.0
     for k in range(12):
-        wanted = np.sign(np.sin((1.2 + 0.15 * k) * h * np.arange(steps)))  # about twice the natural frequency
+        # about twice the natural frequency
+        wanted = np.sign(np.sin((1.2 + 0.15 * k) * h * np.arange(steps)))
         p = np.clip(wanted, -1, 1)
         for i in range(1, steps):
             p[i] = p[i - 1] + np.clip(p[i] - p[i - 1], -rate * h, rate * h)
         if k < 2:
             p[:] = 0.5 - k
-        told = np.clip(p + error * (1 if k < 2 else np.sign(np.sin(rng.uniform(0.1, 3) * h * np.arange(steps)))), -1, 1)
+        told = np.clip(
+            p
+            + error * (1 if k < 2 else np.sign(np.sin(rng.uniform(0.1, 3) * h * np.arange(steps)))),
+            -1,
+            1,
+        )
         A = [
             np.linalg.inv(np.eye(2) - h / 2 * M)
             for M in (oscillator(0.5 * a, 0.4 - 0.3 * b) for a, b in zip(p, told, strict=True))

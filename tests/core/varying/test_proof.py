@@ -1,4 +1,6 @@
-"""Gains proved along every motion of a parameter, against closed forms, the vertex inequality, norms and motions in time."""
+"""Gains proved along every motion of a parameter, against closed forms, the vertex inequality,
+norms and motions in time.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ def oscillator(share: float, damping: float = 0.2) -> VaryingLoop:
 
 
 def sampled() -> VaryingLoop:
-    """An unstable mass on a spring of -(1 + 0.3 delta), held by a sampled PD law with its output one sample late."""
+    """An unstable mass on a spring of -(1 + 0.3 delta), held by a sampled PD law with its output
+    one sample late.
+    """
     A = np.array([[0.0, 1.0], [1.0, 0.0]])
     B = np.array([[0.0, 0.0], [0.3, 1.0]])
     C = np.array([[1.0, 0.0], [1.0, 0.0]])
@@ -44,7 +48,9 @@ def frozen(loop: VaryingLoop) -> float:
 
 
 def quadratic_gain(loop: VaryingLoop) -> float:
-    """The smallest gamma for which one X satisfies the bounded-real inequality at both ends (n small): an LMI of its own."""
+    """The smallest gamma for which one X satisfies the bounded-real inequality at both ends (n
+    small): an LMI of its own.
+    """
     n = len(loop.A)
     i, j = np.triu_indices(n)
     basis = np.zeros((len(i), n, n))
@@ -92,21 +98,33 @@ def test_slower_motions_have_smaller_gains_down_to_the_frozen_one() -> None:
 
 
 def motions(rate: float, steps: int, dt: float, rng: np.random.Generator) -> np.ndarray:
-    """delta (k, steps): square waves about twice the natural frequency, random telegraphs and random walks, within the rate."""
+    """delta (k, steps): square waves about twice the natural frequency, random telegraphs and
+    random walks, within the rate.
+    """
     t = np.arange(steps) * dt
-    waves = [np.sign(np.sin(omega * t + phase)) for omega in (1.0, 1.8, 2.0, 2.2) for phase in (0.0, 1.6)]
-    telegraphs = [np.sign(np.repeat(rng.normal(size=steps // 20 + 1), 20)[:steps]) for _ in range(12)]
+    waves = [
+        np.sign(np.sin(omega * t + phase)) for omega in (1.0, 1.8, 2.0, 2.2) for phase in (0.0, 1.6)
+    ]
+    telegraphs = [
+        np.sign(np.repeat(rng.normal(size=steps // 20 + 1), 20)[:steps]) for _ in range(12)
+    ]
     walks = [np.sin(np.cumsum(rng.normal(size=steps)) * 0.2) for _ in range(12)]
     wanted = np.array([*waves, *telegraphs, *walks])
     if not np.isfinite(rate):
         return wanted
     for k in range(1, steps):
-        wanted[:, k] = wanted[:, k - 1] + np.clip(wanted[:, k] - wanted[:, k - 1], -rate * dt, rate * dt)
+        wanted[:, k] = wanted[:, k - 1] + np.clip(
+            wanted[:, k] - wanted[:, k - 1], -rate * dt, rate * dt
+        )
     return wanted
 
 
-def worst_gain_in_time(loop: VaryingLoop, deltas: np.ndarray, dt: float, rng: np.random.Generator) -> float:
-    """The largest energy gain along the motions; the disturbance by power iteration with the adjoint."""
+def worst_gain_in_time(
+    loop: VaryingLoop, deltas: np.ndarray, dt: float, rng: np.random.Generator
+) -> float:
+    """The largest energy gain along the motions; the disturbance by power iteration with the
+    adjoint.
+    """
     held = {}
     for delta in np.unique(np.round(deltas, 3)):
         s = loop.closed(np.array([delta]))
@@ -114,7 +132,9 @@ def worst_gain_in_time(loop: VaryingLoop, deltas: np.ndarray, dt: float, rng: np
     E = np.array([[held[delta] for delta in row] for row in np.round(deltas, 3)])
     A, B = E[..., :2], E[..., 2]
     runs, steps = deltas.shape
-    d, y, adjoint = rng.normal(size=(runs, steps)), np.empty((runs, steps)), np.empty((runs, steps))
+    d = rng.normal(size=(runs, steps))
+    y = np.empty((runs, steps))
+    adjoint = np.empty((runs, steps))
     for _ in range(12):
         d /= np.linalg.norm(d, axis=1, keepdims=True)
         x, costate = np.zeros((runs, 2)), np.zeros((runs, 2))
@@ -131,8 +151,12 @@ def worst_gain_in_time(loop: VaryingLoop, deltas: np.ndarray, dt: float, rng: np
 
 @pytest.mark.parametrize("rate", [np.inf, 0.2])
 def test_no_motion_in_time_beats_the_proof(rate: float) -> None:
-    """Motions of 60 s; at any rate a square wave at twice the natural frequency beats every frozen loop."""
-    rng, loop, dt = np.random.default_rng(5), oscillator(0.3), 0.05
+    """Motions of 60 s; at any rate a square wave at twice the natural frequency beats every frozen
+    loop.
+    """
+    rng = np.random.default_rng(5)
+    loop = oscillator(0.3)
+    dt = 0.05
     proved = proved_gain(loop, (-0.5, -1.0, -2.0), [rate]).gamma
     found = worst_gain_in_time(loop, motions(rate, 1200, dt, rng), dt, rng)
     assert found <= proved * (1 + 2e-3)  # the sum over steps of 0.05 s is not quite the integral
@@ -141,10 +165,15 @@ def test_no_motion_in_time_beats_the_proof(rate: float) -> None:
 
 
 def test_a_loop_that_a_square_wave_destabilises_is_not_proved() -> None:
-    """Frozen it is stable everywhere; a bang-bang stiffness at twice the natural frequency pumps it up."""
+    """Frozen it is stable everywhere; a bang-bang stiffness at twice the natural frequency pumps it
+    up.
+    """
     loop = oscillator(0.8, 0.05)
     Phi = np.eye(2)
-    for delta, time in ((-1.0, np.pi / (2 * np.sqrt(0.2 - 0.0025))), (1.0, np.pi / (2 * np.sqrt(1.8 - 0.0025)))):
+    for delta, time in (
+        (-1.0, np.pi / (2 * np.sqrt(0.2 - 0.0025))),
+        (1.0, np.pi / (2 * np.sqrt(1.8 - 0.0025))),
+    ):
         Phi = expm(loop.closed(np.array([delta])).A * time) @ Phi
     assert np.abs(np.linalg.eigvals(Phi)).max() > 1
     with pytest.raises(NumericalFailure, match="no quadratic function"):
@@ -152,7 +181,9 @@ def test_a_loop_that_a_square_wave_destabilises_is_not_proved() -> None:
 
 
 def test_the_sampled_proof_holds_at_the_ends_by_plain_eigenvalues() -> None:
-    """The X of the proof in the discrete bounded-real inequality of the exactly sampled loop, pressure by pressure."""
+    """The X of the proof in the discrete bounded-real inequality of the exactly sampled loop,
+    pressure by pressure.
+    """
     loop = sampled()
     found = proved_gain(loop)
     assert frozen(loop) < found.gamma
@@ -161,15 +192,19 @@ def test_the_sampled_proof_holds_at_the_ends_by_plain_eigenvalues() -> None:
     unit = np.r_[size, 1.0]
     for delta in np.linspace(-1, 1, 9):
         s = loop.closed(np.array([delta]))
-        M = np.block([
-            [s.A.T @ X @ s.A - X + s.C.T @ s.C, s.A.T @ X @ s.B + s.C.T @ s.D],
-            [s.B.T @ X @ s.A + s.D.T @ s.C, s.B.T @ X @ s.B + s.D.T @ s.D - found.gamma**2],
-        ])  # fmt: skip
+        M = np.block(
+            [
+                [s.A.T @ X @ s.A - X + s.C.T @ s.C, s.A.T @ X @ s.B + s.C.T @ s.D],
+                [s.B.T @ X @ s.A + s.D.T @ s.C, s.B.T @ X @ s.B + s.D.T @ s.D - found.gamma**2],
+            ]
+        )
         assert np.linalg.eigvalsh(unit[:, None] * M * unit)[-1] < 0
 
 
 def test_the_sampled_proof_needs_its_gamma() -> None:
-    """Below the frozen worst case there is no proof, and the one found is not far above the discrete quadratic gain."""
+    """Below the frozen worst case there is no proof, and the one found is not far above the
+    discrete quadratic gain.
+    """
     loop = sampled()
     slow = proved_gain(loop, (-0.5, -2.0, -8.0), [1e-3]).gamma
     assert frozen(loop) <= slow < 1.03 * frozen(loop)
@@ -178,7 +213,9 @@ def test_the_sampled_proof_needs_its_gamma() -> None:
 def test_units_do_not_matter() -> None:
     loop = oscillator(0.3)
     T = np.diag([1e-6, 1e3])
-    other = VaryingLoop(np.linalg.solve(T, loop.A @ T), np.linalg.solve(T, loop.B), loop.C @ T, loop.D, ONE).scaled(1e5)
+    other = VaryingLoop(
+        np.linalg.solve(T, loop.A @ T), np.linalg.solve(T, loop.B), loop.C @ T, loop.D, ONE
+    ).scaled(1e5)
     assert proved_gain(other).gamma == pytest.approx(proved_gain(loop).gamma, rel=1e-3)
 
 
@@ -189,7 +226,9 @@ def test_two_parameters_and_one_that_stays() -> None:
     C = np.array([[1.0, 0.0], [1.0, 0.0], [1.0, 0.0]])
     loop = VaryingLoop(A, B, C, np.zeros((3, 3)), np.array([0, 1]))
     poles = (-0.5, -1.0, -2.0)
-    rest = max(hinf_norm(loop.closed(np.array([a, b]))).value for a in (-1, 0, 1) for b in (-1, 0, 1))
+    rest = max(
+        hinf_norm(loop.closed(np.array([a, b]))).value for a in (-1, 0, 1) for b in (-1, 0, 1)
+    )
     stays, moves = proved_gain(loop, poles, [np.inf, 0.0]).gamma, proved_gain(loop).gamma
     assert rest < stays < 0.99 * moves
 

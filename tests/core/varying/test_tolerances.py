@@ -1,4 +1,6 @@
-"""Proofs over tolerances while a parameter moves: against every frozen member, and motions that are worse than any of them."""
+"""Proofs over tolerances while a parameter moves: against every frozen member, and motions that are
+worse than any of them.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +14,17 @@ from ambrose.core.varying.cells import Cell
 from ambrose.core.varying.tolerances import proved_over_tolerances
 
 C, Z = np.array([[1.0, 0.0]]), np.array([[1.0, 0.0], [0.0, 1.0]])
-MOVES, DAMPING, STIFFNESS, DRAG = 0.3, 0.15, 0.1, 0.04
+MOVES = 0.3
+DAMPING = 0.15
+STIFFNESS = 0.1
+DRAG = 0.04
 
 
 def matrix(p: float, stiffness: float = 0.0, drag: float = 0.0) -> np.ndarray:
     """An oscillator whose stiffness follows p, with tolerances of stiffness and damping."""
-    return np.array([[0.0, 1.0], [-(1 + MOVES * p + STIFFNESS * stiffness), -(2 * DAMPING + DRAG * drag)]])
+    return np.array(
+        [[0.0, 1.0], [-(1 + MOVES * p + STIFFNESS * stiffness), -(2 * DAMPING + DRAG * drag)]]
+    )
 
 
 B = np.array([[0.0, 0.0, 0.0], [-STIFFNESS, -DRAG, 0.4]])
@@ -29,25 +36,47 @@ CELLS = [
 
 def worst_at_rest() -> float:
     ends = (-1.0, 0.0, 1.0)
-    loops = (StateSpace(matrix(p, s, c), B[:, 2:], C, np.eye(1)) for p in np.linspace(-1, 1, 9) for s in ends for c in ends)
+    loops = (
+        StateSpace(matrix(p, s, c), B[:, 2:], C, np.eye(1))
+        for p in np.linspace(-1, 1, 9)
+        for s in ends
+        for c in ends
+    )
     return max(hinf_norm(loop).value for loop in loops)
 
 
-def test_what_stands_still_is_proved_just_above_the_worst_member_and_what_moves_above_that() -> None:
+def test_what_stands_still_is_proved_just_above_the_worst_member_and_what_moves_above_that() -> (
+    None
+):
     rest = worst_at_rest()
-    still, moving = (proved_over_tolerances(CELLS, C, Z, 1e-3, pole=pole, degree=2) for pole in (1.0, None))
+    still, moving = (
+        proved_over_tolerances(CELLS, C, Z, 1e-3, pole=pole, degree=2) for pole in (1.0, None)
+    )
     assert rest < still.gamma < 1.05 * rest  # measured 1.007
-    assert still.gamma < moving.gamma and min(still.slack, moving.slack) > 10 * max(still.rounding, moving.rounding)
+    assert still.gamma < moving.gamma and min(still.slack, moving.slack) > 10 * max(
+        still.rounding, moving.rounding
+    )
 
 
 def test_a_stiffness_that_may_move_as_it_likes_is_not_proved_where_a_square_wave_pumps() -> None:
-    """Switched between 1.5 and 0.5 twice a period an oscillator of 2 % damping grows; at rest it is stable at either."""
+    """Switched between 1.5 and 0.5 twice a period an oscillator of 2 % damping grows; at rest it is
+    stable at either.
+    """
     light = [
-        Cell(np.array([[[[0.0, 1.0], [-1.0, -0.04]]]]), np.array([[[[0.0, 0.0], [-0.5, 1.0]]]]), np.array([[-1.0], [1.0]]))
+        Cell(
+            np.array([[[[0.0, 1.0], [-1.0, -0.04]]]]),
+            np.array([[[[0.0, 0.0], [-0.5, 1.0]]]]),
+            np.array([[-1.0], [1.0]]),
+        )
     ]
     with pytest.raises(NumericalFailure, match="over its tolerances"):
         proved_over_tolerances(light, C, Z[:1], pole=None)
     assert (
         proved_over_tolerances(light, C, Z[:1], pole=1.0).gamma
-        < 1.1 * hinf_norm(StateSpace(np.array([[0.0, 1.0], [-0.5, -0.04]]), np.array([[0.0], [1.0]]), C, np.eye(1))).value
+        < 1.1
+        * hinf_norm(
+            StateSpace(
+                np.array([[0.0, 1.0], [-0.5, -0.04]]), np.array([[0.0], [1.0]]), C, np.eye(1)
+            )
+        ).value
     )

@@ -1,4 +1,6 @@
-"""Points that share parameters, against the determinant and the solution of each point by itself."""
+"""Points that share parameters, against the determinant and the solution of each point by
+itself.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +13,21 @@ from ambrose.core.worst_case import elimination as box_elimination
 from ambrose.core.worst_case.elimination import determinants_at, transfers_at
 
 
-def problem(seed: int, repeats: tuple[int, ...], frequencies: int = 7) -> tuple[np.ndarray, np.ndarray]:
-    """M (w, n + 2, n + 3) and the owner of each channel, the channels of a parameter not side by side."""
+def problem(
+    seed: int, repeats: tuple[int, ...], frequencies: int = 7
+) -> tuple[np.ndarray, np.ndarray]:
+    """M (w, n + 2, n + 3) and the owner of each channel, the channels of a parameter not side by
+    side.
+    """
     rng = np.random.default_rng(seed)
     owner = rng.permutation(np.repeat(np.arange(len(repeats)), repeats))
     shape = (frequencies, len(owner) + 2, len(owner) + 3)
     return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / len(owner), owner
 
 
-def one_by_one(M: np.ndarray, owner: np.ndarray, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def one_by_one(
+    M: np.ndarray, owner: np.ndarray, delta: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     n = len(owner)
     h, T = np.empty((len(delta), len(M)), complex), np.empty((len(delta), len(M), 2, 3), complex)
     for (i, d), (j, m) in product(enumerate(delta), enumerate(M)):
@@ -37,7 +45,15 @@ def test_corners_scattered_points_and_both(repeats):
     scattered = rng.uniform(-1, 1, (20, k))
     partly = np.where(rng.random((40, k)) < 0.6, corners[0], rng.uniform(-1, 1, (40, k)))
     twice = rng.permutation(np.vstack([corners, corners, np.zeros((1, k))]))
-    for delta in (corners, scattered, partly, twice, np.vstack([corners, scattered]), corners[:1], corners[:0]):
+    for delta in (
+        corners,
+        scattered,
+        partly,
+        twice,
+        np.vstack([corners, scattered]),
+        corners[:1],
+        corners[:0],
+    ):
         h, T = one_by_one(M, owner, delta)
         n = len(owner)
         np.testing.assert_allclose(determinants_at(M[:, :n, :n], owner, delta), h, rtol=1e-10)
@@ -56,7 +72,9 @@ def test_corners_do_share(monkeypatch):
 @pytest.mark.parametrize("distance", [0.0, 1e-16, 1e-13, 1e-9, 1e-6, 1e-4])
 @pytest.mark.parametrize("repeats", [(1, 1, 1, 1, 1), (3, 1, 1, 1, 1)])
 def test_pivots_next_to_zero_keep_their_digits(repeats, distance):
-    """I - M11 delta is regular, but its leading entry, or block, is not: elimination in order would lose digits."""
+    """I - M11 delta is regular, but its leading entry, or block, is not: elimination in order would
+    lose digits.
+    """
     M, owner = problem(11, repeats)
     owner = np.sort(owner)
     n, r = len(owner), repeats[0]
@@ -74,5 +92,7 @@ def test_a_singular_point_has_determinant_zero():
     M = np.diag([1.0, 0.5, 0.25, 0.2, 0.1]).astype(complex)[None]
     corners = np.array(list(product((-1.0, 1.0), repeat=5)))
     expected = np.prod(1 - corners * np.diag(M[0]).real, axis=1)
-    np.testing.assert_allclose(determinants_at(M, np.arange(5), corners)[:, 0], expected, atol=1e-15)
+    np.testing.assert_allclose(
+        determinants_at(M, np.arange(5), corners)[:, 0], expected, atol=1e-15
+    )
     assert (expected == 0).sum() == 16

@@ -26,12 +26,16 @@ from ambrose.core.worst_case.search import _log_gain, peak_at, worst_gain
 
 
 def lag(rate: float = 1.0) -> StateSpace:
-    """x' = -x + delta rate x + d, e = x: stable for delta rate < 1, peak gain 1/(1 - delta rate) at zero frequency."""
+    """x' = -x + delta rate x + d, e = x: stable for delta rate < 1, peak gain 1/(1 - delta rate) at
+    zero frequency.
+    """
     return StateSpace([[-1.0]], [[rate, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
 
 
 def whirl(stiffness: float, damping: float, cross: float) -> StateSpace:
-    """A unit mass, q'' + c q' + K q = -delta k [[0, 1], [-1, 0]] q + d: stable for |delta| k < c sqrt(K)."""
+    """A unit mass, q'' + c q' + K q = -delta k [[0, 1], [-1, 0]] q + d: stable for |delta| k < c
+    sqrt(K).
+    """
     J = np.array([[0.0, -1.0], [1.0, 0.0]])
     A = np.block([[np.zeros((2, 2)), np.eye(2)], [-stiffness * np.eye(2), -damping * np.eye(2)]])
     B = np.block([[np.zeros((2, 4))], [np.eye(2), np.eye(2)]])
@@ -63,7 +67,13 @@ def test_unstable_poles_equal_the_eigenvalues(direct):
     seen: list[int] = []
     for _ in range(15):
         loop = random_loop(rng, int(rng.integers(1, 5)), direct=direct)
-        delta = np.vstack([corners(loop.parameters), samples(loop.parameters, 20), 2.5 * samples(loop.parameters, 10)])
+        delta = np.vstack(
+            [
+                corners(loop.parameters),
+                samples(loop.parameters, 20),
+                2.5 * samples(loop.parameters, 10),
+            ]
+        )
         expected = eigenvalue_count(loop, delta)
         np.testing.assert_array_equal(unstable_poles(loop, delta), expected)
         seen += expected.tolist()
@@ -95,20 +105,28 @@ def test_perturbed_matrix_is_the_upper_lft():
     np.testing.assert_allclose(perturbed_matrix(loop, delta), closed.A, atol=1e-12)
     omega = np.array([0.1, 1.3, 20.0])
     expected = [
-        np.linalg.norm(closed.C @ np.linalg.solve(1j * w * np.eye(6) - closed.A, closed.B) + closed.D, 2) for w in omega
+        np.linalg.norm(
+            closed.C @ np.linalg.solve(1j * w * np.eye(6) - closed.A, closed.B) + closed.D, 2
+        )
+        for w in omega
     ]
     np.testing.assert_allclose(gains(loop.at(omega), loop, delta[None])[0], expected, rtol=1e-10)
     assert p == n + 2
 
 
 def test_modes_that_lose_stability_in_pairs():
-    """Two equal modes, away from the nominal poles and hardly unstable: their full turn hides between grid points."""
+    """Two equal modes, away from the nominal poles and hardly unstable: their full turn hides
+    between grid points.
+    """
     for shift in (0.21, 0.34, 0.5):  # delta moves the frequency, and takes the damping away
         K, c = 400.0, 0.3
         A = np.array([[0.0, 1.0], [-K, -c]])
         B, C = np.array([[0.0], [1.0]]), np.array([[-shift * K, 1.00002 * c]])
         eye = np.eye(2)
-        loop = box_loop(StateSpace(np.kron(eye, A), np.kron(eye, B), np.kron(eye, C), np.zeros((2, 2))), [RealBlock("p", 2)])
+        loop = box_loop(
+            StateSpace(np.kron(eye, A), np.kron(eye, B), np.kron(eye, C), np.zeros((2, 2))),
+            [RealBlock("p", 2)],
+        )
         damping = np.linalg.eigvals(perturbed_matrix(loop, np.ones(1))).real
         assert (damping > 0).all() and (damping < 1e-5).all()
         assert unstable_poles(loop, np.array([[1.0], [0.9999], [-1.0]])).tolist() == [4, 0, 0]
@@ -153,7 +171,9 @@ def test_margin_beyond_all_bounds():
 
 @pytest.mark.campaign
 def test_margins_of_random_loops_enclose_the_truth():
-    """proved <= the smallest unstable scale of many random directions, and the search finds no larger one."""
+    """proved <= the smallest unstable scale of many random directions, and the search finds no
+    larger one.
+    """
     rng = np.random.default_rng(9)
     compared = 0
     for _ in range(8):
@@ -174,20 +194,25 @@ def test_margins_of_random_loops_enclose_the_truth():
 def test_worst_gain_of_a_lag():
     loop = box_loop(lag(0.5), [RealBlock("p")])
     worst = worst_gain(loop)
-    assert worst.value == pytest.approx(2.0, rel=1e-3)  # at zero frequency, which a logarithmic grid only approaches
+    # at zero frequency, which a logarithmic grid only approaches
+    assert worst.value == pytest.approx(2.0, rel=1e-3)
     assert worst.delta[0] == pytest.approx(1.0)
 
 
 def test_gradient_of_the_gain():
     rng = np.random.default_rng(2)
     loop = random_loop(rng, 3, direct=0.1)
-    delta, step, omega = rng.uniform(-0.5, 0.5, 3), 1e-6, 0.8
+    delta = rng.uniform(-0.5, 0.5, 3)
+    step = 1e-6
+    omega = 0.8
     _, gradient, over_omega = _log_gain(loop, delta, omega)
     higher, lower = (_log_gain(loop, delta, omega + sign * step)[0] for sign in (1, -1))
     assert over_omega == pytest.approx((higher - lower) / (2 * step), rel=1e-6)
     for i in range(3):
         e = step * np.eye(3)[i]
-        numeric = (_log_gain(loop, delta + e, omega)[0] - _log_gain(loop, delta - e, omega)[0]) / (2 * step)
+        numeric = (_log_gain(loop, delta + e, omega)[0] - _log_gain(loop, delta - e, omega)[0]) / (
+            2 * step
+        )
         assert gradient[i] == pytest.approx(numeric, rel=1e-6, abs=1e-9)
 
 
@@ -208,8 +233,11 @@ def test_worst_gain_against_a_scan_and_its_bound():
         assert worst.value >= scan * (1 - 1e-6)
         closed = loop.system
         n = len(loop.owner)
-        at = StateSpace(perturbed_matrix(loop, worst.delta), closed.B[:, n:], closed.C[n:], np.zeros((2, 2)))
-        assert worst.value <= hinf_norm(at).value * (1 + 1e-6)  # what is claimed is attained by that plant
+        at = StateSpace(
+            perturbed_matrix(loop, worst.delta), closed.B[:, n:], closed.C[n:], np.zeros((2, 2))
+        )
+        # what is claimed is attained by that plant
+        assert worst.value <= hinf_norm(at).value * (1 + 1e-6)
         near = np.unique(np.append(omega[::5], worst.frequency))
         bound = gain_bound(loop, near, worst.value)
         assert bound >= worst.value
@@ -222,7 +250,8 @@ def test_bound_for_one_parameter_is_tight():
     bound = gain_bound(loop, np.append(np.geomspace(1, 100, 40), worst.frequency), worst.value)
     assert worst.value <= bound <= 1.005 * worst.value
     assert abs(worst.delta[0]) == pytest.approx(1.0)
-    axis = 1 / abs(100 - 8j - worst.frequency**2 + 2j * worst.frequency)  # one whirl direction at delta = 1
+    # one whirl direction at delta = 1
+    axis = 1 / abs(100 - 8j - worst.frequency**2 + 2j * worst.frequency)
     assert worst.value == pytest.approx(axis, rel=1e-6)
 
 
@@ -247,13 +276,17 @@ def test_refusals():
     with pytest.raises(InvalidInput, match="3 or more inputs"):
         box_loop(lag(), [RealBlock("p", 3)])
     with pytest.raises(UnstableSystem, match="change the controller"):
-        box_loop(StateSpace([[0.5]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2))), [RealBlock("p")])
+        box_loop(
+            StateSpace([[0.5]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2))), [RealBlock("p")]
+        )
     with pytest.raises(InvalidInput, match="delta"):
         unstable_poles(box_loop(lag(), [RealBlock("p")]), np.zeros((1, 2)))
 
 
 def test_gain_bound_asks_no_more_than_mu_below_one():
-    """The same number as by bisection over the converged structured singular value of every frequency."""
+    """The same number as by bisection over the converged structured singular value of every
+    frequency.
+    """
     rng = np.random.default_rng(11)
     loop = random_loop(rng, 4)
     factor = 0.7 * box_margin(loop).factor
@@ -268,7 +301,11 @@ def test_gain_bound_asks_no_more_than_mu_below_one():
     def mu(gamma: float) -> float:
         M = loop.at(omega)
         M[:, n:] /= gamma
-        return float(mu_bounds(M, [*loop.blocks, FullBlock("gain", 2, 2)], lower=False, tolerance=2e-4).upper.max())
+        return float(
+            mu_bounds(
+                M, [*loop.blocks, FullBlock("gain", 2, 2)], lower=False, tolerance=2e-4
+            ).upper.max()
+        )
 
     assert mu(bound) < 1 + 2e-4
     assert mu(bound / 1.0025) > 1 - 2e-4 or bound <= 1.002 * worst.value
@@ -276,12 +313,18 @@ def test_gain_bound_asks_no_more_than_mu_below_one():
 
 @pytest.mark.parametrize("direct", [0.0, 0.1])
 def test_eigenvalues_of_parameters_that_share_inputs(direct):
-    """Three parameters whose inputs are combinations of two columns: the eigenvalues of the whole matrix without its zeros."""
+    """Three parameters whose inputs are combinations of two columns: the eigenvalues of the whole
+    matrix without its zeros.
+    """
     rng = np.random.default_rng(7)
     loop = random_loop(rng, 5, direct=direct)
     n, s = len(loop.owner), loop.system
     B, D = s.B.copy(), s.D.copy()
-    for i, mix in zip(range(2, n), rng.normal(size=(n - 2, 2)) * np.geomspace(1e-6, 1e6, n - 2)[:, None], strict=True):
+    for i, mix in zip(
+        range(2, n),
+        rng.normal(size=(n - 2, 2)) * np.geomspace(1e-6, 1e6, n - 2)[:, None],
+        strict=True,
+    ):
         B[:, i], D[:, i] = B[:, :2] @ mix, D[:, :2] @ mix
     loop = box_loop(StateSpace(s.A, B, s.C, D), loop.blocks)
     shared = _shared_inputs(loop)

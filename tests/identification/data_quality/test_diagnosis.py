@@ -1,4 +1,6 @@
-"""Bad records are found before they become numbers: on synthetic loops with noise, and on records of the nonlinear rig."""
+"""Bad records are found before they become numbers: on synthetic loops with noise, and on records
+of the nonlinear rig.
+"""
 
 import re
 from dataclasses import replace
@@ -23,24 +25,31 @@ from ambrose.identification.loop import identify_loop, usual_unknowns
 from ambrose.identification.output_error.closed_loop import identify
 from ambrose.identification.output_error.problem import FitOptions
 from ambrose.identification.validation.plausibility import delay_findings, diagnose_result
-from ambrose.machine.description import SealTable, Tolerance
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop, match_controller
-from ambrose.plant.reduce import free_mode_reduction
-from ambrose.plant.uncertainty import perturbed
-from ambrose.report.identification.page import identification_report
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.disturbances import Prbs, Pulse
-from ambrose.simulation.scenario import Scenario
+from ambrose.law.loop import closed_loop, match_controller
+from ambrose.machine.description import Tolerance
+from ambrose.machine.seals import SealTable
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import perturbed
+from ambrose.record.record import Record
+from ambrose.report.identification.page import identification_page
+from ambrose.rig import virtual_rig
+from ambrose.rig.disturbances import Prbs, Pulse
+from ambrose.rig.scenario import Scenario
 from ambrose.synthesis.pid import pid_synthesis
 
 run = partial(pipeline.identify, bending_modes=1)  # as the loops have that made the records
 pytestmark = pytest.mark.campaign  # minutes
 
-DT, K, LIMIT = 1e-4, 12000, 0.5
+DT = 1e-4
+K = 12000
+LIMIT = 0.5
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
-NINE = ("bearing.*.force_per_current.*", "bearing.*.negative_stiffness.*", "amplifier.natural_frequency")
+NINE = (
+    "bearing.*.force_per_current.*",
+    "bearing.*.negative_stiffness.*",
+    "amplifier.natural_frequency",
+)
 
 
 def names(kinds):
@@ -50,7 +59,8 @@ def names(kinds):
 @cache
 def setting():
     machine = load_machine("seal-rig")
-    machine = replace(machine, shaft=tuple(replace(part, elements=1) for part in machine.shaft))  # fast to assemble
+    # fast to assemble
+    machine = replace(machine, shaft=tuple(replace(part, elements=1) for part in machine.shaft))
     plant = free_mode_reduction(assemble(machine), 1)
     controller = pid_synthesis(plant).controller
     return machine, plant, controller
@@ -58,10 +68,19 @@ def setting():
 
 @cache
 def synthetic(wrong=0.15, dt=DT):
-    """A loop whose k_s and K_i are off the machine file's by up to ``wrong``; its noise goes round the loop."""
+    """A loop whose k_s and K_i are off the machine file's by up to ``wrong``; its noise goes round
+    the loop.
+    """
     machine, plant, controller = setting()
-    paths = [f"bearing.{b}.{q}.{a}" for q in ("force_per_current", "negative_stiffness") for b in "AB" for a in ("zeta", "eta")]
-    moved = dict(zip(paths, wrong * np.array([1, -0.5, 0.7, -1, 0.6, -0.8, -0.4, 0.9]), strict=True))
+    paths = [
+        f"bearing.{b}.{q}.{a}"
+        for q in ("force_per_current", "negative_stiffness")
+        for b in "AB"
+        for a in ("zeta", "eta")
+    ]
+    moved = dict(
+        zip(paths, wrong * np.array([1, -0.5, 0.7, -1, 0.6, -0.8, -0.4, 0.9]), strict=True)
+    )
     other = perturbed(plant, moved, [Tolerance(path, relative=1.0) for path in paths])
     law = c2d(match_controller(controller, plant), dt, "tustin", delay=dt)
     loop = select(closed_loop(other, law), names("ed"), names("yui"))
@@ -69,7 +88,9 @@ def synthetic(wrong=0.15, dt=DT):
     e = np.stack([0.2 * waveforms.prbs(9, 10, K, shift=127 * i) for i in range(4)])
     values = simulate(loop, np.vstack([e, 3e-8 * rng.standard_normal((4, K))]))
     units = ("m",) * 4 + ("A",) * 12
-    return Record(machine.name, 1 / dt, tuple(names("yuie")), units, np.vstack([values, e]), plant.point)
+    return Record(
+        machine.name, 1 / dt, tuple(names("yuie")), units, np.vstack([values, e]), plant.point
+    )
 
 
 @cache
@@ -77,7 +98,9 @@ def rig():
     """A second of the nonlinear rig under the same controller."""
     machine, _, controller = setting()
     sequences = tuple(Prbs(f"e_{axis}", 0.2, 1e-3, order=9, seed=i) for i, axis in enumerate(AXES))
-    return virtual_rig.run(machine, controller, Scenario("bad input", 1.2, sequences=sequences, sample_time=DT)).record
+    return virtual_rig.run(
+        machine, controller, Scenario("bad input", 1.2, sequences=sequences, sample_time=DT)
+    ).record
 
 
 RECORDS = {"synthetic": synthetic, "rig": rig}
@@ -118,7 +141,10 @@ def test_good_records_have_no_findings(record):
 
 MIXED = [
     ({"y_A_zeta": ("y_A_eta", 1), "y_A_eta": ("y_A_zeta", 1)}, "y_A_zeta and y_A_eta are swapped"),
-    ({"y_A_zeta": ("y_B_zeta", 1), "y_B_zeta": ("y_A_zeta", 1)}, "y_A_zeta and y_B_zeta are swapped"),
+    (
+        {"y_A_zeta": ("y_B_zeta", 1), "y_B_zeta": ("y_A_zeta", 1)},
+        "y_A_zeta and y_B_zeta are swapped",
+    ),
     ({"u_A_eta": ("u_B_eta", 1), "u_B_eta": ("u_A_eta", 1)}, "u_A_eta and u_B_eta are swapped"),
     ({"e_A_zeta": ("e_B_eta", 1), "e_B_eta": ("e_A_zeta", 1)}, "e_A_zeta and e_B_eta are swapped"),
     ({"i_A_zeta": ("i_A_eta", 1), "i_A_eta": ("i_A_zeta", 1)}, "i_A_zeta and i_A_eta are swapped"),
@@ -155,8 +181,12 @@ def test_without_controller_outputs_both_explanations_are_named():
     swapped = change(synthetic(), y_A_zeta=("y_A_eta", 1), y_A_eta=("y_A_zeta", 1)).select(seen)
     assert "y_A_zeta and y_A_eta are swapped" in only(findings(swapped), "error", "mixed up").what
     turned = change(synthetic(), **{f"y_{axis}": (f"y_{axis}", -1) for axis in AXES}).select(seen)
-    found = only(findings(turned), "error", "mixed up")  # y = T e: signs of all y or of all e, nothing tells
-    assert "all y_ channels have the wrong sign" in found.what and "all e_ channels have the wrong sign" in found.what
+    # y = T e: signs of all y or of all e, nothing tells
+    found = only(findings(turned), "error", "mixed up")
+    assert (
+        "all y_ channels have the wrong sign" in found.what
+        and "all e_ channels have the wrong sign" in found.what
+    )
 
 
 def test_every_wiring_is_a_different_signed_permutation():
@@ -165,13 +195,16 @@ def test_every_wiring_is_a_different_signed_permutation():
     six = list(wirings("y", 6))
     assert len(six) == 1 + 6 + 15 * 4
     matrix = Wiring("y", (1, 0, 2), (1, -1, 1)).matrix("y", 3)
-    np.testing.assert_array_equal(matrix @ [10.0, 20.0, 30.0], [20.0, -10.0, 30.0])  # channel i shows axis order[i]
+    # channel i shows axis order[i]
+    np.testing.assert_array_equal(matrix @ [10.0, 20.0, 30.0], [20.0, -10.0, 30.0])
 
 
 @both
 @pytest.mark.parametrize("stated", [5e3, 2e4])
 def test_wrong_sample_rate(record, stated):
-    found = only(findings(replace(RECORDS[record](), sample_rate_hz=stated)), "error", "were not sampled at")
+    found = only(
+        findings(replace(RECORDS[record](), sample_rate_hz=stated)), "error", "were not sampled at"
+    )
     assert "at about 10000 Hz" in found.what and f"{stated:g} Hz" in found.what
 
 
@@ -183,29 +216,44 @@ def test_decimated_record_under_the_old_rate(record):
 
 def test_decimated_record_under_its_own_rate_does_not_show_the_controller():
     half = replace(rig(), values=rig().values[:, ::2].copy(), sample_rate_hz=5e3)
-    assert any("not the one that ran" in item.what and "record every sample" in item.remedy for item in findings(half))
+    assert any(
+        "not the one that ran" in item.what and "record every sample" in item.remedy
+        for item in findings(half)
+    )
 
 
 @cache
 def pulse():
     """One parallel impulse on the rig: the records of P5."""
     machine, _, controller = setting()
-    pulses = tuple(Pulse(f"e_{axis}", 0.4, start=0.01, duration=0.01) for axis in ("A_zeta", "B_zeta"))
-    return virtual_rig.run(machine, controller, Scenario("pulse", 0.4, pulses=pulses, sample_time=DT)).record
+    pulses = tuple(
+        Pulse(f"e_{axis}", 0.4, start=0.01, duration=0.01) for axis in ("A_zeta", "B_zeta")
+    )
+    return virtual_rig.run(
+        machine, controller, Scenario("pulse", 0.4, pulses=pulses, sample_time=DT)
+    ).record
 
 
 @pytest.mark.parametrize(("channels", "words"), [MIXED[0], MIXED[1], MIXED[5]])
 def test_one_impulse_tells_mixed_up_channels(channels, words):
-    assert all(item.severity == "warning" and "start values" in item.what for item in findings(pulse()))
-    assert words in only(findings(change(pulse(), **channels)), "error", "channels are mixed up").what
+    assert all(
+        item.severity == "warning" and "start values" in item.what for item in findings(pulse())
+    )
+    assert (
+        words in only(findings(change(pulse(), **channels)), "error", "channels are mixed up").what
+    )
 
 
 def test_a_pressure_that_changes_within_the_record():
     moving = replace(
-        synthetic(), signals=(*synthetic().signals, "p_seal"), units=(*synthetic().units, "Pa"),
+        synthetic(),
+        signals=(*synthetic().signals, "p_seal"),
+        units=(*synthetic().units, "Pa"),
         values=np.vstack([synthetic().values, np.linspace(1e5, 2e5, K)]),
-    )  # fmt: skip
-    assert "1e+05 to 2e+05 Pa" in only(findings(moving), "error", "operating point changes").evidence
+    )
+    assert (
+        "1e+05 to 2e+05 Pa" in only(findings(moving), "error", "operating point changes").evidence
+    )
 
 
 def test_every_operating_point_is_compared_with_its_own_model():
@@ -220,7 +268,8 @@ def test_every_operating_point_is_compared_with_its_own_model():
     assert diagnose_records(machine, [synthetic(), other], controller) == ()
     bad = change(other, y_B_eta=("y_B_eta", -1))
     assert (
-        "y_B_eta has the wrong sign" in only(diagnose_records(machine, [synthetic(), bad], controller), "error", "mixed").what
+        "y_B_eta has the wrong sign"
+        in only(diagnose_records(machine, [synthetic(), bad], controller), "error", "mixed").what
     )
     begin = {"seal.center.k": 1.02 * machine.seals[0].k}
     assert diagnose_records(machine, [synthetic()], controller, start=begin) == ()
@@ -236,13 +285,19 @@ def test_held_samples_tell_the_true_rate():
 @pytest.mark.parametrize("missing", [[7000], [3000, 9345]])
 def test_missing_samples_are_found_where_they_are(record, missing):
     found = only(
-        findings(replace(RECORDS[record](), values=np.delete(RECORDS[record]().values, missing, axis=1))), "warning", "missing"
+        findings(
+            replace(RECORDS[record](), values=np.delete(RECORDS[record]().values, missing, axis=1))
+        ),
+        "warning",
+        "missing",
     )
     assert all(f"{at - n} (t =" in found.evidence for n, at in enumerate(missing)), found.evidence
 
 
 def test_many_missing_samples_are_refused():
-    found = findings(replace(rig(), values=np.delete(rig().values, np.arange(1000, 11500, 900), axis=1)))
+    found = findings(
+        replace(rig(), values=np.delete(rig().values, np.arange(1000, 11500, 900), axis=1))
+    )
     assert "and 7 more" in only(found, "error", "missing").evidence
 
 
@@ -250,7 +305,10 @@ def test_repeated_samples():
     values = synthetic().values.copy()
     values[:, 8000:8003] = values[:, 7999:8000]
     found = findings(replace(synthetic(), values=values))
-    assert "first at sample 8000" in next(item for item in found if "repeated in all channels" in item.what).evidence
+    assert (
+        "first at sample 8000"
+        in next(item for item in found if "repeated in all channels" in item.what).evidence
+    )
 
 
 def test_a_disturbed_sample_of_one_channel():
@@ -259,24 +317,38 @@ def test_a_disturbed_sample_of_one_channel():
         x[5000] += 5e-6
         return x
 
-    assert "y_B_zeta or u_B_zeta" in only(findings(with_values(synthetic(), "y_B_zeta", knock)), "warning", "disturbed").what
+    assert (
+        "y_B_zeta or u_B_zeta"
+        in only(findings(with_values(synthetic(), "y_B_zeta", knock)), "warning", "disturbed").what
+    )
 
 
 @both
 def test_another_computing_delay(record):
-    found = only(findings(RECORDS[record](), computing_delay=0), "warning", "follows the controller after 1 sample, not 0")
+    found = only(
+        findings(RECORDS[record](), computing_delay=0),
+        "warning",
+        "follows the controller after 1 sample, not 0",
+    )
     assert "give --delay-samples 1" in found.remedy
 
 
 @both
 def test_a_channel_that_is_a_sample_late(record):
     late = with_values(RECORDS[record](), "y_A_eta", lambda x: np.r_[x[:1], x[:-1]])
-    assert "A_eta (0 samples)" in only(findings(late), "warning", "not recorded at the same time").evidence
+    assert (
+        "A_eta (0 samples)"
+        in only(findings(late), "warning", "not recorded at the same time").evidence
+    )
 
 
 @pytest.mark.parametrize(("factor", "severity"), [(1.03, "warning"), (1.4, "error")])
 def test_another_gain(factor, severity):
-    found = only(findings(with_values(synthetic(), "u_B_eta", lambda x: factor * x)), severity, "another gain")
+    found = only(
+        findings(with_values(synthetic(), "u_B_eta", lambda x: factor * x)),
+        severity,
+        "another gain",
+    )
     assert f"u_B_eta is {factor:.4g} times K(-y)" in found.evidence
 
 
@@ -293,7 +365,9 @@ def test_noise_between_controller_and_recorder_is_no_other_controller():
     noisy[:4] += 2e-7 * rng.standard_normal(noisy[:4].shape)
     machine, plant, controller = setting()
     record = replace(synthetic(), values=noisy)
-    match = controller_match(machine, record, c2d(match_controller(controller, plant), DT, "tustin"))
+    match = controller_match(
+        machine, record, c2d(match_controller(controller, plant), DT, "tustin")
+    )
     assert match.least.max() > 0.05  # the derivative action makes much of it
     assert findings(record) == ()
 
@@ -310,7 +384,9 @@ def test_an_unstable_controller_is_compared_through_its_innovation():
     machine, *_ = setting()
     rng = np.random.default_rng(3)
     A = np.diag([1.02, 0.9, 0.95, 0.8])
-    law = StateSpace(A, np.eye(4) * 50, np.eye(4) * 40, 9000 * np.eye(4), names(["err"]), names("u"), DT)
+    law = StateSpace(
+        A, np.eye(4) * 50, np.eye(4) * 40, 9000 * np.eye(4), names(["err"]), names("u"), DT
+    )
     y = 1e-6 * rng.standard_normal((4, 3000))
     x = np.zeros((4, 3001))
     for t in range(3000):  # errors that keep the unstable state bounded
@@ -318,7 +394,9 @@ def test_an_unstable_controller_is_compared_through_its_innovation():
         x[:, t + 1] = A @ x[:, t] + law.B @ -y[:, t]
     u = law.C @ x[:, :-1] - law.D @ y
     assert np.abs(x).max() < 1
-    record = Record(machine.name, 1 / DT, tuple(names("yu")), ("m",) * 4 + ("A",) * 4, np.vstack([y, u]))
+    record = Record(
+        machine.name, 1 / DT, tuple(names("yu")), ("m",) * 4 + ("A",) * 4, np.vstack([y, u])
+    )
     match = controller_match(machine, record, law)
     assert match.least.max() < 1e-9 and not match.lag.any()
     other = controller_match(machine, record, replace(law, D=1.1 * law.D))
@@ -329,14 +407,21 @@ def test_no_excitation_and_one_that_the_machine_does_not_follow():
     record = synthetic()
     assert (
         "y_, u_, i_"
-        in only(findings(record.select([n for n in record.signals if n[0] != "e"])), "error", "no excitation").evidence
+        in only(
+            findings(record.select([n for n in record.signals if n[0] != "e"])),
+            "error",
+            "no excitation",
+        ).evidence
     )
     still = replace(record, values=np.vstack([record.values[:12], np.zeros((4, K))]))
     assert "never change" in only(findings(still), "error", "no excitation").evidence
     rng = np.random.default_rng(4)
     other = np.repeat(rng.choice([-0.2, 0.2], (4, K // 10)), 10, axis=1)
     unplugged = replace(record, values=np.vstack([record.values[:12], other]))
-    assert "would be chance" in only(findings(unplugged), "error", "no trace of the excitation").evidence
+    assert (
+        "would be chance"
+        in only(findings(unplugged), "error", "no trace of the excitation").evidence
+    )
     renamed = replace(record, signals=(*record.signals[:12], "e_1", "e_2", "e_3", "e_4"))
     assert "fit no axis" in only(findings(renamed), "error", "no excitation").evidence
 
@@ -344,8 +429,14 @@ def test_no_excitation_and_one_that_the_machine_does_not_follow():
 @both
 def test_clipped_signals(record):
     level = 0.6 * np.abs(RECORDS[record]()["y_A_zeta"]).max()
-    found = findings(with_values(RECORDS[record](), "y_A_zeta", lambda x: np.clip(x, -level, level)))
-    assert found[0].severity == "error" and "y_A_zeta is clipped" in found[0].what and f"{level:.4g} m" in found[0].evidence
+    found = findings(
+        with_values(RECORDS[record](), "y_A_zeta", lambda x: np.clip(x, -level, level))
+    )
+    assert (
+        found[0].severity == "error"
+        and "y_A_zeta is clipped" in found[0].what
+        and f"{level:.4g} m" in found[0].evidence
+    )
 
 
 def test_flat_tops_are_told_from_coarse_steps():
@@ -362,16 +453,21 @@ def test_flat_tops_are_told_from_coarse_steps():
 
 def test_saturated_currents_of_the_rig_and_touchdown():
     machine, _, controller = setting()
-    weak = replace(machine, bearings=tuple(replace(item, max_current=LIMIT) for item in machine.bearings))
+    weak = replace(
+        machine, bearings=tuple(replace(item, max_current=LIMIT) for item in machine.bearings)
+    )
     weak = replace(weak, gravity_direction=None)
     sequences = tuple(Prbs(f"e_{axis}", 0.15, 1e-3, order=9, seed=i) for i, axis in enumerate(AXES))
-    record = virtual_rig.run(weak, controller, Scenario("weak", 1.0, sequences=sequences, sample_time=DT)).record
+    record = virtual_rig.run(
+        weak, controller, Scenario("weak", 1.0, sequences=sequences, sample_time=DT)
+    ).record
     share = [np.mean(np.abs(record[f"u_{axis}"]) >= 0.999 * LIMIT) for axis in AXES]
     print(share)
     assert 0 < max(share) < 0.1
     found = diagnose_records(weak, record, controller)
     assert any("is saturated" in item.what and f"{LIMIT:g} A" in item.evidence for item in found)
-    assert not any("controller" in item.what for item in found)  # samples at the limit do not count against it
+    # samples at the limit do not count against it
+    assert not any("controller" in item.what for item in found)
     deep = with_values(synthetic(), "y_B_eta", lambda x: x + 2.6e-4 * (np.arange(K) == 500))
     assert any("y_B_eta reaches the touchdown bearing" in item.what for item in findings(deep))
 
@@ -384,7 +480,10 @@ def test_a_record_given_twice():
 
 def test_a_dead_channel():
     dead = with_values(synthetic(), "y_B_eta", lambda x: 0 * x + 1e-6)
-    assert "all 12000 samples are 1e-06" in only(findings(dead), "error", "y_B_eta never changes").evidence
+    assert (
+        "all 12000 samples are 1e-06"
+        in only(findings(dead), "error", "y_B_eta never changes").evidence
+    )
 
 
 def test_a_response_far_from_the_start_values_is_only_a_warning():
@@ -396,21 +495,33 @@ def test_a_response_far_from_the_start_values_is_only_a_warning():
 
 
 def heavier(machine, factor):
-    return tuple(replace(s, material=replace(s.material, density=factor * 7850)) for s in machine.shaft)
+    return tuple(
+        replace(s, material=replace(s.material, density=factor * 7850)) for s in machine.shaft
+    )
 
 
 def test_a_wrong_mass_that_no_record_can_tell():
     machine, _, controller = setting()
     machine = replace(machine, seals=(), couplings=(), tolerances=())
     plant = free_mode_reduction(assemble(machine), 1)
-    loop = select(closed_loop(plant, c2d(match_controller(controller, plant), DT, "tustin", delay=DT)), names("e"), names("yu"))
+    loop = select(
+        closed_loop(plant, c2d(match_controller(controller, plant), DT, "tustin", delay=DT)),
+        names("e"),
+        names("yu"),
+    )
     e = np.stack([0.2 * waveforms.prbs(9, 10, 10000, shift=127 * i) for i in range(4)])
     values = np.vstack([simulate(loop, e), e])
     values[:4] += 1e-8 * np.random.default_rng(0).standard_normal((4, 10000))
-    record = Record(machine.name, 1 / DT, tuple(names("yue")), ("m",) * 4 + ("A",) * 8, values, plant.point)
-    checked = run(replace(machine, shaft=heavier(machine, 1.2)), [record], controller, unknown=NINE[:2])
+    record = Record(
+        machine.name, 1 / DT, tuple(names("yue")), ("m",) * 4 + ("A",) * 8, values, plant.point
+    )
+    checked = run(
+        replace(machine, shaft=heavier(machine, 1.2)), [record], controller, unknown=NINE[:2]
+    )
     found = next(item for item in checked.findings if "same factor" in item.what)
-    assert found.evidence.startswith("1.19") or (found.evidence.startswith("1.2") and "weigh the rotor" in found.remedy)
+    assert found.evidence.startswith("1.19") or (
+        found.evidence.startswith("1.2") and "weigh the rotor" in found.remedy
+    )
 
 
 def test_wrong_machine_and_wrong_mass():
@@ -418,10 +529,12 @@ def test_wrong_machine_and_wrong_mass():
     with pytest.raises(InvalidInput, match="machine of record 1 is 'turboexpander'"):
         run(machine, [replace(synthetic(), machine="turboexpander")], controller, unknown=NINE)
     fat = replace(machine, shaft=heavier(machine, 1.2))
-    assert not run(fat, [synthetic(0.0)], controller, unknown=NINE).passed  # the seal's known stiffness betrays it
+    # the seal's known stiffness betrays it
+    assert not run(fat, [synthetic(0.0)], controller, unknown=NINE).passed
     short = replace(
         machine,
-        sensors=tuple(replace(s, position=860e-3 - s.position) for s in machine.sensors),  # sensors of A and B exchanged
+        # sensors of A and B exchanged
+        sensors=tuple(replace(s, position=860e-3 - s.position) for s in machine.sensors),
     )
     with pytest.raises(InvalidInput, match=r"mixed up|no values of these parameters|unstable"):
         run(short, [synthetic(0.0)], controller, unknown=NINE)
@@ -436,9 +549,17 @@ def test_impossible_values_are_refused_and_distant_ones_doubted():
     found = diagnose_result(machine, turned, checked.outputs)
     assert found[0].severity == "error" and "bearing.A.force_per_current.zeta = -" in found[0].what
     tripled = replace(result, values=np.r_[3 * result.start[:1], result.values[1:]])
-    assert "3 times its start" in only(diagnose_result(machine, tripled, checked.outputs), "warning", "far from").evidence
+    assert (
+        "3 times its start"
+        in only(diagnose_result(machine, tripled, checked.outputs), "warning", "far from").evidence
+    )
     stiff = replace(result, values=np.r_[result.values[:4], -result.values[4:5], result.values[5:]])
-    assert "not destabilising" in only(diagnose_result(machine, stiff, checked.outputs), "warning", "negative_stiffness").what
+    assert (
+        "not destabilising"
+        in only(
+            diagnose_result(machine, stiff, checked.outputs), "warning", "negative_stiffness"
+        ).what
+    )
 
 
 def test_a_knock_during_the_record_is_found_in_the_residual():
@@ -446,15 +567,21 @@ def test_a_knock_during_the_record_is_found_in_the_residual():
         return x + 4e-6 * np.exp(-0.5 * ((np.arange(K) - 7000) / 20) ** 2)
 
     machine, _, controller = setting()
-    seen = [name for name in synthetic().signals if name[0] in "ye"]  # without u nothing shows it before
+    # without u nothing shows it before
+    seen = [name for name in synthetic().signals if name[0] in "ye"]
     record = with_values(synthetic(), "y_A_zeta", knocked).select(seen)
     checked = run(machine, [record], controller, unknown=NINE)
-    assert any("y_A_zeta leaves the model" in item.what and "0.69" in item.evidence for item in checked.findings)
+    assert any(
+        "y_A_zeta leaves the model" in item.what and "0.69" in item.evidence
+        for item in checked.findings
+    )
 
 
 @pytest.mark.parametrize("given", [0, 2])
 def test_a_wrong_delay_without_controller_outputs_is_found_after_the_fit(given):
-    """The true one is a sample; it is found as an unknown, with its deviation, and the right one is not complained about."""
+    """The true one is a sample; it is found as an unknown, with its deviation, and the right one is
+    not complained about.
+    """
     machine, _, controller = setting()
     record = synthetic().select([name for name in synthetic().signals if name[0] in "ye"])
     checked = run(machine, [record], controller, unknown=NINE, computing_delay=given)
@@ -476,9 +603,20 @@ def test_where_the_delay_cannot_be_an_unknown_whole_ones_are_tried():
         raise InvalidInput("no")
 
     def refused():
-        return identify(machine, synthetic(), controller, (*NINE, "delay"), signals=names("yu"), computing_delay=0)
+        return identify(
+            machine,
+            synthetic(),
+            controller,
+            (*NINE, "delay"),
+            signals=names("yu"),
+            computing_delay=0,
+        )
 
-    found = only(delay_findings(result, 0.0, DT, refused, whole), "warning", "delay of 1 instead of 0 samples")
+    found = only(
+        delay_findings(result, 0.0, DT, refused, whole),
+        "warning",
+        "delay of 1 instead of 0 samples",
+    )
     assert "% with 1" in found.evidence and "give --delay-samples 1" in found.remedy
     worse = replace(result, fit=tuple((n, name, 0.0) for n, name, _ in result.fit))
     assert delay_findings(result, 0.0, DT, refused, lambda delay: worse) == ()
@@ -490,11 +628,11 @@ def test_an_unknown_delay_is_found_and_not_complained_about():
     whole = run(machine, [synthetic()], controller, unknown=(*NINE, "delay"), computing_delay=0)
     assert whole.result.values[-1] == pytest.approx(DT, rel=0.01)
     assert not any("follows the controller after" in item.what for item in whole.findings)
-    rows = identification_report(whole).sections[0].tables[0].cells
+    rows = identification_page(whole).sections[0].tables[0].cells
     assert rows[-1][0].text == "controller.delay" and rows[-1][2].text.endswith("ms")
-    assert len(whole.outputs[0].residual[0]) == K and np.std(whole.outputs[0].residual) < 0.05 * np.std(
-        whole.outputs[0].measured
-    )
+    assert len(whole.outputs[0].residual[0]) == K and np.std(
+        whole.outputs[0].residual
+    ) < 0.05 * np.std(whole.outputs[0].measured)
     late = run(machine, [synthetic()], controller, unknown=(*NINE, "excitation.delay"))
     assert late.outputs[0].residual.shape == late.outputs[0].record.select(names("y")).values.shape
     assert abs(late.result.values[-1]) < 0.05 * DT
@@ -504,10 +642,21 @@ def test_an_unknown_that_is_not_excited_is_doubted_or_refused():
     machine, plant, controller = setting()
     values = synthetic().values.copy()
     record = replace(synthetic(), values=values)
-    unknown = (*NINE, "coupling.coupling.damping.zeta", "coupling.coupling.damping.eta", "seal.center.C", "seal.center.c")
-    checked = identify_loop(machine, [record], controller, unknown, options=FitOptions(bending_modes=1))
-    assert not checked.passed and any(finding.code == Code.HARDLY_VISIBLE for finding in checked.findings)
-    with pytest.raises(InvalidInput, match=r"damping \(zeta\) is -.*must be zero or positive"):  # no machine has such values
+    unknown = (
+        *NINE,
+        "coupling.coupling.damping.zeta",
+        "coupling.coupling.damping.eta",
+        "seal.center.C",
+        "seal.center.c",
+    )
+    checked = identify_loop(
+        machine, [record], controller, unknown, options=FitOptions(bending_modes=1)
+    )
+    assert not checked.passed and any(
+        finding.code == Code.HARDLY_VISIBLE for finding in checked.findings
+    )
+    # no machine has such values
+    with pytest.raises(InvalidInput, match=r"damping \(zeta\) is -.*must be zero or positive"):
         run(machine, [record], controller, unknown=unknown)
     assert plant.axes == AXES
 
@@ -516,8 +665,12 @@ def test_a_start_at_which_the_loop_is_unstable_is_refused():
     machine, _, controller = setting()
     with pytest.raises(InvalidInput, match="the loop at the start values is unstable"):
         run(
-            machine, [synthetic()], controller, unknown=NINE, start={"bearing.A.negative_stiffness.zeta": 9e6}
-        )  # fmt: skip
+            machine,
+            [synthetic()],
+            controller,
+            unknown=NINE,
+            start={"bearing.A.negative_stiffness.zeta": 9e6},
+        )
 
 
 def test_usual_unknowns():
@@ -529,10 +682,15 @@ def test_usual_unknowns():
     marked = replace(machine, tolerances=(Tolerance("bearing.A.force_per_current", relative=0.1),))
     assert len(usual_unknowns(marked)) == 9
     table = SealTable((("pressure", (0.0, 4.08e5)),), (("k", (0.0, 6.4e6)),))
-    alone = replace(machine.seals[0], K=0.0, k=0.0, C=0.0, c=0.0, table=table, scales_with_pressure=())
+    alone = replace(
+        machine.seals[0], K=0.0, k=0.0, C=0.0, c=0.0, table=table, scales_with_pressure=()
+    )
     tabulated = replace(machine, seals=(alone,))
     assert "seal.center.k" not in usual_unknowns(tabulated)  # it could not be written back
-    assert not any(path.startswith("seal") for path in usual_unknowns(load_machine("turboexpander")))  # from its geometry
+    # from its geometry
+    assert not any(
+        path.startswith("seal") for path in usual_unknowns(load_machine("turboexpander"))
+    )
 
 
 def test_a_finding_has_one_of_two_severities():

@@ -1,4 +1,6 @@
-"""The local polynomial method against a known system that begins anywhere, with and without noise."""
+"""The local polynomial method against a known system that begins anywhere, with and without
+noise.
+"""
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from ambrose.core.statespace import StateSpace
 from ambrose.identification.frf.local import local_response
 from ambrose.identification.frf.spectral import h1
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 DT, K = 1e-3, 12000
 
@@ -32,7 +34,14 @@ def records(noise=0.0, seed=0, count=1, speed=0.0):
         turning = 0.2 * np.sin(speed * DT * np.arange(K)) * bool(speed)
         values = np.vstack([e[:, 500:], y + noise * rng.standard_normal(y.shape) + turning])
         found.append(
-            Record("m", 1 / DT, ("e_1", "e_2", "y_1", "y_2"), ("A", "A", "m", "m"), values, OperatingPoint(speed=speed))
+            Record(
+                "m",
+                1 / DT,
+                ("e_1", "e_2", "y_1", "y_2"),
+                ("A", "A", "m", "m"),
+                values,
+                OperatingPoint(speed=speed),
+            )
         )
     return found
 
@@ -44,9 +53,15 @@ def truth(omega):
 @pytest.mark.parametrize("count", [1, 3])
 def test_a_resonance_is_found_ten_times_as_well_as_by_windows(count):
     data = records(count=count)
-    local, windows = local_response(data, ["e_1", "e_2"], ["y_1", "y_2"]), h1(data, ["e_1", "e_2"], ["y_1", "y_2"])
+    local, windows = (
+        local_response(data, ["e_1", "e_2"], ["y_1", "y_2"]),
+        h1(data, ["e_1", "e_2"], ["y_1", "y_2"]),
+    )
     near = [np.argmin(np.abs(item.omega - 2 * np.pi * 40)) for item in (local, windows)]
-    off = [np.abs(item.values - truth(item.omega))[k].max() for item, k in zip((local, windows), near, strict=True)]
+    off = [
+        np.abs(item.values - truth(item.omega))[k].max()
+        for item, k in zip((local, windows), near, strict=True)
+    ]
     assert off[0] < 0.1 * off[1]
     assert off[0] < 0.02 * np.abs(truth(local.omega[near[0]][None])).max()
 
@@ -61,20 +76,30 @@ def test_the_stated_circle_holds_the_truth_in_95_of_100():
 
 def test_unbalance_is_taken_out():
     quiet, turning = (
-        local_response(records(speed=speed), ["e_1", "e_2"], ["y_1", "y_2"], band=(100, 1000)) for speed in (0, 2 * np.pi * 30)
+        local_response(records(speed=speed), ["e_1", "e_2"], ["y_1", "y_2"], band=(100, 1000))
+        for speed in (0, 2 * np.pi * 30)
     )
-    assert np.abs(turning.values - truth(turning.omega)).max() < 3 * np.abs(quiet.values - truth(quiet.omega)).max()
+    assert (
+        np.abs(turning.values - truth(turning.omega)).max()
+        < 3 * np.abs(quiet.values - truth(quiet.omega)).max()
+    )
 
 
 def test_bands_grow_where_nothing_changes():
     found = local_response(records(0.02), ["e_1", "e_2"], ["y_1", "y_2"])
     spacing = np.diff(found.omega)
-    assert spacing[found.omega[1:] > 2 * np.pi * 300].mean() > 2 * spacing[np.abs(found.omega[1:] - 2 * np.pi * 40) < 30].mean()
+    assert (
+        spacing[found.omega[1:] > 2 * np.pi * 300].mean()
+        > 2 * spacing[np.abs(found.omega[1:] - 2 * np.pi * 40) < 30].mean()
+    )
 
 
 def test_errors_of_a_column_go_together():
     found = local_response(records(0.02), ["e_1", "e_2"], ["y_1", "y_2"])
-    pairs = np.einsum("wii->wi", found.noise).real[:, :, None] * np.einsum("wii->wi", found.share).real[:, None, :]
+    pairs = (
+        np.einsum("wii->wi", found.noise).real[:, :, None]
+        * np.einsum("wii->wi", found.share).real[:, None, :]
+    )
     np.testing.assert_allclose(pairs, found.variance)
     part = found.select("e_2", "y_1").between(100, 500)
     assert part.noise.shape == part.share.shape == (len(part.omega), 1, 1)
@@ -90,7 +115,9 @@ def test_what_tells_nothing_is_refused():
     values = data.values.copy()
     values[1] = 0
     with pytest.raises(InvalidInput, match="e_2 never changes"):
-        local_response(Record("m", 1 / DT, data.signals, data.units, values), ["e_1", "e_2"], ["y_1"])
+        local_response(
+            Record("m", 1 / DT, data.signals, data.units, values), ["e_1", "e_2"], ["y_1"]
+        )
     with pytest.raises(InvalidInput, match="record longer"):
         local_response(data.between(0, 0.1), ["e_1", "e_2"], ["y_1"])
     slow = Record("m", 500.0, data.signals, data.units, data.values)

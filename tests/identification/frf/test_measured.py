@@ -1,4 +1,6 @@
-"""The loop's responses from every kind of excitation against the loop's own, which is known exactly; what cannot be told."""
+"""The loop's responses from every kind of excitation against the loop's own, which is known
+exactly; what cannot be told.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -13,13 +15,15 @@ from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.identification.frf.measured import measure
+from ambrose.law.loop import closed_loop
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record.record import Record
-from ambrose.plant.loop import closed_loop
-from ambrose.simulation.disturbances import Chirp, Prbs, SteppedSine
-from ambrose.simulation.scenario import Scenario
+from ambrose.record.record import Record
+from ambrose.rig.disturbances import Chirp, Prbs, SteppedSine
+from ambrose.rig.scenario import Scenario
 
-HZ, NOISE, DT = 2 * np.pi, 2e-8, 1e-4
+HZ = 2 * np.pi
+NOISE = 2e-8
+DT = 1e-4
 POINT = OperatingPoint()
 BIT = {"bit_time": 1e-3, "order": 9}
 
@@ -37,13 +41,22 @@ def law(name):
 @cache
 def loop_of(name):
     """The sampled loop, exactly: what is added to the controller's output is held for a sample."""
-    return closed_loop(amb.assemble(machine(name), POINT), c2d(law(name).law, DT, "tustin", delay=DT))
+    return closed_loop(
+        amb.assemble(machine(name), POINT), c2d(law(name).law, DT, "tustin", delay=DT)
+    )
 
 
 def record(name, duration, **disturbances):
-    """The sampled loop of a machine under a scenario's excitations, with noise of the sensors going around it."""
+    """The sampled loop of a machine under a scenario's excitations, with noise of the sensors going
+    around it.
+    """
     wanted = amb.simulate(
-        machine(name), law(name), Scenario("test", duration, **disturbances), linear=True, point=POINT, rate=1e4
+        machine(name),
+        law(name),
+        Scenario("test", duration, **disturbances),
+        linear=True,
+        point=POINT,
+        rate=1e4,
     )
     e = [one for one in wanted.record.signals if one[:2] == "e_"]
     axes, found = machine(name).axes, wanted.record.select(e or wanted.record.signals[:1])
@@ -52,7 +65,14 @@ def record(name, duration, **disturbances):
     driven = np.vstack([*(found[one][None] for one in e), noise])
     values = simulate(select(loop_of(name), [*e, *(f"d_{axis}" for axis in axes)], outputs), driven)
     units = (*("m" for _ in axes), *("A" for _ in axes), *("A" for _ in e))
-    return Record(machine(name).name, 1 / DT, (*outputs, *e), units, np.vstack([values, driven[: len(e)]]), POINT)
+    return Record(
+        machine(name).name,
+        1 / DT,
+        (*outputs, *e),
+        units,
+        np.vstack([values, driven[: len(e)]]),
+        POINT,
+    )
 
 
 def truth(name, loop, inputs, outputs):
@@ -72,7 +92,10 @@ def inside(found, want):
 @pytest.mark.parametrize("name", ["seal-rig", "three-bearing-train"])
 def test_a_chirp_on_one_axis_tells_its_column(name):
     axis = machine(name).axes[0]
-    loop = measure([record(name, 8.0, chirps=(Chirp(f"e_{axis}", 0.05, 5 * HZ, 300 * HZ),))], machine(name).axes)
+    loop = measure(
+        [record(name, 8.0, chirps=(Chirp(f"e_{axis}", 0.05, 5 * HZ, 300 * HZ),))],
+        machine(name).axes,
+    )
     assert loop.method == "polynomials" and loop.plant is None
     assert 20 * HZ > loop.closed.omega[0] and 290 * HZ < loop.closed.omega[-1] < 320 * HZ
     want = truth(name, loop, [f"e_{axis}"], loop.closed.outputs)
@@ -87,12 +110,23 @@ def test_a_chirp_on_one_axis_tells_its_column(name):
 def test_sequences_that_repeat_are_averaged_and_give_the_plant():
     name = "seal-rig"
     axes = machine(name).axes
-    loop = measure([record(name, 6.0, sequences=tuple(Prbs(f"e_{a}", 0.05, seed=i, **BIT) for i, a in enumerate(axes)))], axes)
+    loop = measure(
+        [
+            record(
+                name,
+                6.0,
+                sequences=tuple(Prbs(f"e_{a}", 0.05, seed=i, **BIT) for i, a in enumerate(axes)),
+            )
+        ],
+        axes,
+    )
     assert (loop.method, loop.periods) == ("periods", 10)
     assert loop.together == tuple((f"e_{axis}",) for axis in axes)
     outputs = [f"y_{a}" for a in axes]
     assert inside(loop.motion, truth(name, loop, [f"e_{a}" for a in axes], outputs)) > 0.85
-    plant = c2d(select(amb.assemble(machine(name), POINT).system, [f"u_{a}" for a in axes], outputs), DT)
+    plant = c2d(
+        select(amb.assemble(machine(name), POINT).system, [f"u_{a}" for a in axes], outputs), DT
+    )
     want = frequency_response(plant, loop.plant.omega).values
     assert inside(loop.plant, want) > 0.85
     off = np.linalg.norm(loop.plant.values - want, axis=(1, 2)) / np.linalg.norm(want, axis=(1, 2))

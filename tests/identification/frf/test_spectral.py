@@ -1,4 +1,6 @@
-"""Measured frequency responses against exact ones, against scipy's estimator, and their variance against Monte Carlo."""
+"""Measured frequency responses against exact ones, against scipy's estimator, and their variance
+against Monte Carlo.
+"""
 
 import tracemalloc
 from dataclasses import replace
@@ -17,11 +19,11 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
 from ambrose.identification.frf import spectral as frf
 from ambrose.identification.frf.validity import AGREES, DISAGREES, UNDECIDED, compare
+from ambrose.law.loop import closed_loop
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.reduce import free_mode_reduction
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.record.record import Record
 from ambrose.synthesis.pid import pid_synthesis
 
 HZ = 2 * np.pi
@@ -62,7 +64,10 @@ def test_single_input_is_what_scipy_computes():
 @pytest.mark.parametrize("method", [frf.h1, frf.closed_loop])
 def test_periodic_excitation_in_a_whole_number_of_periods_is_exact(method):
     lines = HZ * np.array([4.0, 10.0, 30.0, 120.0])
-    wave = sum(np.cos(line * DT * np.arange(6000) + phase) for line, phase in zip(lines, (0.0, 0.8, 2.5, 4.4), strict=True))
+    wave = sum(
+        np.cos(line * DT * np.arange(6000) + phase)
+        for line, phase in zip(lines, (0.0, 0.8, 2.5, 4.4), strict=True)
+    )
     y = filtered(wave)[2000:]
     signals = {"u_A": wave[2000:], "e_A": wave[2000:], "y_A": y}
     found = method(record(**signals), "u_A", "y_A", segment=1.0, overlap=0.0, window="boxcar")
@@ -75,9 +80,16 @@ def noisy_loop(seed, k=20000, noise=0.3):
     """y = G (u + e) + n with u = -0.3 y; one sample of delay in G, so the loop can be stepped."""
     rng = np.random.default_rng(seed)
     e, n = rng.standard_normal(k), noise * rng.standard_normal(k)
-    y, u, g = np.zeros(k), np.zeros(k), np.zeros(k)
+    y = np.zeros(k)
+    u = np.zeros(k)
+    g = np.zeros(k)
     for t in range(2, k):
-        g[t] = 0.4 * (u[t - 1] + e[t - 1]) + 0.1 * (u[t - 2] + e[t - 2]) + 1.2 * g[t - 1] - 0.7 * g[t - 2]
+        g[t] = (
+            0.4 * (u[t - 1] + e[t - 1])
+            + 0.1 * (u[t - 2] + e[t - 2])
+            + 1.2 * g[t - 1]
+            - 0.7 * g[t - 2]
+        )
         y[t] = g[t] + n[t]
         u[t] = -0.3 * y[t]
     return record(e_A=e, u_A=u, y_A=y)
@@ -93,16 +105,25 @@ def test_feedback_biases_h1_and_not_the_closed_loop_estimate():
     rest = np.mean(((joint.values[:, 0, 0] - exact) / exact)[middle])
     assert abs(bias) > 0.25
     assert abs(rest) < 0.02
-    assert np.mean(np.abs(joint.values[:, 0, 0] - exact)[middle] < joint.radius()[:, 0, 0][middle]) > 0.9
+    assert (
+        np.mean(np.abs(joint.values[:, 0, 0] - exact)[middle] < joint.radius()[:, 0, 0][middle])
+        > 0.9
+    )
 
 
 @pytest.mark.parametrize("loop", [False, True])
 def test_predicted_variance_and_circles_against_monte_carlo(loop):
-    """Sixty records: mean predicted variance over the true one within 15 %, circles of 95 % hold the truth 92 to 98 %."""
-    errors, predicted, inside = [], [], []
+    """Sixty records: mean predicted variance over the true one within 15 %, circles of 95 % hold
+    the truth 92 to 98 %.
+    """
+    errors = []
+    predicted = []
+    inside = []
     for seed in range(60):
         if loop:
-            found = frf.closed_loop(noisy_loop(seed, 3000), "v_A", "y_A", segment=0.2, band=(60, 2500))
+            found = frf.closed_loop(
+                noisy_loop(seed, 3000), "v_A", "y_A", segment=0.2, band=(60, 2500)
+            )
         else:
             rng = np.random.default_rng(seed)
             u = rng.standard_normal(6000)
@@ -117,23 +138,37 @@ def test_predicted_variance_and_circles_against_monte_carlo(loop):
 
 
 def test_variance_under_a_chirp_allows_for_overlapping_segments():
-    """A chirp passes each line within a few overlapping segments: their noise is correlated. 150 records, within 6 %."""
+    """A chirp passes each line within a few overlapping segments: their noise is correlated. 150
+    records, within 6 %.
+    """
     u = waveforms.chirp(2 * HZ, 200 * HZ, 6000, DT)
     errors, predicted = [], []
     for seed in range(150):
         noise = np.random.default_rng(seed).standard_normal(6000)
-        found = frf.h1(record(u_A=u, y_A=noise), "u_A", "y_A", segment=0.4, band=(20 * HZ, 180 * HZ))
+        found = frf.h1(
+            record(u_A=u, y_A=noise), "u_A", "y_A", segment=0.4, band=(20 * HZ, 180 * HZ)
+        )
         errors.append(np.abs(found.values[:, 0, 0]) ** 2)
         predicted.append(found.variance[:, 0, 0])
     assert np.mean(predicted) / np.mean(errors) == pytest.approx(1, abs=0.06)
 
 
 def test_few_segments_cost_degrees_of_freedom():
-    """Four segments without overlap, one of them spent on the response: circles as wide as F(2, 6) says hold 95 %."""
+    """Four segments without overlap, one of them spent on the response: circles as wide as F(2, 6)
+    says hold 95 %.
+    """
     rng, inside = np.random.default_rng(3), []
     for _ in range(60):
         u, noise = rng.standard_normal((2, 2000))
-        found = frf.h1(record(u_A=u, y_A=noise), "u_A", "y_A", segment=0.5, overlap=0.0, window="boxcar", band=(20, 3000))
+        found = frf.h1(
+            record(u_A=u, y_A=noise),
+            "u_A",
+            "y_A",
+            segment=0.5,
+            overlap=0.0,
+            window="boxcar",
+            band=(20, 3000),
+        )
         error = np.abs(found.values[:, 0, 0])
         inside.append(error < found.radius()[:, 0, 0])
     assert found.freedom == pytest.approx(3)
@@ -142,7 +177,9 @@ def test_few_segments_cost_degrees_of_freedom():
 
 @pytest.mark.parametrize("method", [frf.h1, frf.closed_loop])
 def test_blocks_of_segments_change_nothing_and_bound_the_memory(method, monkeypatch):
-    """Segments that overlap across two blocks count once, those of two records never; three records take no more than one."""
+    """Segments that overlap across two blocks count once, those of two records never; three records
+    take no more than one.
+    """
     rng = np.random.default_rng(0)
     records = []
     for _ in range(3):
@@ -173,7 +210,13 @@ def test_two_inputs_from_two_records_or_from_two_sequences_in_one():
     want = np.zeros((2, 2, 1), complex) + np.array([[1, 0], [0, -1]])[:, :, None]
     for records in ([made(a, zero), made(zero, b)], [made(a, b)], [made(a, a), made(a, -a)]):
         found = frf.h1(records, ["u_A", "u_B"], ["y_A", "y_B"], band=(50, 2500))
-        want = np.moveaxis(np.array([[truth(found.omega), 2 + 0j * found.omega], [0 * found.omega, -truth(found.omega)]]), 2, 0)
+        want = np.moveaxis(
+            np.array(
+                [[truth(found.omega), 2 + 0j * found.omega], [0 * found.omega, -truth(found.omega)]]
+            ),
+            2,
+            0,
+        )
         assert np.abs(found.values - want).max() < 0.08
         assert found.variance.shape == (len(found.omega), 2, 2)
         one = found.select("u_B", "y_A").between(100, 200)
@@ -200,13 +243,17 @@ def chirps():
         drive = np.zeros((4, len(wave)))
         drive[i] = wave
         values = np.vstack([simulate(select(loop, e, [*y, *u]), drive), drive])
-        made.append(Record("seal-rig", 1e4, (*y, *u, *e), ("m",) * 4 + ("A",) * 8, values, plant.point))
+        made.append(
+            Record("seal-rig", 1e4, (*y, *u, *e), ("m",) * 4 + ("A",) * 8, values, plant.point)
+        )
     return made
 
 
 @pytest.mark.campaign
 def test_plant_from_four_chirps_in_closed_loop():
-    """Hann, 75 % overlap, 0.5 s segments of a 20 s chirp: 0.26 % and 0.3 degrees against the ZOH-sampled plant."""
+    """Hann, 75 % overlap, 0.5 s segments of a 20 s chirp: 0.26 % and 0.3 degrees against the
+    ZOH-sampled plant.
+    """
     plant, _ = rig_loop()
     commands, shown = [f"v_{a}" for a in plant.axes], [f"y_{a}" for a in plant.axes]
     found = frf.closed_loop(chirps(), commands, shown, band=(10 * HZ, 140 * HZ))
@@ -215,16 +262,21 @@ def test_plant_from_four_chirps_in_closed_loop():
     assert np.abs(np.abs(own) - 1).max() < 0.0026
     assert np.degrees(np.abs(np.angle(own))).max() < 0.3
     assert np.all(np.diag(validity.valid_to) > 139 * HZ)
-    continuous = frequency_response(select(plant.system, [f"u_{a}" for a in plant.axes], shown), found.omega)
+    continuous = frequency_response(
+        select(plant.system, [f"u_{a}" for a in plant.axes], shown), found.omega
+    )
     named = FrequencyResponse(continuous.values, continuous.omega, found.inputs, found.outputs)
     late = compare(found, named, magnitude_tolerance=0.01, phase_tolerance=np.radians(1))
-    assert np.all(np.diag(late.valid_to) < 80 * HZ)  # half a sample of hold is 1 degree at 56 Hz, 1.4 at 80
+    # half a sample of hold is 1 degree at 56 Hz, 1.4 at 80
+    assert np.all(np.diag(late.valid_to) < 80 * HZ)
 
 
 def test_validity_names_the_last_line_before_the_model_leaves():
     plant, loop = rig_loop()
     shown = [f"y_{a}" for a in plant.axes]
-    found = frf.h1(chirps(), [f"e_{a}" for a in plant.axes], shown, band=(20 * HZ, 140 * HZ)).select("e_A_zeta", "y_A_zeta")
+    found = frf.h1(
+        chirps(), [f"e_{a}" for a in plant.axes], shown, band=(20 * HZ, 140 * HZ)
+    ).select("e_A_zeta", "y_A_zeta")
     exact = frequency_response(select(loop, "e_A_zeta", "y_A_zeta"), found.omega)
     delay = np.exp(-1j * found.omega * 1e-3)[:, None, None]
     late = replace(exact, values=exact.values * delay)
@@ -249,13 +301,21 @@ def test_a_continuous_model_is_sampled_with_a_hold_and_a_sampled_one_taken_as_it
     for model in (system, sampled):
         validity = compare(found, model, magnitude_tolerance=0.02, phase_tolerance=0.02)
         assert validity.valid_to[0, 0] > 2700
-    assert compare(found, replace_dt(system), magnitude_tolerance=0.02, phase_tolerance=0.02).valid_to[0, 0] < 200
+    assert (
+        compare(found, replace_dt(system), magnitude_tolerance=0.02, phase_tolerance=0.02).valid_to[
+            0, 0
+        ]
+        < 200
+    )
 
 
 def replace_dt(system):
     """The continuous response, not held."""
     omega = frf.h1(
-        record(u_A=np.random.default_rng(2).standard_normal(40000), y_A=np.ones(40000)), "u_A", "y_A", band=(20, 2800)
+        record(u_A=np.random.default_rng(2).standard_normal(40000), y_A=np.ones(40000)),
+        "u_A",
+        "y_A",
+        band=(20, 2800),
     )
     return frequency_response(system, omega.omega)
 
@@ -284,7 +344,9 @@ def test_what_cannot_be_estimated_is_refused():
     with pytest.raises(InvalidInput, match="dead channel"):
         compare(found, FrequencyResponse(found.values, found.omega, found.inputs, found.outputs))
     with pytest.raises(InvalidInput, match="evaluate it at measured"):
-        compare(found, FrequencyResponse(found.values[1:], found.omega[1:], found.inputs, found.outputs))
+        compare(
+            found, FrequencyResponse(found.values[1:], found.omega[1:], found.inputs, found.outputs)
+        )
     with pytest.raises(InvalidInput, match="within"):
         found.between(1e5, 1e6)
     with pytest.raises(InvalidInput, match="confidence"):

@@ -1,4 +1,6 @@
-"""Frequency responses from stepped sines against the exact ones of the loop, and their variance against Monte Carlo."""
+"""Frequency responses from stepped sines against the exact ones of the loop, and their variance
+against Monte Carlo.
+"""
 
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ import scipy.signal
 from ambrose.core.checks import InvalidInput
 from ambrose.identification.frf.phasors import steps_of
 from ambrose.identification.frf.stepped import stepped
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 HZ = 2 * np.pi
 DT = 1e-3
@@ -32,8 +34,12 @@ def record(noise=0.0, seed=0, **signals):
     names = tuple(signals)
     values = np.stack(list(signals.values()))
     rows = [i for i, name in enumerate(names) if name.startswith("y")]
-    values[rows] += noise * np.random.default_rng(seed).standard_normal((len(rows), values.shape[1]))
-    return Record("bench", 1 / DT, names, tuple("m" if n.startswith("y") else "A" for n in names), values)
+    values[rows] += noise * np.random.default_rng(seed).standard_normal(
+        (len(rows), values.shape[1])
+    )
+    return Record(
+        "bench", 1 / DT, names, tuple("m" if n.startswith("y") else "A" for n in names), values
+    )
 
 
 def test_two_directions_with_a_silent_one_left_out_of_its_record():
@@ -51,9 +57,13 @@ def test_two_directions_with_a_silent_one_left_out_of_its_record():
 
 @pytest.mark.campaign
 def test_variance_against_monte_carlo():
-    """0.2 rms of noise on a sine of 1: over 200 records predicted and true variance agree within 15 %."""
+    """0.2 rms of noise on a sine of 1: over 200 records predicted and true variance agree within 15
+    %.
+    """
     e, steps = wave(), steps_of([f * HZ for f in FREQUENCIES], DWELL)
-    errors, predicted, coherence = [], [], []
+    errors = []
+    predicted = []
+    coherence = []
     for seed in range(200):
         found = stepped(record(0.2, seed, e_A=e, y_A=filtered(e)), "e_A", "y_A", steps=steps)
         errors.append(np.abs(found.values[:, 0, 0] - exact(found.omega)) ** 2)

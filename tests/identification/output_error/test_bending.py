@@ -18,25 +18,32 @@ from ambrose.identification.output_error import closed_loop as whole_loop
 from ambrose.identification.output_error.problem import FitOptions, build_experiment
 from ambrose.identification.parameters import COVERAGE, expand, nominal_values, plant_at
 from ambrose.identification.validation.suspects import suspects
-from ambrose.machine.description import BendingMode, OperatingPoint, Tolerance
+from ambrose.law.loop import closed_loop, match_controller
+from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.file.toml import dumps_machine, loads_machine
-from ambrose.machine.record.record import Record
-from ambrose.physics.rotor import finite_element_rotor, free_modes
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop, match_controller
-from ambrose.plant.reduce import free_mode_reduction
+from ambrose.machine.rotor_model import BendingMode
+from ambrose.model.assemble import assemble
+from ambrose.model.effects.rotor import finite_element_rotor, free_modes
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.record.record import Record
 from ambrose.synthesis.pid import pid_controller
 from whole_records import simulate_derivative
 
 DT = 1e-4
-NINE = ("bearing.*.force_per_current.*", "bearing.*.negative_stiffness.*", "amplifier.natural_frequency")
+NINE = (
+    "bearing.*.force_per_current.*",
+    "bearing.*.negative_stiffness.*",
+    "amplifier.natural_frequency",
+)
 MODE = ("rotor.bending_1.frequency", "rotor.bending_1.damping")
 
 
 @cache
 def machine():
     given = amb.load_machine("seal-rig")
-    return replace(given, shaft=tuple(replace(part, elements=1) for part in given.shaft), tolerances=())
+    return replace(
+        given, shaft=tuple(replace(part, elements=1) for part in given.shaft), tolerances=()
+    )
 
 
 @cache
@@ -45,9 +52,14 @@ def law():
 
 
 def stiffer(factor, damping=0.005):
-    """The machine with another modulus, by which all bending frequencies are ``factor`` times as high."""
+    """The machine with another modulus, by which all bending frequencies are ``factor`` times as
+    high.
+    """
     shaft = tuple(
-        replace(s, material=replace(s.material, youngs_modulus=factor**2 * s.material.youngs_modulus)) for s in machine().shaft
+        replace(
+            s, material=replace(s.material, youngs_modulus=factor**2 * s.material.youngs_modulus)
+        )
+        for s in machine().shaft
     )
     return replace(machine(), shaft=shaft, modal_damping=damping)
 
@@ -61,39 +73,59 @@ def record(factor=1.0, damping=0.005, speed=0.0, k=8000, noise=1e-8, seed=0, mod
     loop = closed_loop(plant, c2d(match_controller(law(), plant), DT, "tustin", delay=DT))
     y = simulate(select(loop, names[:4], names[4:]), e)
     y = y + noise * np.random.default_rng(seed).standard_normal(y.shape)
-    return Record("seal-rig", 1 / DT, tuple(names), ("A",) * 4 + ("m",) * 4, np.vstack([e, y]), point)
+    return Record(
+        "seal-rig", 1 / DT, tuple(names), ("A",) * 4 + ("m",) * 4, np.vstack([e, y]), point
+    )
 
 
 def first_mode():
     return float(free_modes(finite_element_rotor(machine()), 1).frequencies[-1])
 
 
-@pytest.mark.parametrize("unknown", [MODE, MODE[:1], MODE[1:], ("bending", "bending_2", "bearing.A.force_per_current.eta")])
+@pytest.mark.parametrize(
+    "unknown",
+    [MODE, MODE[:1], MODE[1:], ("bending", "bending_2", "bearing.A.force_per_current.eta")],
+)
 def test_the_model_is_the_loop_of_that_machine_and_its_derivative_exact(unknown):
-    """Against a machine file with other modes, simulated anew, and against a difference of the loop's own matrices."""
+    """Against a machine file with other modes, simulated anew, and against a difference of the
+    loop's own matrices.
+    """
     experiment = build_experiment(machine(), record(), law(), unknown, FitOptions(signals=None))
-    theta = experiment.nominal * (1.03 if len(unknown) < 3 else np.array([1.02, 1.5, 0.99, 0.7, 1.1]))
+    theta = experiment.nominal * (
+        1.03 if len(unknown) < 3 else np.array([1.02, 1.5, 0.99, 0.7, 1.1])
+    )
     model = experiment.models[0]
     loop, directions = model.loop(theta)
     values = dict(zip(experiment.paths, theta.tolist(), strict=True))
     plant = plant_at(machine(), record().point, values)
     names = [f"e_{axis}" for axis in plant.axes], [f"y_{axis}" for axis in plant.axes]
     e = np.stack([0.1 * waveforms.prbs(9, 10, 600, shift=127 * i) for i in range(4)])
-    expected = simulate(select(closed_loop(plant, c2d(match_controller(law(), plant), DT, "tustin", delay=DT)), *names), e)
+    expected = simulate(
+        select(
+            closed_loop(plant, c2d(match_controller(law(), plant), DT, "tustin", delay=DT)), *names
+        ),
+        e,
+    )
     y, J = simulate_derivative(loop, directions, e)
     np.testing.assert_allclose(y, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
     for j, value in enumerate(theta):
         h = 1e-5 * value
         step = h * (np.arange(len(theta)) == j)
-        difference = (simulate(model.loop(theta + step)[0], e) - simulate(model.loop(theta - step)[0], e)) / (2 * h)
+        difference = (
+            simulate(model.loop(theta + step)[0], e) - simulate(model.loop(theta - step)[0], e)
+        ) / (2 * h)
         np.testing.assert_allclose(J[j], difference, rtol=0, atol=2e-5 * np.abs(difference).max())
 
 
 def test_another_bending_frequency_is_found_and_the_rest_within_its_intervals():
-    """With what the second mode, 2 % off as well and taken as known, makes of them in the intervals."""
+    """With what the second mode, 2 % off as well and taken as known, makes of them in the
+    intervals.
+    """
     held, truth = [], nominal_values(assemble(machine(), record().point), expand(machine(), NINE))
     for seed in range(4):
-        found = amb.identify(machine(), record(1.02, 0.008, noise=1e-7, seed=seed), law(), unknown=[*NINE, "bending"]).result
+        found = amb.identify(
+            machine(), record(1.02, 0.008, noise=1e-7, seed=seed), law(), unknown=[*NINE, "bending"]
+        ).result
         assert found.converged and found.paths[-2:] == MODE
         mode, sd = found.values[-2:], found.standard_deviations[-2:]
         assert np.all(np.abs(mode - [1.02 * first_mode(), 0.008]) < 4 * sd)
@@ -108,15 +140,21 @@ def test_the_file_gets_them_and_every_step_uses_them():
     made = loads_machine(dumps_machine(done.machine))
     (mode,) = made.bending_modes
     assert mode.number == 1 and mode.frequency == pytest.approx(0.97 * first_mode(), rel=1e-3)
-    assert free_modes(finite_element_rotor(made), 1).frequencies[-1] == pytest.approx(mode.frequency, rel=1e-9)
+    assert free_modes(finite_element_rotor(made), 1).frequencies[-1] == pytest.approx(
+        mode.frequency, rel=1e-9
+    )
     assert {item.parameter for item in made.tolerances} >= set(MODE)
-    again = amb.identify(made, record(0.97, 0.01, seed=5), law())  # what the file calls uncertain is asked for
+    # what the file calls uncertain is asked for
+    again = amb.identify(made, record(0.97, 0.01, seed=5), law())
     assert set(MODE) <= set(again.result.paths)
     assert np.all(np.abs(again.result.values / again.result.start - 1)[-2:] < [1e-3, 0.1])
     assert "rotor.bending_1.frequency" in done.comment
 
 
-@pytest.mark.parametrize(("factor", "cause"), [(1.002, "rotor.bending_1.frequency +"), (1.02, "rotor.bending_1.damping +")])
+@pytest.mark.parametrize(
+    ("factor", "cause"),
+    [(1.002, "rotor.bending_1.frequency +"), (1.02, "rotor.bending_1.damping +")],
+)
 def test_a_wrong_bending_mode_that_was_not_asked_for_is_named(factor, cause):
     """Far off, its peak must go before another one can grow: the first step is to damp it."""
     done = amb.identify(machine(), record(factor), law(), unknown=NINE)
@@ -126,8 +164,14 @@ def test_a_wrong_bending_mode_that_was_not_asked_for_is_named(factor, cause):
 
 
 def test_a_mode_that_drowns_in_noise_is_said_to():
-    done = amb.identify(machine(), record(1.02, noise=3e-7), law(), unknown=[*NINE, "bending", "bending_2"])
-    hidden = [item for item in done.findings if item.code == Code.HARDLY_VISIBLE and "rotor.bending_2" in item.what]
+    done = amb.identify(
+        machine(), record(1.02, noise=3e-7), law(), unknown=[*NINE, "bending", "bending_2"]
+    )
+    hidden = [
+        item
+        for item in done.findings
+        if item.code == Code.HARDLY_VISIBLE and "rotor.bending_2" in item.what
+    ]
     assert hidden and "a peak of the noise" in hidden[0].remedy and not done.passed
 
 
@@ -139,7 +183,10 @@ def test_by_the_youla_residual_too():
     shown = [f"{kind}_{axis}" for kind in "yu" for axis in plant.axes]
     values = simulate(select(loop, data.signals[:4], shown), e)
     full = replace(
-        data, signals=(*data.signals[:4], *shown), units=("A",) * 4 + ("m",) * 4 + ("A",) * 4, values=np.vstack([e, values])
+        data,
+        signals=(*data.signals[:4], *shown),
+        units=("A",) * 4 + ("m",) * 4 + ("A",) * 4,
+        values=np.vstack([e, values]),
     )
     done = amb.identify(machine(), full, law(), method="youla", unknown=["bending"])
     assert len(done.result.paths) == 11  # beside what is usual
@@ -161,7 +208,9 @@ def test_what_is_refused(unknown, words):
 
 
 def test_a_result_changes_its_mode_alone():
-    given = replace(machine(), bending_modes=(BendingMode(1, first_mode(), 0.004), BendingMode(2, None, 0.01)))
+    given = replace(
+        machine(), bending_modes=(BendingMode(1, first_mode(), 0.004), BendingMode(2, None, 0.01))
+    )
     found = whole_loop.identify(given, record(1.01), law(), [MODE[0]])
     made = update_machine(given, found)
     assert made.bending_modes[0] == BendingMode(1, float(found.values[0]), 0.004)
@@ -177,8 +226,14 @@ def test_modes_beyond_the_model_are_named_and_their_effect_is_in_the_intervals()
     done = amb.identify(machine(), data, law(), unknown=NINE, bending_modes=1)
     assert "4 bending modes instead of 1" in done.verdict
     assert np.all(np.abs(done.result.values - truth) < COVERAGE * done.result.standard_deviations)
-    (cut,) = [item for item in suspects(machine(), [data], law(), bare, FitOptions(bending_modes=1)) if "modes" in item.path]
+    (cut,) = [
+        item
+        for item in suspects(machine(), [data], law(), bare, FitOptions(bending_modes=1))
+        if "modes" in item.path
+    ]
     more = whole_loop.identify(machine(), data, law(), NINE, bending_modes=4)
-    np.testing.assert_allclose(bare.values + cut.shift, more.values, rtol=0, atol=0.2 * np.abs(cut.shift).max())
+    np.testing.assert_allclose(
+        bare.values + cut.shift, more.values, rtol=0, atol=0.2 * np.abs(cut.shift).max()
+    )
     enough = amb.identify(machine(), data, law(), unknown=NINE)
     assert "instead of" not in enough.verdict

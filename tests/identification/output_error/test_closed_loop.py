@@ -17,23 +17,27 @@ from ambrose.identification.model_updating import update_machine
 from ambrose.identification.output_error import closed_loop as fit
 from ambrose.identification.output_error.loop_model import loop_model
 from ambrose.identification.parameters import expand, nominal_values
+from ambrose.law.loop import closed_loop, match_controller
 from ambrose.machine.description import Tolerance
-from ambrose.machine.record.record import Record
-from ambrose.physics import magnet
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop, match_controller
-from ambrose.plant.reduce import free_mode_reduction
-from ambrose.plant.static_load import operating_magnets
-from ambrose.plant.uncertainty import perturbed
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.disturbances import Prbs
-from ambrose.simulation.scenario import Scenario
+from ambrose.model.assemble import assemble
+from ambrose.model.effects import magnet
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.static_load import operating_magnets
+from ambrose.model.uncertainty import perturbed
+from ambrose.record.record import Record
+from ambrose.rig import virtual_rig
+from ambrose.rig.disturbances import Prbs
+from ambrose.rig.scenario import Scenario
 from ambrose.synthesis.pid import pid_synthesis
 from whole_records import simulate_derivative
 
 DT = 1e-4
 identify = partial(fit.identify, bending_modes=1)  # as the loops have that made the records
-NINE = ("bearing.*.force_per_current.*", "bearing.*.negative_stiffness.*", "amplifier.natural_frequency")
+NINE = (
+    "bearing.*.force_per_current.*",
+    "bearing.*.negative_stiffness.*",
+    "amplifier.natural_frequency",
+)
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
 Y = tuple(f"y_{a}" for a in AXES)
 E = tuple(f"e_{a}" for a in AXES)
@@ -58,7 +62,9 @@ def measured(loop, e, point, noise=0.0, seed=0, machine="seal-rig", skip=0):
     """A record of the loop, an independent assembly (plant/loop.py), for excitations e (4, k)."""
     y = simulate(select(loop, E, Y), e)
     y = (y + noise * np.random.default_rng(seed).standard_normal(y.shape))[:, skip:]
-    return Record(machine, 1 / DT, (*Y, *E), ("m",) * 4 + ("A",) * 4, np.vstack([y, e[:, skip:]]), point)
+    return Record(
+        machine, 1 / DT, (*Y, *E), ("m",) * 4 + ("A",) * 4, np.vstack([y, e[:, skip:]]), point
+    )
 
 
 def sequences(k, clock=10, order=9):
@@ -74,17 +80,26 @@ def clean(k=4000, skip=0):
 def test_the_model_is_the_loop_and_its_change_is_that_of_the_plant():
     _, plant, _, law = rig()
     paths, nominal = truth()
-    paths, nominal = (*paths, "seal.center.k"), np.append(nominal, nominal_values(plant, ["seal.center.k"]))
+    paths, nominal = (
+        (*paths, "seal.center.k"),
+        np.append(nominal, nominal_values(plant, ["seal.center.k"])),
+    )
     signals = (*Y, "u_A_eta", "i_B_zeta")
     model = loop_model(plant, match_controller(law, plant), paths, nominal, E, signals)
     e = sequences(300)
     for change in (np.zeros(len(paths)), 0.1 * nominal):
         moved = dict(zip(paths, np.sign(change), strict=True))
-        tolerances = [Tolerance(path, absolute=0.1 * abs(value)) for path, value in zip(paths, nominal, strict=True)]
+        tolerances = [
+            Tolerance(path, absolute=0.1 * abs(value))
+            for path, value in zip(paths, nominal, strict=True)
+        ]
         other = perturbed(plant, moved, tolerances) if change.any() else plant
         expected = simulate(select(closed_loop(other, law), E, signals), e)
         np.testing.assert_allclose(
-            simulate(model.loop(nominal + change)[0], e), expected, rtol=0, atol=1e-10 * abs(expected).max()
+            simulate(model.loop(nominal + change)[0], e),
+            expected,
+            rtol=0,
+            atol=1e-10 * abs(expected).max(),
         )
 
 
@@ -99,11 +114,16 @@ def test_jacobian_against_complex_step():
 
     def outputs(theta):  # an independent recursion in complex numbers
         step = theta - model.theta0
-        A, B = model.A + np.tensordot(step, model.A_theta, 1), model.B + np.tensordot(step, model.B_theta, 1)
+        A, B = (
+            model.A + np.tensordot(step, model.A_theta, 1),
+            model.B + np.tensordot(step, model.B_theta, 1),
+        )
         n, m = B.shape
         held = sla.expm(np.block([[A, B], [np.zeros((m, n + m))]]) * DT)
         Ad, Bd = held[:n, :n], held[:n, n:]
-        x, z, shown = np.zeros(n, complex), np.zeros(law.n_states, complex), []
+        x = np.zeros(n, complex)
+        z = np.zeros(law.n_states, complex)
+        shown = []
         for now in e.T:
             out = model.C[:4] @ x
             shown.append(out)
@@ -123,14 +143,20 @@ def test_jacobian_against_complex_step():
 def test_nine_parameters_are_recovered_without_noise():
     machine, _, controller, _ = rig()
     paths, nominal = truth()
-    start = dict(zip(paths, nominal * (1 + 0.1 * np.array([1, -1, 1, -1, -1, 1, -1, 1, 1])), strict=True))
+    start = dict(
+        zip(paths, nominal * (1 + 0.1 * np.array([1, -1, 1, -1, -1, 1, -1, 1, 1])), strict=True)
+    )
     result = identify(machine, clean(), controller, NINE, start=start)
     np.testing.assert_allclose(result.values, nominal, rtol=1e-6)
     assert result.converged and not result.warnings
     assert all(percent > 99.9999 for _, _, percent in result.fit)
     cosine, correlation = result.column_cosine, result.correlation
-    i, j = paths.index("bearing.A.force_per_current.zeta"), paths.index("bearing.A.negative_stiffness.zeta")
-    assert cosine[i, j] < -0.7 and correlation[i, j] > 0.7  # the other sign: P4's figure is the cosine
+    i, j = (
+        paths.index("bearing.A.force_per_current.zeta"),
+        paths.index("bearing.A.negative_stiffness.zeta"),
+    )
+    # the other sign: P4's figure is the cosine
+    assert cosine[i, j] < -0.7 and correlation[i, j] > 0.7
 
 
 def test_initial_state_and_offset_are_estimated():
@@ -141,7 +167,9 @@ def test_initial_state_and_offset_are_estimated():
     values[:4] += np.array([[3e-6], [-1e-6], [2e-6], [5e-6]])
     result = identify(machine, replace(record, values=values), controller, NINE)
     np.testing.assert_allclose(result.values, nominal, rtol=1e-6)
-    wrong = identify(machine, replace(record, values=values), controller, NINE, initial_state=False, offset=False)
+    wrong = identify(
+        machine, replace(record, values=values), controller, NINE, initial_state=False, offset=False
+    )
     assert np.abs(wrong.values / nominal - 1).max() > 1e-3
 
 
@@ -149,11 +177,15 @@ def test_initial_state_and_offset_are_estimated():
 def test_starts_thirty_percent_away_converge():
     machine, _, controller, _ = rig()
     paths, nominal = truth()
-    record, rng, done = clean(2000), np.random.default_rng(3), 0
+    record = clean(2000)
+    rng = np.random.default_rng(3)
+    done = 0
     while done < 12:
         start = nominal * (1 + 0.3 * rng.uniform(-1, 1, len(nominal)))
         try:
-            result = identify(machine, record, controller, NINE, start=dict(zip(paths, start, strict=True)))
+            result = identify(
+                machine, record, controller, NINE, start=dict(zip(paths, start, strict=True))
+            )
         except InvalidInput as error:
             assert "the loop at the start values is unstable" in str(error)
             continue
@@ -163,7 +195,13 @@ def test_starts_thirty_percent_away_converge():
 
 def test_several_records_other_signals_and_a_seal():
     machine, plant, controller, law = rig()
-    unknown = ("seal.center.K", "seal.center.k", "seal.center.C", "seal.center.c", "coupling.*.stiffness.zeta")
+    unknown = (
+        "seal.center.K",
+        "seal.center.k",
+        "seal.center.C",
+        "seal.center.c",
+        "coupling.*.stiffness.zeta",
+    )
     paths = expand(machine, unknown)
     loop = closed_loop(plant, law)
     e = np.stack([0.1 * waveforms.prbs(9, 10, 3000, shift=100 * i) for i in range(4)])
@@ -171,7 +209,9 @@ def test_several_records_other_signals_and_a_seal():
     nominal = nominal_values(plant, paths)
     begin = np.where(nominal == 0, 1e4, 0.9 * nominal)
     records = [measured(loop, e, plant.point), measured(loop, tilt[:, :2000], plant.point)]
-    result = identify(machine, records, controller, unknown, start=dict(zip(paths, begin, strict=True)))
+    result = identify(
+        machine, records, controller, unknown, start=dict(zip(paths, begin, strict=True))
+    )
     scale = np.where(nominal == 0, 1e5, np.abs(nominal))
     np.testing.assert_allclose(result.values / scale, nominal / scale, atol=1e-6)
 
@@ -209,7 +249,10 @@ def test_wrong_delay_is_seen_by_the_residuals_and_not_by_the_fit():
 def test_on_the_nonlinear_rig():
     machine, _, controller, _ = rig()
     scenario = Scenario(
-        "p2", 1.0, sequences=tuple(Prbs(e, 0.1, 1e-3, order=9, seed=i) for i, e in enumerate(E)), sample_time=DT
+        "p2",
+        1.0,
+        sequences=tuple(Prbs(e, 0.1, 1e-3, order=9, seed=i) for i, e in enumerate(E)),
+        sample_time=DT,
     )
     record = virtual_rig.run(machine, controller, scenario).record
     result = identify(machine, record, controller, NINE)
@@ -222,7 +265,9 @@ def test_on_the_nonlinear_rig():
 
 
 def at_work(machine, record):
-    """K_i and K_s of the four axes where the weight has moved the working point: differences of the rig's magnet force."""
+    """K_i and K_s of the four axes where the weight has moved the working point: differences of the
+    rig's magnet force.
+    """
     k_i, k_s = [], []
     for bearing, working in zip(machine.bearings, operating_magnets(machine), strict=True):
         names = [f"{bearing.name}_{axis}" for axis in ("zeta", "eta")]
@@ -231,7 +276,10 @@ def at_work(machine, record):
         for axis in range(2):
             for found, place, h in ((k_i, axis, 1e-4), (k_s, axis + 2, 1e-9)):
                 step = h * np.eye(4)[place]
-                found.append((magnet.force(*(at + step), p)[axis] - magnet.force(*(at - step), p)[axis]) / (2 * h))
+                found.append(
+                    (magnet.force(*(at + step), p)[axis] - magnet.force(*(at - step), p)[axis])
+                    / (2 * h)
+                )
     return k_i, k_s
 
 
@@ -241,7 +289,8 @@ def test_the_machine_takes_the_values():
     found = update_machine(machine, replace(result, values=1.1 * result.values))
     again = free_mode_reduction(assemble(found, plant.point), 1)
     np.testing.assert_allclose(nominal_values(again, result.paths), 1.1 * result.values, rtol=1e-12)
-    assert [t.parameter for t in found.tolerances] == ["seal.center.pressure", *result.paths]  # the pressure's range stays
+    # the pressure's range stays
+    assert [t.parameter for t in found.tolerances] == ["seal.center.pressure", *result.paths]
     assert all(0 < t.relative < 1e-3 for t in found.tolerances[1:])
 
 
@@ -252,11 +301,16 @@ def test_what_the_records_do_not_show_is_refused():
     e = sequences(2000) * np.array([[1.0], [0.0], [1.0], [0.0]])
     record = measured(closed_loop(plant, law), e, plant.point, noise=1e-7)
     for estimated in (False, True):  # then there is only what the noise makes of the initial state
-        with pytest.raises(InvalidInput, match=r"say nothing about bearing\.A\.force_per_current\.eta; excite its axis"):
+        with pytest.raises(
+            InvalidInput,
+            match=r"say nothing about bearing\.A\.force_per_current\.eta; excite its axis",
+        ):
             identify(machine, record, controller, NINE, initial_state=estimated)
     zeta = ("bearing.*.force_per_current.zeta", "bearing.*.negative_stiffness.zeta")
     result = identify(machine, record, controller, zeta)
-    assert (np.abs(result.values - result.start) < 4 * result.standard_deviations).all() and not result.warnings
+    assert (
+        np.abs(result.values - result.start) < 4 * result.standard_deviations
+    ).all() and not result.warnings
 
 
 def quiet(record):
@@ -268,15 +322,30 @@ def quiet(record):
     [
         ({"records": quiet}, "record 1 holds no excitation.*add a PRBS"),
         ({"unknown": ["bearing.C.force_per_current.zeta"]}, 'unknown bearing "C"'),
-        ({"unknown": ["bearing.A.force_per_current"]}, r'on the two axes.*write "bearing.A.force_per_current.\*"'),
+        (
+            {"unknown": ["bearing.A.force_per_current"]},
+            r'on the two axes.*write "bearing.A.force_per_current.\*"',
+        ),
         ({"unknown": [NINE[0], "bearing.A.force_per_current.eta"]}, "the same number"),
         ({"unknown": []}, "no unknown parameter was named"),
         ({"unknown": ["seal.center.M"]}, "cannot be uncertain"),
-        ({"records": lambda r: replace(r, machine="turboexpander")}, "machine of record 1 is 'turboexpander'"),
-        ({"records": lambda r: [r, replace(r, sample_rate_hz=5e3)]}, "sample rate of record 2 is 5000 Hz"),
-        ({"records": lambda r: replace(r, sample_rate_hz=5e3), "sampled": True}, "but must be the controller's 10000 Hz"),
+        (
+            {"records": lambda r: replace(r, machine="turboexpander")},
+            "machine of record 1 is 'turboexpander'",
+        ),
+        (
+            {"records": lambda r: [r, replace(r, sample_rate_hz=5e3)]},
+            "sample rate of record 2 is 5000 Hz",
+        ),
+        (
+            {"records": lambda r: replace(r, sample_rate_hz=5e3), "sampled": True},
+            "but must be the controller's 10000 Hz",
+        ),
         ({"records": lambda r: r.select(E)}, "record 1 has no signal y_A_zeta"),
-        ({"start": {"bearing.A.negative_stiffness.zeta": 9e6}}, "the loop at the start values is unstable"),
+        (
+            {"start": {"bearing.A.negative_stiffness.zeta": 9e6}},
+            "the loop at the start values is unstable",
+        ),
         ({"start": {"bearing.A.negative_stiffness": 9e6}}, "start value's path"),
         ({"signals": ["y_C"]}, "a fitted signal"),
         ({"computing_delay": -1}, "computing_delay"),
@@ -313,8 +382,12 @@ def test_what_has_not_converged_says_so_first(period):
     machine, _, controller, _ = rig()
     start = {"bearing.A.negative_stiffness.zeta": 1.2 * machine.bearings[0].negative_stiffness[0]}
     record = measured(closed_loop(rig()[1], rig()[3]), sequences(12000, 4), rig()[1].point)
-    result = identify(machine, record, controller, NINE, start=start, max_iterations=1, period=period)
+    result = identify(
+        machine, record, controller, NINE, start=start, max_iterations=1, period=period
+    )
     assert not result.converged
-    assert result.verdict.startswith("NOT CONVERGED") and any("not converged after" in text.what for text in result.warnings)
+    assert result.verdict.startswith("NOT CONVERGED") and any(
+        "not converged after" in text.what for text in result.warnings
+    )
     whole = identify(machine, record, controller, NINE, start=start, period=period)
     assert whole.converged and "CONVERGED" not in whole.verdict

@@ -1,4 +1,6 @@
-"""Delays that are no whole number of samples: their model, its derivative, and what records tell about them."""
+"""Delays that are no whole number of samples: their model, its derivative, and what records tell
+about them.
+"""
 
 from dataclasses import replace
 
@@ -16,7 +18,7 @@ from ambrose.identification.output_error.delays import AHEAD, timed
 from ambrose.identification.output_error.loop_model import loop_model
 from ambrose.identification.parameters import expand, nominal_values
 from ambrose.machine.parameters import CONTROLLER_DELAY, EXCITATION_DELAY
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 from linear_rig import AXES, DT, E, Y, rig
 from whole_records import simulate_derivative
 
@@ -34,17 +36,23 @@ def sequences(k):
 
 
 def finely(e, delay, late=0.0, parts=10):
-    """y (4, k) of the loop stepped ``parts`` times per sample: the command acts ``delay`` samples late, e ``late`` samples."""
+    """y (4, k) of the loop stepped ``parts`` times per sample: the command acts ``delay`` samples
+    late, e ``late`` samples.
+    """
     _, plant, _, law = rig()
     fine = c2d(plant.system, DT / parts)
     u_in, y_out = [fine.inputs.index(f"u_{a}") for a in AXES], [fine.outputs.index(y) for y in Y]
     B, C = fine.B[:, u_in], fine.C[y_out]
-    k, steps, lag = e.shape[1], round(delay * parts), round(late * parts)
+    k = e.shape[1]
+    steps = round(delay * parts)
+    lag = round(late * parts)
     total = k * parts
     command, wave = np.zeros((4, total + steps + parts)), np.zeros((4, total))
     held = np.repeat(e, parts, axis=1)
     wave[:, max(lag, 0) : total + min(lag, 0)] = held[:, max(-lag, 0) : total - max(lag, 0)]
-    x, z, shown = np.zeros(len(fine.A)), np.zeros(law.n_states), np.zeros((4, k))
+    x = np.zeros(len(fine.A))
+    z = np.zeros(law.n_states)
+    shown = np.zeros((4, k))
     for t in range(total):
         if t % parts == 0:
             shown[:, t // parts] = y = C @ x
@@ -55,7 +63,8 @@ def finely(e, delay, late=0.0, parts=10):
 
 
 @pytest.mark.parametrize(
-    ("delay", "late"), [(0.0, 0.0), (1.0, 0.0), (0.3, 0.0), (1.7, 0.0), (1.2, 0.4), (2.0, -0.6), (0.5, 1.3)]
+    ("delay", "late"),
+    [(0.0, 0.0), (1.0, 0.0), (0.3, 0.0), (1.7, 0.0), (1.2, 0.4), (2.0, -0.6), (0.5, 1.3)],
 )
 def test_the_model_is_the_loop_stepped_finely(delay, late):
     e = sequences(200)
@@ -67,7 +76,9 @@ def test_the_model_is_the_loop_stepped_finely(delay, late):
         x0[-4 * (AHEAD + 3) :][:8] = np.concatenate([e[:, 1], e[:, 0]])
     expected = finely(e, delay, late)
     found = simulate(loop, np.pad(e, ((0, 0), (0, ahead)))[:, ahead:], x0=x0)
-    np.testing.assert_allclose(found[:, :190], expected[:, :190], rtol=0, atol=1e-9 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        found[:, :190], expected[:, :190], rtol=0, atol=1e-9 * np.abs(expected).max()
+    )
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.4, 1.0, 1.6])
@@ -84,11 +95,14 @@ def test_jacobian_against_complex_step(delay):
         both = sla.expm(np.block([[A, B], [np.zeros((m, n + m))]]) * t)
         return both[:n, :n], both[:n, n:]
 
-    def outputs(theta):  # an independent recursion in complex numbers, with old commands and excitations in a list
+    # an independent recursion in complex numbers, with old commands and excitations in a list
+    def outputs(theta):
         A, B, *_ = inner.plant(theta[:-2])
         Phi, Gamma = held(A, B, DT)
         late = [held(A, B, DT - tau)[1] for tau in (theta[-2] - d * DT, theta[-1])]
-        x, z, shown = np.zeros(len(A), complex), np.zeros(law.n_states, complex), []
+        x = np.zeros(len(A), complex)
+        z = np.zeros(law.n_states, complex)
+        shown = []
         sent, waves = [np.zeros(4)] * 9, [np.zeros(4)] * 9
         for now in e.T:
             out = inner.C[:4] @ x
@@ -111,14 +125,21 @@ def record(e, delay, late=0.0, noise=0.0, seed=0):
     _, plant, *_ = rig()
     y = finely(e, delay, late)
     y = y + noise * np.random.default_rng(seed).standard_normal(y.shape)
-    return Record("seal-rig", 1 / DT, (*Y, *E), ("m",) * 4 + ("A",) * 4, np.vstack([y, e]), plant.point)
+    return Record(
+        "seal-rig", 1 / DT, (*Y, *E), ("m",) * 4 + ("A",) * 4, np.vstack([y, e]), plant.point
+    )
 
 
 @pytest.mark.parametrize(("delay", "begin"), [(1.4, 1), (2.0, 1), (2.3, 1), (0.6, 1.8)])
 def test_a_delay_is_found_beside_the_machine(delay, begin):
     machine, plant, controller, _ = rig()
     found = identify(
-        machine, record(sequences(2000), delay), controller, (*KNOWN, "delay"), bending_modes=0, computing_delay=begin
+        machine,
+        record(sequences(2000), delay),
+        controller,
+        (*KNOWN, "delay"),
+        bending_modes=0,
+        computing_delay=begin,
     )
     nominal = np.append(nominal_values(plant, KNOWN), delay * DT)
     assert found.paths[-1] == CONTROLLER_DELAY
@@ -126,7 +147,10 @@ def test_a_delay_is_found_beside_the_machine(delay, begin):
     assert found.converged and not found.warnings
     updated = update_machine(machine, found)
     assert updated.controller.delay == found.values[-1]
-    assert [tolerance.parameter for tolerance in updated.tolerances] == ["seal.center.pressure", *KNOWN]
+    assert [tolerance.parameter for tolerance in updated.tolerances] == [
+        "seal.center.pressure",
+        *KNOWN,
+    ]
 
 
 @pytest.mark.parametrize("late", [-1.0, 1.0, 0.7])
@@ -146,7 +170,14 @@ def test_deviation_of_the_delay_against_monte_carlo():
     for seed in range(50):
         noise = 1e-7 * np.random.default_rng(seed).standard_normal((4, 1200))
         data = replace(clean, values=np.vstack([clean.values[:4] + noise, clean.values[4:]]))
-        found = identify(machine, data, controller, (KNOWN[0], CONTROLLER_DELAY), bending_modes=0, computing_delay=1.3)
+        found = identify(
+            machine,
+            data,
+            controller,
+            (KNOWN[0], CONTROLLER_DELAY),
+            bending_modes=0,
+            computing_delay=1.3,
+        )
         values.append(found.values)
         predicted.append(found.standard_deviations)
     scatter = np.std(values, axis=0, ddof=1)
@@ -176,7 +207,10 @@ def test_bad_input(change, words):
     machine, _, controller, _ = rig()
     data = record(sequences(300), 1.0)
     data = replace(
-        data, signals=(*data.signals, "u_A_zeta"), units=(*data.units, "A"), values=np.vstack([data.values, data.values[-1:]])
+        data,
+        signals=(*data.signals, "u_A_zeta"),
+        units=(*data.units, "A"),
+        values=np.vstack([data.values, data.values[-1:]]),
     )
     arguments = {"unknown": ["delay"], "bending_modes": 0, **change}
     with pytest.raises(InvalidInput, match=words):

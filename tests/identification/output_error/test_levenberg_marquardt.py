@@ -24,7 +24,9 @@ def valley(refused, seen):
 def test_a_trial_at_which_nothing_can_be_told_is_a_refused_step():
     """The full step leads far below zero; the way round it leads to the minimum all the same."""
     seen = []
-    found = minimise(valley(lambda x: x[1] < -1.2, seen), np.array([-1.2, 1.0]), np.ones(2), lambda x: True)
+    found = minimise(
+        valley(lambda x: x[1] < -1.2, seen), np.array([-1.2, 1.0]), np.ones(2), lambda x: True
+    )
     assert min(x[1] for x in seen) < -1.2, "the test must have come across a refused point"
     assert found.refused > 0 and found.converged
     np.testing.assert_allclose(found.x, [1, 1], atol=1e-8)

@@ -1,4 +1,6 @@
-"""Magnets that carry a rotor are nonlinear: on the rig, standing and turning, the values are found as without."""
+"""Magnets that carry a rotor are nonlinear: on the rig, standing and turning, the values are found
+as without.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -11,12 +13,12 @@ from ambrose import identify
 from ambrose.identification.output_error import closed_loop
 from ambrose.identification.output_error.magnetic_force import _further_terms, _terms
 from ambrose.identification.output_error.problem import FitOptions, build_experiment
-from ambrose.physics import magnet
-from ambrose.physics.loaded_magnet import slopes
-from ambrose.plant.static_load import operating_magnets
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.disturbances import Unbalance
-from ambrose.simulation.scenario import load_scenario
+from ambrose.model.effects import magnet
+from ambrose.model.effects.loaded_magnet import slopes
+from ambrose.model.static_load import operating_magnets
+from ambrose.rig import virtual_rig
+from ambrose.rig.disturbances import Unbalance
+from ambrose.rig.scenario import load_scenario
 from ambrose.synthesis.pid import pid_controller
 from coarse import coarse
 
@@ -34,7 +36,9 @@ def record(speed, weight=True):
     seen = whole.select([name for name in whole.signals if name[:2] in {"y_", "e_"}])
     noise = 5e-8 * np.random.default_rng(1).standard_normal(seen.values.shape)
     noise[[name[0] == "e" for name in seen.signals]] = 0.0
-    return replace(seen, values=seen.values + noise), {axis: float(whole[f"u_{axis}"].mean()) for axis in machine.axes}
+    return replace(seen, values=seen.values + noise), {
+        axis: float(whole[f"u_{axis}"].mean()) for axis in machine.axes
+    }
 
 
 def errors(result, loads):
@@ -44,7 +48,12 @@ def errors(result, loads):
         slopes(own.parameters, (loads[f"{b.name}_zeta"], loads[f"{b.name}_eta"]))
         for b, own in zip(RIG.bearings, magnets, strict=True)
     ]
-    truth = [value for name in ("force_per_current", "negative_stiffness") for item in at for value in getattr(item, name)]
+    truth = [
+        value
+        for name in ("force_per_current", "negative_stiffness")
+        for item in at
+        for value in getattr(item, name)
+    ]
     return result.values / np.array(truth) - 1
 
 
@@ -54,10 +63,20 @@ def test_values_are_those_of_small_motion_and_loads_are_found(speed):
     data, loads = record(speed)
     linear = closed_loop.fit(build_experiment(RIG, data, LAW, UNKNOWN, FitOptions()))
     found = identify(RIG, data, LAW, unknown=UNKNOWN)
-    assert np.abs(errors(linear, loads)).max() > 0.01 and np.abs(errors(found.result, loads)).max() < 0.004
-    assert found.passed and found.magnets.explains > 0.5 and found.magnets.cubic == pytest.approx(1, abs=0.3)
+    assert (
+        np.abs(errors(linear, loads)).max() > 0.01
+        and np.abs(errors(found.result, loads)).max() < 0.004
+    )
+    assert (
+        found.passed
+        and found.magnets.explains > 0.5
+        and found.magnets.cubic == pytest.approx(1, abs=0.3)
+    )
     assert list(found.magnets.loads.values()) == pytest.approx(list(loads.values()), rel=0.12)
-    assert (np.abs(errors(found.result, loads)) < 3 * found.result.standard_deviations / found.result.values).all()
+    assert (
+        np.abs(errors(found.result, loads))
+        < 3 * found.result.standard_deviations / found.result.values
+    ).all()
     assert found.remarks[0] == found.magnets.words and "static loads of about" in found.remarks[0]
     assert found.remarks[1:] == ()  # the load is the machine file's
 
@@ -69,14 +88,18 @@ def test_without_a_load_nothing_is_taken_out():
 
 
 def test_terms_are_the_derivatives_of_the_force():
-    """Without iron: f = c ((i_0 + i)^2/(s_0 - x)^2 - (i_0 - i)^2/(s_0 + x)^2), its Taylor terms about a load."""
+    """Without iron: f = c ((i_0 + i)^2/(s_0 - x)^2 - (i_0 - i)^2/(s_0 + x)^2), its Taylor terms
+    about a load.
+    """
     p = magnet.parameters(replace(RIG.bearings[0], iron=None))
     i_0, _, _, _, c, s_0, *_ = p
     load = 0.3 * i_0
     found = _terms(p, "A_zeta", load, 1e-2 * i_0, 1e-2 * s_0)
     assert found[4] == pytest.approx(8 * c * load / s_0**3, rel=2e-3)  # i x
     assert found[5] == pytest.approx(12 * c * i_0 * load / s_0**4, rel=2e-3)  # x^2
-    assert _terms(p, "A_eta", 0.0, 1e-2 * i_0, 1e-2 * s_0)[3:6] == pytest.approx(0.0, abs=1e-6 * found[4] / i_0)
+    assert _terms(p, "A_eta", 0.0, 1e-2 * i_0, 1e-2 * s_0)[3:6] == pytest.approx(
+        0.0, abs=1e-6 * found[4] / i_0
+    )
 
 
 def test_the_part_for_further_terms_is_finite_for_delays_and_values_of_zero():

@@ -17,16 +17,20 @@ from ambrose.core.statespace import select
 from ambrose.identification.output_error.closed_loop import identify
 from ambrose.identification.output_error.periodic import _columns, _rows
 from ambrose.identification.parameters import expand, nominal_values
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.reduce import free_mode_reduction
+from ambrose.law.loop import closed_loop
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.record.record import Record
 from ambrose.synthesis.pid import pid_synthesis
 
 DT, P = 1e-4, 1270
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
 Y, E = tuple(f"y_{a}" for a in AXES), tuple(f"e_{a}" for a in AXES)
-NINE = ("bearing.*.force_per_current.*", "bearing.*.negative_stiffness.*", "amplifier.natural_frequency")
+NINE = (
+    "bearing.*.force_per_current.*",
+    "bearing.*.negative_stiffness.*",
+    "amplifier.natural_frequency",
+)
 
 
 @cache
@@ -48,7 +52,12 @@ def clean(k=5 * P, skip=0):
 
 
 def noisy(record, seed, size=5e-8):
-    noise = lfilter([1.0], [1.0, -0.9], np.random.default_rng(seed).standard_normal((4, record.values.shape[1])), axis=1)
+    noise = lfilter(
+        [1.0],
+        [1.0, -0.9],
+        np.random.default_rng(seed).standard_normal((4, record.values.shape[1])),
+        axis=1,
+    )
     return replace(record, values=np.vstack([record.values[:4] + size * noise, record.values[4:]]))
 
 
@@ -56,17 +65,39 @@ def noisy(record, seed, size=5e-8):
 @pytest.mark.parametrize("period", ["auto", P * DT])
 def test_parameters_without_noise_from_rest_and_in_steady_state(skip, period):
     machine, _, controller, nominal = rig()
-    start = dict(zip(expand(machine, NINE), nominal * (1 + 0.1 * np.array([1, -1, 1, -1, -1, 1, -1, 1, 1])), strict=True))
-    found = identify(machine, clean(skip=skip), controller, NINE, bending_modes=0, start=start, period=period)
+    start = dict(
+        zip(
+            expand(machine, NINE),
+            nominal * (1 + 0.1 * np.array([1, -1, 1, -1, -1, 1, -1, 1, 1])),
+            strict=True,
+        )
+    )
+    found = identify(
+        machine, clean(skip=skip), controller, NINE, bending_modes=0, start=start, period=period
+    )
     np.testing.assert_allclose(found.values, nominal, rtol=1e-6)
-    assert found.converged and not found.warnings and min(percent for *_, percent in found.fit) > 99.999
+    assert (
+        found.converged
+        and not found.warnings
+        and min(percent for *_, percent in found.fit) > 99.999
+    )
 
 
 def test_steady_state_needs_no_transient():
     machine, _, controller, nominal = rig()
-    found = identify(machine, clean(skip=20), controller, NINE, bending_modes=0, initial_state=False, period="auto")
+    found = identify(
+        machine,
+        clean(skip=20),
+        controller,
+        NINE,
+        bending_modes=0,
+        initial_state=False,
+        period="auto",
+    )
     np.testing.assert_allclose(found.values, nominal, rtol=1e-6)
-    wrong = identify(machine, clean(), controller, NINE, bending_modes=0, initial_state=False, period="auto")
+    wrong = identify(
+        machine, clean(), controller, NINE, bending_modes=0, initial_state=False, period="auto"
+    )
     assert np.abs(wrong.values / nominal - 1).max() > 1e-4  # leakage, where there is a transient
 
 
@@ -87,7 +118,9 @@ def test_predicted_deviation_against_monte_carlo():
     machine, _, controller, _ = rig()
     values, predicted = [], []
     for seed in range(60):
-        found = identify(machine, noisy(clean(), seed), controller, NINE, bending_modes=0, period=P * DT)
+        found = identify(
+            machine, noisy(clean(), seed), controller, NINE, bending_modes=0, period=P * DT
+        )
         values.append(found.values)
         predicted.append(found.standard_deviations)
     scatter = np.std(values, axis=0, ddof=1)
@@ -98,10 +131,22 @@ def test_predicted_deviation_against_monte_carlo():
 def test_a_wrong_delay_leaves_more_than_the_periods_scatter():
     machine, _, controller, _ = rig()
     record = noisy(clean(), 2)
-    wrong = identify(machine, record, controller, NINE, bending_modes=0, period="auto", computing_delay=0)
+    wrong = identify(
+        machine, record, controller, NINE, bending_modes=0, period="auto", computing_delay=0
+    )
     assert not all(test.passed for test in wrong.tests) and "look for a delay" in wrong.verdict
-    right = identify(machine, record, controller, (*NINE, "delay"), bending_modes=0, period="auto", computing_delay=0)
-    assert right.values[-1] == pytest.approx(DT, rel=0.02) and all(test.passed for test in right.tests)
+    right = identify(
+        machine,
+        record,
+        controller,
+        (*NINE, "delay"),
+        bending_modes=0,
+        period="auto",
+        computing_delay=0,
+    )
+    assert right.values[-1] == pytest.approx(DT, rel=0.02) and all(
+        test.passed for test in right.tests
+    )
 
 
 def test_one_period_is_enough_for_values_but_not_for_tests():
@@ -115,19 +160,29 @@ def test_one_period_is_enough_for_values_but_not_for_tests():
 def test_equal_poles_and_pure_delays_are_no_matter():
     rng = np.random.default_rng(0)
     A = np.diag([0.5, 0.5, 0.5, 0.2]) + np.diag([1.0, 1.0, 0.0], 1)  # a Jordan block
-    B, C, z = rng.standard_normal((4, 2)), rng.standard_normal((3, 4)), np.exp(1j * np.array([0.1, 1.0, 2.0]))
+    B = rng.standard_normal((4, 2))
+    C = rng.standard_normal((3, 4))
+    z = np.exp(1j * np.array([0.1, 1.0, 2.0]))
     U = rng.standard_normal((2, 3))
     T, Z = sla.schur(A, output="complex")
     L, X = _rows(T, Z, C, z), _columns(T, Z, B @ U, z)
     for i, at in enumerate(z):
         np.testing.assert_allclose(L[i], C @ np.linalg.inv(at * np.eye(4) - A), rtol=1e-12)
-        np.testing.assert_allclose(X[:, i], np.linalg.solve(at * np.eye(4) - A, B @ U[:, i]), rtol=1e-12)
+        np.testing.assert_allclose(
+            X[:, i], np.linalg.solve(at * np.eye(4) - A, B @ U[:, i]), rtol=1e-12
+        )
 
 
 @pytest.mark.parametrize(
     ("period", "change", "words"),
     [
-        ("auto", lambda v: np.vstack([v[:7], 0.1 * np.random.default_rng(0).choice([-1, 1], v.shape[1])]), "does not repeat"),
+        (
+            "auto",
+            lambda v: np.vstack(
+                [v[:7], 0.1 * np.random.default_rng(0).choice([-1, 1], v.shape[1])]
+            ),
+            "does not repeat",
+        ),
         (0.05, None, "does not repeat"),
         ("always", None, 'a time in s, or "auto"'),
         (1e-4 * 1270.5, None, "a whole number of samples"),

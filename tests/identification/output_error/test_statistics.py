@@ -15,7 +15,13 @@ from ambrose.identification.findings import Code
 from ambrose.identification.output_error import statistics
 from ambrose.identification.output_error.levenberg_marquardt import Linearised, minimise
 from ambrose.identification.output_error.normal_equations import distinct
-from whole_records import fit_percent, lifted_sensitivities, residual_input_test, sandwich_middle, simulate_derivative
+from whole_records import (
+    fit_percent,
+    lifted_sensitivities,
+    residual_input_test,
+    sandwich_middle,
+    simulate_derivative,
+)
 
 
 @pytest.mark.parametrize(("m", "k"), [(1, 1), (1, 64), (1, 333), (3, 200)])
@@ -23,9 +29,16 @@ def test_lifted_sensitivities_are_those_of_the_core(m, k):
     rng = np.random.default_rng(k)
     A = rng.standard_normal((6, 6))
     A *= 0.97 / np.abs(np.linalg.eigvals(A)).max()
-    system = StateSpace(A, rng.standard_normal((6, m)), rng.standard_normal((2, 6)), np.zeros((2, m)), dt=1e-3)
+    system = StateSpace(
+        A, rng.standard_normal((6, m)), rng.standard_normal((2, 6)), np.zeros((2, m)), dt=1e-3
+    )
     directions = [
-        SystemDerivative(rng.standard_normal((6, 6)), rng.standard_normal((6, m)), np.zeros((2, 6)), np.zeros((2, m)))
+        SystemDerivative(
+            rng.standard_normal((6, 6)),
+            rng.standard_normal((6, m)),
+            np.zeros((2, 6)),
+            np.zeros((2, m)),
+        )
         for _ in range(3)
     ]
     u, x0 = rng.standard_normal((m, k)), rng.standard_normal(6)
@@ -47,13 +60,27 @@ def test_sandwich_knows_the_colour():
     rng = np.random.default_rng(1)
     a, k = 0.9, 200_000
     noise = lfilter([1.0], [1.0, -a], rng.standard_normal((1, k)))
-    J = np.stack([lfilter([1.0], [1.0, -0.95], rng.standard_normal(k)), rng.standard_normal(k)])[:, None]
+    J = np.stack([lfilter([1.0], [1.0, -0.95], rng.standard_normal(k)), rng.standard_normal(k)])[
+        :, None
+    ]
     gamma = a ** np.arange(400) / (1 - a * a)
-    exact = np.array([[sum(g * (1 + (i > 0)) * (x[i:] @ z[: k - i] + z[i:] @ x[: k - i]) / 2 for i, g in enumerate(gamma))
-                       for x in J[:, 0]] for z in J[:, 0]])  # fmt: skip
+    exact = np.array(
+        [
+            [
+                sum(
+                    g * (1 + (i > 0)) * (x[i:] @ z[: k - i] + z[i:] @ x[: k - i]) / 2
+                    for i, g in enumerate(gamma)
+                )
+                for x in J[:, 0]
+            ]
+            for z in J[:, 0]
+        ]
+    )
     middle = sandwich_middle(J, noise)
     size = np.sqrt(np.diag(exact))
-    np.testing.assert_allclose(middle / size / size[:, None], exact / size / size[:, None], atol=0.05)
+    np.testing.assert_allclose(
+        middle / size / size[:, None], exact / size / size[:, None], atol=0.05
+    )
     white = (J[0, 0] @ J[0, 0]) / (1 - a * a)
     assert exact[0, 0] > 5 * white  # sigma^2 J'J would be far too sure
 
@@ -133,39 +160,62 @@ def test_the_guard_is_never_passed():
 
 def test_a_parameter_without_effect_is_named():
     with pytest.raises(NumericalFailure, match="parameter number 2"):
-        minimise(lambda _: Linearised(1.0, np.diag([1.0, 0.0]), np.zeros(2)), np.ones(2), np.ones(2), lambda _: True)
+        minimise(
+            lambda _: Linearised(1.0, np.diag([1.0, 0.0]), np.zeros(2)),
+            np.ones(2),
+            np.ones(2),
+            lambda _: True,
+        )
 
 
 @pytest.mark.parametrize(("deviation", "told"), [(0.001, False), (0.1, True)])
 def test_a_correlation_matters_where_it_makes_a_value_unsure(deviation, told):
-    """K_i and K_s of one axis are correlated by 0.99 in every good record, and still known to 0.1 %."""
+    """K_i and K_s of one axis are correlated by 0.99 in every good record, and still known to 0.1
+    %.
+    """
     correlation = np.array([[1.0, 0.99], [0.99, 1.0]])
     minimum = SimpleNamespace(converged=True, iterations=3, x=np.ones(2))
-    found = statistics.warnings_of(("a", "b"), minimum, deviation**2 * correlation, correlation, (), "")
+    found = statistics.warnings_of(
+        ("a", "b"), minimum, deviation**2 * correlation, correlation, (), ""
+    )
     assert [item.code for item in found] == [Code.CORRELATED] * told
 
 
 @pytest.mark.parametrize(("factor", "passed"), [(0.5, True), (1.5, False)])
 def test_a_test_says_from_where_on_it_sees(factor, passed):
-    """A response that the model lacks, of the signal's own course, by the share that the test names."""
+    """A response that the model lacks, of the signal's own course, by the share that the test
+    names.
+    """
     rng = np.random.default_rng(5)
     e, noise = rng.standard_normal((2, 20_000))
     y = lfilter([0.1], [1.0, -0.9], e)
 
     def tested(residual):
-        sums = [np.correlate(a, b, "full")[19_999:20_100] for a, b in ((residual, e), (residual, residual), (e, e), (y, e))]
+        sums = [
+            np.correlate(a, b, "full")[19_999:20_100]
+            for a, b in ((residual, e), (residual, residual), (e, e), (y, e))
+        ]
         return statistics.input_test(*sums[:3], 20_000, "y", "e", 1, response=np.abs(sums[3]).max())
 
     share = tested(0.01 * noise).visible
     assert 1e-3 < share < 0.1 and tested(0.01 * noise + factor * share * y).passed == passed
-    assert tested(0.01 * noise).passed and tested(0.1 * noise).visible == pytest.approx(10 * share, rel=1e-6)
+    assert tested(0.01 * noise).passed and tested(0.1 * noise).visible == pytest.approx(
+        10 * share, rel=1e-6
+    )
 
 
 def test_tests_that_would_have_seen_nothing_are_a_doubt():
     """A rotor that turns and is not told so: every test passes, whatever the model lacks."""
     minimum = SimpleNamespace(converged=True, iterations=3, x=np.ones(1))
     tests = [statistics.ResidualTest("y", "e", 0.0, 0.1, 0, True, share) for share in (0.3, 0.2)]
-    for chosen, blind in ((tests, True), ([*tests, replace(tests[0], signal="z", visible=0.01)], False)):
-        found = list(statistics.warnings_of(("a",), minimum, 1e-6 * np.eye(1), np.eye(1), chosen, ""))
+    for chosen, blind in (
+        (tests, True),
+        ([*tests, replace(tests[0], signal="z", visible=0.01)], False),
+    ):
+        found = list(
+            statistics.warnings_of(("a",), minimum, 1e-6 * np.eye(1), np.eye(1), chosen, "")
+        )
         assert [item.code for item in found] == [Code.BLIND] * blind
-    assert statistics.power_of(tests) == {"y": 0.2} and "from 20 to 20 % of a response" in statistics.verdict_of(tests)
+    assert statistics.power_of(tests) == {
+        "y": 0.2
+    } and "from 20 to 20 % of a response" in statistics.verdict_of(tests)

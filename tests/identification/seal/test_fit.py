@@ -1,4 +1,6 @@
-"""Seal coefficients from exact phasors, noisy phasors and linear records of known seals; the machine that results."""
+"""Seal coefficients from exact phasors, noisy phasors and linear records of known seals; the
+machine that results.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -17,17 +19,17 @@ from ambrose.identification.seal import stepped_sine, time_domain
 from ambrose.identification.seal.model_updating import update_seal
 from ambrose.identification.seal.result import ENTRIES as ORDER
 from ambrose.identification.seal.result import SealFit, averaged, line
+from ambrose.law.loop import closed_loop
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.file.toml import dumps_machine, loads_machine
-from ambrose.machine.record.record import Record
-from ambrose.physics import seal
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.reduce import free_mode_reduction
-from ambrose.plant.uncertainty import perturbed, uncertain
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.disturbances import SteppedSine
-from ambrose.simulation.scenario import Scenario
+from ambrose.model.assemble import assemble
+from ambrose.model.effects import seal
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import perturbed, uncertain
+from ambrose.record.record import Record
+from ambrose.rig import virtual_rig
+from ambrose.rig.disturbances import SteppedSine
+from ambrose.rig.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller
 
 pytestmark = pytest.mark.campaign  # minutes
@@ -36,8 +38,15 @@ HZ = 2 * np.pi
 DT = 1e-4
 NOMINAL = 2.04e5
 ENTRIES = {
-    "K_xx": 0.5e6, "k_xy": 1.2e6, "k_yx": 1.7e6, "K_yy": 0.3e6, "C_xx": 1500.0, "c_xy": -900.0, "c_yx": -1300.0, "C_yy": 2100.0,
-}  # fmt: skip
+    "K_xx": 0.5e6,
+    "k_xy": 1.2e6,
+    "k_yx": 1.7e6,
+    "K_yy": 0.3e6,
+    "C_xx": 1500.0,
+    "c_xy": -900.0,
+    "c_yx": -1300.0,
+    "C_yy": 2100.0,
+}
 
 
 @cache
@@ -59,13 +68,17 @@ def law(machine):
 
 @cache
 def steady(pressure, frequency, axis, entries=False, speed=0.0):
-    """Phasors of y, i, u, e of the sampled loop around the full plant for 0.1 A on both bearings along ``axis``."""
+    """Phasors of y, i, u, e of the sampled loop around the full plant for 0.1 A on both bearings
+    along ``axis``.
+    """
     plant = assemble(rig(), OperatingPoint(seal_pressure=pressure, speed=speed))
     if entries:
         own = dict(zip(("K", "k", "C", "c"), true(pressure), strict=True))
         moves = {f"seal.center.{name}": value - own[name[0]] for name, value in ENTRIES.items()}
         tolerances = [Tolerance(path, absolute=abs(move)) for path, move in moves.items()]
-        plant = perturbed(plant, {path: float(np.sign(move)) for path, move in moves.items()}, tolerances)
+        plant = perturbed(
+            plant, {path: float(np.sign(move)) for path, move in moves.items()}, tolerances
+        )
     loop = closed_loop(plant, law(rig()))
     e = [f"e_{a}" for a in plant.axes]
     names = [f"{kind}_{a}" for kind in "yiu" for a in plant.axes]
@@ -74,7 +87,17 @@ def steady(pressure, frequency, axis, entries=False, speed=0.0):
     return (*names, *e), np.concatenate([values, drive])
 
 
-def sines(pressure, axis, frequencies=(20.0, 60.0), dwell=0.8, noise=0.0, seed=0, entries=False, keep="yiue", speed=0.0):
+def sines(
+    pressure,
+    axis,
+    frequencies=(20.0, 60.0),
+    dwell=0.8,
+    noise=0.0,
+    seed=0,
+    entries=False,
+    keep="yiue",
+    speed=0.0,
+):
     """A record of steady sines, no transients; noise [m] on the displacements."""
     parts = []
     t = np.arange(round(dwell / DT)) * DT
@@ -87,7 +110,14 @@ def sines(pressure, axis, frequencies=(20.0, 60.0), dwell=0.8, noise=0.0, seed=0
     kept = [i for i, name in enumerate(names) if name[0] in keep]
     units = ["m" if name[0] == "y" else "A" for name in names]
     point = OperatingPoint(seal_pressure=pressure, speed=speed)
-    return Record("seal-rig", 1 / DT, tuple(names[i] for i in kept), tuple(units[i] for i in kept), x[kept], point)
+    return Record(
+        "seal-rig",
+        1 / DT,
+        tuple(names[i] for i in kept),
+        tuple(units[i] for i in kept),
+        x[kept],
+        point,
+    )
 
 
 STEPS = steps_of([20 * HZ, 60 * HZ], 0.8)
@@ -95,7 +125,9 @@ STEPS = steps_of([20 * HZ, 60 * HZ], 0.8)
 
 @pytest.mark.parametrize("keep", ["yiue", "yue", "yi"])
 def test_the_coefficients_come_out_of_exact_phasors(keep):
-    """Measured currents, or commanded ones through amplifier and hold: both give the truth to 1e-4 of k."""
+    """Measured currents, or commanded ones through amplifier and hold: both give the truth to 1e-4
+    of k.
+    """
     records = [sines(NOMINAL / 2, axis, keep=keep) for axis in ("zeta", "eta")]
     fit = stepped_sine.identify(rig(), records, steps=STEPS, reference=False)
     np.testing.assert_allclose(fit.frequency, [20 * HZ, 60 * HZ])
@@ -105,10 +137,15 @@ def test_the_coefficients_come_out_of_exact_phasors(keep):
 
 
 def test_a_turning_rotor_keeps_its_gyroscopic_moments_to_itself():
-    """At 300 Hz of speed: with the record's speed in the model the truth comes out, without it the cross terms are wrong."""
+    """At 300 Hz of speed: with the record's speed in the model the truth comes out, without it the
+    cross terms are wrong.
+    """
     records = [sines(NOMINAL / 2, axis, speed=300 * HZ) for axis in ("zeta", "eta")]
     standing = [replace(r, point=replace(r.point, speed=0.0)) for r in records]
-    right, wrong = (stepped_sine.identify(rig(), group, steps=STEPS, reference=False) for group in (records, standing))
+    right, wrong = (
+        stepped_sine.identify(rig(), group, steps=STEPS, reference=False)
+        for group in (records, standing)
+    )
     scale = np.array([1.6e6, 1.6e6, 4e3, 4e3])
     assert np.abs((right.values - true(NOMINAL / 2)) / scale).max() < 2e-4
     assert np.abs((wrong.values - true(NOMINAL / 2)) / scale).max() > 2e-3
@@ -127,7 +164,9 @@ def test_eight_independent_entries_need_both_axes():
 
 
 def test_the_reference_without_pressure_takes_off_what_the_model_lacks():
-    """Bearings 3 % off in K_s and 1 % in K_i: the coefficients are wrong without, right with the reference."""
+    """Bearings 3 % off in K_s and 1 % in K_i: the coefficients are wrong without, right with the
+    reference.
+    """
     wrong = replace(
         rig(),
         bearings=tuple(
@@ -156,19 +195,26 @@ def test_the_reference_without_pressure_takes_off_what_the_model_lacks():
 
 
 def test_predicted_deviations_against_monte_carlo():
-    """0.3 um of noise, 40 runs of three frequencies, with a reference: errors over predictions are 1 within 20 %."""
-    frequencies, errors, predicted = (20.0, 50.0, 60.0), [], []
+    """0.3 um of noise, 40 runs of three frequencies, with a reference: errors over predictions are
+    1 within 20 %.
+    """
+    frequencies = (20.0, 50.0, 60.0)
+    errors = []
+    predicted = []
     for seed in range(40):
         records = [
             sines(p, axis, frequencies, 0.6, 3e-7, 4 * seed + 2 * i + j)
             for i, p in enumerate((0.0, NOMINAL / 2))
             for j, axis in enumerate(("zeta", "eta"))
         ]
-        fit = stepped_sine.identify(rig(), records, steps=steps_of([f * HZ for f in frequencies], 0.6), settle=0.1)
+        fit = stepped_sine.identify(
+            rig(), records, steps=steps_of([f * HZ for f in frequencies], 0.6), settle=0.1
+        )
         wide = true(NOMINAL / 2)[[0, 1, 1, 0, 2, 3, 3, 2]]
         errors.append(np.hstack([fit.values - true(NOMINAL / 2), fit.entries - wide]))
         predicted.append(np.hstack([fit.deviations, fit.entry_deviations]))
-    ratio = np.mean(np.square(errors), axis=0) / np.mean(np.square(predicted), axis=0)  # per frequency and coefficient
+    # per frequency and coefficient
+    ratio = np.mean(np.square(errors), axis=0) / np.mean(np.square(predicted), axis=0)
     np.testing.assert_allclose(np.sqrt(ratio.mean(axis=0)), 1, atol=0.2)
 
 
@@ -176,9 +222,11 @@ def test_steps_are_found_in_a_record_with_a_transient_and_noise():
     machine = rig()
     item = SteppedSine("e_A_zeta", 0.1, (10 * HZ, 35.5 * HZ, 90 * HZ), 0.8, 0.2)
     trace = virtual_rig.run(
-        machine, pid_controller(machine.controller, machine), Scenario("steps", 2.7, stepped_sines=(item,)),
+        machine,
+        pid_controller(machine.controller, machine),
+        Scenario("steps", 2.7, stepped_sines=(item,)),
         point=OperatingPoint(seal_pressure=0.5e5),
-    )  # fmt: skip
+    )
     found = find_steps(trace.record)
     np.testing.assert_allclose([s.frequency / HZ for s in found], [10, 35.5, 90], rtol=1e-4)
     np.testing.assert_allclose([s.start for s in found], [0.2, 1.0, 1.8], atol=0.12)
@@ -186,25 +234,39 @@ def test_steps_are_found_in_a_record_with_a_transient_and_noise():
     assert np.abs(one.mean[0]) == pytest.approx(0.1, rel=1e-4)
     assert len(one.blocks) > 10
     assert np.abs(one.blocks[:, 1] / one.mean[1] - 1).max() < 1e-3  # steady
-    slow, early = (phasors(trace.record, found[0], ["y_A_zeta"], settle=settle) for settle in (0.4, 0.0))
+    slow, early = (
+        phasors(trace.record, found[0], ["y_A_zeta"], settle=settle) for settle in (0.4, 0.0)
+    )
     assert np.abs(slow.blocks[:, 0] / slow.mean - 1).max() < 1e-3
     assert np.abs(early.blocks[0, 0] / slow.mean - 1) > 1e-2  # the transient is worth discarding
 
 
 def test_rows_that_unbalance_or_noise_spoils_are_named():
-    turning = [replace(r, point=replace(r.point, speed=20.3 * HZ)) for r in (sines(NOMINAL / 2, a) for a in ("zeta", "eta"))]
+    turning = [
+        replace(r, point=replace(r.point, speed=20.3 * HZ))
+        for r in (sines(NOMINAL / 2, a) for a in ("zeta", "eta"))
+    ]
     fit = stepped_sine.identify(rig(), turning, steps=STEPS, reference=False)
     assert len(fit.warnings) == 1
     assert "20 Hz lies at the speed of 20.3 Hz" in fit.warnings[0].what
-    loud = [sines(NOMINAL / 20, axis, (180.0,), 0.5, 3e-6, seed) for seed, axis in enumerate(("zeta", "eta"))]
-    noisy = stepped_sine.identify(rig(), loud, steps=steps_of([180 * HZ], 0.5), settle=0.1, reference=False)
+    loud = [
+        sines(NOMINAL / 20, axis, (180.0,), 0.5, 3e-6, seed)
+        for seed, axis in enumerate(("zeta", "eta"))
+    ]
+    noisy = stepped_sine.identify(
+        rig(), loud, steps=steps_of([180 * HZ], 0.5), settle=0.1, reference=False
+    )
     assert "drowns in noise" in noisy.warnings[0].evidence
-    quiet = stepped_sine.identify(rig(), [sines(NOMINAL / 2, "zeta", noise=1e-7)], steps=STEPS, reference=False)
+    quiet = stepped_sine.identify(
+        rig(), [sines(NOMINAL / 2, "zeta", noise=1e-7)], steps=STEPS, reference=False
+    )
     assert quiet.warnings == ()
 
 
 def test_both_directions_one_after_the_other_in_one_record():
-    """The bundled scenario's form: zeta, then eta, on both bearings; all four excitations are seen, each step once."""
+    """The bundled scenario's form: zeta, then eta, on both bearings; all four excitations are seen,
+    each step once.
+    """
     parts = [sines(NOMINAL / 2, axis) for axis in ("zeta", "eta")]
     joined = replace(parts[0], values=np.hstack([part.values for part in parts]))
     found = find_steps(joined)
@@ -217,11 +279,16 @@ def test_both_directions_one_after_the_other_in_one_record():
 
 
 def test_whirling_in_a_circle_tells_nothing():
-    """Circular forward motion at the seal: K and c, k and C have one and the same effect. A seal that is not there yet."""
+    """Circular forward motion at the seal: K and c, k and C have one and the same effect. A seal
+    that is not there yet.
+    """
     machine = replace(
         rig(),
         couplings=(),
-        bearings=tuple(replace(b, negative_stiffness=(1e6, 1e6), force_per_current=(150.0, 150.0)) for b in rig().bearings),
+        bearings=tuple(
+            replace(b, negative_stiffness=(1e6, 1e6), force_per_current=(150.0, 150.0))
+            for b in rig().bearings
+        ),
     )
     plant = assemble(machine, OperatingPoint(seal_pressure=0.0))
     loop = closed_loop(plant, law(machine))
@@ -231,7 +298,9 @@ def test_whirling_in_a_circle_tells_nothing():
 
     def made(drive):
         values = np.real((response @ drive)[:, None] * np.exp(1j * 50 * HZ * t))
-        return Record("seal-rig", 1 / DT, tuple(shown), ("m",) * 4 + ("A",) * 4, values, OperatingPoint())
+        return Record(
+            "seal-rig", 1 / DT, tuple(shown), ("m",) * 4 + ("A",) * 4, values, OperatingPoint()
+        )
 
     options = {"steps": steps_of([50 * HZ], 0.8), "reference": False}
     with pytest.raises(NumericalFailure, match="whirls in a circle"):
@@ -239,7 +308,8 @@ def test_whirling_in_a_circle_tells_nothing():
     along = stepped_sine.identify(machine, [made(np.array([0.1, 0.0, 0.1, 0.0]))], **options)
     assert np.abs(along.cosine[0] - np.eye(4)).max() < 1e-6  # motion along a line: uncorrelated
     nearly = stepped_sine.identify(machine, [made(np.array([0.1, -0.09j, 0.1, -0.09j]))], **options)
-    assert nearly.cosine[0][0, 3] == pytest.approx(2 * 0.9 / 1.81, abs=1e-6)  # 2 a b/(a^2 + b^2) of the ellipse
+    # 2 a b/(a^2 + b^2) of the ellipse
+    assert nearly.cosine[0][0, 3] == pytest.approx(2 * 0.9 / 1.81, abs=1e-6)
 
 
 def test_what_cannot_be_measured_is_refused():
@@ -254,7 +324,9 @@ def test_what_cannot_be_measured_is_refused():
     with pytest.raises(InvalidInput, match="dwell longer"):
         stepped_sine.identify(machine, [good], steps=STEPS, settle=0.7, reference=False)
     with pytest.raises(InvalidInput, match="steps of this record"):
-        stepped_sine.identify(machine, [good], steps=steps_of([20 * HZ], 0.8, start=1.5), reference=False)
+        stepped_sine.identify(
+            machine, [good], steps=steps_of([20 * HZ], 0.8, start=1.5), reference=False
+        )
     with pytest.raises(InvalidInput, match="measured or commanded"):
         stepped_sine.identify(machine, [good], steps=STEPS, currents="guessed", reference=False)
     with pytest.raises(InvalidInput, match="no excitation"):
@@ -274,8 +346,17 @@ def impulses(pressure, seed, noise=2e-7):
         for row in ((0, 2), (1, 3))[i % 2]:
             begin = 500 + 1900 * i
             drive[row, begin : begin + 100] += 0.05
-    values = simulate(select(loop, e, y), drive) + noise * np.random.default_rng(seed).standard_normal((4, 20000))
-    return Record("seal-rig", 1 / DT, (*y, *e), ("m",) * 4 + ("A",) * 4, np.vstack([values, drive]), plant.point)
+    values = simulate(select(loop, e, y), drive) + noise * np.random.default_rng(
+        seed
+    ).standard_normal((4, 20000))
+    return Record(
+        "seal-rig",
+        1 / DT,
+        (*y, *e),
+        ("m",) * 4 + ("A",) * 4,
+        np.vstack([values, drive]),
+        plant.point,
+    )
 
 
 PRESSURES = (0.5e5, 0.95e5, 1.4e5, 1.9e5)
@@ -326,9 +407,19 @@ def measured(pressures=(0.7e5, 1.0e5, 1.2e5, 4.2e5), frequencies=(20 * HZ, 60 * 
     eye = np.tile(np.eye(4), (len(rows), 1, 1))
     p, w = (np.array(part) for part in zip(*rows, strict=True))
     return SealFit(
-        "seal-rig", "center", p, w, values, deviations, values[:, wide], deviations[:, wide], eye, eye,
-        np.zeros_like(values), "made up",
-    )  # fmt: skip
+        "seal-rig",
+        "center",
+        p,
+        w,
+        values,
+        deviations,
+        values[:, wide],
+        deviations[:, wide],
+        eye,
+        eye,
+        np.zeros_like(values),
+        "made up",
+    )
 
 
 @pytest.mark.parametrize("form", ["line", "table", "frequency"])
@@ -340,7 +431,9 @@ def test_the_machine_that_results_has_the_coefficients_and_survives_its_file(for
     assert again.tolerances == made.tolerances
     for pressure in (0.0, 0.7e5, 2.0e5):
         found = seal.coefficients(made.seals[0], pressure, 0.0, 40 * HZ)
-        np.testing.assert_allclose([found.K, found.k, found.C, found.c], true(pressure), rtol=1e-6, atol=1e-3)
+        np.testing.assert_allclose(
+            [found.K, found.k, found.C, found.c], true(pressure), rtol=1e-6, atol=1e-3
+        )
     widths = {item.parameter: item for item in made.tolerances}
     if form == "line":  # moves with the pressure as one; beside it what the fit leaves open
         assert widths["seal.center.pressure"].relative == 1.0

@@ -1,4 +1,6 @@
-"""Records of the linear loop at several pressures: bearings from those without, the seal at each, the machine that results."""
+"""Records of the linear loop at several pressures: bearings from those without, the seal at each,
+the machine that results.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -18,13 +20,13 @@ from ambrose.identification.output_error import closed_loop as whole_loop
 from ambrose.identification.result import Provenance
 from ambrose.identification.seal import time_domain as seal_records
 from ambrose.identification.seal.pipeline import identify_seal
+from ambrose.law.loop import closed_loop, match_controller
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.file.toml import dumps_machine, loads_machine
-from ambrose.machine.record.record import Record
-from ambrose.physics import seal
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop, match_controller
-from ambrose.plant.reduce import free_mode_reduction
+from ambrose.model.assemble import assemble
+from ambrose.model.effects import seal
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.record.record import Record
 from ambrose.synthesis.pid import pid_controller
 
 DT, K = 1e-4, 8000
@@ -35,7 +37,9 @@ PRESSURES = (0.0, 0.6e5, 1.2e5, 1.7e5)
 
 @cache
 def machine():
-    """The seal test rig with coarse shaft sections; operating points within the pressures measured, and without."""
+    """The seal test rig with coarse shaft sections; operating points within the pressures measured,
+    and without.
+    """
     given = load_machine("seal-rig")
     points = tuple(OperatingPoint(seal_pressure=p, label=f"{p:g} Pa") for p in (1.2e5, 0.0))
     return replace(
@@ -53,10 +57,15 @@ def controller():
 
 @cache
 def true():
-    """The machine that was recorded: bearings a few percent off the file's, k less, and growing with the square root."""
+    """The machine that was recorded: bearings a few percent off the file's, k less, and growing
+    with the square root.
+    """
     bearings = []
     for item in machine().bearings:
-        k_s, k_i = (1.05 * np.array(item.negative_stiffness)).tolist(), (0.97 * np.array(item.force_per_current)).tolist()
+        k_s, k_i = (
+            (1.05 * np.array(item.negative_stiffness)).tolist(),
+            (0.97 * np.array(item.force_per_current)).tolist(),
+        )
         bearings.append(replace(item, negative_stiffness=tuple(k_s), force_per_current=tuple(k_i)))
     return replace(machine(), bearings=tuple(bearings))
 
@@ -68,14 +77,23 @@ def stiffness(pressure):
 @cache
 def record(pressure, noise=5e-9):
     own = seal.coefficients(true().seals[0], pressure)
-    item = replace(true().seals[0], K=own.K, k=float(stiffness(pressure)), C=own.C, c=own.c, scales_with_pressure=())
+    item = replace(
+        true().seals[0],
+        K=own.K,
+        k=float(stiffness(pressure)),
+        C=own.C,
+        c=own.c,
+        scales_with_pressure=(),
+    )
     point = OperatingPoint(seal_pressure=pressure)
     plant = free_mode_reduction(assemble(replace(true(), seals=(item,), tolerances=()), point), 1)
     loop = closed_loop(plant, c2d(match_controller(controller(), plant), DT, "tustin", delay=DT))
     e = np.stack([0.1 * waveforms.prbs(9, 10, K, shift=127 * i) for i in range(4)])
     values = simulate(select(loop, E, Y + U), e)
     values[:4] += noise * np.random.default_rng(int(pressure)).standard_normal((4, K))
-    return Record("seal-rig", 1 / DT, (*Y, *U, *E), ("m",) * 4 + ("A",) * 8, np.vstack([values, e]), point)
+    return Record(
+        "seal-rig", 1 / DT, (*Y, *U, *E), ("m",) * 4 + ("A",) * 8, np.vstack([values, e]), point
+    )
 
 
 @cache
@@ -91,15 +109,20 @@ def found(form="table"):
 @pytest.mark.campaign
 def test_bearings_come_from_the_records_without_pressure_and_the_seal_from_each():
     result = found().result
-    assert result.point.seal_pressure == 0 and not any(path.startswith("seal") for path in result.paths)
+    assert result.point.seal_pressure == 0 and not any(
+        path.startswith("seal") for path in result.paths
+    )
     ratio = result.values / result.start
     np.testing.assert_allclose(ratio[:4], 0.97, rtol=2e-3)
     np.testing.assert_allclose(ratio[4:8], 1.05, rtol=5e-3)
     fit = found().seal.fit
     np.testing.assert_array_equal(fit.pressure, PRESSURES)
     error = np.abs(fit.values[:, 1] - [stiffness(p) for p in PRESSURES])
-    assert error.max() < 0.005 * stiffness(PRESSURES[-1])  # the file's law, proportional to pressure, is 20 to 50 % off
-    assert not any(item.code == Code.HARDLY_VISIBLE for item in fit.warnings if item.what.startswith("at 0 Pa"))
+    # the file's law, proportional to pressure, is 20 to 50 % off
+    assert error.max() < 0.005 * stiffness(PRESSURES[-1])
+    assert not any(
+        item.code == Code.HARDLY_VISIBLE for item in fit.warnings if item.what.startswith("at 0 Pa")
+    )
 
 
 @pytest.mark.campaign
@@ -112,8 +135,11 @@ def test_a_table_follows_the_curve_and_survives_its_file():
     assert made.bearings[0].force_per_current[0] == pytest.approx(found().result.values[0])
     assert "from here; seal center as a table over 4 pressures" in made.source
     widths = {item.parameter: item for item in made.tolerances}
-    assert widths["seal.center.K"].absolute > 0  # the range of pressures is now each coefficient's change over it
-    assert "seal.center.pressure" not in widths and widths["seal.center.k"].absolute > 0.99 * stiffness(1.2e5)
+    # the range of pressures is now each coefficient's change over it
+    assert widths["seal.center.K"].absolute > 0
+    assert "seal.center.pressure" not in widths and widths[
+        "seal.center.k"
+    ].absolute > 0.99 * stiffness(1.2e5)
     data = found().to_dict()["seal"]
     assert data["lines"] is None and np.shape(data["values"]) == (4, 4) and data["form"] == "table"
     assert "Seal center, pressure by pressure" in done.comment
@@ -127,7 +153,10 @@ def test_a_line_says_that_the_points_are_none():
     made = lined.updated().machine
     assert made.seals[0].table.axes[0][1] == (0.0, PRESSURES[-1])
     assert "go on to" not in lined.seal.note
-    assert any(one.code == Code.SEAL_SCATTER and "k at" in one.what and "form table" in one.remedy for one in lined.findings)
+    assert any(
+        one.code == Code.SEAL_SCATTER and "k at" in one.what and "form table" in one.remedy
+        for one in lined.findings
+    )
     higher = replace(lined, seal=replace(lined.seal, highest=3e5))
     assert "go on to 300000 Pa; the highest pressure measured is 170000 Pa" in higher.comment
 
@@ -135,11 +164,15 @@ def test_a_line_says_that_the_points_are_none():
 @pytest.mark.campaign
 def test_without_a_calm_record_all_are_fitted_together():
     law = replace(machine(), seals=(replace(machine().seals[0], k=0.7 * 3.203e6),))
-    inside = replace(law, operation=replace(law.operation, points=(OperatingPoint(seal_pressure=1e5),)))
+    inside = replace(
+        law, operation=replace(law.operation, points=(OperatingPoint(seal_pressure=1e5),))
+    )
     given = [replace(record(p), values=_proportional(p)) for p in (0.6e5, 1.2e5)]
     result = identify_seal(inside, given, controller(), "table")
     paths = result.result.paths
-    assert [path for path in paths if path.startswith("seal")] == [f"seal.center.{letter}" for letter in "KkCc"]
+    assert [path for path in paths if path.startswith("seal")] == [
+        f"seal.center.{letter}" for letter in "KkCc"
+    ]
     k = result.seal.fit.values[:, 1]
     np.testing.assert_allclose(k, [3.203e6 * p / 2.04e5 for p in (0.6e5, 1.2e5)], rtol=0.01)
 
@@ -155,7 +188,12 @@ def _proportional(pressure):
 @pytest.mark.parametrize(
     ("pressures", "form", "options", "words"),
     [
-        ((0.0, 0.6e5), "line", {}, "number of seal pressures for a line is 2, but must be at least 3"),
+        (
+            (0.0, 0.6e5),
+            "line",
+            {},
+            "number of seal pressures for a line is 2, but must be at least 3",
+        ),
         ((0.6e5,), "table", {}, "at least 2"),
         (
             (0.0, 0.6e5),
@@ -176,11 +214,15 @@ def test_what_is_refused_before_anything_is_fitted(pressures, form, options, wor
 def test_a_knock_under_pressure_is_found_in_its_record():
     values = record(1.2e5).values.copy()
     values[0, 5000:5004] += 3e-6
-    seen = [name for name in record(1.2e5).signals if name[0] != "u"]  # without u nothing shows it before the fit
+    # without u nothing shows it before the fit
+    seen = [name for name in record(1.2e5).signals if name[0] != "u"]
     given = [record(0.0).select(seen), replace(record(1.2e5), values=values).select(seen)]
     result = identify_seal(machine(), given, controller(), "table")
     texts = [str(item) for item in result.findings]
-    assert any("record 2: y_A_zeta leaves the model for a short time" in text and "0.5" in text for text in texts), texts
+    assert any(
+        "record 2: y_A_zeta leaves the model for a short time" in text and "0.5" in text
+        for text in texts
+    ), texts
     assert not result.passed
 
 

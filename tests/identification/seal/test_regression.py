@@ -59,7 +59,9 @@ def test_each_point_against_the_line_through_the_others():
         rest = fit_line(x[kept], y[kept], sd[kept])
         expected = (y[i] - rest.at(x[i])) / np.hypot(sd[i], rest.deviation(x[i]) / rest.scatter)
         assert apart == pytest.approx(float(expected), rel=1e-9)
-    all_of = np.array([fit_line(x, 1 + 2 * x + sd * rng.standard_normal(5), sd).apart for _ in range(4000)])
+    all_of = np.array(
+        [fit_line(x, 1 + 2 * x + sd * rng.standard_normal(5), sd).apart for _ in range(4000)]
+    )
     np.testing.assert_allclose(all_of.std(axis=0), 1.0, atol=0.04)
     alone = fit_line([0.0, 0.0, 3.0], [1.0, 1.2, 9.0], [0.1, 0.1, 0.1])
     assert alone.apart[2] == 0  # without it there is no line

@@ -1,4 +1,6 @@
-"""Two methods' results beside each other: differences, what noise explains, and files that do not belong together."""
+"""Two methods' results beside each other: differences, what noise explains, and files that do not
+belong together.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -40,7 +42,8 @@ def test_difference_and_what_noise_makes_of_it():
     (row,) = compare(some(), other(relative=0.01))  # the delay is nothing that a file holds
     assert (row.path, row.other, row.other_half_width) == (K_I, 150.0, pytest.approx(1.5))
     assert row.difference == pytest.approx(2.0) and row.half_width == pytest.approx(1.96)
-    assert row.difference_half_width == pytest.approx(100 * np.hypot(1.96 / 150, 153 / 150 * 0.01))  # first order
+    # first order
+    assert row.difference_half_width == pytest.approx(100 * np.hypot(1.96 / 150, 153 / 150 * 0.01))
     assert row.agree is False
     (near,) = compare(some(deviation=2.0), other(absolute=1.5))
     assert near.agree and near.to_dict()["agree"] is True
@@ -53,7 +56,9 @@ def test_at_another_bias_the_other_file_speaks_of_that_bias():
     found = some()
     at_six = replace_point(found, OperatingPoint(bias_current=6.0))
     (row,) = compare(at_six, load_machine("seal-rig"))
-    measured = next(item for item in load_machine("seal-rig").bearings[0].measured if item.bias_current == 6.0)
+    measured = next(
+        item for item in load_machine("seal-rig").bearings[0].measured if item.bias_current == 6.0
+    )
     assert row.other == pytest.approx(measured.force_per_current[0])
 
 

@@ -1,4 +1,6 @@
-"""A rotor that hangs in its magnets otherwise than the machine file says: what that makes of the coefficients is said."""
+"""A rotor that hangs in its magnets otherwise than the machine file says: what that makes of the
+coefficients is said.
+"""
 
 from dataclasses import replace
 
@@ -6,13 +8,21 @@ import numpy as np
 import pytest
 
 from ambrose import load_machine
-from ambrose.identification.validation.operating_load import load_doubt, load_remarks, machine_at_load
+from ambrose.identification.validation.operating_load import (
+    load_doubt,
+    load_remarks,
+    machine_at_load,
+)
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.record.record import Record
-from ambrose.plant.static_load import operating_magnets
+from ambrose.model.static_load import operating_magnets
+from ambrose.record.record import Record
 
 RIG = load_machine("seal-rig")
-UPRIGHT = replace(RIG, bearings=tuple(replace(bearing, iron=None) for bearing in RIG.bearings), gravity_direction=None)
+UPRIGHT = replace(
+    RIG,
+    bearings=tuple(replace(bearing, iron=None) for bearing in RIG.bearings),
+    gravity_direction=None,
+)
 
 
 def record(**means):
@@ -22,7 +32,9 @@ def record(**means):
 
 @pytest.mark.parametrize("prefix", ["u", "i"])
 def test_the_stiffness_grows_with_the_square_of_the_load(prefix):
-    """Without iron k_s is c ((i_0 + i)^2 + (i_0 - i)^2)/s^3: 1 + (i/i_0)^2 of that without load, and k_i is the same."""
+    """Without iron k_s is c ((i_0 + i)^2 + (i_0 - i)^2)/s^3: 1 + (i/i_0)^2 of that without load,
+    and k_i is the same.
+    """
     bias = UPRIGHT.bearings[0].bias_current
     data = record(**{f"{prefix}_A_zeta": 0.2 * bias, f"{prefix}_A_eta": 0.05 * bias})
     found = load_remarks(UPRIGHT, [data])
@@ -31,11 +43,17 @@ def test_the_stiffness_grows_with_the_square_of_the_load(prefix):
     )
     assert "+4 % of k_s" in found[0]
     here = machine_at_load(UPRIGHT, [data]).bearings[0]
-    assert np.divide(here.negative_stiffness, UPRIGHT.bearings[0].negative_stiffness) == pytest.approx([1.04, 1.0025], rel=1e-6)
+    assert np.divide(
+        here.negative_stiffness, UPRIGHT.bearings[0].negative_stiffness
+    ) == pytest.approx([1.04, 1.0025], rel=1e-6)
 
 
 def test_a_rotor_without_load_gets_no_remark():
-    assert load_remarks(UPRIGHT, [record(u_A_zeta=0.0, u_B_eta=0.1)]) == () == load_remarks(UPRIGHT, [])
+    assert (
+        load_remarks(UPRIGHT, [record(u_A_zeta=0.0, u_B_eta=0.1)])
+        == ()
+        == load_remarks(UPRIGHT, [])
+    )
 
 
 def test_the_bias_is_that_of_the_operating_point():
@@ -45,12 +63,16 @@ def test_the_bias_is_that_of_the_operating_point():
         float(load_remarks(UPRIGHT, [item])[0].split("k_i and +")[1].split(" %")[0])
         for item in (given, replace(given, point=OperatingPoint(bias_current=6.0)))
     )
-    assert own == pytest.approx(4.0, abs=0.1) and other == pytest.approx(100 * (0.8 / 6) ** 2, abs=0.1)
+    assert own == pytest.approx(4.0, abs=0.1) and other == pytest.approx(
+        100 * (0.8 / 6) ** 2, abs=0.1
+    )
 
 
 def test_the_load_of_the_machine_file_is_no_news():
     """The rig lies: its file knows what its magnets carry, and its coefficients are those there."""
-    currents = dict(zip(RIG.axes, (i for item in operating_magnets(RIG) for i in item.currents), strict=True))
+    currents = dict(
+        zip(RIG.axes, (i for item in operating_magnets(RIG) for i in item.currents), strict=True)
+    )
     as_told = record(**{f"i_{axis}": value for axis, value in currents.items()})
     assert load_remarks(RIG, [as_told]) == ()
     for given, here in zip(RIG.bearings, machine_at_load(RIG, [as_told]).bearings, strict=True):
@@ -65,9 +87,15 @@ def test_currents_without_their_mean_are_no_load():
 
 
 def test_a_machine_that_needs_other_currents_for_its_weight_is_doubted():
-    """Balancing and calibration go by the model: magnets a quarter weaker than stated would pass their error on."""
-    currents = dict(zip(RIG.axes, (i for item in operating_magnets(RIG) for i in item.currents), strict=True))
+    """Balancing and calibration go by the model: magnets a quarter weaker than stated would pass
+    their error on.
+    """
+    currents = dict(
+        zip(RIG.axes, (i for item in operating_magnets(RIG) for i in item.currents), strict=True)
+    )
     for share, doubted in ((1.0, False), (1.05, False), (1.25, True), (0.8, True), (0.0, False)):
-        told = load_doubt(RIG, [record(**{f"i_{axis}": share * value for axis, value in currents.items()})])
+        told = load_doubt(
+            RIG, [record(**{f"i_{axis}": share * value for axis, value in currents.items()})]
+        )
         assert bool(told) is doubted and (not doubted or "identify the machine first" in told)
     assert load_doubt(UPRIGHT, [record(i_A_zeta=0.5)]) == ""

@@ -13,40 +13,58 @@ from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.validation.plausibility import _bursts, _tone, diagnose_result
 from ambrose.identification.validation.simulated_output import SimulatedOutput
 from ambrose.machine.description import OperatingPoint, Tolerance
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 
 def estimate(path, factor, deviation=0.001):
     one, zero = np.eye(1), OperatingPoint(seal_pressure=2.04e5)
     values = np.array([factor]), np.array([1.0])
-    return ParameterEstimate("m", zero, (path,), *values, deviation**2 * one, one, one, (), (), 1.0, True, 1, (), "")
+    return ParameterEstimate(
+        "m", zero, (path,), *values, deviation**2 * one, one, one, (), (), 1.0, True, 1, (), ""
+    )
 
 
-@pytest.mark.parametrize("name", ("seal-rig", "seal-rig-k-only"))  # a tolerance of the pressure, and one of k itself
+# a tolerance of the pressure, and one of k itself
+@pytest.mark.parametrize("name", ("seal-rig", "seal-rig-k-only"))
 @pytest.mark.parametrize(("factor", "told"), [(2.46, True), (1.9, False), (0.2, False)])
 def test_a_seal_beyond_its_stated_tolerance_is_told(name, factor, told):
     """6 bar told as 3 bar: k at 2.46 times the file's, without a word before."""
     found = diagnose_result(load_machine(name), estimate("seal.center.k", factor), ())
     assert [item.code for item in found] == [Code.FAR_FROM_FILE] * told
     if told:
-        assert "2.46 times its start, beyond its tolerance of 100 %" in found[0].evidence and "seal pressure" in found[0].remedy
+        assert (
+            "2.46 times its start, beyond its tolerance of 100 %" in found[0].evidence
+            and "seal pressure" in found[0].remedy
+        )
 
 
 def test_a_bearing_beyond_its_stated_tolerance_is_told_once_noise_cannot_make_it():
-    machine = replace(load_machine("seal-rig"), tolerances=(Tolerance("bearing.A.negative_stiffness", relative=0.1),))
+    machine = replace(
+        load_machine("seal-rig"),
+        tolerances=(Tolerance("bearing.A.negative_stiffness", relative=0.1),),
+    )
     path = "bearing.A.negative_stiffness.zeta"
-    assert diagnose_result(machine, estimate(path, 1.12), ()) and not diagnose_result(machine, estimate(path, 1.12, 0.02), ())
+    assert diagnose_result(machine, estimate(path, 1.12), ()) and not diagnose_result(
+        machine, estimate(path, 1.12, 0.02), ()
+    )
     assert not diagnose_result(machine, estimate(path, 1.09), ())
 
 
 @pytest.mark.parametrize("unknown", ("delay", ("controller.delay",), ("delay", "excitation.delay")))
 def test_a_delay_alone_adds_to_the_usual_unknowns(unknown, monkeypatch):
-    """It replaced them: gains and stiffnesses were then taken as known, and the delay made up for them."""
+    """It replaced them: gains and stiffnesses were then taken as known, and the delay made up for
+    them.
+    """
     asked = []
     monkeypatch.setattr(
-        pipeline, "identify_loop", lambda machine, records, law, unknown, **rest: asked.append(unknown) or 1 / 0
+        pipeline,
+        "identify_loop",
+        lambda machine, records, law, unknown, **rest: asked.append(unknown) or 1 / 0,
     )
-    machine, law = load_machine("seal-rig"), StateSpace(np.zeros((0, 0)), np.zeros((0, 4)), np.zeros((4, 0)), np.eye(4))
+    machine, law = (
+        load_machine("seal-rig"),
+        StateSpace(np.zeros((0, 0)), np.zeros((0, 4)), np.zeros((4, 0)), np.eye(4)),
+    )
     record = Record("seal-rig", 1e4, ("e_A_zeta",), ("A",), np.ones((1, 9)))
     with pytest.raises(ZeroDivisionError):
         pipeline.identify(machine, record, law, unknown=unknown)
@@ -55,8 +73,13 @@ def test_a_delay_alone_adds_to_the_usual_unknowns(unknown, monkeypatch):
 
 
 def test_forces_that_were_recorded_are_no_excitation():
-    """A record of the rig holds the magnets' forces: they turn as all else does, and an untold speed went unnoticed."""
-    wave, noise = np.sin(0.3 * np.arange(2000)), 0.1 * np.random.default_rng(0).standard_normal((2, 2000))
+    """A record of the rig holds the magnets' forces: they turn as all else does, and an untold
+    speed went unnoticed.
+    """
+    wave, noise = (
+        np.sin(0.3 * np.arange(2000)),
+        0.1 * np.random.default_rng(0).standard_normal((2, 2000)),
+    )
     for name, told in (("f_magnet_A_zeta", True), ("f_center_x", False), ("e_A_zeta", False)):
         units = "A" if name == "e_A_zeta" else "N", "m"
         record = Record("m", 1e4, (name, "y_A_zeta"), units, wave + noise)
@@ -74,7 +97,9 @@ def test_a_record_that_begins_before_the_machine_has_settled_holds_no_burst():
 
     def bursts(row):
         model = 1e-6 * np.sin(t)[None]
-        output = SimulatedOutput(Record("m", 1e4, ("y_A_zeta",), ("m",), model + row), ("y_A_zeta",), model)
+        output = SimulatedOutput(
+            Record("m", 1e4, ("y_A_zeta",), ("m",), model + row), ("y_A_zeta",), model
+        )
         return [finding.evidence for finding in _bursts(output, 1)]
 
     assert bursts(quiet) == [] and bursts(quiet + start) == []

@@ -1,4 +1,6 @@
-"""The Youla residual of records of known machines: signals, exact recovery, scatter, comparison with closed_loop, bad input."""
+"""The Youla residual of records of known machines: signals, exact recovery, scatter, comparison
+with closed_loop, bad input.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -20,16 +22,16 @@ from ambrose.identification.parameters import nominal_values
 from ambrose.identification.youla import identify as youla
 from ambrose.identification.youla.impulse_response import finite_response
 from ambrose.identification.youla.residual_model import sampled_residual
+from ambrose.law.loop import closed_loop, match_controller
 from ambrose.machine.description import Tolerance
 from ambrose.machine.parameters import operating_point
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop, match_controller
-from ambrose.plant.reduce import free_mode_reduction
-from ambrose.plant.uncertainty import perturbed
-from ambrose.simulation import virtual_rig
-from ambrose.simulation.disturbances import Prbs
-from ambrose.simulation.scenario import Scenario
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import perturbed
+from ambrose.record.record import Record
+from ambrose.rig import virtual_rig
+from ambrose.rig.disturbances import Prbs
+from ambrose.rig.scenario import Scenario
 from ambrose.synthesis.pid import pid_controller, pid_synthesis
 from whole_records import simulate_derivative
 
@@ -46,7 +48,9 @@ def machine():
 
 @cache
 def plant():
-    return free_mode_reduction(assemble(machine(), operating_point(machine(), "nominal speed without seal")), 0)
+    return free_mode_reduction(
+        assemble(machine(), operating_point(machine(), "nominal speed without seal")), 0
+    )
 
 
 @cache
@@ -56,7 +60,9 @@ def controller():
 
 @cache
 def loop(theta=0.5):
-    """The loop of the machine with a bearing stiffness reduced by the share ``theta``, from an independent assembly."""
+    """The loop of the machine with a bearing stiffness reduced by the share ``theta``, from an
+    independent assembly.
+    """
     moved = perturbed(plant(), {PATH: -theta}, [Tolerance(PATH, relative=1.0)])
     return closed_loop(moved, c2d(controller(), DT, "tustin", delay=DT))
 
@@ -69,9 +75,14 @@ def record(k=2000, theta=0.5, noise=0.0, seed=0, skip=0, amplitude=0.3):
     e = sequences(k, amplitude)
     y = simulate(select(loop(theta), E, Y + U), e)
     if noise:
-        y = y + simulate(select(loop(theta), D, Y + U), noise * np.random.default_rng([1, seed]).standard_normal((4, k)))
+        y = y + simulate(
+            select(loop(theta), D, Y + U),
+            noise * np.random.default_rng([1, seed]).standard_normal((4, k)),
+        )
     values = np.vstack([y, e])[:, skip:]
-    return Record("turboexpander", 1 / DT, (*Y, *U, *E), ("m",) * 4 + ("A",) * 8, values, plant().point)
+    return Record(
+        "turboexpander", 1 / DT, (*Y, *U, *E), ("m",) * 4 + ("A",) * 8, values, plant().point
+    )
 
 
 def identify(records, unknown=(PATH,), **options):
@@ -85,7 +96,9 @@ def share(result):
 
 @cache
 def factors():
-    return youla.sampled_factors(plant(), match_controller(c2d(controller(), DT, "tustin", delay=DT), plant()))[0]
+    return youla.sampled_factors(
+        plant(), match_controller(c2d(controller(), DT, "tustin", delay=DT), plant())
+    )[0]
 
 
 def test_alpha_is_free_of_the_noise_and_eps_is_its_response_through_s():
@@ -107,13 +120,21 @@ def test_alpha_is_free_of_the_noise_and_eps_is_its_response_through_s():
 
 
 def test_white_sensor_noise_is_white_in_eps_of_the_machine_as_modelled():
-    eps = youla.residual_signals(factors(), record(20000, theta=0.0, noise=1e-6)).select(factors().eps).values[:, 500:]
-    covariance = youla.sampled_factors(plant(), match_controller(c2d(controller(), DT, "tustin", delay=DT), plant()))[1]
+    eps = (
+        youla.residual_signals(factors(), record(20000, theta=0.0, noise=1e-6))
+        .select(factors().eps)
+        .values[:, 500:]
+    )
+    covariance = youla.sampled_factors(
+        plant(), match_controller(c2d(controller(), DT, "tustin", delay=DT), plant())
+    )[1]
     W = np.linalg.inv(np.linalg.cholesky(covariance))
     white = W @ eps / 1e-6
     np.testing.assert_allclose(np.cov(white), np.eye(4), atol=0.05)
     for lag in range(1, 30):
-        assert np.abs(white[:, lag:] @ white[:, :-lag].T / white.shape[1]).max() < 5 / np.sqrt(white.shape[1])
+        assert np.abs(white[:, lag:] @ white[:, :-lag].T / white.shape[1]).max() < 5 / np.sqrt(
+            white.shape[1]
+        )
 
 
 def test_model_of_s_and_its_jacobian():
@@ -136,7 +157,11 @@ def test_model_of_s_and_its_jacobian():
 def test_recovery_without_noise(theta):
     result = identify(record(theta=theta))
     assert share(result) == pytest.approx(theta, abs=1e-6)
-    assert result.estimate.converged and not result.estimate.warnings and result.controller_error < 1e-9
+    assert (
+        result.estimate.converged
+        and not result.estimate.warnings
+        and result.controller_error < 1e-9
+    )
 
 
 @pytest.mark.campaign
@@ -147,7 +172,11 @@ def test_initial_state_offset_several_records_and_other_parameters():
     assert share(identify(replace(later, values=values))) == pytest.approx(0.5, abs=1e-4)
     assert share(identify(later, offset=False)) == pytest.approx(0.5, abs=1e-6)
     assert abs(share(identify(replace(later, values=values), offset=False)) - 0.5) > 1e-3
-    paths = ("bearing.*.negative_stiffness.*", "bearing.*.force_per_current.*", "amplifier.bandwidth")
+    paths = (
+        "bearing.*.negative_stiffness.*",
+        "bearing.*.force_per_current.*",
+        "amplifier.bandwidth",
+    )
     result = identify([record(1200), record(1500)], paths)
     nominal = nominal_values(plant(), result.estimate.paths)
     expected = np.where(np.array(result.estimate.paths) == PATH, 0.5, 1.0)
@@ -165,7 +194,9 @@ def test_several_starts_find_the_same():
 
 @pytest.mark.study
 def test_scatter_and_predicted_deviation_are_half_those_of_the_whole_loop_method():
-    """0.3 A, 1 um of white sensor noise; P1's own experiment has its Monte Carlo study in tests/literature/test_p1.py."""
+    """0.3 A, 1 um of white sensor noise; P1's own experiment has its Monte Carlo study in
+    tests/literature/test_p1.py.
+    """
     nominal = nominal_values(plant(), [PATH])[0]
     results = [identify(record(1500, noise=1e-6, seed=seed)).estimate for seed in range(30)]
     found = np.array([result.values[0] for result in results]) / nominal
@@ -173,7 +204,9 @@ def test_scatter_and_predicted_deviation_are_half_those_of_the_whole_loop_method
     scatter = found.std(ddof=1)
     assert abs(found.mean() - 0.5) < 3 * scatter / np.sqrt(30)
     assert 0.7 < np.sqrt(np.mean(predicted**2)) / scatter < 1.4  # 30 runs tell the scatter to 13 %
-    other = whole_loop.identify(machine(), record(1500, noise=1e-6), controller(), [PATH], bending_modes=0)
+    other = whole_loop.identify(
+        machine(), record(1500, noise=1e-6), controller(), [PATH], bending_modes=0
+    )
     assert other.standard_deviations[0] / nominal > 1.5 * scatter
 
 
@@ -222,10 +255,13 @@ def test_response_of_s_without_a_model():
 def test_pulse_response_without_a_model_agrees_with_s_and_with_no_other():
     noisy = record(5000, noise=2e-7)
     result = identify(noisy)
-    alpha, eps = (result.signals[0].select(names).values for names in (factors().alpha, factors().eps))
+    alpha, eps = (
+        result.signals[0].select(names).values for names in (factors().alpha, factors().eps)
+    )
     free = finite_response(alpha, eps, 150)
     assert free.h.shape == (4, 4, 150) and (free.noise < 1.2 * 2e-7).all()
-    assert (free.disagreement(result.residual) < 1.15).all()  # 600 unknowns: its standard deviation is 6 %
+    # 600 unknowns: its standard deviation is 6 %
+    assert (free.disagreement(result.residual) < 1.15).all()
     other = sampled_residual(plant(), factors(), [PATH], nominal_values(plant(), [PATH]), np.eye(4))
     wrong = other.loop(0.7 * nominal_values(plant(), [PATH]))[0]
     assert free.disagreement(wrong).max() > 2
@@ -239,17 +275,25 @@ def test_pulse_response_without_a_model_agrees_with_s_and_with_no_other():
 
 
 def test_nonlinear_rig_under_its_weight():
-    """The machine file's coefficients are those under the weight: they are found, not those of a magnet without load."""
+    """The machine file's coefficients are those under the weight: they are found, not those of a
+    magnet without load.
+    """
     rig = load_machine("seal-rig")
     rig = replace(rig, sensors=tuple(replace(sensor, noise=1e-7) for sensor in rig.sensors))
     model = free_mode_reduction(assemble(rig), 1)
     law = pid_synthesis(model).controller
-    waves = tuple(Prbs(f"e_{axis}", amplitude=0.1, bit_time=1e-3, seed=i) for i, axis in enumerate(AXES))
+    waves = tuple(
+        Prbs(f"e_{axis}", amplitude=0.1, bit_time=1e-3, seed=i) for i, axis in enumerate(AXES)
+    )
     measured = virtual_rig.run(rig, law, Scenario("prbs", 2.0, sequences=waves)).record
     result = youla.identify(rig, measured, law, ["bearing.*.negative_stiffness.*"])
-    static = np.array([measured[f"i_{axis}"].mean() for axis in AXES]) / rig.bearings[0].bias_current
+    static = (
+        np.array([measured[f"i_{axis}"].mean() for axis in AXES]) / rig.bearings[0].bias_current
+    )
     assert result.controller_error < 1e-9 and (static > 0.3).all()
-    np.testing.assert_allclose(result.estimate.values, nominal_values(model, result.estimate.paths), rtol=0.005)
+    np.testing.assert_allclose(
+        result.estimate.values, nominal_values(model, result.estimate.paths), rtol=0.005
+    )
 
 
 def test_bad_input_of_the_injected_experiment():
@@ -276,7 +320,9 @@ def test_bad_input():
         identify(good.select([*Y, *E]))
     with pytest.raises(InvalidInput, match="holds no excitation"):
         identify(replace(good, values=np.vstack([good.values[:8], 0 * good.values[8:]])))
-    growing = good.values * np.where(np.arange(12) < 8, 1.0, 0.0)[:, None] * np.exp(np.arange(400) / 60)
+    growing = (
+        good.values * np.where(np.arange(12) < 8, 1.0, 0.0)[:, None] * np.exp(np.arange(400) / 60)
+    )
     with pytest.raises(InvalidInput, match=r"grows .* times towards its end"):
         identify(replace(good, values=np.vstack([growing[:8], good.values[8:]])))
     with pytest.raises(InvalidInput, match="unknown"):
@@ -290,8 +336,12 @@ def test_bad_input():
     with pytest.raises(InvalidInput, match="noise"):
         identify(good, noise={"y_C_eta": 1e-6})
     force = Record(
-        good.machine, good.sample_rate_hz, (*good.signals, "f_A_zeta"), (*good.units, "N"),
-        np.vstack([good.values, good.values[:1]]), good.point,
-    )  # fmt: skip
+        good.machine,
+        good.sample_rate_hz,
+        (*good.signals, "f_A_zeta"),
+        (*good.units, "N"),
+        np.vstack([good.values, good.values[:1]]),
+        good.point,
+    )
     with pytest.raises(InvalidInput, match="holds the excitation f_A_zeta"):
         identify(force)

@@ -7,15 +7,21 @@ import pytest
 
 import ambrose as amb
 from ambrose.core.frequency import frequency_response
+from ambrose.judge.result import Synthesis
 from ambrose.machine.controller import MODES, Channel, PidSettings, Section
 from ambrose.report.figures.filter_chains import filter_figure
 from ambrose.synthesis.pid import pid_controller
-from ambrose.synthesis.result import Synthesis
 
 HZ = 2 * np.pi
 EVERY = (
     Section("pid", 0.2, 2e-3, 0.1),
-    Section("notch", zero_frequency=HZ * 210, zero_damping=0.02, pole_frequency=HZ * 230, pole_damping=0.3),
+    Section(
+        "notch",
+        zero_frequency=HZ * 210,
+        zero_damping=0.02,
+        pole_frequency=HZ * 230,
+        pole_damping=0.3,
+    ),
     Section("phase-bump", frequency=HZ * 95, phase=0.5, damping=0.3),
     Section("lead-lag", zero_frequency=HZ * 200, pole_frequency=HZ * 1000),
     Section("low-pass", frequency=HZ * 1500, damping=0.7),
@@ -30,24 +36,37 @@ def words(picture):
 
 def test_every_section_stands_in_its_chain():
     bank = PidSettings(
-        channels=(Channel(MODES[:2], 20e3, EVERY), Channel(MODES[2:], 15e3, EVERY[:1])), coordinates="tilt-translate"
+        channels=(Channel(MODES[:2], 20e3, EVERY), Channel(MODES[2:], 15e3, EVERY[:1])),
+        coordinates="tilt-translate",
     )
     picture = filter_figure(bank, ("A_zeta", "A_eta", "B_zeta", "B_eta"))
     found = [text for text in words(picture) if text != "→"]
-    assert found[:3] == ["<b>translate x, translate y</b>", "<b>gain</b><br>20\u00a0A/mm", (
-        "<b>pid</b><br>T<sub>i</sub> 200\u00a0ms<br>T<sub>d</sub> 2\u00a0ms<br>× 796\u00a0Hz"
-    )]  # fmt: skip
+    assert found[:3] == [
+        "<b>translate x, translate y</b>",
+        "<b>gain</b><br>20\u00a0A/mm",
+        ("<b>pid</b><br>T<sub>i</sub> 200\u00a0ms<br>T<sub>d</sub> 2\u00a0ms<br>× 796\u00a0Hz"),
+    ]
     assert found[3:9] == [
-        "<b>notch</b><br>○ 210\u00a0Hz, 0.02<br>× 230\u00a0Hz, 0.3", "<b>phase-bump</b><br>28.6°<br>at 95\u00a0Hz, 0.3",
-        "<b>lead-lag</b><br>○ 200\u00a0Hz<br>× 1\u202f000\u00a0Hz", "<b>low-pass</b><br>× 1\u202f500\u00a0Hz, 0.7",
-        "<b>sos</b><br>○ 159\u00a0Hz, 0.05<br>× 159\u00a0Hz, 0.5", "<b>sos</b><br>times 2",
-    ]  # fmt: skip
+        "<b>notch</b><br>○ 210\u00a0Hz, 0.02<br>× 230\u00a0Hz, 0.3",
+        "<b>phase-bump</b><br>28.6°<br>at 95\u00a0Hz, 0.3",
+        "<b>lead-lag</b><br>○ 200\u00a0Hz<br>× 1\u202f000\u00a0Hz",
+        "<b>low-pass</b><br>× 1\u202f500\u00a0Hz, 0.7",
+        "<b>sos</b><br>○ 159\u00a0Hz, 0.05<br>× 159\u00a0Hz, 0.5",
+        "<b>sos</b><br>times 2",
+    ]
     assert found[9] == "<b>tilt x, tilt y</b>"
     boxes = picture.layout.shapes
     assert len(boxes) == len(EVERY) + 1 + 2
-    assert all(0 <= box.x0 < box.x1 <= 1 + 1e-12 and box.y1 > 1 for box in boxes)  # above the axes, and apart:
-    assert not any(a.x0 < b.x1 and b.x0 < a.x1 and a.y1 < b.y0 and b.y1 < a.y0 for i, a in enumerate(boxes) for b in boxes[:i])
-    top = (boxes[0].y0 - 1) * (picture.layout.height - picture.layout.margin.t - picture.layout.margin.b)
+    # above the axes, and apart:
+    assert all(0 <= box.x0 < box.x1 <= 1 + 1e-12 and box.y1 > 1 for box in boxes)
+    assert not any(
+        a.x0 < b.x1 and b.x0 < a.x1 and a.y1 < b.y0 and b.y1 < a.y0
+        for i, a in enumerate(boxes)
+        for b in boxes[:i]
+    )
+    top = (boxes[0].y0 - 1) * (
+        picture.layout.height - picture.layout.margin.t - picture.layout.margin.b
+    )
     assert top < picture.layout.margin.t
 
 
@@ -67,4 +86,6 @@ def test_the_response_is_the_controllers():
 def test_what_is_no_bank_is_drawn_as_before():
     system = pid_controller(amb.load_machine("seal-rig").controller, amb.load_machine("seal-rig"))
     assert not amb.plot(Synthesis(system, "hinf")).layout.shapes
-    assert amb.plot(replace(Synthesis(system, "pid"), filters=amb.load_machine("seal-rig").controller)).layout.shapes
+    assert amb.plot(
+        replace(Synthesis(system, "pid"), filters=amb.load_machine("seal-rig").controller)
+    ).layout.shapes

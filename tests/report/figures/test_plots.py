@@ -1,4 +1,6 @@
-"""Figures: the data arrive unchanged but for their units, limits and views are honest, bad curves are refused."""
+"""Figures: the data arrive unchanged but for their units, limits and views are honest, bad curves
+are refused.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +11,13 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import Disc
+from ambrose.judge.checks import Checks, Curve
 from ambrose.machine.machine import Machine
+from ambrose.machine.rotor_model import Disc
 from ambrose.report import theme
 from ambrose.report.figures import curves as plots
 from ambrose.report.figures.poles import pole_figure
 from ambrose.report.figures.rotor_drawing import equivalent_cylinder, rotor_drawing
-from ambrose.verification.checks import Checks, Curve
 
 TWO_PI = 2 * np.pi
 
@@ -28,7 +30,9 @@ def texts(figure: Any) -> str:
     return " | ".join(annotation.text for annotation in figure.layout.annotations)
 
 
-def test_every_point_of_every_line_is_drawn_in_hertz_and_micrometres(verifications: list[Checks]) -> None:
+def test_every_point_of_every_line_is_drawn_in_hertz_and_micrometres(
+    verifications: list[Checks],
+) -> None:
     pairs = [(checks.label, checks.curve("compliance")) for checks in verifications]
     figure = plots.figure(pairs)
     curve = pairs[1][1]
@@ -51,7 +55,9 @@ def test_legend_names_each_operating_point_once_with_its_peak(verifications: lis
         assert f"{curve.x[curve.y[0].argmax()] / TWO_PI:.3g}" in entry
 
 
-def test_an_operating_point_keeps_its_colour_when_others_are_missing(verifications: list[Checks]) -> None:
+def test_an_operating_point_keeps_its_colour_when_others_are_missing(
+    verifications: list[Checks],
+) -> None:
     order = [checks.label for checks in verifications]
     last = verifications[-1]
     alone = plots.figure([(last.label, last.curve("unbalance"))], order=order).data[0].line.color
@@ -71,7 +77,17 @@ def test_limits_are_drawn_and_named_at_their_level(verifications: list[Checks]) 
 
 def test_a_limit_outside_the_view_is_named() -> None:
     t = np.linspace(0, 0.3, 50)
-    curve = Curve("y", "y", "time", t, 1e-6 * np.sin(40 * t)[None, :], ("A_zeta",), "s", "m", (("touchdown", 2.5e-4),))
+    curve = Curve(
+        "y",
+        "y",
+        "time",
+        t,
+        1e-6 * np.sin(40 * t)[None, :],
+        ("A_zeta",),
+        "s",
+        "m",
+        (("touchdown", 2.5e-4),),
+    )
     figure = plots.figure([("point", curve)])
     assert "beyond the view: touchdown 250" in texts(figure)
     assert figure.layout.yaxis.range[1] < 2
@@ -81,7 +97,16 @@ def test_a_limit_outside_the_view_is_named() -> None:
 
 def test_a_view_that_cuts_curves_says_so_and_the_data_stay_complete() -> None:
     omega = np.geomspace(1, 1e6, 200)
-    curve = Curve("c", "c", "frequency", omega, (1e-6 / (1 + (omega / 10) ** 2))[None, :], ("max",), "rad/s", "m/N")
+    curve = Curve(
+        "c",
+        "c",
+        "frequency",
+        omega,
+        (1e-6 / (1 + (omega / 10) ** 2))[None, :],
+        ("max",),
+        "rad/s",
+        "m/N",
+    )
     figure = plots.figure([("point", curve)])
     assert "beyond the view: some curves" in texts(figure)
     assert len(figure.data[0].x) == 200
@@ -92,7 +117,17 @@ def test_a_view_that_cuts_curves_says_so_and_the_data_stay_complete() -> None:
 def test_limits_at_one_level_share_a_name() -> None:
     omega = np.geomspace(1, 1e4, 50)
     limits = (("zone A/B", 3.0), ("zone B/C", 4.0), ("required", 3.0))
-    curve = Curve("s", "s", "frequency", omega, np.linspace(0.5, 3, 50)[None, :], ("max",), "rad/s", "-", limits)
+    curve = Curve(
+        "s",
+        "s",
+        "frequency",
+        omega,
+        np.linspace(0.5, 3, 50)[None, :],
+        ("max",),
+        "rad/s",
+        "-",
+        limits,
+    )
     assert "zone A/B, required 3" in texts(plots.figure([("point", curve)]))
 
 
@@ -107,7 +142,9 @@ def test_an_unstable_response_does_not_set_the_view() -> None:
     assert max(plots.figure([("wild", wild)]).layout.yaxis.range) > 1000
 
 
-def test_a_curve_that_starts_highest_has_no_peak_and_a_rising_one_an_end(verifications: list[Checks]) -> None:
+def test_a_curve_that_starts_highest_has_no_peak_and_a_rising_one_an_end(
+    verifications: list[Checks],
+) -> None:
     omega = np.geomspace(1, 1e4, 50)
     falling = Curve("l", "l", "frequency", omega, 1 / omega[None, :], ("loop",), "rad/s", "-")
     assert plots.figure([("point", falling)]).data[0].name == "point"
@@ -125,7 +162,11 @@ def test_overlay_says_up_to_where_the_models_agree() -> None:
     ]
     entries = [trace.name for trace in plots.figure(curves, overlay=True).data if trace.name]
     edge = omega[omega >= TWO_PI * 100][0] / TWO_PI
-    assert entries == ["full", f"reduced · within 5% up to {edge:.3g}\u00a0Hz", "same · within 5% everywhere"]
+    assert entries == [
+        "full",
+        f"reduced · within 5% up to {edge:.3g}\u00a0Hz",
+        "same · within 5% everywhere",
+    ]
 
 
 def test_campbell_map_over_rpm_with_the_synchronous_line(verifications: list[Checks]) -> None:
@@ -139,14 +180,18 @@ def test_campbell_map_over_rpm_with_the_synchronous_line(verifications: list[Che
 
 def test_poles_once_per_pair_and_instability_in_both_pictures() -> None:
     poles = np.array([-3.0, 5 + 300j, 5 - 300j, -20 + 3400j, -20 - 3400j, 0.0])
-    curve = Curve("poles", "Poles", "poles", poles.real, poles.imag[None, :], ("poles",), "rad/s", "rad/s")
+    curve = Curve(
+        "poles", "Poles", "poles", poles.real, poles.imag[None, :], ("poles",), "rad/s", "rad/s"
+    )
     left, right = pole_figure([("point", curve)], theme.styles(["point"])).data
     assert sorted(left.x.tolist()) == [-20.0, -3.0, 0.0, 5.0]
     assert max(left.y) == pytest.approx(3400 / TWO_PI)
     assert len(right.x) == 3  # the pole at the origin has no frequency
     assert min(right.y) == pytest.approx(np.arcsinh(-5 / abs(5 + 300j) / 1e-3))
     assert "least damping ratio −0.0167 at 47.8 Hz" in left.name
-    assert "all poles but 1 at the origin" in texts(pole_figure([("point", curve)], theme.styles(["point"])))
+    assert "all poles but 1 at the origin" in texts(
+        pole_figure([("point", curve)], theme.styles(["point"]))
+    )
 
 
 def test_labels_cannot_inject_markup(verifications: list[Checks]) -> None:
@@ -156,7 +201,9 @@ def test_labels_cannot_inject_markup(verifications: list[Checks]) -> None:
 
 def test_gaps_and_single_points_are_drawn() -> None:
     x = np.array([1.0, 2.0, 3.0, 4.0])
-    holes = Curve("c", "c", "frequency", x, np.array([[1.0, np.nan, 2.0, 0.5]]), ("max",), "rad/s", "-")
+    holes = Curve(
+        "c", "c", "frequency", x, np.array([[1.0, np.nan, 2.0, 0.5]]), ("max",), "rad/s", "-"
+    )
     assert "peak 2" in plots.figure([("point", holes)]).data[0].name
     empty = replace(holes, y=np.full((1, 4), np.nan))
     assert plots.figure([("point", empty)]).data[0].name == "point"
@@ -174,30 +221,47 @@ def test_gaps_and_single_points_are_drawn() -> None:
     ],
 )
 def test_bad_curves_are_refused(change: dict[str, Any], message: str) -> None:
-    good = Curve("c", "c", "frequency", np.array([1.0, 2.0, 3.0]), np.ones((1, 3)), ("max",), "rad/s", "-")
+    good = Curve(
+        "c", "c", "frequency", np.array([1.0, 2.0, 3.0]), np.ones((1, 3)), ("max",), "rad/s", "-"
+    )
     with pytest.raises(InvalidInput, match=message):
         plots.figure([("point", replace(good, **change))])
 
 
 def test_mixed_quantities_are_refused() -> None:
-    good = Curve("c", "c", "frequency", np.array([1.0, 2.0]), np.ones((1, 2)), ("max",), "rad/s", "-")
+    good = Curve(
+        "c", "c", "frequency", np.array([1.0, 2.0]), np.ones((1, 2)), ("max",), "rad/s", "-"
+    )
     with pytest.raises(InvalidInput, match="different figures"):
         plots.figure([("one", good), ("two", replace(good, y_unit="m"))])
     with pytest.raises(InvalidInput, match="without curves"):
         plots.figure([])
 
 
-def test_rotor_drawing_is_to_scale_and_complete(machine: Machine, shapes: tuple[np.ndarray, np.ndarray]) -> None:
+def test_rotor_drawing_is_to_scale_and_complete(
+    machine: Machine, shapes: tuple[np.ndarray, np.ndarray]
+) -> None:
     nodes = np.linspace(0, machine.length, 40)
     figure = rotor_drawing(machine, nodes, *shapes)
     assert figure.layout.yaxis.scaleanchor == "x"
     corners = {(min(t.x), max(t.x), max(t.y)) for t in figure.data if t.fill == "toself"}
     for section in machine.shaft:
         left, right = 1e3 * section.start, 1e3 * (section.start + section.length)
-        assert any(np.allclose((left, right, section.outer_diameter * 500), corner) for corner in corners)
+        assert any(
+            np.allclose((left, right, section.outer_diameter * 500), corner) for corner in corners
+        )
     hatched = [trace for trace in figure.data if trace.fillpattern.shape]
     assert {max(np.abs(trace.y)) for trace in hatched} == {75.0}
-    for name in ("bearing A", "bearing B", "sensor A", "sensor B", "seal center", "coupling", "thrust disc", "hub"):
+    for name in (
+        "bearing A",
+        "bearing B",
+        "sensor A",
+        "sensor B",
+        "seal center",
+        "coupling",
+        "thrust disc",
+        "hub",
+    ):
         assert name in texts(figure)
     for name in ("rigid 1", "rigid 2", "bending 1", "551", "bending 2"):
         assert name in texts(figure)
@@ -207,7 +271,9 @@ def test_rotor_drawing_is_to_scale_and_complete(machine: Machine, shapes: tuple[
 
 
 def test_a_disc_is_the_cylinder_with_its_mass_and_inertias() -> None:
-    mass, radius, width = 7.0, 0.1, 0.03
+    mass = 7.0
+    radius = 0.1
+    width = 0.03
     disc = Disc("d", 0.1, mass, mass * radius**2 / 2, mass * (3 * radius**2 + width**2) / 12)
     assert equivalent_cylinder(disc) == pytest.approx((radius, width))
     assert equivalent_cylinder(Disc("d", 0.1, mass)) is None

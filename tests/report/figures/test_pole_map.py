@@ -1,11 +1,13 @@
-"""Pole-zero maps hold every pole and zero in view, count the unstable ones and refuse what they cannot show."""
+"""Pole-zero maps hold every pole and zero in view, count the unstable ones and refuse what they
+cannot show.
+"""
 
 import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import StateSpace, transfer_function
-from ambrose.report.figures.pole_map import describe, pole_zero_map
+from ambrose.report.figures.poles import describe, pole_zero_map
 
 UNSTABLE = transfer_function(np.poly([-30.0]), np.poly([20.0, -25.0, -4000.0]))
 STABLE = transfer_function([1.0], np.poly([-10 + 40j, -10 - 40j]).real)
@@ -34,7 +36,9 @@ def test_reach_shows_more():
 
 def test_in_words():
     assert describe("G", UNSTABLE) == "G: 1 of 3 poles right of the axis, rightmost 20 +0j rad/s"
-    assert describe("K", StateSpace([], np.zeros((0, 1)), np.zeros((1, 0)), [[1.0]])) == "K: no pole"
+    assert (
+        describe("K", StateSpace([], np.zeros((0, 1)), np.zeros((1, 0)), [[1.0]])) == "K: no pole"
+    )
 
 
 def test_refusals():

@@ -9,13 +9,13 @@ from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import select
 from ambrose.identification.youla import identify as youla
+from ambrose.law.loop import closed_loop
 from ambrose.machine.description import Tolerance
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.reduce import free_mode_reduction
-from ambrose.plant.uncertainty import perturbed
-from ambrose.report.figures.residual_response import residual_figure
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import perturbed
+from ambrose.record.record import Record
+from ambrose.report.figures.measured import residual_figure
 from ambrose.synthesis.pid import pid_synthesis
 
 PATH = "bearing.A.negative_stiffness.zeta"
@@ -29,11 +29,19 @@ def test_identified_curve_lies_in_the_measured_band():
     loop = closed_loop(moved, c2d(controller, dt, "tustin", delay=dt))
     y, u, e, d = ([f"{kind}_{axis}" for axis in plant.axes] for kind in "yued")
     rng = np.random.default_rng(0)
-    waves, noise = 0.3 * np.sign(rng.standard_normal((4, 8000))), 1e-7 * rng.standard_normal((4, 8000))
+    waves, noise = (
+        0.3 * np.sign(rng.standard_normal((4, 8000))),
+        1e-7 * rng.standard_normal((4, 8000)),
+    )
     values = simulate(select(loop, [*e, *d], [*y, *u]), np.vstack([waves, noise]))
     record = Record(
-        "seal-rig", 1 / dt, (*y, *u, *e), ("m",) * 4 + ("A",) * 8, np.vstack([values, waves]), plant.point
-    )  # fmt: skip
+        "seal-rig",
+        1 / dt,
+        (*y, *u, *e),
+        ("m",) * 4 + ("A",) * 8,
+        np.vstack([values, waves]),
+        plant.point,
+    )
     result = youla.identify(machine, record, controller, [PATH])
     figure = residual_figure(result)
     band, measured, model = figure.data[:3]
@@ -42,7 +50,9 @@ def test_identified_curve_lies_in_the_measured_band():
     np.testing.assert_allclose(model.y, expected, rtol=1e-3)
     k = len(f)
     strong = expected > 0.3 * expected.max()
-    inside = (np.asarray(model.y) <= np.asarray(band.y)[:k]) & (np.asarray(model.y) >= np.asarray(band.y)[k:][::-1])
+    inside = (np.asarray(model.y) <= np.asarray(band.y)[:k]) & (
+        np.asarray(model.y) >= np.asarray(band.y)[k:][::-1]
+    )
     assert strong.sum() > 5 and inside[strong].mean() > 0.8
     assert np.asarray(measured.y)[strong] == pytest.approx(expected[strong], rel=0.35)
     assert [trace.showlegend for trace in figure.data[3:]] == [False] * 9

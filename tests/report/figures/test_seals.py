@@ -1,4 +1,6 @@
-"""Pictures of identified responses and seals: what is drawn is what was found, in the units of the page."""
+"""Pictures of identified responses and seals: what is drawn is what was found, in the units of the
+page.
+"""
 
 import numpy as np
 import pytest
@@ -24,16 +26,36 @@ def found(pressures=(0.7, 1.0, 1.2), frequencies=(5.0, 50.0, 150.0)):
     eye = np.tile(np.eye(4), (n, 1, 1))
     p, w = (np.array(part) for part in zip(*rows, strict=True))
     return SealFit(
-        "rig", "center", p, w, values, np.full((n, 4), 10.0), np.full((n, 8), np.nan), np.full((n, 8), np.nan), eye, eye,
-        np.full((n, 4), 3e3), "made up",
-    )  # fmt: skip
+        "rig",
+        "center",
+        p,
+        w,
+        values,
+        np.full((n, 4), 10.0),
+        np.full((n, 8), np.nan),
+        np.full((n, 8), np.nan),
+        eye,
+        eye,
+        np.full((n, 4), 3e3),
+        "made up",
+    )
 
 
 def response(n=40):
     omega = HZ * np.geomspace(3, 140, n)
     values = 1e-4 / (1 + 1j * omega / 300)[:, None, None] ** 2
     ones = np.ones((n, 1))
-    return Frf(values, omega, ("e_A",), ("y_A",), (0.02 * np.abs(values)) ** 2, 0.97 * ones, ones, 30.0, 1e-4)
+    return Frf(
+        values,
+        omega,
+        ("e_A",),
+        ("y_A",),
+        (0.02 * np.abs(values)) ** 2,
+        0.97 * ones,
+        ones,
+        30.0,
+        1e-4,
+    )
 
 
 def named(figure, name):
@@ -42,14 +64,19 @@ def named(figure, name):
 
 def test_responses_with_models_errors_and_coherence():
     measured = response()
-    late = FrequencyResponse(1.05 * measured.values * np.exp(2j * np.pi), measured.omega, ("e_A",), ("y_A",))
+    late = FrequencyResponse(
+        1.05 * measured.values * np.exp(2j * np.pi), measured.omega, ("e_A",), ("y_A",)
+    )
     figure = seal_figures.response_figure(
-        {"along ζ": measured, "along η": measured}, {"along ζ": {"model": late}}, valid_to={"along ζ": 100 * HZ}
+        {"along ζ": measured, "along η": measured},
+        {"along ζ": {"model": late}},
+        valid_to={"along ζ": 100 * HZ},
     )
     lines = named(figure, "measured, with 95 %")
     assert len(lines) == 6
     np.testing.assert_allclose(lines[0].x, measured.omega / HZ, rtol=1e-6)
-    np.testing.assert_allclose(lines[0].y, 1e6 * np.abs(measured.values[:, 0, 0]), rtol=1e-6)  # um per A
+    # um per A
+    np.testing.assert_allclose(lines[0].y, 1e6 * np.abs(measured.values[:, 0, 0]), rtol=1e-6)
     np.testing.assert_allclose(lines[2].y, 0.97, rtol=1e-6)
     size, phase, error = named(figure, "model")
     np.testing.assert_allclose(size.y, 1.05 * lines[0].y, rtol=1e-5)
@@ -62,9 +89,16 @@ def test_responses_with_models_errors_and_coherence():
 
 def test_a_response_of_many_entries_is_refused():
     both = Frf(
-        np.ones((3, 2, 1)), np.arange(1.0, 4.0), ("e",), ("a", "b"), np.ones((3, 2, 1)), np.ones((3, 2)), np.ones((3, 1)), 5.0,
+        np.ones((3, 2, 1)),
+        np.arange(1.0, 4.0),
+        ("e",),
+        ("a", "b"),
+        np.ones((3, 2, 1)),
+        np.ones((3, 2)),
+        np.ones((3, 1)),
+        5.0,
         1e-4,
-    )  # fmt: skip
+    )
     with pytest.raises(InvalidInput, match="select"):
         seal_figures.response_figure({"x": both}, {})
     with pytest.raises(InvalidInput, match="no measured response"):

@@ -1,4 +1,6 @@
-"""The page of an identification: what stands on it, that its figures carry the numbers, and what it does without u or seals."""
+"""The page of an identification: what stands on it, that its figures carry the numbers, and what it
+does without u or seals.
+"""
 
 from dataclasses import replace
 
@@ -16,10 +18,10 @@ from ambrose.identification.seal.by_pressure import SealByPressure
 from ambrose.identification.seal.result import SealFit, line
 from ambrose.identification.validation.agreement import compare
 from ambrose.identification.youla import identify as youla
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.loop import closed_loop, match_controller
-from ambrose.plant.reduce import free_mode_reduction
+from ambrose.law.loop import closed_loop, match_controller
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.record.record import Record
 from ambrose.report.identification.figures import (
     change_figure,
     correlation_figure,
@@ -28,9 +30,9 @@ from ambrose.report.identification.figures import (
     short,
     telling_records,
 )
-from ambrose.report.identification.page import identification_report
-from ambrose.report.identification.tables import fixed, parameters_table
+from ambrose.report.identification.page import identification_page, parameters_table
 from ambrose.report.page import render
+from ambrose.report.units import fixed
 from ambrose.synthesis.pid import pid_synthesis
 
 DT = 1e-4
@@ -48,31 +50,54 @@ def done():
     plant = free_mode_reduction(assemble(machine), 1)
     controller = pid_synthesis(plant).controller
     loop = select(
-        closed_loop(plant, c2d(match_controller(controller, plant), DT, "tustin", delay=DT)), names("ed"), names("yu")
+        closed_loop(plant, c2d(match_controller(controller, plant), DT, "tustin", delay=DT)),
+        names("ed"),
+        names("yu"),
     )
     e = np.stack([0.1 * waveforms.prbs(9, 10, 8000, shift=127 * i) for i in range(4)])
     noise = 2e-8 * np.random.default_rng(0).standard_normal((4, 8000))
     values = np.vstack([simulate(loop, np.vstack([e, noise])), e])
-    record = Record(machine.name, 1 / DT, tuple(names("yue")), ("m",) * 4 + ("A",) * 8, values, plant.point)
-    start = {f"bearing.{b}.force_per_current.{a}": 1.05 * v for b, pair in
-             (("A", machine.bearings[0].force_per_current), ("B", machine.bearings[1].force_per_current))
-             for a, v in zip(("zeta", "eta"), pair, strict=True)}  # fmt: skip
+    record = Record(
+        machine.name, 1 / DT, tuple(names("yue")), ("m",) * 4 + ("A",) * 8, values, plant.point
+    )
+    start = {
+        f"bearing.{b}.force_per_current.{a}": 1.05 * v
+        for b, pair in (
+            ("A", machine.bearings[0].force_per_current),
+            ("B", machine.bearings[1].force_per_current),
+        )
+        for a, v in zip(("zeta", "eta"), pair, strict=True)
+    }
     source = Provenance(("run.h5",), "pid.json")
-    return machine, identify(machine, [record], controller, unknown=FIVE, start=start, provenance=source, bending_modes=1)
+    return machine, identify(
+        machine, [record], controller, unknown=FIVE, start=start, provenance=source, bending_modes=1
+    )
 
 
 def test_the_page_carries_verdict_parameters_and_pictures(done):
     _, checked = done
-    report = identification_report(checked, date="2026-11-21")
-    assert [section.title for section in report.sections] == ["Parameters", "Measured over model", "Can it be believed?"]
+    report = identification_page(checked, date="2026-11-21")
+    assert [section.title for section in report.sections] == [
+        "Parameters",
+        "Measured over model",
+        "Can it be believed?",
+    ]
     assert report.result.passed and "nothing speaks against it" in report.result.text
     titles = [figure.title for section in report.sections for figure in section.figures]
     assert titles == [
-        "Change from the start", "Time", "Residual over the record", "Frequency response of the plant", "Residual tests",
+        "Change from the start",
+        "Time",
+        "Residual over the record",
+        "Frequency response of the plant",
+        "Residual tests",
         "Correlation and column cosine",
-    ]  # fmt: skip
+    ]
     page = render(report)
-    assert "run.h5 (0.8 s at 10" in page and "bearing.A.force_per_current.zeta" in page and "pid.json" in page
+    assert (
+        "run.h5 (0.8 s at 10" in page
+        and "bearing.A.force_per_current.zeta" in page
+        and "pid.json" in page
+    )
     assert "src=" not in page.replace("src=\\", "")[:20000] and "computing delay 1 sample<" in page
 
 
@@ -80,12 +105,21 @@ def test_doubts_come_first(done):
     _, checked = done
     finding = Finding(Code.CLIPPED, "warning", "u_A_zeta is clipped", "12 samples", "measure again")
     bad = replace(
-        checked.result, warnings=(Finding(Code.HARDLY_VISIBLE, "warning", "x = 1 is hardly visible", remedy="excite more"),)
+        checked.result,
+        warnings=(
+            Finding(
+                Code.HARDLY_VISIBLE, "warning", "x = 1 is hardly visible", remedy="excite more"
+            ),
+        ),
     )
-    report = identification_report(replace(checked, checks=(finding,), result=bad))
+    report = identification_page(replace(checked, checks=(finding,), result=bad))
     assert report.sections[0].title == "What makes this doubtful"
     rows = report.sections[0].tables[0].cells
-    assert rows[0][1].text == "12 samples" and rows[1][0].text == "x = 1 is hardly visible" and "excite" in rows[1][2].text
+    assert (
+        rows[0][1].text == "12 samples"
+        and rows[1][0].text == "x = 1 is hardly visible"
+        and "excite" in rows[1][2].text
+    )
     assert not report.result.passed and report.result.text == "to be doubted: records"
 
 
@@ -94,7 +128,9 @@ def test_figures_carry_the_numbers(done):
     result = checked.result
     change = change_figure(result)
     np.testing.assert_allclose(change.data[0].x, 100 * (result.values / result.start - 1))
-    np.testing.assert_allclose(change.data[0].error_x.array, 196 * result.standard_deviations / result.start)
+    np.testing.assert_allclose(
+        change.data[0].error_x.array, 196 * result.standard_deviations / result.start
+    )
     maps = correlation_figure(result).data
     np.testing.assert_allclose(maps[0].z, result.correlation)
     np.testing.assert_allclose(maps[1].z, result.column_cosine)
@@ -104,7 +140,8 @@ def test_figures_carry_the_numbers(done):
     assert "agrees within 10 % and 10°" in words
     model = next(trace for trace in figure.data if trace.name == "identified" and trace.showlegend)
     k_i, k_s = machine.bearings[0].force_per_current[0], machine.bearings[0].negative_stiffness[0]
-    assert 0.3 < model.y[0] / (1e6 * k_i / k_s) < 3  # of the order of K_i/K_s at low frequency, in um/A
+    # of the order of K_i/K_s at low frequency, in um/A
+    assert 0.3 < model.y[0] / (1e6 * k_i / k_s) < 3
 
 
 def test_without_controller_outputs_there_is_no_plant_response(done):
@@ -113,8 +150,10 @@ def test_without_controller_outputs_there_is_no_plant_response(done):
     seen = piece.record.select([name for name in piece.record.signals if name[0] != "u"])
     less = replace(checked, outputs=(replace(piece, record=seen),))
     assert frf_figure(machine, less) is None
-    report = identification_report(less)
-    assert "Frequency response" not in " ".join(figure.title for section in report.sections for figure in section.figures)
+    report = identification_page(less)
+    assert "Frequency response" not in " ".join(
+        figure.title for section in report.sections for figure in section.figures
+    )
 
 
 def test_of_several_records_the_first_and_the_worst_are_shown(done):
@@ -131,7 +170,11 @@ def test_names_and_digits(done):
     assert short("seal.center.k_yx") == "seal center k_yx"
     assert short("coupling.coupling.stiffness.eta") == "coupling k η"
     assert short("amplifier.natural_frequency") == "amplifier ω₀"
-    assert fixed(142.0644, 0.287) == "142.06" and fixed(1.5, 0.4) == "1.5" and fixed(0.02034, 0.053) == "0.02"
+    assert (
+        fixed(142.0644, 0.287) == "142.06"
+        and fixed(1.5, 0.4) == "1.5"
+        and fixed(0.02034, 0.053) == "0.02"
+    )
     assert fixed(0.0, 1.0) == "0" and fixed(5.0, float("nan")) == "5"
     table = parameters_table(checked.result)
     assert table.cells[0][1].text.endswith("N/A") and "…" in table.cells[0][3].text
@@ -144,9 +187,19 @@ def seal_fit(pressures):
     unknown = np.full((n, 8), np.nan)
     alone = np.tile(np.eye(4), (n, 1, 1))
     return SealFit(
-        "seal-rig", "center", np.array(pressures), unknown[:, 0], values, 0.01 * np.abs(values) + 1.0, unknown, unknown, alone,
-        alone, np.zeros((n, 4)), "test",
-    )  # fmt: skip
+        "seal-rig",
+        "center",
+        np.array(pressures),
+        unknown[:, 0],
+        values,
+        0.01 * np.abs(values) + 1.0,
+        unknown,
+        unknown,
+        alone,
+        alone,
+        np.zeros((n, 4)),
+        "test",
+    )
 
 
 def by_pressure(fit):
@@ -157,14 +210,15 @@ def by_pressure(fit):
 def test_seal_coefficients_over_pressure(done):
     _, checked = done
     fit = seal_fit([0.5e5, 1e5, 2e5, 3e5])
-    report = identification_report(replace(checked, seal=by_pressure(fit)))
+    report = identification_page(replace(checked, seal=by_pressure(fit)))
     section = next(section for section in report.sections if section.title == "Seal")
     picture = section.figures[0].picture
     points = [trace for trace in picture.data if trace.mode == "markers"]
     assert len(points) == 4
     np.testing.assert_allclose(points[1].x, [0.5, 1, 2, 3])  # bar
     assert sum(trace.fill == "toself" for trace in picture.data) == 8  # two bands each
-    two = identification_report(replace(checked, seal=by_pressure(seal_fit([1e5, 2e5]))))  # too few for a line
+    # too few for a line
+    two = identification_page(replace(checked, seal=by_pressure(seal_fit([1e5, 2e5]))))
     section = next(section for section in two.sections if section.title == "Seal")
     assert not any(trace.fill == "toself" for trace in section.figures[0].picture.data)
 
@@ -174,11 +228,16 @@ def test_seal_tables_beside_their_figure_and_warnings_among_the_doubts(done):
     _, checked = done
     fit = replace(
         seal_fit([0.5e5, 1e5, 2e5, 3e5]),
-        warnings=(Finding(Code.NOT_CONVERGED, "warning", "at 50000 Pa: not converged after 50 steps"),),
+        warnings=(
+            Finding(Code.NOT_CONVERGED, "warning", "at 50000 Pa: not converged after 50 steps"),
+        ),
     )
-    report = identification_report(replace(checked, seal=by_pressure(fit)))
+    report = identification_page(replace(checked, seal=by_pressure(fit)))
     tables = next(section for section in report.sections if section.title == "Seal").tables
-    assert [table.title for table in tables] == ["Seal center by pressure", "Seal center: lines over pressure"]
+    assert [table.title for table in tables] == [
+        "Seal center by pressure",
+        "Seal center: lines over pressure",
+    ]
     value, half = fit.values[2, 1] / 1e3, 1.96 * fit.deviations[2, 1] / 1e3
     assert tables[0].cells[2][2].text == f"{fixed(value, half)} ± {half:.2g} kN/m"
     one = line(fit, "k")
@@ -187,8 +246,12 @@ def test_seal_tables_beside_their_figure_and_warnings_among_the_doubts(done):
     assert report.sections[0].title == "What makes this doubtful"
     assert "50000 Pa" in report.sections[0].tables[0].cells[0][0].text
     verdict = next(one for one in report.verdicts if one.label == "Seal")
-    assert verdict.passed is False and "4 pressures up to 3\u00a0bar, 1 warning;" in verdict.text and not report.result.passed
-    two = identification_report(replace(checked, seal=by_pressure(seal_fit([1e5, 2e5]))))
+    assert (
+        verdict.passed is False
+        and "4 pressures up to 3\u00a0bar, 1 warning;" in verdict.text
+        and not report.result.passed
+    )
+    two = identification_page(replace(checked, seal=by_pressure(seal_fit([1e5, 2e5]))))
     assert len(next(section for section in two.sections if section.title == "Seal").tables) == 1
 
 
@@ -196,10 +259,11 @@ def test_seal_tables_beside_their_figure_and_warnings_among_the_doubts(done):
 def test_another_methods_values_stand_beside(done):
     machine, checked = done
     rows = compare(checked.result, machine)
-    table = identification_report(checked, compared=rows).sections[0].tables[-1]
+    table = identification_page(checked, compared=rows).sections[0].tables[-1]
     assert table.title == "Beside the other file" and len(table.cells) == len(checked.result.paths)
     assert table.cells[0][4].text == "the other states no interval"
-    assert table.cells[-1][4].text == "the other states no interval"  # of the seal's k: the file states the pressure's
+    # of the seal's k: the file states the pressure's
+    assert table.cells[-1][4].text == "the other states no interval"
 
 
 @pytest.mark.campaign
@@ -210,21 +274,35 @@ def test_not_converged_is_not_sure(done):
         checked,
         result=replace(checked.result, converged=False, warnings=(warning,)),
     )
-    report = identification_report(lame)
+    report = identification_page(lame)
     verdict = next(one for one in report.verdicts if one.label == "Parameters")
     assert verdict.passed is False and "NOT converged" in verdict.text and not report.result.passed
 
 
 @pytest.mark.campaign
 def test_a_residual_that_cannot_be_drawn_says_why(done):
-    """The four excitations of this record are independent, so S is drawn; alike ones leave words."""
+    """The four excitations of this record are independent, so S is drawn; alike ones leave
+    words.
+    """
     machine, checked = done
-    residual = youla.identify(machine, [checked.outputs[0].record], checked.controller, ["seal.center.k"])
-    report = identification_report(replace(checked, residual=residual))
-    section = next(section for section in report.sections if section.title.startswith("How the machine differs"))
+    residual = youla.identify(
+        machine, [checked.outputs[0].record], checked.controller, ["seal.center.k"]
+    )
+    report = identification_page(replace(checked, residual=residual))
+    section = next(
+        section
+        for section in report.sections
+        if section.title.startswith("How the machine differs")
+    )
     assert section.figures[0].title == "Residual system" and "Youla" in report.title
     record = residual.signals[0]
-    alike = replace(record, values=np.vstack([np.tile(record.values[:1], (4, 1)), record.values[4:]]))
+    alike = replace(
+        record, values=np.vstack([np.tile(record.values[:1], (4, 1)), record.values[4:]])
+    )
     same = replace(checked, residual=replace(residual, signals=(alike,)))
-    section = next(s for s in identification_report(same).sections if s.title.startswith("How the machine differs"))
+    section = next(
+        s
+        for s in identification_page(same).sections
+        if s.title.startswith("How the machine differs")
+    )
     assert not section.figures and "is not drawn" in section.text

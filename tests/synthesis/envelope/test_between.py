@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import ambrose as amb
-from ambrose.evaluation.verdict import verify_controller, verify_ranges
+from ambrose.judge.certificate import certify
+from ambrose.judge.range_search import search
+from ambrose.judge.verdict import verify_controller, verify_ranges
+from ambrose.law.timing import Timing
 from ambrose.machine.description import OperatingPoint, OperatingRange
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import reduce
-from ambrose.plant.timing import Timing
-from ambrose.synthesis.certificate import certify
-from ambrose.synthesis.envelope.between import search
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import reduce
 from ambrose.synthesis.pid import pid_controller
 
 AREA = OperatingRange("running", (0.0, 600.0), (0.0, 0.5e5))
@@ -22,7 +22,11 @@ AREA = OperatingRange("running", (0.0, 600.0), (0.0, 0.5e5))
 def machine():
     m = amb.load_machine("seal-rig")
     points = (OperatingPoint(label="rest"), OperatingPoint(600.0, 0.5e5, label="full"))
-    return replace(m, operation=replace(m.operation, points=points, ranges=(AREA,), design_point=""), tolerances=())
+    return replace(
+        m,
+        operation=replace(m.operation, points=points, ranges=(AREA,), design_point=""),
+        tolerances=(),
+    )
 
 
 def test_corners_are_operating_points_but_those_that_are_points_already(machine):
@@ -33,7 +37,10 @@ def test_corners_are_operating_points_but_those_that_are_points_already(machine)
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"speed": (5.0, 5.0), "seal_pressure": (1.0, 1.0)}, "has no width in speed nor in seal_pressure; make it an"),
+        (
+            {"speed": (5.0, 5.0), "seal_pressure": (1.0, 1.0)},
+            "has no width in speed nor in seal_pressure; make it an",
+        ),
         ({"speed": (9.0, 5.0)}, r"speed is \[9, 5\].*swap the two"),
         ({"seal_pressure": (-1.0, 5.0)}, "seal_pressure"),
         ({"label": "rest"}, "is taken by a point or an earlier range"),
@@ -46,7 +53,11 @@ def test_a_range_that_is_none_is_refused(machine, change, words):
 
 
 @pytest.mark.parametrize(
-    "timing", [pytest.param(None, marks=pytest.mark.study), pytest.param(Timing(1e-4, 1), marks=pytest.mark.campaign)]
+    "timing",
+    [
+        pytest.param(None, marks=pytest.mark.study),
+        pytest.param(Timing(1e-4, 1), marks=pytest.mark.campaign),
+    ],
 )
 def test_the_peak_that_is_found_is_that_of_a_fine_grid(machine, timing):
     K = pid_controller(machine.controller, machine)
@@ -64,9 +75,16 @@ def test_the_peak_that_is_found_is_that_of_a_fine_grid(machine, timing):
 
 @pytest.mark.campaign
 def test_a_loop_that_is_lost_at_high_pressure_is_found(machine):
-    """The PID holds the seal rig without pressure and loses it below 4 bar; the search says where it is lost most."""
-    wide = replace(machine, operation=replace(machine.operation, ranges=(replace(AREA, seal_pressure=(0.0, 4e5)),)))
-    found = search(wide, wide.operation.ranges[0], pid_controller(machine.controller, machine), Timing(1e-4, 1))
+    """The PID holds the seal rig without pressure and loses it below 4 bar; the search says where
+    it is lost most.
+    """
+    wide = replace(
+        machine,
+        operation=replace(machine.operation, ranges=(replace(AREA, seal_pressure=(0.0, 4e5)),)),
+    )
+    found = search(
+        wide, wide.operation.ranges[0], pid_controller(machine.controller, machine), Timing(1e-4, 1)
+    )
     lost = found.abscissa >= 0
     assert lost[:, -1].all()
     assert not lost[:, 0].any()
@@ -81,8 +99,13 @@ def test_the_range_is_part_of_the_verdict(machine):
     assert inside.label == "running"
     assert beyond == ()
     corner = assemble(machine, machine.operation.points[1])
-    assert inside["range.sensitivity"].value >= 0.999 * certify(corner, Timing(1e-4, 1).in_loop(law)).closed_loop_norm
-    assert inside["range.sensitivity"].passed is (inside["range.sensitivity"].value <= inside["range.sensitivity"].limit)
+    assert (
+        inside["range.sensitivity"].value
+        >= 0.999 * certify(corner, Timing(1e-4, 1).in_loop(law)).closed_loop_norm
+    )
+    assert inside["range.sensitivity"].passed is (
+        inside["range.sensitivity"].value <= inside["range.sensitivity"].limit
+    )
     verdict = amb.Verification((), (), ranges=(inside,))
     assert dict(verdict.labelled)["running"] is inside
     assert verdict.to_dict()["ranges"][0]["label"] == "running"
@@ -90,7 +113,9 @@ def test_the_range_is_part_of_the_verdict(machine):
 
 @pytest.mark.campaign
 def test_verify_judges_the_corners_and_what_lies_between(machine):
-    verdict = verify_controller(machine, pid_controller(machine.controller, machine), rate=1e4, tolerances=False)
+    verdict = verify_controller(
+        machine, pid_controller(machine.controller, machine), rate=1e4, tolerances=False
+    )
     (inside,) = verdict.ranges
     corners = max(checks["sensitivity.output.max"].value for checks in verdict.points)
     assert len(verdict.points) == 4

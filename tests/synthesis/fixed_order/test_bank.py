@@ -1,4 +1,6 @@
-"""Filter banks tuned: exact gradients, chains that machine files and controller files give back, told on the command line."""
+"""Filter banks tuned: exact gradients, chains that machine files and controller files give back,
+told on the command line.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +16,10 @@ from click.testing import CliRunner
 import ambrose as amb
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
+from ambrose.law.timing import Timing
 from ambrose.machine.controller import Channel, PidSettings, Section
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import reduce
-from ambrose.plant.timing import Timing
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import reduce
 from ambrose.synthesis import design
 from ambrose.synthesis.fixed_order import tuning
 from ambrose.synthesis.fixed_order.aims import aims_of
@@ -40,10 +42,16 @@ EVERY = (
 
 
 def every_kind(coordinates, alike=False):
-    """The chains of structure "filters" and a section of every other kind, off any symmetry; the unknowns."""
-    settings = first_bank(replace(FIRST, coordinates=coordinates), MACHINE, "filters", None, FASTEST)
+    """The chains of structure "filters" and a section of every other kind, off any symmetry; the
+    unknowns.
+    """
+    settings = first_bank(
+        replace(FIRST, coordinates=coordinates), MACHINE, "filters", None, FASTEST
+    )
     channels = tuple(
-        replace(item, gain=item.gain * (1 if alike else 1 + 0.1 * c), sections=(*item.sections, *EVERY))
+        replace(
+            item, gain=item.gain * (1 if alike else 1 + 0.1 * c), sections=(*item.sections, *EVERY)
+        )
         for c, item in enumerate(settings.channels)
     )
     bank, x = filter_bank(replace(settings, channels=channels), MACHINE, FASTEST)
@@ -52,7 +60,11 @@ def every_kind(coordinates, alike=False):
 
 def differences(function, x, direction, step=1e-5):
     """Central differences of fourth order."""
-    return np.array([function(x + k * step * direction) for k in (-2, -1, 1, 2)]) @ [1, -8, 8, -1] / (12 * step)
+    return (
+        np.array([function(x + k * step * direction) for k in (-2, -1, 1, 2)])
+        @ [1, -8, 8, -1]
+        / (12 * step)
+    )
 
 
 @pytest.mark.parametrize("alike", [False, True])
@@ -64,15 +76,22 @@ def test_the_slope_goes_back_through_every_kind_of_section(coordinates, alike):
     exact = bank.gradient(x, slope)
     assert len(exact) == (2 if alike else 4) * (1 + 3 + 2 + 4 + 3 + 2) and np.abs(exact).min() > 0
     first = [k for k, item in enumerate(bank.unknowns) if {0, 3} & {*item.channels}]
-    found = [differences(lambda v: (slope * bank.theta(v)).sum(), x, np.eye(len(x))[k]) for k in first]
+    found = [
+        differences(lambda v: (slope * bank.theta(v)).sum(), x, np.eye(len(x))[k]) for k in first
+    ]
     assert found == pytest.approx(exact[first], abs=1e-8 * np.abs(exact).max())
 
 
 def test_the_gradient_of_the_objective_is_that_of_finite_differences():
     bank, x = filter_bank(first_bank(FIRST, MACHINE, "filters", None, FASTEST), MACHINE, FASTEST)
     x = x + 1e-2 * np.random.default_rng(0).normal(size=len(x))
-    models = [loop_model(reduce(assemble(MACHINE, point), 1), RUNS) for point in MACHINE.operation.points[::2]]
-    cost = Objective(bank, models, np.geomspace(1, 2e4, 30), aims_of(MACHINE, pid_controller(FIRST, MACHINE)))
+    models = [
+        loop_model(reduce(assemble(MACHINE, point), 1), RUNS)
+        for point in MACHINE.operation.points[::2]
+    ]
+    cost = Objective(
+        bank, models, np.geomspace(1, 2e4, 30), aims_of(MACHINE, pid_controller(FIRST, MACHINE))
+    )
     direction = np.random.default_rng(1).normal(size=len(x))
     for function in (lambda v: cost(v, 12.0), cost.unstable):
         gradient = function(x)[1]
@@ -90,7 +109,9 @@ def test_axes_on_like_magnets_share_their_numbers(coordinates):
         assert (one.gain, one.sections) == (other.gain, other.sections)
     soft, other = MACHINE.bearings[0].negative_stiffness
     stiffer = replace(MACHINE.bearings[0], negative_stiffness=(1.5 * soft, other))
-    apart = filter_bank(settings, replace(MACHINE, bearings=(stiffer, *MACHINE.bearings[1:])), FASTEST)[0]
+    apart = filter_bank(
+        settings, replace(MACHINE, bearings=(stiffer, *MACHINE.bearings[1:])), FASTEST
+    )[0]
     assert {item.channels for item in bank.unknowns} == {(0, 1), (2, 3)}
     assert {item.channels for item in apart.unknowns} == (
         {(0,), (1,), (2, 3)} if coordinates == "axes" else {(c,) for c in range(4)}
@@ -105,12 +126,22 @@ def test_what_is_found_is_always_a_machine():
 
 
 def test_magnets_without_stiffness_need_a_whole_controller():
-    soft = replace(MACHINE, bearings=tuple(replace(item, negative_stiffness=(0.0, 0.0)) for item in MACHINE.bearings))
-    assert first_bank(FIRST, soft, "pid", None, FASTEST).channels[0].gain == pytest.approx(FIRST.gain[0])
+    soft = replace(
+        MACHINE,
+        bearings=tuple(replace(item, negative_stiffness=(0.0, 0.0)) for item in MACHINE.bearings),
+    )
+    assert first_bank(FIRST, soft, "pid", None, FASTEST).channels[0].gain == pytest.approx(
+        FIRST.gain[0]
+    )
     pair = Section("pid", 0.1, None, 0.1), Section("pid", None, 1e-3)  # as others write a PID
     chains = (Channel(MACHINE.axes, 2e4, pair),)
-    bank, x = filter_bank(first_bank(PidSettings(channels=chains), MACHINE, "pid", None, FASTEST), MACHINE, FASTEST)
-    assert np.isfinite(bank.gradient(x, bank.theta(x))).all() and len(bank.settings(x).channels[0].sections) == 3
+    bank, x = filter_bank(
+        first_bank(PidSettings(channels=chains), MACHINE, "pid", None, FASTEST), MACHINE, FASTEST
+    )
+    assert (
+        np.isfinite(bank.gradient(x, bank.theta(x))).all()
+        and len(bank.settings(x).channels[0].sections) == 3
+    )
     with pytest.raises(InvalidInput, match="magnets without force or stiffness"):
         first_bank(replace(FIRST, integral_time=None), soft, "pid", None, FASTEST)
 
@@ -124,7 +155,10 @@ def test_values_keep_within_their_limits():
                 and 0.5 <= channel.sections[1].damping <= 1
                 and channel.sections[1].frequency <= FASTEST
             )
-            assert all(0.1 <= item.pole_damping <= 1 and item.pole_frequency <= FASTEST for item in channel.sections[2:])
+            assert all(
+                0.1 <= item.pole_damping <= 1 and item.pole_frequency <= FASTEST
+                for item in channel.sections[2:]
+            )
             assert all(item.zero_damping >= 0.01 for item in channel.sections[2:])
     for values in (x, x + 30.0):  # a round begins where the last one ended, at a limit too
         settings = bank.settings(values)
@@ -136,16 +170,24 @@ def test_what_ended_at_a_limit_is_told():
     bank, x = filter_bank(first_bank(FIRST, MACHINE, "filters", None, FASTEST), MACHINE, FASTEST)
     assert not at_limits(bank.settings(x), MACHINE, FASTEST)
     for k, item in enumerate(bank.unknowns):
-        if item.channels[0] < 2 and (item.section, item.key) in {(0, "integral_time"), (1, "frequency"), (2, "zero_damping")}:
+        if item.channels[0] < 2 and (item.section, item.key) in {
+            (0, "integral_time"),
+            (1, "frequency"),
+            (2, "zero_damping"),
+        }:
             x[k] = -30.0 if item.key == "zero_damping" else 30.0
     names = f"({', '.join(MACHINE.axes[:2])})"
     assert at_limits(bank.settings(x), MACHINE, FASTEST) == [
-        f"pid integral time 1000 ms {names}", f"low-pass frequency 9500 Hz {names}", f"notch zero damping 0.01 {names}",
-    ]  # fmt: skip
+        f"pid integral time 1000 ms {names}",
+        f"low-pass frequency 9500 Hz {names}",
+        f"notch zero damping 0.01 {names}",
+    ]
 
 
 def test_a_notch_without_damping_leaves_its_limit():
-    notch = Section("notch", zero_frequency=2e3, zero_damping=0.0, pole_frequency=2e3, pole_damping=0.3)
+    notch = Section(
+        "notch", zero_frequency=2e3, zero_damping=0.0, pole_frequency=2e3, pole_damping=0.3
+    )
     given = PidSettings(channels=(Channel(MACHINE.axes, 2e4, (Section("pid", 0.1, 1e-3), notch)),))
     found = first_bank(given, MACHINE, "pid", None, FASTEST)
     assert found.channels[0].sections[1].zero_damping == pytest.approx(0.015)
@@ -157,24 +199,48 @@ def test_a_notch_without_damping_leaves_its_limit():
 
 @pytest.mark.parametrize(
     ("structure", "order", "states"),
-    [("pid", None, 16), ("pid", 16, 16), ("filters", None, 24), ("filters", 16, 16), ("filters", 32, 32)],
+    [
+        ("pid", None, 16),
+        ("pid", 16, 16),
+        ("filters", None, 24),
+        ("filters", 16, 16),
+        ("filters", 32, 32),
+    ],
 )
 def test_the_order_says_how_many_notches(structure, order, states):
     settings = first_bank(FIRST, MACHINE, structure, order, FASTEST)
     assert pid_controller(settings, MACHINE).n_states == states
 
 
-@pytest.mark.parametrize(("structure", "order"), [("pid", 12), ("pid", 24), ("filters", 20), ("filters", 8)])
+@pytest.mark.parametrize(
+    ("structure", "order"), [("pid", 12), ("pid", 24), ("filters", 20), ("filters", 8)]
+)
 def test_an_order_that_no_chain_has(structure, order):
-    with pytest.raises(InvalidInput, match=rf"order is {order}, but must be 16.* with structure '{structure}'; leave it out"):
+    with pytest.raises(
+        InvalidInput,
+        match=rf"order is {order}, but must be 16.* with structure '{structure}'; leave it out",
+    ):
         first_bank(FIRST, MACHINE, structure, order, FASTEST)
 
 
 def test_what_stands_in_the_file_is_kept_and_tuned():
-    """Notches, modes and chains of a [controller]; a start faster than the sample rate shows begins within it."""
-    settings = replace(FIRST, coordinates="tilt-translate", tilt_gain=1.5, derivative_filter=1e-4, lead=(400.0, 2e3))
+    """Notches, modes and chains of a [controller]; a start faster than the sample rate shows begins
+    within it.
+    """
+    settings = replace(
+        FIRST,
+        coordinates="tilt-translate",
+        tilt_gain=1.5,
+        derivative_filter=1e-4,
+        lead=(400.0, 2e3),
+    )
     found = first_bank(settings, MACHINE, "pid", None, FASTEST)
-    assert [item.names for item in found.channels] == [("translate_x",), ("translate_y",), ("tilt_x",), ("tilt_y",)]
+    assert [item.names for item in found.channels] == [
+        ("translate_x",),
+        ("translate_y",),
+        ("tilt_x",),
+        ("tilt_y",),
+    ]
     assert [item.kind for item in found.channels[0].sections] == ["pid", "lead-lag", "low-pass"]
     assert found.channels[2].gain == pytest.approx(1.5 * found.channels[0].gain)
     assert np.abs(np.linalg.eigvals(pid_controller(found, MACHINE).A)).max() < FASTEST
@@ -188,7 +254,13 @@ def found():
         patch.setattr(tuning, "_ITERATIONS", 3)
         patch.setattr(tuning, "_JUDGED", 12)
         patch.setattr(tuning, "_TUNED", 12)
-        return tune_controller([assemble(MACHINE, MACHINE.operation.points[-1])], FIRST, RUNS, structure="pid", bending_modes=1)
+        return tune_controller(
+            [assemble(MACHINE, MACHINE.operation.points[-1])],
+            FIRST,
+            RUNS,
+            structure="pid",
+            bending_modes=1,
+        )
 
 
 def test_the_filters_found_are_a_controller_table(found, tmp_path):
@@ -198,7 +270,10 @@ def test_the_filters_found_are_a_controller_table(found, tmp_path):
     K, same = found.controller, pid_controller(again.controller, again)
     for letter in "ABCD":
         np.testing.assert_allclose(getattr(same, letter), getattr(K, letter), rtol=1e-12, atol=0)
-    assert any("choose structure 'filters' or 'free', or relax a requirement" in note for note in found.notes)
+    assert any(
+        "choose structure 'filters' or 'free', or relax a requirement" in note
+        for note in found.notes
+    )
     assert found.status == "verified" and found.certificate.fastest_pole < np.pi / RUNS.sample_time
     assert amb.read_controller(amb.write_controller(tmp_path / "tuned.json", found)) == found
     content = json.loads((tmp_path / "tuned.json").read_text())
@@ -210,7 +285,9 @@ def test_the_filters_found_are_a_controller_table(found, tmp_path):
 
 def test_the_command_line_tells_the_chains_and_writes_the_machine(found, monkeypatch, tmp_path):
     asked = []
-    monkeypatch.setattr(design, "design", lambda plant, method, options, progress: asked.append(options) or found)
+    monkeypatch.setattr(
+        design, "design", lambda plant, method, options, progress: asked.append(options) or found
+    )
     words = ["synthesize", FILE, "--method", "tuned", "--structure", "pid", "--rate-hz", 20000]
     words += ["-o", tmp_path / "k.json", "--machine-file", tmp_path / "with.toml"]
     done = CliRunner().invoke(main, [str(word) for word in words])
@@ -219,27 +296,52 @@ def test_the_command_line_tells_the_chains_and_writes_the_machine(found, monkeyp
     assert "NDE_eta" in done.output and "low-pass" in done.output and "integral time" in done.output
     assert asked[0].structure == "pid"
     machine, text = amb.load_machine(tmp_path / "with.toml"), (tmp_path / "with.toml").read_text()
-    chains = text.partition("[controller]")[2]  # nothing of the first [controller], and numbers with units
-    assert 'sample_time = "50 us"' in chains and re.search(r'^gain = ".* A/mm"', chains, re.MULTILINE)
+    # nothing of the first [controller], and numbers with units
+    chains = text.partition("[controller]")[2]
+    assert 'sample_time = "50 us"' in chains and re.search(
+        r'^gain = ".* A/mm"', chains, re.MULTILINE
+    )
     assert "derivative_filter" not in chains.partition("[[controller.channel")[0]
-    assert machine.controller.sample_time == pytest.approx(5e-5) and machine.controller.delay == pytest.approx(5e-5)
-    np.testing.assert_allclose(pid_controller(machine.controller, machine).A, found.controller.A, rtol=1e-12)
+    assert machine.controller.sample_time == pytest.approx(
+        5e-5
+    ) and machine.controller.delay == pytest.approx(5e-5)
+    np.testing.assert_allclose(
+        pid_controller(machine.controller, machine).A, found.controller.A, rtol=1e-12
+    )
 
 
 def test_only_a_filter_bank_is_written_into_a_machine_file(tmp_path):
-    words = ["synthesize", FILE, "--method", "tuned", "--machine-file", tmp_path / "m.toml", "-o", tmp_path / "k.json"]
+    words = [
+        "synthesize",
+        FILE,
+        "--method",
+        "tuned",
+        "--machine-file",
+        tmp_path / "m.toml",
+        "-o",
+        tmp_path / "k.json",
+    ]
     done = CliRunner().invoke(main, [str(word) for word in words])
-    assert done.exit_code == 2 and "must be given with a filter bank; add --method tuned --structure pid" in done.output
+    assert (
+        done.exit_code == 2
+        and "must be given with a filter bank; add --method tuned --structure pid" in done.output
+    )
 
 
 def test_a_bank_starts_from_settings():
-    with pytest.raises(InvalidInput, match=r"must be PidSettings with structure 'pid'; give the \[controller\] table"):
+    with pytest.raises(
+        InvalidInput,
+        match=r"must be PidSettings with structure 'pid'; give the \[controller\] table",
+    ):
         tune_controller([assemble(MACHINE)], pid_controller(FIRST, MACHINE), RUNS, structure="pid")
 
 
 @pytest.mark.parametrize(
     ("structure", "peak"),
-    [pytest.param("pid", 2.8, marks=pytest.mark.campaign), pytest.param("filters", 2.4, marks=pytest.mark.study)],
+    [
+        pytest.param("pid", 2.8, marks=pytest.mark.campaign),
+        pytest.param("filters", 2.4, marks=pytest.mark.study),
+    ],
 )
 def test_a_bank_meets_every_requirement(structure, peak):
     result = amb.design(MACHINE, "tuned", rate=RUNS.rate, structure=structure)

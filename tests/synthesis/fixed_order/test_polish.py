@@ -1,4 +1,6 @@
-"""Polishing: gradient, form, reduction against independent computations; order 12 against D-K at 24 on the published plant."""
+"""Polishing: gradient, form, reduction against independent computations; order 12 against D-K at 24
+on the published plant.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +16,13 @@ from ambrose.core.lft import ComplexBlock, GeneralizedPlant, RealBlock, close_un
 from ambrose.core.mu import all_frequencies
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, is_stable, spectral_abscissa
+from ambrose.law.design_problem import with_performance_block
 from ambrose.synthesis.fixed_order.cost import Cost, block_form
 from ambrose.synthesis.fixed_order.descent import descend
 from ambrose.synthesis.fixed_order.polish import polish_synthesis
 from ambrose.synthesis.fixed_order.reduction import reduce_controller
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.mu.synthesis import mu_synthesis
-from ambrose.synthesis.problem import with_performance_block
 
 pytestmark = pytest.mark.study  # minutes
 
@@ -39,10 +41,12 @@ def start(plant):
 
 def at(plant: GeneralizedPlant, **delta: float) -> GeneralizedPlant:
     """The plant at parameter values, without blocks; a name's underscores stand for dots."""
-    system = close_uncertainty(plant, {name.replace("_", "."): value for name, value in delta.items()})
+    system = close_uncertainty(
+        plant, {name.replace("_", "."): value for name, value in delta.items()}
+    )
     return GeneralizedPlant(
         system, plant.w[plant.n_w_blocks :], plant.u, plant.z[plant.n_z_blocks :], plant.y
-    )  # fmt: skip
+    )
 
 
 def models(plant: GeneralizedPlant) -> list[GeneralizedPlant]:
@@ -69,7 +73,9 @@ def test_block_form_keeps_the_controller(start):
 def test_block_form_of_real_and_odd_poles():
     rng = np.random.default_rng(1)
     A = block_diag([[-1.0, 5.0], [-5.0, -1.0]], [[-0.01]], [[-200.0]], [[-3.0]])
-    controller = StateSpace(A, rng.normal(size=(5, 2)), rng.normal(size=(3, 5)), rng.normal(size=(3, 2)))
+    controller = StateSpace(
+        A, rng.normal(size=(5, 2)), rng.normal(size=(3, 5)), rng.normal(size=(3, 2))
+    )
     form, x = block_form(controller)
     a, b = (frequency_response(item, OMEGA).values for item in (controller, form.controller(x)))
     np.testing.assert_allclose(b, a, rtol=1e-9, atol=1e-10)
@@ -80,7 +86,9 @@ def test_cost_is_the_norm_and_its_gradient_is_exact(plant, start):
     reduced, _ = reduce_controller(models(plant), start, 12)
     form, x = block_form(reduced)
     cost = Cost(form, models(plant), OMEGA)
-    loops = [frequency_response(lft(model, form.controller(x)), OMEGA).values for model in models(plant)]
+    loops = [
+        frequency_response(lft(model, form.controller(x)), OMEGA).values for model in models(plant)
+    ]
     sigma = np.linalg.svd(np.array(loops), compute_uv=False)
     np.testing.assert_allclose(cost.gains(x), sigma[..., 0], rtol=1e-6)
     power = 12.0
@@ -94,22 +102,38 @@ def test_cost_is_the_norm_and_its_gradient_is_exact(plant, start):
         direction = rng.normal(size=len(x))
         direction /= np.linalg.norm(gradient) * np.linalg.norm(direction)
         steps = [1e-4, 5e-5]
-        slopes = [(cost(x + h * direction, power)[0] - cost(x - h * direction, power)[0]) / (2 * h) for h in steps]
+        slopes = [
+            (cost(x + h * direction, power)[0] - cost(x - h * direction, power)[0]) / (2 * h)
+            for h in steps
+        ]
         slope = (4 * slopes[1] - slopes[0]) / 3  # Richardson
         assert slope == pytest.approx(gradient @ direction, rel=1e-5, abs=1e-7)
 
 
 def test_descent_solves_rosenbrock_and_respects_the_fence():
     start = np.array([-1.2, 1.0, -0.5, 0.8])
-    x, used = descend(lambda v: (rosen(v), rosen_der(v)), lambda v: True, start, 300, 1e-12, lambda: True)
+    x, used = descend(
+        lambda v: (rosen(v), rosen_der(v)), lambda v: True, start, 300, 1e-12, lambda: True
+    )
     np.testing.assert_allclose(x, 1.0, atol=1e-4)
     assert used < 300
-    x, _ = descend(lambda v: (rosen(v), rosen_der(v)), lambda v: bool(v[0] < 0.5), start, 300, 0.0, lambda: True)
+    x, _ = descend(
+        lambda v: (rosen(v), rosen_der(v)),
+        lambda v: bool(v[0] < 0.5),
+        start,
+        300,
+        0.0,
+        lambda: True,
+    )
     assert x[0] < 0.5
     assert rosen(x) < rosen(start)
-    same, used = descend(lambda v: (rosen(v), rosen_der(v)), lambda v: True, start, 300, 0.0, lambda: False)
+    same, used = descend(
+        lambda v: (rosen(v), rosen_der(v)), lambda v: True, start, 300, 0.0, lambda: False
+    )
     np.testing.assert_array_equal(same, start)
-    near, _ = descend(lambda v: (rosen(v), rosen_der(v)), lambda v: True, start, 300, 0.0, lambda: True, least=1.0)
+    near, _ = descend(
+        lambda v: (rosen(v), rosen_der(v)), lambda v: True, start, 300, 0.0, lambda: True, least=1.0
+    )
     assert 1e-3 < rosen(near) < 1.0  # no further than asked for
 
 
@@ -156,7 +180,9 @@ def polished(plant, start):
 
 
 def test_order_12_does_the_work_of_24(plant, start, polished):
-    """The target: the polished controller of order 12 is no worse than D-K's of order 24, over the whole range of k."""
+    """The target: the polished controller of order 12 is no worse than D-K's of order 24, over the
+    whole range of k.
+    """
     assert start.n_states == 24
     assert polished.controller.n_states == 12
     before, after = worst(plant, start), worst(plant, polished.controller)
@@ -183,10 +209,17 @@ def two_parameters() -> GeneralizedPlant:
     C = [[1, 0], [0, 1], [1, 0], [0, 0], [1, 0]]
     D = np.zeros((5, 5))
     D[3, 4], D[4, 3] = 0.3, 0.1
-    system = StateSpace([[0, 1], [-1, -0.4]], B, C, D, ["wk", "wc", "w", "n", "u"], ["zk", "zc", "x", "e", "y"])
+    system = StateSpace(
+        [[0, 1], [-1, -0.4]], B, C, D, ["wk", "wc", "w", "n", "u"], ["zk", "zc", "x", "e", "y"]
+    )
     return GeneralizedPlant(
-        system, ["wk", "wc", "w", "n"], ["u"], ["zk", "zc", "x", "e"], ["y"], [RealBlock("k"), RealBlock("c")]
-    )  # fmt: skip
+        system,
+        ["wk", "wc", "w", "n"],
+        ["u"],
+        ["zk", "zc", "x", "e"],
+        ["y"],
+        [RealBlock("k"), RealBlock("c")],
+    )
 
 
 def test_two_parameters_against_the_whole_box():
@@ -194,7 +227,9 @@ def test_two_parameters_against_the_whole_box():
     start = hinf_synthesis(at(plant)).controller
     result = polish_synthesis(plant, start, iterations=200, rounds=3)
     grid = np.linspace(-1, 1, 9)
-    norms = [hinf_norm(lft(at(plant, k=a, c=b), result.controller)).value for a in grid for b in grid]
+    norms = [
+        hinf_norm(lft(at(plant, k=a, c=b), result.controller)).value for a in grid for b in grid
+    ]
     assert max(norms) == pytest.approx(result.gamma, rel=2e-3)
     assert result.gamma < 0.95 * result.certificate.margins["start_norm"]
     assert result.controller.n_states == start.n_states
@@ -250,7 +285,9 @@ def test_bad_input(plant, start):
     with pytest.raises(InvalidInput, match="real parameters"):
         polish_synthesis(published_p5_problem(uncertain=False), start)
     whole = with_performance_block(plant)
-    complex_plant = GeneralizedPlant(plant.system, plant.w, plant.u, plant.z, plant.y, [ComplexBlock("k", 2)])
+    complex_plant = GeneralizedPlant(
+        plant.system, plant.w, plant.u, plant.z, plant.y, [ComplexBlock("k", 2)]
+    )
     with pytest.raises(InvalidInput, match="real parameters"):
         polish_synthesis(complex_plant, start)
     with pytest.raises(InvalidInput, match="start"):

@@ -1,4 +1,6 @@
-"""Tuning to the requirements at all operating points: exact gradients, the loop as it runs, and results that others judge."""
+"""Tuning to the requirements at all operating points: exact gradients, the loop as it runs, and
+results that others judge.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +16,21 @@ import ambrose as amb
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d, delayed
-from ambrose.core.statespace import StateSpace, append, feedback, rename, select, series, static_gain
-from ambrose.physics.rotor import free_modes
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import reduce
-from ambrose.plant.timing import Timing, machine_timing
-from ambrose.plant.uncertainty import perturbed
+from ambrose.core.statespace import (
+    StateSpace,
+    append,
+    feedback,
+    rename,
+    select,
+    series,
+    static_gain,
+)
+from ambrose.judge import nominal
+from ambrose.law.timing import Timing, machine_timing
+from ambrose.model.assemble import assemble
+from ambrose.model.effects.rotor import free_modes
+from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import perturbed
 from ambrose.synthesis.fixed_order import tuning
 from ambrose.synthesis.fixed_order.aims import aims_of
 from ambrose.synthesis.fixed_order.channels import _by_samples
@@ -30,7 +41,6 @@ from ambrose.synthesis.fixed_order.objective import Objective, Ratio, largest_ga
 from ambrose.synthesis.fixed_order.structure import axis_groups, structured
 from ambrose.synthesis.fixed_order.tuning import tune_controller
 from ambrose.synthesis.pid import first_settings, pid_controller
-from ambrose.verification import nominal
 
 MACHINE = amb.load_machine(Path(__file__).parent / "flexible_compressor.toml")
 RUNS = Timing(5e-5, 1)
@@ -70,18 +80,33 @@ def test_the_gradient_is_that_of_finite_differences(timing):
     cost, x = objective(timing, reference=START)
     cost.fence = 1.3 * float(np.abs(np.linalg.eigvals(cost.structure.matrices(x)[0])).max())
     assert set(cost.ratios(x)) == {
-        "sensitivity", "gain", "compliance", "orbit", "current", "voltage", "settling", "damping", "match",
-    }  # fmt: skip
+        "sensitivity",
+        "gain",
+        "compliance",
+        "orbit",
+        "current",
+        "voltage",
+        "settling",
+        "damping",
+        "match",
+    }
     direction = np.random.default_rng(1).normal(size=len(x))
     for function in (lambda v: cost(v, 12.0), cost.unstable):
         gradient = function(x)[1]
-        steps = [(function(x + h * direction)[0] - function(x - h * direction)[0]) / (2 * h) for h in (2e-6, 1e-6)]
+        steps = [
+            (function(x + h * direction)[0] - function(x - h * direction)[0]) / (2 * h)
+            for h in (2e-6, 1e-6)
+        ]
         scale = np.linalg.norm(gradient) * np.linalg.norm(direction)
-        assert gradient @ direction == pytest.approx((4 * steps[1] - steps[0]) / 3, abs=1e-6 * scale)
+        assert gradient @ direction == pytest.approx(
+            (4 * steps[1] - steps[0]) / 3, abs=1e-6 * scale
+        )
 
 
 def test_what_a_narrowed_cost_leaves_out_is_small_and_its_gradient_exact():
-    """Sharp powers see a few frequencies of a few models only: the others are left out until the next call."""
+    """Sharp powers see a few frequencies of a few models only: the others are left out until the
+    next call.
+    """
     cost, x = objective(RUNS)
     direction = np.random.default_rng(1).normal(size=len(x))
     cost.aims = replace(cost.aims, settling=None)  # which needs every frequency
@@ -95,7 +120,10 @@ def test_what_a_narrowed_cost_leaves_out_is_small_and_its_gradient_exact():
         assert everything - 1e-6 < value <= everything
         assert np.linalg.norm(gradient - slope) < 1e-5 * np.linalg.norm(slope)
     cost.narrow(x, 12)
-    steps = [(cost(x + h * direction, 12)[0] - cost(x - h * direction, 12)[0]) / (2 * h) for h in (2e-6, 1e-6)]
+    steps = [
+        (cost(x + h * direction, 12)[0] - cost(x - h * direction, 12)[0]) / (2 * h)
+        for h in (2e-6, 1e-6)
+    ]
     gradient = cost(x, 12)[1]
     scale = np.linalg.norm(gradient) * np.linalg.norm(direction)
     assert gradient @ direction == pytest.approx((4 * steps[1] - steps[0]) / 3, abs=1e-6 * scale)
@@ -104,7 +132,9 @@ def test_what_a_narrowed_cost_leaves_out_is_small_and_its_gradient_exact():
 def test_the_largest_gain_of_all_is_exact():
     """Others need no singular values: a Frobenius norm bounds them from above."""
     rng = np.random.default_rng(0)
-    T = rng.normal(size=(3, 50, 4, 4)) * rng.lognormal(size=(3, 50, 1, 1)) + 1j * rng.normal(size=(3, 50, 4, 4))
+    T = rng.normal(size=(3, 50, 4, 4)) * rng.lognormal(size=(3, 50, 1, 1)) + 1j * rng.normal(
+        size=(3, 50, 4, 4)
+    )
     exact, found = np.linalg.norm(T, 2, axis=(2, 3)), largest_gains(T)
     assert found.argmax() == exact.argmax() and found.max() == pytest.approx(exact.max(), rel=1e-12)
     assert (found <= exact * (1 + 1e-12)).all()
@@ -113,16 +143,25 @@ def test_the_largest_gain_of_all_is_exact():
 def test_the_quadrature_of_the_settling_is_that_of_a_natural_spline():
     rng = np.random.default_rng(0)
     w = np.sort(rng.uniform(1.0, 1e4, 40))
-    fine, weights = np.linspace(0, w[-1], 300), rng.normal(size=(5, 300)) + 1j * rng.normal(size=(5, 300))
+    fine, weights = (
+        np.linspace(0, w[-1], 300),
+        rng.normal(size=(5, 300)) + 1j * rng.normal(size=(5, 300)),
+    )
     expected = weights @ CubicSpline(w, np.eye(40), bc_type="natural")(np.maximum(fine, w[0]))
-    np.testing.assert_allclose(_by_samples(weights, fine, w), expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        _by_samples(weights, fine, w), expected, rtol=0, atol=1e-12 * np.abs(expected).max()
+    )
 
 
 def test_the_grid_has_every_light_resonance():
-    """A mode so light that a point 0.2 % beside it misses a tenth of its peak: 3.29 was judged where 3.58 was true."""
+    """A mode so light that a point 0.2 % beside it misses a tenth of its peak: 3.29 was judged
+    where 3.58 was true.
+    """
     job = prepare(PLANTS[::2], START, RUNS, None, "free", 1, None, 60.0, None)
     at = 1000.0 * 1.0015
-    poles = np.array([complex(-half, at * factor) for half, factor in ((0.5, 1.0), (0.7, 1.0004), (300.0, 3.0))])
+    poles = np.array(
+        [complex(-half, at * factor) for half, factor in ((0.5, 1.0), (0.7, 1.0004), (300.0, 3.0))]
+    )
     cost = SimpleNamespace(poles=lambda x: np.concatenate([poles, poles.conj()]))
     grid = tuning._grid(job, cost, None, 80)
     true = unwarped(poles.imag, RUNS)
@@ -132,8 +171,10 @@ def test_the_grid_has_every_light_resonance():
 
 
 def test_the_order_grows_where_a_requirement_is_not_met():
-    """By a weak state for each axis, so that it starts where the best one ended; not where an order was asked for, nor again
-    from a best one that more states did not better: that went on to the time limit on another processor."""
+    """By a weak state for each axis, so that it starts where the best one ended; not where an order
+    was asked for, nor again from a best one that more states did not better: that went on to the
+    time limit on another processor.
+    """
     job = prepare(PLANTS[::2], START, RUNS, None, "free", 1, None, 60.0, None)
     states = START.n_states
     missed, met = ({"sensitivity": Ratio(value, "", 1.0)} for value in (1.2, 0.8))
@@ -152,19 +193,32 @@ def test_the_order_grows_where_a_requirement_is_not_met():
 
 @pytest.mark.parametrize("timing", [None, RUNS])
 def test_modes_near_the_running_speeds_are_damped_as_the_separation_margin_asks(timing):
-    """At speed only: 0.2 between 300 and 1319 rad/s, less up to 17 % below and 27 % above; with the slope by each pole."""
+    """At speed only: 0.2 between 300 and 1319 rad/s, less up to 17 % below and 27 % above; with the
+    slope by each pole.
+    """
     cost, _ = objective(timing)
-    values = np.array([[-20 + 270j, -50 + 320j, -100 + 1200j, -80 + 1500j, -20 + 240j, -150 + 1800j]] * 3)
+    values = np.array(
+        [[-20 + 270j, -50 + 320j, -100 + 1200j, -80 + 1500j, -20 + 240j, -150 + 1800j]] * 3
+    )
     ratio, slope = cost._damping(values, [0, 1, 2])
-    assert ratio[0, 1] == pytest.approx(0.2 * abs(values[0, 1]) / 50, rel=1e-9) and ratio[0, 2] > 2 and ratio[0, 0] > 1
-    assert (ratio[1] == ratio[0]).all() and ratio[2].max() < 0.35  # at standstill the log decrement alone
+    assert (
+        ratio[0, 1] == pytest.approx(0.2 * abs(values[0, 1]) / 50, rel=1e-9)
+        and ratio[0, 2] > 2
+        and ratio[0, 0] > 1
+    )
+    # at standstill the log decrement alone
+    assert (ratio[1] == ratio[0]).all() and ratio[2].max() < 0.35
     for step, part in ((1e-5, slope.real), (1e-5j, slope.imag)):
-        found = (cost._damping(values + step, [0, 1, 2])[0] - cost._damping(values - step, [0, 1, 2])[0]) / 2e-5
+        found = (
+            cost._damping(values + step, [0, 1, 2])[0] - cost._damping(values - step, [0, 1, 2])[0]
+        ) / 2e-5
         assert found == pytest.approx(part, rel=1e-6, abs=1e-12)
 
 
 def test_poles_at_the_fence_are_pushed_back():
-    """The cost grows without bound towards the fence, is infinite beyond it, and its slope points away from it."""
+    """The cost grows without bound towards the fence, is infinite beyond it, and its slope points
+    away from it.
+    """
     cost, x = objective(RUNS)
     fastest = float(np.abs(np.linalg.eigvals(cost.structure.matrices(x)[0])).max())
     free = cost(x, 12.0)[0]
@@ -181,20 +235,27 @@ def test_poles_at_the_fence_are_pushed_back():
 
 
 def test_an_integrator_that_drifted_is_set_back():
-    """process-compressor came out with a pole at +0.007 rad/s: stable in the loop, and not to be exported."""
+    """process-compressor came out with a pole at +0.007 rad/s: stable in the loop, and not to be
+    exported.
+    """
 
     def with_pole(value):
         return StateSpace(np.diag([value, -300.0]), [[1.0], [2.0]], [[3.0, 4.0]], [[5.0]])
 
     for value in (7e-3, 1e-6):
-        assert np.linalg.eigvals(tuning.without_drift(with_pole(value)).A).real.max() == pytest.approx(-value)
-    for value in (0.0, -7e-3, 5.0):  # an integrator, one that leaks, and a controller that is unstable in earnest
+        assert np.linalg.eigvals(
+            tuning.without_drift(with_pole(value)).A
+        ).real.max() == pytest.approx(-value)
+    # an integrator, one that leaks, and a controller that is unstable in earnest
+    for value in (0.0, -7e-3, 5.0):
         law = with_pole(value)
         assert tuning.without_drift(law) is law
 
 
 def test_modes_that_the_start_excites_are_kept():
-    """Two modes of two-disc-rotor at 3,014 and 3,028 Hz: judged by frequency alone, one was left out."""
+    """Two modes of two-disc-rotor at 3,014 and 3,028 Hz: judged by frequency alone, one was left
+    out.
+    """
     machine = amb.load_machine("two-disc-rotor")
     plant, timing = assemble(machine), machine_timing(machine)
     start = pid_controller(machine.controller, machine)
@@ -205,7 +266,9 @@ def test_modes_that_the_start_excites_are_kept():
 
 
 def test_the_loop_in_w_is_the_sampled_loop():
-    """Poles map by z = (1 + w T/2) / (1 - w T/2); the response is that of the sampled plant but for aliasing."""
+    """Poles map by z = (1 + w T/2) / (1 - w T/2); the response is that of the sampled plant but for
+    aliasing.
+    """
     cost, x = objective(RUNS)
     controller, T = cost.structure.controller(x), RUNS.sample_time
     found = cost.poles(x)[: len(cost.poles(x)) // len(SMALL)]
@@ -218,15 +281,21 @@ def test_the_loop_in_w_is_the_sampled_loop():
         assert np.abs(z - value).min() < 1e-7
     omega = np.array([10.0, 300.0, 3000.0])
     sampled = frequency_response(delayed(c2d(plant, T), 1), omega).values
-    np.testing.assert_allclose(cost.models[0].response(omega)[:, :4, :4], sampled, atol=2e-3 * np.abs(sampled).max())
+    np.testing.assert_allclose(
+        cost.models[0].response(omega)[:, :4, :4], sampled, atol=2e-3 * np.abs(sampled).max()
+    )
     np.testing.assert_allclose(
         frequency_response(controller, warped(omega, RUNS)).values,
-        frequency_response(c2d(controller, T, "tustin"), omega).values, rtol=1e-8, atol=1e-6,
-    )  # fmt: skip
+        frequency_response(c2d(controller, T, "tustin"), omega).values,
+        rtol=1e-8,
+        atol=1e-6,
+    )
 
 
 def test_a_structure_keeps_the_controller():
-    """Two equal lags in series have one eigenvector: a modal form of 2 x 2 blocks would silently be another controller."""
+    """Two equal lags in series have one eigenvector: a modal form of 2 x 2 blocks would silently be
+    another controller.
+    """
     lag = StateSpace([[-50.0]], [[50.0]], [[1.0]], [[0.0]], ["u"], ["y"])
     twice = series(lag, rename(lag, ["y"], ["z"]))
     axes = [rename(twice, [f"err_{a}"], [f"u_{a}"]) for a in MACHINE.axes]
@@ -236,14 +305,24 @@ def test_a_structure_keeps_the_controller():
             omega = np.geomspace(0.1, 1e4, 7)
             expected = frequency_response(controller, omega).values
             found = frequency_response(structure.controller(x), omega).values
-            np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+            np.testing.assert_allclose(
+                found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max()
+            )
     structure, _ = structured(START, GROUPS)
     assert structure.scale.min() >= 1.0  # an integrator can move
-    assert not structure.free[0, 1] and structure.free[0, 2]  # zeta and eta share nothing, the ends of a plane do
+    # zeta and eta share nothing, the ends of a plane do
+    assert not structure.free[0, 1] and structure.free[0, 2]
 
 
 def test_axes_that_the_controller_couples_are_joined():
-    mixed = StateSpace(START.A, START.B, START.C, START.D + 0.1 * np.abs(START.D).max(), START.inputs, START.outputs)
+    mixed = StateSpace(
+        START.A,
+        START.B,
+        START.C,
+        START.D + 0.1 * np.abs(START.D).max(),
+        START.inputs,
+        START.outputs,
+    )
     structure, x = structured(mixed, GROUPS)
     assert structure.free[:4, :4].all()
     np.testing.assert_allclose(structure.controller(x).D, mixed.D, rtol=1e-12)
@@ -252,23 +331,32 @@ def test_axes_that_the_controller_couples_are_joined():
 def test_planes_need_bearings_at_one_angle():
     turned = replace(MACHINE.bearings[1], angle=0.3)
     assert axis_groups(MACHINE, "plane") == ((0, 2), (1, 3))
-    assert axis_groups(replace(MACHINE, bearings=(MACHINE.bearings[0], turned)), "plane") == ((0, 1, 2, 3),)
+    assert axis_groups(replace(MACHINE, bearings=(MACHINE.bearings[0], turned)), "plane") == (
+        (0, 1, 2, 3),
+    )
     assert axis_groups(MACHINE, "axis") == ((0,), (1,), (2,), (3,))
 
 
 def test_what_is_said_of_it_is_what_verification_finds(tuned):
-    """The ratios to the limits, by the checks of the full plants at every operating point, as the loop runs."""
+    """The ratios to the limits, by the checks of the full plants at every operating point, as the
+    loop runs.
+    """
     assert tuned.status == "verified" and tuned.controller.n_states == 12
     law, said = RUNS.in_loop(tuned.controller), tuned.certificate.margins
     found = [nominal.check(plant, law) for plant in PLANTS[::2]]
     assert all(item.stable for item in found)
     peaks = [item["sensitivity.output.max"].value for item in found]
     assert tuned.certificate.closed_loop_norm == pytest.approx(max(peaks), rel=2e-3)
-    assert max(peaks) / 3 <= said["ratio_sensitivity"] * (1 + 1e-6)  # the limit is 3, less at low frequencies
-    for check, limit, ratio in (("unbalance.orbit", 40e-6, "orbit"), ("unbalance.current", 6.0, "current")):
+    # the limit is 3, less at low frequencies
+    assert max(peaks) / 3 <= said["ratio_sensitivity"] * (1 + 1e-6)
+    for check, limit, ratio in (
+        ("unbalance.orbit", 40e-6, "orbit"),
+        ("unbalance.current", 6.0, "current"),
+    ):
         largest = max(item[check].value for item in found)
         assert largest <= 1.005 * limit * said[f"ratio_{ratio}"]
-        assert largest >= 0.6 * limit * said[f"ratio_{ratio}"]  # currents: largest axis there, sigma_max here
+        # currents: largest axis there, sigma_max here
+        assert largest >= 0.6 * limit * said[f"ratio_{ratio}"]
     settling = max(item["impulse.settling"].value for item in found)
     assert (settling < 60e-3) == (said["ratio_settling"] < 1)
     assert tuned.gamma == max(value for name, value in said.items() if name.startswith("ratio_"))
@@ -296,7 +384,10 @@ def test_the_worst_member_is_that_of_the_perturbed_plants(tuned):
     corners = [dict(zip(names, (a, b), strict=True)) for a in (-1.0, 1.0) for b in (-1.0, 1.0)]
     assert found in corners
     assert peak(found) >= 0.99 * max(peak(corner) for corner in corners)
-    assert worst_member(SMALL[2], tuned.controller, RUNS, aims).keys() == {"bearing.DE.negative_stiffness"}  # no seal at rest
+    # no seal at rest
+    assert worst_member(SMALL[2], tuned.controller, RUNS, aims).keys() == {
+        "bearing.DE.negative_stiffness"
+    }
 
 
 @pytest.mark.campaign
@@ -315,9 +406,14 @@ def test_ctrl_c_keeps_the_best(monkeypatch):
 def test_a_machine_that_nothing_holds_is_refused_with_a_remedy(monkeypatch):
     """Magnets whose negative stiffness is ten thousand times too large for their amplifiers."""
     monkeypatch.setattr(tuning, "_TRIES", 2)
-    magnets = tuple(replace(bearing, negative_stiffness=(4e10, 4e10)) for bearing in MACHINE.bearings)
+    magnets = tuple(
+        replace(bearing, negative_stiffness=(4e10, 4e10)) for bearing in MACHINE.bearings
+    )
     wild = replace(MACHINE, bearings=magnets)
-    with pytest.raises(NumericalFailure, match=r"no controller of order 12 that holds .* found.* allow a higher order"):
+    with pytest.raises(
+        NumericalFailure,
+        match=r"no controller of order 12 that holds .* found.* allow a higher order",
+    ):
         tune_controller([assemble(wild)], START, RUNS, bending_modes=0)
 
 
@@ -347,7 +443,9 @@ def all_rounds(monkeypatch):
 
 @pytest.mark.study
 def test_a_machine_without_a_controller_meets_every_requirement(all_rounds):
-    """Bearings DE and NDE, no [controller] table; over the tolerances around every point as well."""
+    """Bearings DE and NDE, no [controller] table; over the tolerances around every point as
+    well.
+    """
     result = amb.design(MACHINE, "tuned", rate=RUNS.rate)
     verdict = amb.verify(MACHINE, result)
     assert verdict.passed and len(verdict.points) == 3 and len(verdict.boxes) == 3
@@ -357,7 +455,9 @@ def test_a_machine_without_a_controller_meets_every_requirement(all_rounds):
 @pytest.mark.study  # the study of test_cli.py tunes the other bundled machine of the thesis
 @pytest.mark.parametrize("rate", [None, 1e4])
 def test_the_turboexpander_holds_from_standstill_to_full_speed(rate, all_rounds):
-    """Nothing else that this package designs meets every requirement of this machine at every one of its points."""
+    """Nothing else that this package designs meets every requirement of this machine at every one
+    of its points.
+    """
     result = amb.design("turboexpander", "tuned", rate=rate)
     verdict = amb.verify("turboexpander", result, rate=rate, tolerances=False)
     assert len(verdict.points) == 6 and verdict.passed

@@ -1,4 +1,6 @@
-"""Assumptions of H-infinity synthesis: each violated by construction, named in the message, mended and announced."""
+"""Assumptions of H-infinity synthesis: each violated by construction, named in the message, mended
+and announced.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +8,11 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
+from ambrose.core.hinf.assumptions import check_assumptions
+from ambrose.core.hinf.riccati import normal_form, try_gamma
+from ambrose.core.hinf.scaling import scale_plant
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import StateSpace
-from ambrose.synthesis.hinf.assumptions import check_assumptions
-from ambrose.synthesis.hinf.riccati import normal_form, try_gamma
-from ambrose.synthesis.hinf.scaling import scale_plant
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from random_plants import KINDS, random_plant
 
@@ -21,13 +23,16 @@ def parted(A, B, C, D, m, p) -> GeneralizedPlant:
 
 
 def with_mode(block, B_u, C_y, scale: float, hide: bool = True) -> GeneralizedPlant:
-    """A regular plant with one more mode ``block`` that w does not reach and z does not show; u and y as given.
+    """A regular plant with one more mode ``block`` that w does not reach and z does not show; u and
+    y as given.
 
     Rotated by an orthogonal matrix, then the states scaled by up to ``scale`` either way.
     """
     rng = np.random.default_rng(7)
     k = len(block)
-    A = np.block([[np.diag([-1.0, -2.0, -3.0]), np.zeros((3, k))], [np.zeros((k, 3)), np.array(block)]])
+    A = np.block(
+        [[np.diag([-1.0, -2.0, -3.0]), np.zeros((3, k))], [np.zeros((k, 3)), np.array(block)]]
+    )
     B, C = rng.standard_normal((3, 4)), rng.standard_normal((4, 3))
     B = np.vstack([B, np.hstack([np.zeros((k, 3)), np.reshape(B_u, (k, 1))])])
     C = np.hstack([C, np.vstack([np.zeros((3, k)), np.reshape(C_y, (1, k))])])
@@ -43,25 +48,44 @@ OSCILLATOR = [[0.0, 2.0], [-2.0, 0.0]]
 @pytest.mark.parametrize("scale", [1.0, 1e3])
 @pytest.mark.parametrize(
     ("block", "text"),
-    [([[0.5]], "s = 0.5 rad/s is unstable"), ([[0.1, 3.0], [-3.0, 0.1]], r"s = 0.1 \+ 3j rad/s is unstable")],
+    [
+        ([[0.5]], "s = 0.5 rad/s is unstable"),
+        ([[0.1, 3.0], [-3.0, 0.1]], r"s = 0.1 \+ 3j rad/s is unstable"),
+    ],
 )
 def test_unreachable_and_hidden_unstable_modes_are_named(block, text, scale):
     k = len(block)
-    with pytest.raises(InvalidInput, match=rf"\(A, B2\) is not stabilisable: the mode {text} and no control u reaches it"):
+    with pytest.raises(
+        InvalidInput,
+        match=rf"\(A, B2\) is not stabilisable: the mode {text} and no control u reaches it",
+    ):
         hinf_synthesis(with_mode(block, np.zeros(k), np.ones(k), scale))
-    with pytest.raises(InvalidInput, match=rf"\(C2, A\) is not detectable: the mode {text} and no measurement y shows it"):
+    with pytest.raises(
+        InvalidInput,
+        match=rf"\(C2, A\) is not detectable: the mode {text} and no measurement y shows it",
+    ):
         hinf_synthesis(with_mode(block, np.ones(k), np.zeros(k), scale))
 
 
 def test_integrating_weight_is_named_with_its_remedy():
-    """W_p = 1/s on the error of a stable plant: y does not show its state; a slow pole instead is accepted."""
+    """W_p = 1/s on the error of a stable plant: y does not show its state; a slow pole instead is
+    accepted.
+    """
 
     def problem(slow: float) -> GeneralizedPlant:
         A = [[-1.0, 0.0], [-1.0, -slow]]
-        return parted(A, [[1, 0, 1], [0, 1, 0]], [[0, 1], [0, 0], [-1, 0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]], 1, 1)
+        return parted(
+            A,
+            [[1, 0, 1], [0, 1, 0]],
+            [[0, 1], [0, 0], [-1, 0]],
+            [[0, 0, 0], [0, 0, 1], [0, 1, 0]],
+            1,
+            1,
+        )
 
     with pytest.raises(
-        InvalidInput, match=r"mode s = -?0 rad/s is on the imaginary axis .* slow pole instead of an integrator"
+        InvalidInput,
+        match=r"mode s = -?0 rad/s is on the imaginary axis .* slow pole instead of an integrator",
     ):
         hinf_synthesis(problem(0.0))
     for slow in (1e-2, 1e-5, 1e-8):
@@ -108,22 +132,35 @@ def test_weakly_reached_modes_are_not_refused(coupling):
     """The same modes, reached and shown a little: regular, whatever gamma that costs."""
     for block in ([[0.5]], OSCILLATOR):
         weak = [coupling] * len(block)
-        assert check_assumptions(scale_plant(with_mode(block, weak, weak, 1.0, hide=False))).rows.shape[0] <= 2
+        assert (
+            check_assumptions(
+                scale_plant(with_mode(block, weak, weak, 1.0, hide=False))
+            ).rows.shape[0]
+            <= 2
+        )
 
 
 @pytest.mark.parametrize("kind", [k for k in KINDS if k != "singular"])
 def test_no_false_alarm(kind):
-    """None of 40 plants of any regular kind is found wanting, slow weight poles and 1e-9 .. 1e9 units included."""
+    """None of 40 plants of any regular kind is found wanting, slow weight poles and 1e-9 .. 1e9
+    units included.
+    """
     for seed in range(40):
         assert check_assumptions(scale_plant(parted(*random_plant(kind, seed)))).findings == ()
 
 
 def test_extension_only_adds():
-    """Mending outputs and inputs can only raise what a controller achieves: rho(X Y) at one gamma grows with epsilon."""
+    """Mending outputs and inputs can only raise what a controller achieves: rho(X Y) at one gamma
+    grows with epsilon.
+    """
     scaled = scale_plant(parted(*random_plant("stable", 3)))
-    n, m, p = len(scaled.A), scaled.B2.shape[1], len(scaled.C2)
+    n = len(scaled.A)
+    m = scaled.B2.shape[1]
+    p = len(scaled.C2)
     rho = [
-        try_gamma(normal_form(scaled.extended(np.eye(n + m), np.eye(n + p), epsilon))[0], np.inf).rho
+        try_gamma(
+            normal_form(scaled.extended(np.eye(n + m), np.eye(n + p), epsilon))[0], np.inf
+        ).rho
         for epsilon in (0.0, 0.01, 0.1, 1.0)
     ]
     assert rho == sorted(rho)

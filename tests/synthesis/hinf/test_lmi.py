@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from ambrose.core.checks import InvalidInput
+from ambrose.core.hinf.lmi import smallest_gamma
+from ambrose.core.hinf.scaling import scale_plant
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.matrix_inequalities.semidefinite import smat, svec
 from ambrose.core.statespace import StateSpace
-from ambrose.synthesis.hinf.lmi import smallest_gamma
-from ambrose.synthesis.hinf.scaling import scale_plant
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from random_plants import KINDS, random_plant
 
@@ -33,12 +33,18 @@ def test_svec_keeps_inner_products():
 @pytest.mark.parametrize(
     ("kind", "seed"),
     [
-        (k, s) if (k, s) in {("plain", 1), ("units", 1), ("light", 1)} else pytest.param(k, s, marks=pytest.mark.campaign)
-        for k in KINDS if k != "singular" for s in (1, 2)
+        (k, s)
+        if (k, s) in {("plain", 1), ("units", 1), ("light", 1)}
+        else pytest.param(k, s, marks=pytest.mark.campaign)
+        for k in KINDS
+        if k != "singular"
+        for s in (1, 2)
     ],
-)  # fmt: skip
+)
 def test_gamma_within_a_thousandth_or_better_than_the_inequalities(kind, seed):
-    """Where the solver's gamma is the larger one, a verified controller below it shows which of the two is wrong."""
+    """Where the solver's gamma is the larger one, a verified controller below it shows which of the
+    two is wrong.
+    """
     item = plant(kind, seed)
     gamma = smallest_gamma(scale_plant(item), lambda: 60.0).gamma
     result = hinf_synthesis(item, backoff=1.0005, tolerance=1e-5)
@@ -47,7 +53,9 @@ def test_gamma_within_a_thousandth_or_better_than_the_inequalities(kind, seed):
     assert optimal >= 0.999 * gamma or result.gamma < gamma
 
 
-@pytest.mark.parametrize(("kind", "seed"), [("plain", 1), ("scaled", 4), ("light", 5), ("weights", 0), ("rotor", 2)])
+@pytest.mark.parametrize(
+    ("kind", "seed"), [("plain", 1), ("scaled", 4), ("light", 5), ("weights", 0), ("rotor", 2)]
+)
 def test_controller_of_the_inequalities(kind, seed):
     """Verified like the other, at the same gamma, of the same order."""
     item = plant(kind, seed)
@@ -56,13 +64,17 @@ def test_controller_of_the_inequalities(kind, seed):
     assert lmi.notes == ()
     assert lmi.controller.n_states == item.system.n_states
     assert lmi.gamma <= lmi.certificate.margins["gamma_designed"]
-    assert lmi.certificate.margins["gamma_optimal"] == pytest.approx(riccati.certificate.margins["gamma_optimal"], rel=2e-3)
+    assert lmi.certificate.margins["gamma_optimal"] == pytest.approx(
+        riccati.certificate.margins["gamma_optimal"], rel=2e-3
+    )
 
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("seed", [2, 3, 6, 9])
 def test_singular_plants(seed):
-    """Regularised Riccati equations come within 1 % of the inequalities, which need no assumption; both are verified."""
+    """Regularised Riccati equations come within 1 % of the inequalities, which need no assumption;
+    both are verified.
+    """
     item = plant("singular", seed)
     exact = smallest_gamma(scale_plant(item), lambda: 60.0).gamma
     riccati = hinf_synthesis(item)

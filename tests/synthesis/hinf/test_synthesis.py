@@ -1,4 +1,6 @@
-"""H-infinity synthesis by Riccati equations: closed forms, invariances, what is verified, what is refused and how."""
+"""H-infinity synthesis by Riccati equations: closed forms, invariances, what is verified, what is
+refused and how.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,7 @@ from ambrose.core.lft import GeneralizedPlant, lft
 from ambrose.core.matrix_equations import solve_riccati
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, spectral_abscissa, static_gain
-from ambrose.synthesis.certificate import generalized_certificate
+from ambrose.judge.certificate import generalized_certificate
 from ambrose.synthesis.hinf import synthesis as hinf
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from random_plants import KINDS, random_plant
@@ -30,14 +32,18 @@ def scalar(a: float, b: float = 1.0, c: float = 1.0) -> GeneralizedPlant:
 
 
 def bracket(synthesis) -> tuple[float, float]:
-    return synthesis.certificate.margins["gamma_lower"], synthesis.certificate.margins["gamma_optimal"]
+    return synthesis.certificate.margins["gamma_lower"], synthesis.certificate.margins[
+        "gamma_optimal"
+    ]
 
 
 def coprime(A, B, C, D) -> tuple[GeneralizedPlant, float]:
-    """Normalised coprime factor stabilisation of G: z = (u, y), y = G (u + w2) + w1; and the closed form of its optimum.
+    """Normalised coprime factor stabilisation of G: z = (u, y), y = G (u + w2) + w1; and the closed
+    form of its optimum.
 
-    gamma^2 = 1 + lambda_max(X Z) with both Riccati solutions of the factors (McFarlane & Glover 1990; Zhou, Doyle & Glover
-    1996, cor. 18.2). D11 and D22 are not zero when G is not strictly proper.
+    gamma^2 = 1 + lambda_max(X Z) with both Riccati solutions of the factors (McFarlane & Glover
+    1990; Zhou, Doyle & Glover 1996, cor. 18.2). D11 and D22 are not zero when G is not strictly
+    proper.
     """
     p, m = D.shape
     R, S = np.eye(p) + D @ D.T, np.eye(m) + D.T @ D
@@ -48,7 +54,9 @@ def coprime(A, B, C, D) -> tuple[GeneralizedPlant, float]:
     tall = np.vstack([np.zeros((m, len(A))), C, C])
     zero, one = np.zeros((m, m)), np.eye(m)
     direct = np.block([[np.zeros((m, p)), zero, one], [np.eye(p), D, D], [np.eye(p), D, D]])
-    return parted(A, wide, tall, direct, m, p), float(np.sqrt(1 + np.linalg.eigvals(X @ Z).real.max()))
+    return parted(A, wide, tall, direct, m, p), float(
+        np.sqrt(1 + np.linalg.eigvals(X @ Z).real.max())
+    )
 
 
 @pytest.mark.parametrize("a", [-2.0, -0.1, 0.0, 1.0, 50.0])
@@ -64,7 +72,9 @@ def test_scalar_closed_form(a):
 def test_coprime_factor_closed_form(seed):
     rng = np.random.default_rng(seed)
     n, m, p = (int(rng.integers(low, high)) for low, high in ((2, 9), (1, 4), (1, 4)))
-    A, B, C = rng.standard_normal((n, n)), rng.standard_normal((n, m)), rng.standard_normal((p, n))
+    A = rng.standard_normal((n, n))
+    B = rng.standard_normal((n, m))
+    C = rng.standard_normal((p, n))
     plant, exact = coprime(A, B, C, (seed % 2) * rng.standard_normal((p, m)))
     result = hinf_synthesis(plant, tolerance=1e-7)
     np.testing.assert_allclose(bracket(result), exact, rtol=2e-7)
@@ -72,11 +82,15 @@ def test_coprime_factor_closed_form(seed):
 
 
 def test_static_plant_is_parrott():
-    """Without states gamma is max(|[D1111 D1112]|, |[D1111; D1121]|), with controls and measurements that cancel the rest."""
+    """Without states gamma is max(|[D1111 D1112]|, |[D1111; D1121]|), with controls and
+    measurements that cancel the rest.
+    """
     rng = np.random.default_rng(5)
     D11 = rng.standard_normal((5, 4))
     D = np.block([[D11, np.eye(5, 2, -3)], [np.eye(2, 4, 2), rng.standard_normal((2, 2))]])
-    result = hinf_synthesis(parted([], np.zeros((0, 6)), np.zeros((7, 0)), D, 2, 2), tolerance=1e-6, backoff=1.0001)
+    result = hinf_synthesis(
+        parted([], np.zeros((0, 6)), np.zeros((7, 0)), D, 2, 2), tolerance=1e-6, backoff=1.0001
+    )
     exact = max(np.linalg.norm(D11[:3], 2), np.linalg.norm(D11[:, :2], 2))
     np.testing.assert_allclose(bracket(result), exact, rtol=2e-6)
     assert result.gamma <= 1.0002 * exact
@@ -87,7 +101,9 @@ def test_static_plant_is_parrott():
 @pytest.mark.parametrize("kind", [k for k in KINDS if k != "singular"])
 @pytest.mark.parametrize("seed", range(3))
 def test_result_is_verified_on_the_original_plant(kind, seed):
-    """Certificate, gamma and promise recomputed from the returned controller alone; names and sizes as stated."""
+    """Certificate, gamma and promise recomputed from the returned controller alone; names and sizes
+    as stated.
+    """
     plant = parted(*random_plant(kind, seed))
     result = hinf_synthesis(plant)
     assert result.status == "verified"
@@ -111,7 +127,10 @@ def test_gamma_does_not_depend_on_units(seed):
     rng = np.random.default_rng(seed)
     before = hinf_synthesis(parted(A, B, C, D, m, p), tolerance=1e-5)
     t, u, y = (10 ** rng.uniform(-9, 9, k) for k in (len(A), m, p))
-    A, B, C, D = A * t / t[:, None] * 1e4, B / t[:, None] * 1e4, C * t, D.copy()
+    A = A * t / t[:, None] * 1e4
+    B = B / t[:, None] * 1e4
+    C = C * t
+    D = D.copy()
     B[:, -m:] *= u
     D[:, -m:] *= u
     C[-p:] *= y[:, None]
@@ -161,7 +180,9 @@ def test_progress_is_told_and_history_matches():
 
 
 def test_zero_control_is_stated_where_it_is_optimal():
-    """u reaches nothing that matters: gamma is the open norm, and the note says so; elsewhere there is no such note."""
+    """u reaches nothing that matters: gamma is the open norm, and the note says so; elsewhere there
+    is no such note.
+    """
     useless = hinf_synthesis(scalar(-1.0, b=1e-12))
     assert "no control does as well" in useless.notes[0]
     assert useless.gamma == pytest.approx(1.0, rel=1e-5)
@@ -201,7 +222,9 @@ def test_bad_arguments(change, message):
 def test_sampled_and_incomplete_plants_are_refused():
     s = scalar(-1.0).system
     sampled = StateSpace(s.A, s.B, s.C, s.D, dt=1e-3)
-    with pytest.raises(InvalidInput, match=r"sample time is 0.001, but must be None \(continuous time\)"):
+    with pytest.raises(
+        InvalidInput, match=r"sample time is 0.001, but must be None \(continuous time\)"
+    ):
         hinf_synthesis(GeneralizedPlant(sampled, ["u1", "u2"], ["u3"], ["y1", "y2"], ["y3"]))
     for empty in "wuzy":
         groups = {"w": ["u1", "u2"], "u": ["u3"], "z": ["y1", "y2"], "y": ["y3"], empty: []}
@@ -210,7 +233,9 @@ def test_sampled_and_incomplete_plants_are_refused():
 
 
 def test_a_wrong_controller_does_not_pass(monkeypatch):
-    """Nothing unverified leaves: with every controller's sign turned, the synthesis fails and says what it found."""
+    """Nothing unverified leaves: with every controller's sign turned, the synthesis fails and says
+    what it found.
+    """
     right = hinf.original_controller
 
     def turned(*arguments):
@@ -218,7 +243,10 @@ def test_a_wrong_controller_does_not_pass(monkeypatch):
         return StateSpace(K.A, K.B, -K.C, -K.D, K.inputs, K.outputs)
 
     monkeypatch.setattr(hinf, "original_controller", turned)
-    with pytest.raises(NumericalFailure, match=r"passed its verification on the original plant.*the loop is unstable"):
+    with pytest.raises(
+        NumericalFailure,
+        match=r"passed its verification on the original plant.*the loop is unstable",
+    ):
         hinf_synthesis(scalar(1.0))
 
 
@@ -241,18 +269,25 @@ def test_wider_backoff_is_tried_and_announced(monkeypatch):
     monkeypatch.setattr(hinf, "verified", strict)
     result = hinf_synthesis(scalar(1.0))
     assert result.certificate.margins["gamma_designed"] / bracket(result)[1] == pytest.approx(1.12)
-    assert result.notes == ("the back-off is 1.12 instead of 1.03: closer to the optimum verification failed",)
+    assert result.notes == (
+        "the back-off is 1.12 instead of 1.03: closer to the optimum verification failed",
+    )
 
 
 def test_certificate_of_a_generalized_plant():
-    """x' = a x + w1 + u, u = -k y: norms in closed form; marginal and unstable loops are verdicts, wrong sizes are refused."""
+    """x' = a x + w1 + u, u = -k y: norms in closed form; marginal and unstable loops are verdicts,
+    wrong sizes are refused.
+    """
     plant = scalar(1.0)
     found = generalized_certificate(plant, static_gain([[-3.0]]))
     assert found.stable
     assert found.spectral_abscissa == pytest.approx(-2.0)
-    G0 = np.array([[1, -3], [-3, 9 - 3 * 2]]) / 2  # z = (x, -3 x - 3 w2) at zero frequency, x = (w1 - 3 w2)/2
+    # z = (x, -3 x - 3 w2) at zero frequency, x = (w1 - 3 w2)/2
+    G0 = np.array([[1, -3], [-3, 9 - 3 * 2]]) / 2
     at_infinity = 3.0
-    assert found.closed_loop_norm == pytest.approx(max(np.linalg.norm(G0, 2), at_infinity), rel=1e-6)
+    assert found.closed_loop_norm == pytest.approx(
+        max(np.linalg.norm(G0, 2), at_infinity), rel=1e-6
+    )
     assert found.fastest_pole == 0.0
     for gain in (-1.0, 0.5):
         verdict = generalized_certificate(plant, static_gain([[gain]]))
@@ -263,7 +298,9 @@ def test_certificate_of_a_generalized_plant():
 
 
 def test_large_plant_in_time():
-    """Seventy states, so that nothing here is of higher order than it should be; the time itself is the benchmark's."""
+    """Seventy states, so that nothing here is of higher order than it should be; the time itself is
+    the benchmark's.
+    """
     rng = np.random.default_rng(1)
     n = 70
     A = rng.standard_normal((n, n)) / np.sqrt(n) - 0.5 * np.eye(n)

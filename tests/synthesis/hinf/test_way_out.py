@@ -1,4 +1,6 @@
-"""What happens to plants that the Riccati equations do not like: the bound from below stays one, and there is another way."""
+"""What happens to plants that the Riccati equations do not like: the bound from below stays one,
+and there is another way.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +9,10 @@ import pytest
 import scipy.linalg as sla
 
 from ambrose.core.checks import NumericalFailure
+from ambrose.core.hinf.scaling import scale_plant, unavoidable
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import StateSpace
 from ambrose.synthesis.hinf import synthesis as module
-from ambrose.synthesis.hinf.scaling import scale_plant, unavoidable
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from random_plants import random_plant
 
@@ -24,21 +26,38 @@ def plant(kind, seed):
 def without_direct_terms(seed):
     """D = 0: many of these reach any gamma, so that what is left is the regularisation's."""
     rng = np.random.default_rng([5, seed])
-    n, m, p = int(rng.integers(2, 7)), int(rng.integers(1, 3)), int(rng.integers(1, 3))
+    n = int(rng.integers(2, 7))
+    m = int(rng.integers(1, 3))
+    p = int(rng.integers(1, 3))
     q, r = int(rng.integers(1, 4)), int(rng.integers(1, 4))
-    A, B, C = rng.standard_normal((n, n)) - 0.3 * np.eye(n), rng.standard_normal((n, q + m)), rng.standard_normal((r + p, n))
+    A = rng.standard_normal((n, n)) - 0.3 * np.eye(n)
+    B = rng.standard_normal((n, q + m))
+    C = rng.standard_normal((r + p, n))
     s = StateSpace(A, B, C, np.zeros((r + p, q + m)))
     return GeneralizedPlant(s, s.inputs[:q], s.inputs[q:], s.outputs[:r], s.outputs[r:])
 
 
 def gahinet(integrators):
-    """Example 7.3 of P. Gahinet, INRIA report 1992; with two free integrators for the controller it is COMPleib's ROC6."""
+    """Example 7.3 of P. Gahinet, INRIA report 1992; with two free integrators for the controller it
+    is COMPleib's ROC6.
+    """
     k = integrators
     A = sla.block_diag([[1.0, -1.0, 0.0], [1.0, 1.0, -1.0], [0.0, 1.0, -2.0]], np.zeros((k, k)))
     B1, B2 = [[1.0, 2, 0], [0, -1, 0], [1, 1, 0]], [[1.0], [0], [1]]
     C1, C2 = [[0.0, 0, 0], [1, 1, 0], [-1, 0, 1]], [[0.0, -1, 1]]
-    B = np.block([[np.array(B1), np.zeros((3, k)), np.array(B2)], [np.zeros((k, 3)), np.eye(k), np.zeros((k, 1))]])
-    C = np.block([[np.array(C1), np.zeros((3, k))], [np.zeros((k, 3)), np.eye(k)], [np.array(C2), np.zeros((1, k))]])
+    B = np.block(
+        [
+            [np.array(B1), np.zeros((3, k)), np.array(B2)],
+            [np.zeros((k, 3)), np.eye(k), np.zeros((k, 1))],
+        ]
+    )
+    C = np.block(
+        [
+            [np.array(C1), np.zeros((3, k))],
+            [np.zeros((k, 3)), np.eye(k)],
+            [np.array(C2), np.zeros((1, k))],
+        ]
+    )
     D = np.zeros((4 + k, 4 + k))
     D[0, -1] = D[-1, 2] = 1.0
     s = StateSpace(A, B, C, D)
@@ -46,7 +65,9 @@ def gahinet(integrators):
 
 
 def test_integrators_that_coincide_are_all_mended():
-    """Zeros that coincide on the axis have several directions. An integrator more for the controller changes no optimum."""
+    """Zeros that coincide on the axis have several directions. An integrator more for the
+    controller changes no optimum.
+    """
     alone = hinf_synthesis(gahinet(0)).certificate.margins["gamma_optimal"]
     both = hinf_synthesis(gahinet(2))
     assert any("w = 0, 0 rad/s" in note for note in both.notes)
@@ -63,7 +84,9 @@ def test_matrix_inequalities_take_over(monkeypatch):
     usual = hinf_synthesis(gahinet(0))
     monkeypatch.setattr(module, "search_gamma", refused)
     other = hinf_synthesis(gahinet(0))
-    assert other.notes[0].startswith("designed by matrix inequalities (method lmi), for the Riccati equations failed:")
+    assert other.notes[0].startswith(
+        "designed by matrix inequalities (method lmi), for the Riccati equations failed:"
+    )
     assert other.status == "verified"
     assert other.gamma == pytest.approx(usual.gamma, rel=5e-3)
     monkeypatch.setattr(module, "_LARGEST_LMI", 2)
@@ -95,7 +118,8 @@ def test_the_bound_from_below_is_one_of_the_plant_as_given():
         item = plant(kind, 3)
         margins = check_lower(item)
         assert margins["epsilon"] == 0
-        assert unavoidable(scale_plant(item)) <= margins["gamma_optimal"] * (1 + 1e-9)  # holds for every controller
+        # holds for every controller
+        assert unavoidable(scale_plant(item)) <= margins["gamma_optimal"] * (1 + 1e-9)
 
 
 @pytest.mark.study

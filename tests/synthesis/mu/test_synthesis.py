@@ -1,4 +1,6 @@
-"""mu synthesis: fits against functions they must recover, a toy with a known optimum, a textbook problem, published plants."""
+"""mu synthesis: fits against functions they must recover, a toy with a known optimum, a textbook
+problem, published plants.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,15 @@ from benchmarks.published_p5 import published_p5, published_p5_problem
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.frequency import frequency_response
-from ambrose.core.lft import ComplexBlock, FullBlock, GeneralizedPlant, RealBlock, close_uncertainty, design_grid, lft
+from ambrose.core.lft import (
+    ComplexBlock,
+    FullBlock,
+    GeneralizedPlant,
+    RealBlock,
+    close_uncertainty,
+    design_grid,
+    lft,
+)
 from ambrose.core.mu.all_frequencies import proved_below
 from ambrose.core.mu.bounds import mu_bounds
 from ambrose.core.mu.structure import structure_of
@@ -29,17 +39,23 @@ from ambrose.core.statespace import (
     static_gain,
     transfer_function,
 )
+from ambrose.law.design_problem import design_plant, with_performance_block
 from ambrose.machine.parameters import operating_point
-from ambrose.plant.assemble import assemble
-from ambrose.plant.reduce import reduce
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import reduce
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.mu.d_fit import RealRational, fit_magnitude
 from ambrose.synthesis.mu.d_step import d_blocks, d_step, fit_scaling
 from ambrose.synthesis.mu.matrix_fit import fit_matrix
 from ambrose.synthesis.mu.refine import peak_gain, refine
-from ambrose.synthesis.mu.scaling import BlockScaling, Scaling, scalar_scaling, scaled_loop, scaled_plant
+from ambrose.synthesis.mu.scaling import (
+    BlockScaling,
+    Scaling,
+    scalar_scaling,
+    scaled_loop,
+    scaled_plant,
+)
 from ambrose.synthesis.mu.synthesis import mu_synthesis
-from ambrose.synthesis.problem import design_plant, with_performance_block
 
 pytestmark = pytest.mark.campaign  # minutes
 
@@ -80,7 +96,9 @@ def test_scaling_times_its_inverse_is_one_and_both_are_stable():
 
 @pytest.mark.parametrize("order", [1, 2, 4])
 def test_poles_and_zeros_stay_inside_the_grid(order):
-    """An integrator-like slope over the whole grid asks for corners outside of it; a random wiggle for anything."""
+    """An integrator-like slope over the whole grid asks for corners outside of it; a random wiggle
+    for anything.
+    """
     for magnitude in (1 / OMEGA, np.exp(np.random.default_rng(order).normal(size=len(OMEGA)))):
         fit = fit_magnitude(OMEGA, magnitude, order)
         corners = np.concatenate([fit.zeros, fit.poles])
@@ -91,7 +109,10 @@ def test_poles_and_zeros_stay_inside_the_grid(order):
 def test_higher_orders_never_fit_worse_and_weights_decide():
     rng = np.random.default_rng(3)
     data = np.cumsum(rng.normal(size=len(OMEGA))) * 0.3
-    errors = [np.sum((fit_magnitude(OMEGA, np.exp(data), n).log_magnitude(OMEGA) - data) ** 2) for n in range(5)]
+    errors = [
+        np.sum((fit_magnitude(OMEGA, np.exp(data), n).log_magnitude(OMEGA) - data) ** 2)
+        for n in range(5)
+    ]
     assert (np.diff(errors) <= 1e-9).all()
     assert errors[-1] < 0.5 * errors[0]
     weight = np.where(OMEGA > 1, 1.0, 1e-8)
@@ -107,7 +128,9 @@ def test_fit_refuses_bad_data():
 
 
 def matrix_of(order: int, r: int = 2) -> StateSpace:
-    """A stable minimum-phase D(s) with the structure the fit can reach: real poles, all channels sharing them."""
+    """A stable minimum-phase D(s) with the structure the fit can reach: real poles, all channels
+    sharing them.
+    """
     rng = np.random.default_rng(order)
     p = np.geomspace(0.05, 500, order + 2)[1:-1]
     Y = [m @ m.T + 0.4 * (m - m.T) for m in rng.normal(size=(order + 1, r, r))]
@@ -142,14 +165,19 @@ def test_refinement_lowers_the_peak_and_stays_inside():
     rng = np.random.default_rng(0)
     structure = structure_of([ComplexBlock("a"), ComplexBlock("b"), FullBlock("p", 2, 2)])
     M = rng.normal(size=(len(OMEGA), 4, 4)) + 1j * rng.normal(size=(len(OMEGA), 4, 4))
-    start = [RealRational(30.0, np.array([1.0]), np.array([2.0])), RealRational(1.0, np.zeros(0), np.zeros(0))]
+    start = [
+        RealRational(30.0, np.array([1.0]), np.array([2.0])),
+        RealRational(1.0, np.zeros(0), np.zeros(0)),
+    ]
     start.append(RealRational(1.0, np.zeros(0), np.zeros(0)))
     found = refine(M, OMEGA, structure, start)
     before, after = (peak_gain(M, OMEGA, structure, d).max() for d in (start, found))
     assert after < 0.9 * before
     assert [d.order for d in found] == [1, 0, 0]
     assert OMEGA[0] <= found[0].zeros[0] <= OMEGA[-1]
-    bound = mu_bounds(M, [place.block for place in structure.places], g_scaling=False, lower=False).upper.max()
+    bound = mu_bounds(
+        M, [place.block for place in structure.places], g_scaling=False, lower=False
+    ).upper.max()
     assert after >= bound * (1 - 1e-6)
 
 
@@ -170,7 +198,9 @@ def test_scaled_plant_and_scaled_loop_agree():
     expected = M.copy()
     expected[:, :2] *= np.exp(d.log_magnitude(OMEGA))[:, None, None]
     expected[:, :, :2] /= np.exp(d.log_magnitude(OMEGA))[:, None, None]
-    np.testing.assert_allclose(np.linalg.norm(outside, 2, axis=(1, 2)), np.linalg.norm(expected, 2, axis=(1, 2)), rtol=1e-7)
+    np.testing.assert_allclose(
+        np.linalg.norm(outside, 2, axis=(1, 2)), np.linalg.norm(expected, 2, axis=(1, 2)), rtol=1e-7
+    )
 
 
 # toys with a known optimum
@@ -179,19 +209,25 @@ def test_scaled_plant_and_scaled_loop_agree():
 def toy(alpha: float, beta: float) -> GeneralizedPlant:
     """z1 = alpha/(s+1) w2, z2 = beta (s+1)/(0.01 s+1) w1 + 2/(s+3) w2 + u, y = w2.
 
-    Without the block's own entry (M11 = 0), mu^2 = |M22| mu + |M12 M21| >= alpha beta/|0.01 s + 1|, and u = -2/(s+3) y reaches
-    it: the least mu is sqrt(alpha beta), at zero frequency. Its d is sqrt(beta/alpha) |s+1|/sqrt|0.01 s+1|.
+    Without the block's own entry (M11 = 0), mu^2 = |M22| mu + |M12 M21| >= alpha beta/|0.01 s + 1|,
+    and u = -2/(s+3) y reaches it: the least mu is sqrt(alpha beta), at zero frequency. Its d is
+    sqrt(beta/alpha) |s+1|/sqrt|0.01 s+1|.
     """
     first = rename(transfer_function([alpha], [1, 1]), ["w2"], ["z1"])
     second = rename(transfer_function([beta, beta], [0.01, 1]), ["w1"], ["b"])
     third = rename(transfer_function([2], [1, 3]), ["w2"], ["c"])
     system = connect(
-        [append(rename(first, ["f"]), second, rename(third, ["g"])), static_gain([[1.0]], ["h"], ["z2"])],
+        [
+            append(rename(first, ["f"]), second, rename(third, ["g"])),
+            static_gain([[1.0]], ["h"], ["z2"]),
+        ],
         inputs=["w1", "w2", "u"],
         outputs=["z1", "z2", "y"],
         sums={"f": ["w2"], "g": ["w2"], "h": ["b", "c", "u"], "y": ["w2"]},
     )
-    return GeneralizedPlant(system, ["w1", "w2"], ["u"], ["z1", "z2"], ["y"], [ComplexBlock("delta")])
+    return GeneralizedPlant(
+        system, ["w1", "w2"], ["u"], ["z1", "z2"], ["y"], [ComplexBlock("delta")]
+    )
 
 
 @pytest.mark.parametrize(("alpha", "beta"), [(1.0, 1.0), (30.0, 0.2), (1e-4, 400.0), (1e9, 1e-9)])
@@ -208,14 +244,19 @@ def test_known_optimum_whatever_the_scale_of_the_block(alpha, beta):
 
 
 def distillation() -> GeneralizedPlant:
-    """Skogestad & Postlethwaite 2005, sec. 8.12: w_I = (s + 0.2)/(0.5 s + 1) on each input, w_P = (s/2 + 0.05)/s on S.
+    """Skogestad & Postlethwaite 2005, sec. 8.12: w_I = (s + 0.2)/(0.5 s + 1) on each input, w_P =
+    (s/2 + 0.05)/s on S.
 
     The integrator of w_P is moved to 1e-5 rad/min; time in minutes.
     """
     gain = static_gain([[87.8, -86.4], [108.2, -109.6]], ["v1", "v2"], ["m1", "m2"])
     lags = append(*[rename(transfer_function([1], [75, 1]), [f"m{i}"], [f"g{i}"]) for i in (1, 2)])
-    uncertain = append(*[rename(transfer_function([1, 0.2], [0.5, 1]), [f"c{i}"], [f"zd{i}"]) for i in (1, 2)])
-    performance = append(*[rename(transfer_function([0.5, 0.05], [1, 1e-5]), [f"e{i}"], [f"zp{i}"]) for i in (1, 2)])
+    uncertain = append(
+        *[rename(transfer_function([1, 0.2], [0.5, 1]), [f"c{i}"], [f"zd{i}"]) for i in (1, 2)]
+    )
+    performance = append(
+        *[rename(transfer_function([0.5, 0.05], [1, 1e-5]), [f"e{i}"], [f"zp{i}"]) for i in (1, 2)]
+    )
     system = connect(
         [gain, lags, uncertain, performance],
         inputs=["wd1", "wd2", "d1", "d2", "u1", "u2"],
@@ -229,13 +270,20 @@ def distillation() -> GeneralizedPlant:
     )
     blocks = [ComplexBlock("input 1"), ComplexBlock("input 2")]
     return GeneralizedPlant(
-        system, ["wd1", "wd2", "d1", "d2"], ["u1", "u2"], ["zd1", "zd2", "zp1", "zp2"], ["y1", "y2"], blocks
-    )  # fmt: skip
+        system,
+        ["wd1", "wd2", "d1", "d2"],
+        ["u1", "u2"],
+        ["zd1", "zd2", "zp1", "zp2"],
+        ["y1", "y2"],
+        blocks,
+    )
 
 
 @pytest.mark.literature
 def test_distillation_of_skogestad_and_postlethwaite():
-    """The book's three D-K iterations end at a peak of 1.019; the least known value is 0.974 (Lundstrom)."""
+    """The book's three D-K iterations end at a peak of 1.019; the least known value is 0.974
+    (Lundstrom).
+    """
     result = mu_synthesis(distillation(), iterations=3, backoff=1.005, order=4)
     assert 0.974 * 0.995 < result.certificate.margins["mu_mixed_lower"] <= result.gamma
     assert result.gamma < 1.02
@@ -263,7 +311,9 @@ def worst_sensitivity(controller: StateSpace, deltas: np.ndarray) -> list[float]
 
 @pytest.mark.literature
 def test_published_plant_order_24_and_sensitivity_near_3(published):
-    """P5: the mu controller has order 24 and nearly keeps S_o below 3 over +-100 % k; H-infinity exceeds 3 and stays stable."""
+    """P5: the mu controller has order 24 and nearly keeps S_o below 3 over +-100 % k; H-infinity
+    exceeds 3 and stays stable.
+    """
     assert published.controller.n_states == 24
     assert published.history[-1]["d_order"] == 1
     deltas = np.linspace(-1, 1, 11)
@@ -280,18 +330,24 @@ def test_published_plant_history_and_best_iterate(published):
     for row in published.history:
         assert row["mu_mixed_lower"] <= row["mu_mixed"] <= row["mu_complex"] * (1 + 1e-9)
         assert row["mu_complex"] <= row["gamma"] * (1 + 1e-3)
-        assert row["mu_mixed_lower"] > 0.99 * row["mu_mixed"]  # one repeated real block: the bounds meet
+        # one repeated real block: the bounds meet
+        assert row["mu_mixed_lower"] > 0.99 * row["mu_mixed"]
     margins = published.certificate.margins
     assert margins["mu_mixed"] <= margins["mu_mixed_proved"] <= published.gamma * (1 + 1e-9)
     assert margins["nominal_norm"] <= published.gamma
 
 
 def test_published_plant_certificate_means_what_it_says(published):
-    """Performance below gamma for every real delta up to 1/gamma (main loop theorem), stability over the whole range."""
+    """Performance below gamma for every real delta up to 1/gamma (main loop theorem), stability
+    over the whole range.
+    """
     plant, level = published_p5_problem(), published.gamma
     for delta in np.linspace(-1, 1, 9):
         system = close_uncertainty(plant, {"seal.k": float(delta)})
-        loop = lft(GeneralizedPlant(system, plant.w[2:], plant.u, plant.z[2:], plant.y), published.controller)
+        loop = lft(
+            GeneralizedPlant(system, plant.w[2:], plant.u, plant.z[2:], plant.y),
+            published.controller,
+        )
         assert is_stable(loop)
         if abs(delta) <= 1 / level:
             assert hinf_norm(loop).value <= level * (1 + 1e-6)
@@ -355,7 +411,9 @@ def test_eight_reals_all_corners_stable():
     unstable = 0
     for corner in itertools.product((-1.0, 1.0), repeat=n):
         system = close_uncertainty(plant, dict(zip(names, corner, strict=True)))
-        loop = lft(GeneralizedPlant(system, plant.w[n:], plant.u, plant.z[n:], plant.y), result.controller)
+        loop = lft(
+            GeneralizedPlant(system, plant.w[n:], plant.u, plant.z[n:], plant.y), result.controller
+        )
         unstable += not is_stable(loop)
     assert unstable == 0
 
@@ -418,6 +476,8 @@ def test_bad_input():
         mu_synthesis(plant, iterations=-1)
     with pytest.raises(InvalidInput, match="omega"):
         mu_synthesis(plant, omega=[0.0, 1.0, 2.0])
-    only = GeneralizedPlant(plant.system, plant.w[:2], plant.u, plant.z[:2], plant.y, [RealBlock("k", 2)])
+    only = GeneralizedPlant(
+        plant.system, plant.w[:2], plant.u, plant.z[:2], plant.y, [RealBlock("k", 2)]
+    )
     with pytest.raises(InvalidInput, match="one block only"):
         mu_synthesis(only)

@@ -1,8 +1,10 @@
-"""Symmetric matrices among the variables of matrix inequalities: terms U^T X V + V^T X U and their Schur complement.
+"""Symmetric matrices among the variables of matrix inequalities: terms U^T X V + V^T X U and their
+Schur complement.
 
-Written out, a term of order d has n (n + 1)/2 columns of d (d + 1)/2 entries, and its part of the Schur complement costs the
-cube of the variables' number. As a sum of Kronecker products it costs its square (Vandenberghe, Balakrishnan, Wallin, Hansson &
-Roh 2005, in Positive Polynomials in Control).
+Written out, a term of order d has n (n + 1)/2 columns of d (d + 1)/2 entries, and its part of the
+Schur complement costs the cube of the variables' number. As a sum of Kronecker products it costs
+its square (Vandenberghe, Balakrishnan, Wallin, Hansson & Roh 2005, in Positive Polynomials in
+Control).
 """
 
 from __future__ import annotations
@@ -15,7 +17,8 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatrixVariable:
-    """A symmetric X (n, n), n = ``order``: its entries (i, j), i <= j, of the first ``rows`` rows are variables from start on.
+    """A symmetric X (n, n), n = ``order``: its entries (i, j), i <= j, of the first ``rows`` rows
+    are variables from start on.
 
     What has neither its row nor its column among them is zero.
     """
@@ -72,21 +75,40 @@ class Term:
         return np.asarray(np.where(i == j, straight / 2, straight + crossed))
 
 
-def kronecker(a: Term, b: Term, Z: np.ndarray, W: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """P_l and Q_l with tr(F_j Z F_k W) = sum_l tr(E_j P_l E_k Q_l) for j of the term a and k of b."""
-    ZU, ZV, UW, VW = Z @ b.U.T, Z @ b.V.T, b.U @ W, b.V @ W
-    return [a.V @ ZU, a.V @ ZV, a.U @ ZU, a.U @ ZV], [VW @ a.U.T, UW @ a.U.T, VW @ a.V.T, UW @ a.V.T]
+def kronecker(
+    a: Term, b: Term, Z: np.ndarray, W: np.ndarray
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """P_l and Q_l with tr(F_j Z F_k W) = sum_l tr(E_j P_l E_k Q_l) for j of the term a and k of
+    b.
+    """
+    ZU = Z @ b.U.T
+    ZV = Z @ b.V.T
+    UW = b.U @ W
+    VW = b.V @ W
+    return [a.V @ ZU, a.V @ ZV, a.U @ ZU, a.U @ ZV], [
+        VW @ a.U.T,
+        UW @ a.U.T,
+        VW @ a.V.T,
+        UW @ a.V.T,
+    ]
 
 
-def curvature(first: MatrixVariable, second: MatrixVariable, P: Sequence[np.ndarray], Q: Sequence[np.ndarray]) -> np.ndarray:
-    """sum_l tr(E_j P_l E_k Q_l) for the variables j of ``first`` (n, n) and k of ``second`` (m, m); P_l (n, m), Q_l (m, n)."""
-    (i, j), (c, d), n = first.pairs, second.pairs, first.order
+def curvature(
+    first: MatrixVariable, second: MatrixVariable, P: Sequence[np.ndarray], Q: Sequence[np.ndarray]
+) -> np.ndarray:
+    """sum_l tr(E_j P_l E_k Q_l) for the variables j of ``first`` (n, n) and k of ``second`` (m, m);
+    P_l (n, m), Q_l (m, n).
+    """
+    i, j = first.pairs
+    c, d = second.pairs
+    n = first.order
     left, right = np.array(P), np.array(Q).reshape(len(Q), -1)
     place = np.full((n, n), len(i))
     place[i, j] = place[j, i] = np.arange(len(i))
     found = np.zeros((len(i) + 1, len(c)))
     weight = np.where(c == d, 0.5, 1.0)[:, None]
     for b in range(n):
-        T = (left[:, b].T @ right).reshape(second.order, second.order, n)  # T[c, d, a] = sum_l P[b, c] Q[d, a]
+        # T[c, d, a] = sum_l P[b, c] Q[d, a]
+        T = (left[:, b].T @ right).reshape(second.order, second.order, n)
         found[place[b]] += ((T[c, d] + T[d, c]) * weight).T
     return found[:-1]

@@ -1,10 +1,13 @@
-"""Linear objective under linear matrix inequalities: minimise c^T x with F_i(x) = F_i0 + sum_j x_j F_ij >= 0 for every i.
+"""Linear objective under linear matrix inequalities: minimise c^T x with F_i(x) = F_i0 + sum_j x_j
+F_ij >= 0 for every i.
 
-A primal-dual interior-point method: the direction of Helmberg, Kojima and Monteiro, Mehrotra's predictor and corrector, an
-infeasible start. Each inequality may depend on few of the variables; its part of the Schur complement is two products of dense
-matrices, so that dozens of inequalities of order 30 in 400 variables cost a tenth of a second per step. Matrices among the
-variables are terms of matrix_variables.py beside this file: thousands of their entries cost a second. Sources: Helmberg,
-Rendl, Vanderbei & Wolkowicz 1996, SIAM J. Optim. 6; Todd, Toh & Tuetuencue 1998, SIAM J. Optim. 8.
+A primal-dual interior-point method: the direction of Helmberg, Kojima and Monteiro, Mehrotra's
+predictor and corrector, an infeasible start. Each inequality may depend on few of the variables;
+its part of the Schur complement is two products of dense matrices, so that dozens of inequalities
+of order 30 in 400 variables cost a tenth of a second per step. Matrices among the variables are
+terms of matrix_variables.py beside this file: thousands of their entries cost a second. Sources:
+Helmberg, Rendl, Vanderbei & Wolkowicz 1996, SIAM J. Optim. 6; Todd, Toh & Tuetuencue 1998, SIAM J.
+Optim. 8.
 """
 
 from __future__ import annotations
@@ -18,7 +21,12 @@ import numpy as np
 import scipy.linalg as sla
 
 from ambrose.core.checks import NumericalFailure, check_shape, invalid, named_failure
-from ambrose.core.matrix_inequalities.matrix_variables import MatrixVariable, Term, curvature, kronecker
+from ambrose.core.matrix_inequalities.matrix_variables import (
+    MatrixVariable,
+    Term,
+    curvature,
+    kronecker,
+)
 
 _STEPS = 80
 _SHORT = 1e-7  # a step length below which the method has stalled
@@ -26,7 +34,8 @@ _SHORT = 1e-7  # a step length below which the method has stalled
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inequality:
-    """smat(rows x[columns] + constant) + terms >= 0; rows (d (d + 1)/2, k), constant (d (d + 1)/2,), columns (k,).
+    """smat(rows x[columns] + constant) + terms >= 0; rows (d (d + 1)/2, k), constant (d (d +
+    1)/2,), columns (k,).
 
     columns: which of the variables; terms: of matrices among them, each of another one.
     """
@@ -65,10 +74,12 @@ class Inequality:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Minimum:
-    """x (k,) with value c^T x; ``bound``: value of the dual, below every feasible value as far as ``dual_error`` is zero.
+    """x (k,) with value c^T x; ``bound``: value of the dual, below every feasible value as far as
+    ``dual_error`` is zero.
 
-    status: "optimal", "inexact" (progress ended early), "infeasible" or "time limit". primal_error, dual_error: relative
-    residuals of the constraints; gap: (value - bound), relative; steps: of the method.
+    status: "optimal", "inexact" (progress ended early), "infeasible" or "time limit". primal_error,
+    dual_error: relative residuals of the constraints; gap: (value - bound), relative; steps: of the
+    method.
     """
 
     x: np.ndarray
@@ -82,7 +93,9 @@ class Minimum:
 
 
 def svec(M: np.ndarray) -> np.ndarray:
-    """Upper triangles of symmetric matrices (..., d, d), column by column, off-diagonal entries times sqrt(2)."""
+    """Upper triangles of symmetric matrices (..., d, d), column by column, off-diagonal entries
+    times sqrt(2).
+    """
     upper, _, weight = _places(M.shape[-1])
     return M.reshape(*M.shape[:-2], M.shape[-1] ** 2).take(upper, -1) * weight
 
@@ -98,7 +111,9 @@ def smat(v: np.ndarray) -> np.ndarray:
 
 @cache
 def _places(d: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of the entries of ``svec``: where they stand in the flat matrix, where their mirror images do, and their weights."""
+    """Of the entries of ``svec``: where they stand in the flat matrix, where their mirror images
+    do, and their weights.
+    """
     j, i = np.tril_indices(d)
     return d * i + j, d * j + i, np.where(i == j, 1.0, np.sqrt(2.0))
 
@@ -117,17 +132,25 @@ def minimise(
     time_limit: float = 60.0,
     hopeless: float = np.inf,
 ) -> Minimum:
-    """The x (k,) with the smallest cost^T x; strictly inside every inequality as long as the method has not converged.
+    """The x (k,) with the smallest cost^T x; strictly inside every inequality as long as the method
+    has not converged.
 
-    cost (k,); tolerance: relative, of gap and residuals; time_limit [s]; hopeless: end as "infeasible" as soon as the dual
-    proves that no value below this one exists. Raises InvalidInput for sizes that do not fit, NumericalFailure when a step
-    cannot be computed from the start on.
+    cost (k,); tolerance: relative, of gap and residuals; time_limit [s]; hopeless: end as
+    "infeasible" as soon as the dual proves that no value below this one exists. Raises InvalidInput
+    for sizes that do not fit, NumericalFailure when a step cannot be computed from the start on.
     """
     cost = check_shape(cost, "cost", "(k)")
     for i, item in enumerate(inequalities):
         if item.rows.shape != (len(item.constant), len(item.columns)):
-            raise invalid(f"the shape of inequality {i}", item.rows.shape, "(d (d + 1)/2, columns)", "use svec")
-    return _Solver(cost, [item for item in inequalities if len(item.constant)]).run(tolerance, time_limit, hopeless)
+            raise invalid(
+                f"the shape of inequality {i}",
+                item.rows.shape,
+                "(d (d + 1)/2, columns)",
+                "use svec",
+            )
+    return _Solver(cost, [item for item in inequalities if len(item.constant)]).run(
+        tolerance, time_limit, hopeless
+    )
 
 
 class _Solver:
@@ -143,13 +166,26 @@ class _Solver:
         self.unit = 1 / size
         self.cost = cost * self.unit
         self.items = items
-        self.wide = [smat(i.rows.T).transpose(1, 0, 2).reshape(i.side, len(i.columns) * i.side) for i in items]
+        self.wide = [
+            smat(i.rows.T).transpose(1, 0, 2).reshape(i.side, len(i.columns) * i.side)
+            for i in items
+        ]
         self.order = sum(item.side for item in items)
         self.x = np.zeros(len(cost))
-        reach = [i.side * (1 + np.abs(self.cost[own > 0]).max(initial=0)) / (1 + np.sqrt(own.max(initial=0)))
-                 for i, own in zip(items, (own * self.unit**2 for own in squares), strict=True)]  # fmt: skip
-        self.Z = [max(10.0, np.sqrt(i.side), np.sqrt(i.side) * f) * np.eye(i.side) for i, f in zip(items, reach, strict=True)]
-        self.S = [max(10.0, np.sqrt(i.side), float(np.linalg.norm(i.constant))) * np.eye(i.side) for i in items]
+        reach = [
+            i.side
+            * (1 + np.abs(self.cost[own > 0]).max(initial=0))
+            / (1 + np.sqrt(own.max(initial=0)))
+            for i, own in zip(items, (own * self.unit**2 for own in squares), strict=True)
+        ]
+        self.Z = [
+            max(10.0, np.sqrt(i.side), np.sqrt(i.side) * f) * np.eye(i.side)
+            for i, f in zip(items, reach, strict=True)
+        ]
+        self.S = [
+            max(10.0, np.sqrt(i.side), float(np.linalg.norm(i.constant))) * np.eye(i.side)
+            for i in items
+        ]
 
     def run(self, tolerance: float, time_limit: float, hopeless: float) -> Minimum:
         begun = time.monotonic()
@@ -169,7 +205,9 @@ class _Solver:
                     break
             except np.linalg.LinAlgError as error:
                 if step == 1:
-                    raise NumericalFailure("the matrix inequalities are singular at the start; scale the problem") from error
+                    raise NumericalFailure(
+                        "the matrix inequalities are singular at the start; scale the problem"
+                    ) from error
                 break
         return self.minimum(status, step)
 
@@ -178,9 +216,12 @@ class _Solver:
         bound = -sum(float(i.constant @ svec(Z)) for i, Z in zip(self.items, self.Z, strict=True))
         r = self.residuals()
         primal = max(
-            float(np.linalg.norm(R)) / (1 + float(np.linalg.norm(i.constant))) for R, i in zip(r, self.items, strict=True)
+            float(np.linalg.norm(R)) / (1 + float(np.linalg.norm(i.constant)))
+            for R, i in zip(r, self.items, strict=True)
         )
-        dual = float(np.linalg.norm(self.cost - self.adjoint(self.Z))) / (1 + float(np.linalg.norm(self.cost)))
+        dual = float(np.linalg.norm(self.cost - self.adjoint(self.Z))) / (
+            1 + float(np.linalg.norm(self.cost))
+        )
         gap = self.complementarity() / (1 + abs(value) + abs(bound))
         return Minimum(self.x * self.unit, value, bound, status, primal, dual, gap, step)
 
@@ -212,7 +253,13 @@ class _Solver:
         r = self.residuals()
         dx, dS, dZ = self.direction(factor, inverse, r, 0.0, None)
         a, b = _longest(self.S, dS), _longest(self.Z, dZ)
-        after = sum(np.sum((S + a * d) * (Z + b * e)) for S, d, Z, e in zip(self.S, dS, self.Z, dZ, strict=True)) / self.order
+        after = (
+            sum(
+                np.sum((S + a * d) * (Z + b * e))
+                for S, d, Z, e in zip(self.S, dS, self.Z, dZ, strict=True)
+            )
+            / self.order
+        )
         power = max(1.0, 3 * min(a, b) ** 2)
         centre = min(1.0, max(float(after) / mu, 1e-6) ** power)
         second = [_symmetric(e @ d @ W) for d, e, W in zip(dS, dZ, inverse, strict=True)]
@@ -227,7 +274,9 @@ class _Solver:
     def schur_complement(self, inverse: Sequence[np.ndarray]) -> tuple[np.ndarray, bool]:
         """Cholesky factor of M_jk = sum_i tr(F_ij Z_i F_ik S_i^-1)."""
         M = np.zeros((len(self.cost), len(self.cost)))
-        products: dict[tuple[MatrixVariable, MatrixVariable], tuple[list[np.ndarray], list[np.ndarray]]] = {}
+        products: dict[
+            tuple[MatrixVariable, MatrixVariable], tuple[list[np.ndarray], list[np.ndarray]]
+        ] = {}
         for i, F, Z, W in zip(self.items, self.wide, self.Z, inverse, strict=True):
             d, k = i.side, len(i.columns)
             G = (Z @ F).reshape(d, k, d).transpose(1, 0, 2).reshape(k * d, d) @ W
@@ -245,17 +294,24 @@ class _Solver:
                     Q += more[1]
         for (first, second), (P, Q) in products.items():
             double = 1 if first is second else 2
-            M[first.start : first.stop, second.start : second.stop] += double * curvature(first, second, P, Q)
+            M[first.start : first.stop, second.start : second.stop] += double * curvature(
+                first, second, P, Q
+            )
         M *= self.unit[:, None] * self.unit
         M = (M + M.T) / 2
         diagonal = np.diag_indices(len(M))
-        M[diagonal] = np.where(M[diagonal] > 0, M[diagonal] * (1 + 1e-14), 1.0)  # 1: a variable that appears nowhere
+        # 1: a variable that appears nowhere
+        M[diagonal] = np.where(M[diagonal] > 0, M[diagonal] * (1 + 1e-14), 1.0)
         return sla.cho_factor(M, check_finite=False)
 
     def direction(
-        self, factor: tuple[np.ndarray, bool], inverse: Sequence[np.ndarray], r: Sequence[np.ndarray], mu: float,
+        self,
+        factor: tuple[np.ndarray, bool],
+        inverse: Sequence[np.ndarray],
+        r: Sequence[np.ndarray],
+        mu: float,
         second: Sequence[np.ndarray] | None,
-    ) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:  # fmt: skip
+    ) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
         """dx, dS and dZ = mu S^-1 - Z - sym(Z dS S^-1) - second."""
         fixed = [mu * W - _symmetric(Z @ R @ W) for W, Z, R in zip(inverse, self.Z, r, strict=True)]
         if second is not None:
@@ -263,7 +319,10 @@ class _Solver:
         dx = sla.cho_solve(factor, self.adjoint(fixed) - self.cost)
         change = [i.value(dx * self.unit) for i in self.items]
         dS = [c + R for c, R in zip(change, r, strict=True)]
-        dZ = [f - Z - _symmetric(Z @ c @ W) for f, Z, c, W in zip(fixed, self.Z, change, inverse, strict=True)]
+        dZ = [
+            f - Z - _symmetric(Z @ c @ W)
+            for f, Z, c, W in zip(fixed, self.Z, change, inverse, strict=True)
+        ]
         return dx, dS, dZ
 
 

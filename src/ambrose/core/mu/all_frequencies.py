@@ -1,13 +1,16 @@
-"""Mixed mu below a level at every frequency, proved: constant scalings on short intervals, and nothing left between points.
+"""Mixed mu below a level at every frequency, proved: constant scalings on short intervals, and
+nothing left between points.
 
 With the scalings (X, G) of one frequency the M that satisfy
 
     M^H X_z M + j (G M - M^H G^H) < X_w
 
-are a convex set. Two values of M that lie in it with room to spare therefore vouch for the chord between them, and for all that
-is as near to the chord as the room allows: ``core/mu/chords.py`` says how near M(j omega) stays. Intervals are halved until
-their scalings do; all that are open are tried together. Where mu itself reaches the level, the level is raised, which leaves
-valid what was proved before. Skewed: only some rows of M are divided by the level, as for a worst-case gain (Fan & Tits 1992).
+are a convex set. Two values of M that lie in it with room to spare therefore vouch for the chord
+between them, and for all that is as near to the chord as the room allows: ``core/mu/chords.py``
+says how near M(j omega) stays. Intervals are halved until their scalings do; all that are open are
+tried together. Where mu itself reaches the level, the level is raised, which leaves valid what was
+proved before. Skewed: only some rows of M are divided by the level, as for a worst-case gain (Fan &
+Tits 1992).
 """
 
 from __future__ import annotations
@@ -18,7 +21,13 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import NumericalFailure, UnstableSystem, check_positive, invalid, named_failure
+from ambrose.core.checks import (
+    NumericalFailure,
+    UnstableSystem,
+    check_positive,
+    invalid,
+    named_failure,
+)
 from ambrose.core.frequency import largest_gain
 from ambrose.core.lft import Block
 from ambrose.core.mu.chords import Chords, chords
@@ -29,9 +38,11 @@ _CELLS = 8  # chords per interval
 _FINER = (1, 8, 64)  # how much finer the chords are made before an interval is halved
 _EASY = 0.7  # size of the balanced matrix below which its scalings will do
 _FIRST = 12  # intervals per decade to begin with
-_SPAN = 1e-3, 1e3  # from the slowest pole times this to the fastest times that, then on to zero and infinity
+# from the slowest pole times this to the fastest times that, then on to zero and infinity
+_SPAN = 1e-3, 1e3
 _ROUND = 400  # intervals tried together
-_HELD = 100_000  # complex numbers of the vertices worked on together: memory that is not asked for anew every time
+# complex numbers of the vertices worked on together: memory that is not asked for anew every time
+_HELD = 100_000
 _HIGHEST = 1e25  # rad/s, above which the rest is not pushed any further out
 _THINNEST = 1e-11  # relative width of an interval that is not halved any more
 _TOLERANCE = 1e-3  # of a level at one frequency
@@ -40,7 +51,9 @@ _FACTOR = 100.0  # by which a level is raised at most before it is given up
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProvedLevel:
-    """mu < ``level`` at all frequencies; frequency [rad/s]: where it was raised last (NaN: never); intervals: how many."""
+    """mu < ``level`` at all frequencies; frequency [rad/s]: where it was raised last (NaN: never);
+    intervals: how many.
+    """
 
     level: float
     frequency: float
@@ -59,18 +72,26 @@ def proved_level(
     omega: np.ndarray | None = None,
     max_intervals: int = 6_000,
 ) -> ProvedLevel:
-    """The lowest level >= ``start`` found with mu(M(j omega)) < level proved for all omega, infinity included.
+    """The lowest level >= ``start`` found with mu(M(j omega)) < level proved for all omega,
+    infinity included.
 
-    system: M, stable and continuous, or its ``Chords``. skew (n_z,) bool: the rows of M that the level divides, so that the
-    proof is of mu < 1 for what remains (None: all rows, which is mu < level itself). room: what a raised level is above the
-    upper bound of mu there. highest: a level above it is not tried. omega (w,) [rad/s]: where to look first.
+    system: M, stable and continuous, or its ``Chords``. skew (n_z,) bool: the rows of M that the
+    level divides, so that the proof is of mu < 1 for what remains (None: all rows, which is mu <
+    level itself). room: what a raised level is above the upper bound of mu there. highest: a level
+    above it is not tried. omega (w,) [rad/s]: where to look first.
 
-    Raises InvalidInput, and NumericalFailure where no level up to ``highest``, or 100 times ``start``, is proved.
+    Raises InvalidInput, and NumericalFailure where no level up to ``highest``, or 100 times
+    ``start``, is proved.
     """
     structure = structure_of(blocks)
     model = system if isinstance(system, Chords) else chords(system)
     if model.D.shape != (structure.n_z, structure.n_w):
-        raise invalid("the shape of M", model.D.shape, f"{(structure.n_z, structure.n_w)}, as the blocks have it", "match them")
+        raise invalid(
+            "the shape of M",
+            model.D.shape,
+            f"{(structure.n_z, structure.n_w)}, as the blocks have it",
+            "match them",
+        )
     rows = np.ones(structure.n_z, bool) if skew is None else np.asarray(skew, bool)
     top = min(highest, _FACTOR * check_positive(start, "start", "give a level"))
     task = _Task(model, structure, rows, room, top, start)
@@ -79,11 +100,14 @@ def proved_level(
     low, high = _intervals(model)
     tried = 0
     while len(low):
-        now, low, high = (low[:_ROUND], high[:_ROUND]), low[_ROUND:], high[_ROUND:]
+        now = (low[:_ROUND], high[:_ROUND])
+        low = low[_ROUND:]
+        high = high[_ROUND:]
         tried += len(now[0])
         if tried > max_intervals:
             raise NumericalFailure(
-                f"{tried} intervals of frequency did not suffice for a proof at the level {task.level:.4g}; {len(low)} are "
+                f"{tried} intervals of frequency did not suffice for a proof at the level "
+                f"{task.level:.4g}; {len(low)} are "
                 f"open near {now[0][0]:.4g} rad/s: allow more, or a higher level"
             )
         more = task.attempt(*now)
@@ -91,40 +115,58 @@ def proved_level(
     return ProvedLevel(task.level, task.frequency, tried)
 
 
-def proved_below(loop: Any, blocks: Sequence[Block], level: float, max_intervals: int = 6_000) -> bool:
-    """Whether mu(M(j omega)) < level was proved for all frequencies, infinity included; loop: M, continuous and stable.
+def proved_below(
+    loop: Any, blocks: Sequence[Block], level: float, max_intervals: int = 6_000
+) -> bool:
+    """Whether mu(M(j omega)) < level was proved for all frequencies, infinity included; loop: M,
+    continuous and stable.
 
-    False where the proof ends in a numerical failure as well: it never takes with it what it was to prove something about.
-    Complex uncertainty, or a block for the performance, must be among the blocks: with real ones alone the scalings grow
-    without bound.
+    False where the proof ends in a numerical failure as well: it never takes with it what it was to
+    prove something about. Complex uncertainty, or a block for the performance, must be among the
+    blocks: with real ones alone the scalings grow without bound.
     """
     try:
         proved_level(loop, blocks, level, highest=level, max_intervals=max_intervals)
-    except (NumericalFailure, UnstableSystem, np.linalg.LinAlgError):  # a proof that fails takes no result with it
+    except (
+        NumericalFailure,
+        UnstableSystem,
+        np.linalg.LinAlgError,
+    ):  # a proof that fails takes no result with it
         return False
     return True
 
 
 def least_level(
-    M: np.ndarray, structure: Structure, skew: np.ndarray, start: float, tolerance: float = _TOLERANCE
+    M: np.ndarray,
+    structure: Structure,
+    skew: np.ndarray,
+    start: float,
+    tolerance: float = _TOLERANCE,
 ) -> tuple[float, int]:
-    """The smallest level found >= ``start`` with mu < 1 for all M (w, n_z, n_w) whose ``skew`` rows it divides, and which of
-    them asks for it. Infinite where 100 times ``start`` does not suffice."""
+    """The smallest level found >= ``start`` with mu < 1 for all M (w, n_z, n_w) whose ``skew`` rows
+    it divides, and which of them asks for it. Infinite where 100 times ``start`` does not suffice.
+    """
 
     def exceeds(part: np.ndarray, level: float) -> np.ndarray:
         scaled = _divided(part, skew, level)
         over = largest_gain(osborne(scaled, structure)[0]) >= 1 - tolerance / 10
         enough = np.full(int(over.sum()), 1 - tolerance / 10)  # whether mu < 1 is all that is asked
-        over[over] = upper_bound(scaled[over], structure, level=enough, tolerance=tolerance / 10).value >= 1
+        over[over] = (
+            upper_bound(scaled[over], structure, level=enough, tolerance=tolerance / 10).value >= 1
+        )
         return over
 
-    low, high, step = start, start * (1 + tolerance), 1 + tolerance
+    low = start
+    high = start * (1 + tolerance)
+    step = 1 + tolerance
     active, which = M, np.arange(len(M))
     while True:
         left = exceeds(active, high)
         if not left.any():
             break
-        active, which, low = active[left], which[left], high
+        active = active[left]
+        which = which[left]
+        low = high
         step = step**2
         high *= step
         if high > _FACTOR * start:
@@ -133,7 +175,9 @@ def least_level(
         middle = np.sqrt(low * high)
         left = exceeds(active, middle)
         if left.any():
-            active, which, low = active[left], which[left], middle
+            active = active[left]
+            which = which[left]
+            low = middle
         else:
             high = middle
     return float(high), int(which[0])
@@ -144,7 +188,9 @@ def _divided(M: np.ndarray, skew: np.ndarray, level: float) -> np.ndarray:
 
 
 def _intervals(model: Chords) -> tuple[np.ndarray, np.ndarray]:
-    """The intervals to begin with, low and high (c,), from 0 to infinity; finer next to poles of little damping."""
+    """The intervals to begin with, low and high (c,), from 0 to infinity; finer next to poles of
+    little damping.
+    """
     every = model.every_pole
     if not every.size:
         return np.array([0.0]), np.array([np.inf])
@@ -170,14 +216,19 @@ class _Task:
     frequency: float = float("nan")
 
     def lift(self, omega: np.ndarray) -> None:
-        """Raise the level until the upper bound is below it at omega (w,), with room. Raises NumericalFailure."""
-        found, i = least_level(self.model.at(omega), self.structure, self.skew, self.level / (1 + self.room))
+        """Raise the level until the upper bound is below it at omega (w,), with room. Raises
+        NumericalFailure.
+        """
+        found, i = least_level(
+            self.model.at(omega), self.structure, self.skew, self.level / (1 + self.room)
+        )
         self.raised(found * (1 + self.room), float(omega[i]))
 
     def raised(self, level: float, frequency: float) -> None:
         if level > self.highest * (1 + 1e-12):
             raise NumericalFailure(
-                f"the structured singular value is not proved below {self.highest:.4g}: its bound at {frequency:.4g} rad/s is "
+                f"the structured singular value is not proved below {self.highest:.4g}: its bound "
+                f"at {frequency:.4g} rad/s is "
                 f"{level:.4g}; shrink the uncertainty, or allow a higher level"
             )
         if level > self.level:
@@ -187,10 +238,13 @@ class _Task:
         """Try the intervals; what remains of them, (low, high)."""
         end = np.isinf(high)
         middle = np.where(end, np.inf, 0.5 * (low + np.where(end, low, high)))
-        scalings, holds = _scalings(_divided(self.model.at(middle), self.skew, self.level), self.structure)
+        scalings, holds = _scalings(
+            _divided(self.model.at(middle), self.skew, self.level), self.structure
+        )
         good = np.zeros((len(low), _CELLS), bool)
         left = np.flatnonzero(holds)
-        for finer in _FINER:  # what is near the edge with so many chords may be well inside with more
+        # what is near the edge with so many chords may be well inside with more
+        for finer in _FINER:
             part = scalings.part(left)
             fine = self._contained(part, low[left], high[left], _CELLS * finer)
             good[left] |= fine.reshape(len(left), _CELLS, finer).all(axis=2)
@@ -201,18 +255,28 @@ class _Task:
             self.lift_at(middle[~holds])
         return self._rest(low, high, good)
 
-    def _contained(self, found: UpperBound, low: np.ndarray, high: np.ndarray, cells: int) -> np.ndarray:
-        """Which of the equal cells (i, cells) of the intervals the scalings prove, a few intervals at a time."""
+    def _contained(
+        self, found: UpperBound, low: np.ndarray, high: np.ndarray, cells: int
+    ) -> np.ndarray:
+        """Which of the equal cells (i, cells) of the intervals the scalings prove, a few intervals
+        at a time.
+        """
         step = max(1, _HELD // (cells * self.model.D.size))
         if len(low) > step:
             parts = [np.arange(i, min(i + step, len(low))) for i in range(0, len(low), step)]
-            return np.concatenate([self._contained(found.part(part), low[part], high[part], cells) for part in parts])
+            return np.concatenate(
+                [self._contained(found.part(part), low[part], high[part], cells) for part in parts]
+            )
         end = np.isinf(high)
-        points = low[:, None] + (np.where(end, low, high) - low)[:, None] * np.linspace(0.0, 1.0, cells + 1)
+        points = low[:, None] + (np.where(end, low, high) - low)[:, None] * np.linspace(
+            0.0, 1.0, cells + 1
+        )
         points[end] = np.inf
         M = self.model.at(points.ravel()).reshape(*points.shape, *self.model.D.shape)
         slack = self.model.distance(low, high, cells)
-        return _contained(found, *(_divided(part, self.skew, self.level) for part in (M, slack[:, None])))
+        return _contained(
+            found, *(_divided(part, self.skew, self.level) for part in (M, slack[:, None]))
+        )
 
     def lift_at(self, omega: np.ndarray) -> None:
         """The bound reaches the level at omega: raise it there, and by the room at least."""
@@ -224,14 +288,19 @@ class _Task:
             found, i = least_level(M, self.structure, self.skew, self.level)
         self.raised(found * (1 + self.room), float(omega[i]))
 
-    def _rest(self, low: np.ndarray, high: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The parts that are not proved yet: runs of open cells; an interval of which all is open is halved."""
+    def _rest(
+        self, low: np.ndarray, high: np.ndarray, good: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The parts that are not proved yet: runs of open cells; an interval of which all is open
+        is halved.
+        """
         new_low, new_high = [], []
         for i in np.flatnonzero(~good.all(axis=1)):
             if np.isinf(high[i]):
                 if low[i] > _HIGHEST:
                     raise NumericalFailure(
-                        f"the level {self.level:.6g} is not proved towards infinite frequency: the direct term reaches it; "
+                        f"the level {self.level:.6g} is not proved towards infinite frequency: "
+                        "the direct term reaches it; "
                         "allow a higher level"
                     )
                 new_low += [low[i], 4 * max(low[i], 1e-300)]
@@ -239,7 +308,8 @@ class _Task:
                 continue
             if high[i] - low[i] < _THINNEST * high[i]:
                 raise NumericalFailure(
-                    f"no scalings prove the level {self.level:.6g} on any interval around {low[i]:.6g} rad/s: the bound is "
+                    f"no scalings prove the level {self.level:.6g} on any interval around "
+                    f"{low[i]:.6g} rad/s: the bound is "
                     "reached there within rounding; allow a higher level"
                 )
             cells = np.flatnonzero(~good[i])
@@ -248,12 +318,16 @@ class _Task:
                 runs = [cells[: _CELLS // 2], cells[_CELLS // 2 :]]
             width = (high[i] - low[i]) / _CELLS
             new_low += [low[i] + width * run[0] for run in runs]
-            new_high += [low[i] + width * (run[-1] + 1) if run[-1] + 1 < _CELLS else high[i] for run in runs]
+            new_high += [
+                low[i] + width * (run[-1] + 1) if run[-1] + 1 < _CELLS else high[i] for run in runs
+            ]
         return np.array(new_low), np.array(new_high)
 
 
 def _scalings(M: np.ndarray, structure: Structure) -> tuple[UpperBound, np.ndarray]:
-    """Scalings with room at M (i, n_z, n_w), those of the balanced matrix where they suffice, and whether they prove mu < 1."""
+    """Scalings with room at M (i, n_z, n_w), those of the balanced matrix where they suffice, and
+    whether they prove mu < 1.
+    """
     balanced, d_z, d_w = osborne(M, structure)
     value = largest_gain(balanced)
     X_w, X_z = (np.einsum("bi,ij->bij", d**2, np.eye(d.shape[1])) + 0j for d in (d_w, d_z))
@@ -262,15 +336,22 @@ def _scalings(M: np.ndarray, structure: Structure) -> tuple[UpperBound, np.ndarr
     if len(hard):
         found = upper_bound(M[hard], structure, level=np.ones(len(hard)), max_iterations=60)
         value[hard] = found.value
-        X_w[hard], X_z[hard], G[hard] = found.X_w, found.X_z, found.G
+        X_w[hard] = found.X_w
+        X_z[hard] = found.X_z
+        G[hard] = found.G
     holds = (value < 1) & positive_definite(X_w) & positive_definite(X_z)  # after scaling back
     return UpperBound(value, X_w, X_z, G, np.zeros((len(M), structure.n_w))), holds
 
 
 def _contained(found: UpperBound, M: np.ndarray, slack: np.ndarray) -> np.ndarray:
-    """Which cells (i, c) the scalings prove, for vertices M (i, c + 1, n_z, n_w) and distances from the chords ``slack``."""
+    """Which cells (i, c) the scalings prove, for vertices M (i, c + 1, n_z, n_w) and distances from
+    the chords ``slack``.
+    """
     L_w, L_z = np.linalg.cholesky(found.X_w), np.linalg.cholesky(found.X_z)
-    right, left = np.linalg.inv(L_w).conj().swapaxes(1, 2)[:, None], L_z.conj().swapaxes(1, 2)[:, None]
+    right, left = (
+        np.linalg.inv(L_w).conj().swapaxes(1, 2)[:, None],
+        L_z.conj().swapaxes(1, 2)[:, None],
+    )
     N = left @ M @ right
     G = np.linalg.inv(L_w) @ found.G @ np.linalg.inv(L_z).conj().swapaxes(1, 2)
     shifted = N - 1j * G.conj().swapaxes(1, 2)[:, None]
@@ -279,8 +360,12 @@ def _contained(found: UpperBound, M: np.ndarray, slack: np.ndarray) -> np.ndarra
     Phi = N.conj().swapaxes(2, 3) @ N + cross + cross.conj().swapaxes(2, 3)
     wide = ~np.isfinite(slack).all(axis=(2, 3))
     moved = np.abs(left) @ np.where(wide[..., None, None], 0.0, slack) @ np.abs(right)
-    # Phi moves by (N - j G^H)^H F + its conjugate + F^H F for every F that is no larger than ``moved``, entry by entry
-    reach = 2 * np.linalg.norm(np.abs(shifted).swapaxes(2, 3) @ moved, axis=(2, 3)) + np.linalg.norm(moved, axis=(2, 3)) ** 2
+    # Phi moves by (N - j G^H)^H F + its conjugate + F^H F for every F that is no larger than
+    # ``moved``, entry by entry
+    reach = (
+        2 * np.linalg.norm(np.abs(shifted).swapaxes(2, 3) @ moved, axis=(2, 3))
+        + np.linalg.norm(moved, axis=(2, 3)) ** 2
+    )
     size = np.linalg.norm(shifted, axis=(2, 3)) ** 2 + gap
     edge = np.linalg.norm(Phi, axis=(2, 3))  # no eigenvalue is larger, nor lower than its negative
     rest = reach + 1e-13 * size

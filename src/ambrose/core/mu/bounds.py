@@ -1,12 +1,14 @@
-"""Structured singular value mu(M) = 1 / min{ sigma_max(Delta) : det(I - M Delta) = 0 }, mixed real and complex blocks.
+"""Structured singular value mu(M) = 1 / min{ sigma_max(Delta) : det(I - M Delta) = 0 }, mixed real
+and complex blocks.
 
-The public face: ``mu_bounds`` at given matrices, ``mu_peak`` over frequency. The algorithms are in upper.py, lower.py and
-peak.py; all_frequencies.py proves a level.
+The public face: ``mu_bounds`` at given matrices, ``mu_peak`` over frequency. The algorithms are in
+upper.py, lower.py and peak.py; all_frequencies.py proves a level.
 
-With real blocks only, mu is a discontinuous function of M and may be 0 (det(I - M Delta) never vanishes for real Delta, as for
-M = 6.78j): the smallest error in M, or a step in frequency, may change it by a jump. The upper bound is safe at the M it is
-given and nowhere else; a claim over frequency needs ``proved_level``. Some complex uncertainty (a performance block, or a
-few per cent of neglected dynamics) makes mu continuous.
+With real blocks only, mu is a discontinuous function of M and may be 0 (det(I - M Delta) never
+vanishes for real Delta, as for M = 6.78j): the smallest error in M, or a step in frequency, may
+change it by a jump. The upper bound is safe at the M it is given and nowhere else; a claim over
+frequency needs ``proved_level``. Some complex uncertainty (a performance block, or a few per cent
+of neglected dynamics) makes mu continuous.
 """
 
 from __future__ import annotations
@@ -33,10 +35,11 @@ __all__ = ["MuBounds", "MuPeak", "mu_bounds", "mu_peak"]
 class MuBounds(Presented):
     """Bounds of mu at each matrix M (..., n_z, n_w), on the grid and nowhere between.
 
-    upper, lower (...): lower <= mu <= upper. D_w (..., n_w, n_w), D_z (..., n_z, n_z): Hermitian positive scalings, Delta D_z =
-    D_w Delta; sigma_max(D_z M D_w^-1) is the complex bound. G (..., n_w, n_z): Hermitian on the real blocks, else zero, in
-    M^H D_z^2 M + j (G M - M^H G^H) <= upper^2 D_w^2. delta (..., n_w, n_z): a perturbation with det(I - M delta) = 0 and
-    largest singular value 1/lower; NaN where lower is 0 (none was found).
+    upper, lower (...): lower <= mu <= upper. D_w (..., n_w, n_w), D_z (..., n_z, n_z): Hermitian
+    positive scalings, Delta D_z = D_w Delta; sigma_max(D_z M D_w^-1) is the complex bound. G (...,
+    n_w, n_z): Hermitian on the real blocks, else zero, in M^H D_z^2 M + j (G M - M^H G^H) <=
+    upper^2 D_w^2. delta (..., n_w, n_z): a perturbation with det(I - M delta) = 0 and largest
+    singular value 1/lower; NaN where lower is 0 (none was found).
     """
 
     upper: np.ndarray
@@ -50,11 +53,21 @@ class MuBounds(Presented):
     def facts(self) -> Mapping[str, Any]:
         """The largest bounds over all matrices, and the blocks."""
         largest = {name: float(getattr(self, name).max(initial=0.0)) for name in ("upper", "lower")}
-        return {**largest, "matrices": self.upper.size, "blocks": [block.name for block in self.blocks]}
+        return {
+            **largest,
+            "matrices": self.upper.size,
+            "blocks": [block.name for block in self.blocks],
+        }
 
     def to_dict(self) -> dict[str, Any]:
-        """The bounds and the names of the blocks, ready for JSON; scalings and perturbations stay behind."""
-        return {"upper": to_plain(self.upper), "lower": to_plain(self.lower), "blocks": [block.name for block in self.blocks]}
+        """The bounds and the names of the blocks, ready for JSON; scalings and perturbations stay
+        behind.
+        """
+        return {
+            "upper": to_plain(self.upper),
+            "lower": to_plain(self.lower),
+            "blocks": [block.name for block in self.blocks],
+        }
 
     @property
     def gap(self) -> np.ndarray:
@@ -62,9 +75,13 @@ class MuBounds(Presented):
         return (self.upper - self.lower) / np.where(self.upper > 0, self.upper, 1.0)
 
     def worst(self, index: int | tuple[int, ...] = ()) -> dict[str, complex | np.ndarray]:
-        """The perturbation at one matrix by block name: a number for a repeated block (real or complex), an array (n_w, n_z)
-        for a full block."""
-        delta, result, i, j = self.delta[index], {}, 0, 0
+        """The perturbation at one matrix by block name: a number for a repeated block (real or
+        complex), an array (n_w, n_z) for a full block.
+        """
+        delta = self.delta[index]
+        result = {}
+        i = 0
+        j = 0
         for block in self.blocks:
             part = delta[..., i : i + block.n_w, j : j + block.n_z]
             result[block.name] = part if isinstance(block, FullBlock) else part[..., 0, 0]
@@ -84,36 +101,48 @@ def mu_bounds(
     restarts: int = 4,
     seed: int = 0,
 ) -> MuBounds:
-    """Upper and lower bound of the structured singular value of every matrix in M, with the scalings and a worst perturbation.
+    """Upper and lower bound of the structured singular value of every matrix in M, with the
+    scalings and a worst perturbation.
 
-    M (..., n_z, n_w): maps w to z, w = Delta z; leading axes are a batch, typically frequencies. blocks: RealBlock,
-    ComplexBlock, FullBlock in the order of the channels. g_scaling: False treats real blocks as complex (D-K wants G = 0).
-    lower: False skips the lower bound (it is then 0). tolerance [-]: relative distance at which either search stops.
-    max_iterations: Newton steps of the upper bound. restarts, seed: random starts of the lower bound where a gap remains.
+    M (..., n_z, n_w): maps w to z, w = Delta z; leading axes are a batch, typically frequencies.
+    blocks: RealBlock, ComplexBlock, FullBlock in the order of the channels. g_scaling: False treats
+    real blocks as complex (D-K wants G = 0). lower: False skips the lower bound (it is then 0).
+    tolerance [-]: relative distance at which either search stops. max_iterations: Newton steps of
+    the upper bound. restarts, seed: random starts of the lower bound where a gap remains.
 
-    The upper bound is re-verified with the final scalings by one eigenvalue computation, rounding error included; the lower
-    bound by the singular values of I - M delta. The upper bound is within ``tolerance`` of the best with these scalings; with
-    real blocks alone, where mu jumps and the scalings may grow without bound, it holds but may be looser. A matrix that
-    rounding makes singular on the way costs itself some tightness and the others of the batch nothing. Raises InvalidInput
-    when the blocks do not fit M, or M is not finite.
-    Fan, Tits & Doyle 1991 (upper bound); Packard, Fan & Doyle 1988 and Young & Doyle 1990 (lower bound).
+    The upper bound is re-verified with the final scalings by one eigenvalue computation, rounding
+    error included; the lower bound by the singular values of I - M delta. The upper bound is within
+    ``tolerance`` of the best with these scalings; with real blocks alone, where mu jumps and the
+    scalings may grow without bound, it holds but may be looser. A matrix that rounding makes
+    singular on the way costs itself some tightness and the others of the batch nothing. Raises
+    InvalidInput when the blocks do not fit M, or M is not finite. Fan, Tits & Doyle 1991 (upper
+    bound); Packard, Fan & Doyle 1988 and Young & Doyle 1990 (lower bound).
     """
     structure = structure_of(blocks)
     array = check_matrix(M, structure)
     check_positive(tolerance, "tolerance", "use something like 1e-4")
     if max_iterations < 1 or restarts < 0 or seed < 0:
         given = (max_iterations, restarts, seed)
-        raise invalid("max_iterations, restarts, seed", given, "at least 1, 0 and 0", "leave the defaults")
+        raise invalid(
+            "max_iterations, restarts, seed", given, "at least 1, 0 and 0", "leave the defaults"
+        )
     batch = array.shape[:-2]
     flat = array.reshape(int(np.prod(batch)), structure.n_z, structure.n_w)
     # sizes near 1 whatever the units, so that nothing over- or underflows
     scale = np.abs(flat).max(axis=(1, 2), initial=0.0)
     scale = np.where(scale > 0, scale, 1.0)
     unit = flat / scale[:, None, None]
-    up = upper_bound(unit, structure, g_scaling=g_scaling, tolerance=tolerance, max_iterations=max_iterations)
-    value, delta = np.zeros(len(flat)), np.full((len(flat), structure.n_w, structure.n_z), np.nan, complex)
+    up = upper_bound(
+        unit, structure, g_scaling=g_scaling, tolerance=tolerance, max_iterations=max_iterations
+    )
+    value, delta = (
+        np.zeros(len(flat)),
+        np.full((len(flat), structure.n_w, structure.n_z), np.nan, complex),
+    )
     if lower:
-        low = lower_bound(unit, structure, up.value, up.worst, tolerance=tolerance, restarts=restarts, seed=seed)
+        low = lower_bound(
+            unit, structure, up.value, up.worst, tolerance=tolerance, restarts=restarts, seed=seed
+        )
         value, delta = np.minimum(low.value, up.value), low.delta
     D_w, D_z, G = _square_roots(up.X_w, up.X_z, up.G * scale[:, None, None], structure)
     return MuBounds(
@@ -130,14 +159,20 @@ def mu_bounds(
 def _square_roots(
     X_w: np.ndarray, X_z: np.ndarray, G: np.ndarray, structure: Structure
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Hermitian roots D of X, block by block; the last block's first entry is scaled to 1, and G with it."""
+    """Hermitian roots D of X, block by block; the last block's first entry is scaled to 1, and G
+    with it.
+    """
     last = structure.places[-1]
     unit = X_w[:, last.w.start, last.w.start].real[:, None, None]
-    X_w, X_z, G = X_w / unit, X_z / unit, G / unit
+    X_w = X_w / unit
+    X_z = X_z / unit
+    G = G / unit
     D_w, D_z = np.zeros_like(X_w), np.zeros_like(X_z)
     for place in structure.places:
         for X, D, part in ((X_w, D_w, place.w), (X_z, D_z, place.z)):
             values, vectors = np.linalg.eigh(X[:, part, part])
-            root = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ vectors.conj().swapaxes(1, 2)
+            root = (
+                vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+            ) @ vectors.conj().swapaxes(1, 2)
             D[:, part, part] = root
     return D_w, D_z, G

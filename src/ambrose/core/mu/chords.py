@@ -1,12 +1,14 @@
-"""A frequency response between two frequencies: the chord that joins its values, and how far it can lie from it.
+"""A frequency response between two frequencies: the chord that joins its values, and how far it can
+lie from it.
 
 M(s) = D + sum of R_k / (s - p_k) in modal form, so that between a and b, entry by entry,
 
     |M(j omega) - chord| <= (b - a)^2 / 8 max |M''|,
 
-with M'' by its Taylor series in the middle, the remainder by the sum of n! |R_k| / d_k^(n+1), d_k the distance of p_k from the
-interval: residues that cancel do so in the terms that count. Poles that cannot be told apart stay together as a small matrix,
-whose resolvent is bounded by a Neumann series. Nothing is asked of a grid: what lies between its points is enclosed.
+with M'' by its Taylor series in the middle, the remainder by the sum of n! |R_k| / d_k^(n+1), d_k
+the distance of p_k from the interval: residues that cancel do so in the terms that count. Poles
+that cannot be told apart stay together as a small matrix, whose resolvent is bounded by a Neumann
+series. Nothing is asked of a grid: what lies between its points is enclosed.
 """
 
 from __future__ import annotations
@@ -26,14 +28,16 @@ from ambrose.core.statespace import StateSpace, as_statespace
 
 _GROWTH = (1e4, 1e2, 1e1)  # of the transforms that separate poles, the first that keeps the digits
 _TERMS = 8  # of the Taylor series
-_CONDITION = 1e9  # of the eigenvectors of a cluster, up to which its resolvent is also bounded in their coordinates
+# of the eigenvectors of a cluster, up to which its resolvent is also bounded in their coordinates
+_CONDITION = 1e9
 _CHUNK = 200_000  # numbers held at once, which a processor keeps near
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chords:
-    """D (n_z, n_w); poles (k,) [rad/s], both of a pair; residues (k, n_z, n_w); clusters: (A, B, C) of poles kept together,
-    A quasi-triangular."""
+    """D (n_z, n_w); poles (k,) [rad/s], both of a pair; residues (k, n_z, n_w); clusters: (A, B, C)
+    of poles kept together, A quasi-triangular.
+    """
 
     D: np.ndarray
     poles: np.ndarray
@@ -53,7 +57,12 @@ class Chords:
     def part(self, outputs: np.ndarray, inputs: np.ndarray) -> Chords:
         """The chords between some of the inputs and outputs, by number."""
         clusters = tuple((A, B[:, inputs], C[outputs]) for A, B, C in self.clusters)
-        return Chords(self.D[np.ix_(outputs, inputs)], self.poles, self.residues[:, outputs][:, :, inputs], clusters)
+        return Chords(
+            self.D[np.ix_(outputs, inputs)],
+            self.poles,
+            self.residues[:, outputs][:, :, inputs],
+            clusters,
+        )
 
     def at(self, omega: np.ndarray) -> np.ndarray:
         """M (w, n_z, n_w) at omega (w,) [rad/s]; infinity gives D."""
@@ -68,14 +77,20 @@ class Chords:
     def slope(self, omega: np.ndarray) -> np.ndarray:
         """dM/d omega (w, n_z, n_w) at omega (w,) [rad/s]; zero at infinity."""
         finite = np.isfinite(omega)
-        return np.where(finite[:, None, None], -1j * next(self._sums(np.where(finite, omega, 0.0), 2)), 0.0)
+        return np.where(
+            finite[:, None, None], -1j * next(self._sums(np.where(finite, omega, 0.0), 2)), 0.0
+        )
 
     def _sums(self, omega: np.ndarray, first: int, count: int = 1) -> Iterator[np.ndarray]:
-        """The sums of R_k / (j omega - p_k)^power, (w, n_z, n_w) each, for ``count`` powers from ``first``."""
+        """The sums of R_k / (j omega - p_k)^power, (w, n_z, n_w) each, for ``count`` powers from
+        ``first``.
+        """
         s = 1j * omega
         factor = 1 / (s[:, None] - self.poles)
         flat = self.residues.reshape(len(self.poles), self.D.size)
-        sides = [np.repeat(B[:, None, :].astype(complex), len(s), axis=1) for _, B, _ in self.clusters]
+        sides = [
+            np.repeat(B[:, None, :].astype(complex), len(s), axis=1) for _, B, _ in self.clusters
+        ]
         part = factor
         for power in range(1, first + count):
             part = part * factor if power > 1 else part
@@ -88,8 +103,10 @@ class Chords:
                 yield values
 
     def distance(self, low: np.ndarray, high: np.ndarray, cells: int) -> np.ndarray:
-        """Bound (c, n_z, n_w) on the entries of |M - chord| over each interval [low, high] (c,) [rad/s], cut into ``cells`` of
-        one width with a chord each; of |M - D| where high is infinite. Infinite where one is too wide for its clusters."""
+        """Bound (c, n_z, n_w) on the entries of |M - chord| over each interval [low, high] (c,)
+        [rad/s], cut into ``cells`` of one width with a chord each; of |M - D| where high is
+        infinite. Infinite where one is too wide for its clusters.
+        """
         bound = np.empty((len(low), *self.D.shape))
         end = np.isinf(high)
         bound[end] = self._tail(low[end])
@@ -98,7 +115,9 @@ class Chords:
         beside = np.maximum(np.abs(middle[:, None] - self.poles.imag) - half[:, None], 0.0)
         near = np.hypot(self.poles.real, beside)
         last = _TERMS + 3
-        rest = (near**-last @ np.abs(self.residues).reshape(len(self.poles), self.D.size)).reshape(len(low), *self.D.shape)
+        rest = (near**-last @ np.abs(self.residues).reshape(len(self.poles), self.D.size)).reshape(
+            len(low), *self.D.shape
+        )
         for A, B, C in self.clusters:
             rest = rest + _cluster(A, B, C, middle, half, last)
         bend = (_TERMS + 1) * (_TERMS + 2) * half[:, None, None] ** _TERMS * rest
@@ -110,25 +129,37 @@ class Chords:
     def _tail(self, low: np.ndarray) -> np.ndarray:
         """Bound (c, n_z, n_w) on |M - D| above each frequency low (c,) [rad/s]."""
         near = np.hypot(self.poles.real, np.maximum(low[:, None] - np.abs(self.poles.imag), 0.0))
-        bound = (1 / near @ np.abs(self.residues).reshape(len(self.poles), self.D.size)).reshape(len(low), *self.D.shape)
+        bound = (1 / near @ np.abs(self.residues).reshape(len(self.poles), self.D.size)).reshape(
+            len(low), *self.D.shape
+        )
         for A, B, C in self.clusters:
             beyond = np.maximum(low - np.linalg.norm(A, 2), 0.0)[:, None, None]
             outside = np.linalg.norm(C, axis=1)[:, None] * np.linalg.norm(B, axis=0)
-            bound = bound + np.divide(outside, beyond, out=np.full_like(bound, np.inf), where=beyond > 0)
+            bound = bound + np.divide(
+                outside, beyond, out=np.full_like(bound, np.inf), where=beyond > 0
+            )
         return np.asarray(bound)
 
 
-def _cluster(A: np.ndarray, B: np.ndarray, C: np.ndarray, middle: np.ndarray, half: np.ndarray, power: int) -> np.ndarray:
-    """Bound on |C R^power B| within ``half`` of ``middle``: the smaller one of the coordinates given and of eigenvectors."""
+def _cluster(
+    A: np.ndarray, B: np.ndarray, C: np.ndarray, middle: np.ndarray, half: np.ndarray, power: int
+) -> np.ndarray:
+    """Bound on |C R^power B| within ``half`` of ``middle``: the smaller one of the coordinates
+    given and of eigenvectors.
+    """
     bound = _neumann(A, B, C, middle, half, power)
     V = np.linalg.eig(A)[1]
     if np.linalg.cond(V) < _CONDITION:
         inverse = np.linalg.inv(V)
-        bound = np.minimum(bound, _neumann(inverse @ A @ V, inverse @ B, C @ V, middle, half, power))
+        bound = np.minimum(
+            bound, _neumann(inverse @ A @ V, inverse @ B, C @ V, middle, half, power)
+        )
     return bound
 
 
-def _neumann(A: np.ndarray, B: np.ndarray, C: np.ndarray, middle: np.ndarray, half: np.ndarray, power: int) -> np.ndarray:
+def _neumann(
+    A: np.ndarray, B: np.ndarray, C: np.ndarray, middle: np.ndarray, half: np.ndarray, power: int
+) -> np.ndarray:
     """R = R0 (I + j d R0)^-1 with R0 in the middle and |d| <= half."""
     R = np.linalg.inv(1j * middle[:, None, None] * np.eye(len(A)) - A)
     size = np.linalg.norm(R, 2, axis=(1, 2))
@@ -141,18 +172,25 @@ def _neumann(A: np.ndarray, B: np.ndarray, C: np.ndarray, middle: np.ndarray, ha
 
 
 def chords(system: Any) -> Chords:
-    """The chords of a stable continuous system. Raises InvalidInput for a sampled one, UnstableSystem."""
+    """The chords of a stable continuous system. Raises InvalidInput for a sampled one,
+    UnstableSystem.
+    """
     system = as_statespace(system)
     if system.dt is not None:
-        raise invalid("the system", repr(system), "continuous", "give the one that it was sampled from")
-    found = _separated(system)
-    if not (found.every_pole.real < 0).all():
-        raise UnstableSystem(f"a pole has real part {found.every_pole.real.max():.4g} rad/s; close the loop stably first")
-    return found
+        raise invalid(
+            "the system", repr(system), "continuous", "give the one that it was sampled from"
+        )
+    response = modal_chords(system)
+    if not (response.every_pole.real < 0).all():
+        worst = response.every_pole.real.max()
+        raise UnstableSystem(f"a pole has real part {worst:.4g} rad/s; close the loop stably first")
+    return response
 
 
-def _separated(system: StateSpace) -> Chords:
-    """The modal form with the widest separation that keeps its digits; one single cluster where there is none."""
+def modal_chords(system: StateSpace) -> Chords:
+    """The response of a continuous system, stable or not, by its modal form with the widest
+    separation that keeps its digits; one single cluster where there is none.
+    """
     for growth in _GROWTH:
         try:
             modal = modal_form(system, growth)
@@ -166,20 +204,26 @@ def _separated(system: StateSpace) -> Chords:
 
 
 def _residues(modal: ModalForm) -> Chords:
-    A, B, C, D = modal.system.A, modal.system.B, modal.system.C, modal.system.D
+    A = modal.system.A
+    B = modal.system.B
+    C = modal.system.C
+    D = modal.system.D
     poles: list[complex] = []
     residues: list[np.ndarray] = []
     clusters = []
     for start, size in zip(modal.starts, modal.sizes, strict=True):
         i = slice(start, start + size)
-        a, b, c = A[i, i], B[i], C[:, i]
+        a = A[i, i]
+        b = B[i]
+        c = C[:, i]
         if size == 1:
             poles.append(complex(a[0, 0]))
             residues.append(c @ b + 0j)
         elif size == 2 and a[0, 0] == a[1, 1] and a[0, 1] * a[1, 0] < 0:
             p, q = a[0, 1], a[1, 0]
             beta = np.sqrt(-p) * np.sqrt(q) if q > 0 else np.sqrt(p) * np.sqrt(-q)
-            v, u = np.array([p, 1j * beta]), np.array([q, 1j * beta])  # A v = (a + j beta) v, u A = (a + j beta) u
+            # A v = (a + j beta) v, u A = (a + j beta) u
+            v, u = np.array([p, 1j * beta]), np.array([q, 1j * beta])
             residue = np.outer(c @ v, u @ b) / (u @ v)
             poles += [complex(a[0, 0], beta), complex(a[0, 0], -beta)]
             residues += [residue, residue.conj()]

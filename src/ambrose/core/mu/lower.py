@@ -1,12 +1,15 @@
-"""Lower bound of the structured singular value: a perturbation that makes I - M Delta singular, and its size.
+"""Lower bound of the structured singular value: a perturbation that makes I - M Delta singular, and
+its size.
 
-For given real parameters q the rest is a complex problem of the reduced matrix F(q) = M_cc + M_cr Q (I - M_rr Q)^-1 M_rc: every
-complex Delta_c and eigenvalue lambda of F Delta_c give the perturbation (q, Delta_c / lambda), exactly singular, of size
-max(|q|, 1 / |lambda|). So any search gives a true bound; here it is a projected ascent over q with exact gradients (the
-eigenvalue's first-order change), started from the direction in which the upper bound is tight, and from seeded random points.
-The complex problem is solved by one singular value or eigenvalue decomposition where that is exact, else by the power
-iteration of Packard, Fan & Doyle (1988). With real blocks only, det(I - M Q) = 0 is two equations: a Newton iteration inside
-a box that is bisected; for one block the real eigenvalues are exact.
+For given real parameters q the rest is a complex problem of the reduced matrix F(q) = M_cc + M_cr Q
+(I - M_rr Q)^-1 M_rc: every complex Delta_c and eigenvalue lambda of F Delta_c give the perturbation
+(q, Delta_c / lambda), exactly singular, of size max(|q|, 1 / |lambda|). So any search gives a true
+bound; here it is a projected ascent over q with exact gradients (the eigenvalue's first-order
+change), started from the direction in which the upper bound is tight, and from seeded random
+points. The complex problem is solved by one singular value or eigenvalue decomposition where that
+is exact, else by the power iteration of Packard, Fan & Doyle (1988). With real blocks only, det(I -
+M Q) = 0 is two equations: a Newton iteration inside a box that is bisected; for one block the real
+eigenvalues are exact.
 """
 
 from __future__ import annotations
@@ -28,8 +31,9 @@ _REAL_TOLERANCE = 1e-9  # relative imaginary part that counts as real
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LowerBound:
-    """value (b,); delta (b, n_w, n_z) complex with det(I - M delta) = 0 and largest singular value 1 / value, NaN where value
-    is 0."""
+    """value (b,); delta (b, n_w, n_z) complex with det(I - M delta) = 0 and largest singular value
+    1 / value, NaN where value is 0.
+    """
 
     value: np.ndarray
     delta: np.ndarray
@@ -37,7 +41,9 @@ class LowerBound:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Parts:
-    """M split into real and complex channels, and which real channel belongs to which real block, (blocks, channels)."""
+    """M split into real and complex channels, and which real channel belongs to which real block,
+    (blocks, channels).
+    """
 
     structure: Structure
     real_w: np.ndarray
@@ -76,22 +82,30 @@ def _phase(c: np.ndarray) -> np.ndarray:
 
 
 def _align(structure: Structure, a: np.ndarray, w: np.ndarray) -> np.ndarray:
-    """Delta (b, n_wc, n_zc) of unit size that maps a (b, n_zc) closest to w (b, n_wc), block by block."""
+    """Delta (b, n_wc, n_zc) of unit size that maps a (b, n_zc) closest to w (b, n_wc), block by
+    block.
+    """
     delta = np.zeros((len(a), w.shape[1], a.shape[1]), complex)
     i = j = 0
     for place in structure.complex:
         n_w, n_z = place.block.n_w, place.block.n_z
         ai, wi = a[:, j : j + n_z], w[:, i : i + n_w]
         if isinstance(place.block, FullBlock):
-            delta[:, i : i + n_w, j : j + n_z] = _unit(wi)[:, :, None] * _unit(ai).conj()[:, None, :]
+            delta[:, i : i + n_w, j : j + n_z] = (
+                _unit(wi)[:, :, None] * _unit(ai).conj()[:, None, :]
+            )
         else:
-            delta[:, i : i + n_w, j : j + n_z] = _phase((ai.conj() * wi).sum(axis=1))[:, None, None] * np.eye(n_w)
+            delta[:, i : i + n_w, j : j + n_z] = _phase((ai.conj() * wi).sum(axis=1))[
+                :, None, None
+            ] * np.eye(n_w)
         i, j = i + n_w, j + n_z
     return delta
 
 
 def _eigen(F: np.ndarray, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The outermost eigenvalue of F delta (b,), its right x and left y vectors (b, n_z), y^H x = 1."""
+    """The outermost eigenvalue of F delta (b,), its right x and left y vectors (b, n_z), y^H x =
+    1.
+    """
     values, vectors = np.linalg.eig(np.nan_to_num(F @ delta))
     top = np.abs(values).argmax(axis=1)
     pick = np.arange(len(F))
@@ -104,7 +118,9 @@ def _eigen(F: np.ndarray, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
 def _complex_problem(
     F: np.ndarray, structure: Structure, b0: np.ndarray | None, steps: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Complex structured singular value of F (b, n_zc, n_wc) from below: unit Delta_c, eigenvalue, right and left vectors."""
+    """Complex structured singular value of F (b, n_zc, n_wc) from below: unit Delta_c, eigenvalue,
+    right and left vectors.
+    """
     blocks = [place.block for place in structure.complex]
     if len(blocks) == 1 and isinstance(blocks[0], FullBlock):
         u, s, vh = np.linalg.svd(F)
@@ -114,7 +130,10 @@ def _complex_problem(
         delta = np.tile(np.eye(F.shape[1], dtype=complex), (len(F), 1, 1))
         return delta, *_eigen(F, delta)
     b = _unit(np.linalg.svd(F)[2][:, 0].conj() if b0 is None else b0)
-    best_delta, best_value = np.zeros((len(F), F.shape[2], F.shape[1]), complex), np.full(len(F), -1.0)
+    best_delta, best_value = (
+        np.zeros((len(F), F.shape[2], F.shape[1]), complex),
+        np.full(len(F), -1.0),
+    )
     w = b
     for step in range(1, steps + 1):
         a = (F @ b[..., None])[..., 0]
@@ -131,7 +150,9 @@ def _complex_problem(
 
 @dataclass(slots=True, eq=False)
 class _Point:
-    """Real parameters q (b, m) and what they give: the perturbation's size (b,), eigenvalue, Delta_c, slope of log|lambda|."""
+    """Real parameters q (b, m) and what they give: the perturbation's size (b,), eigenvalue,
+    Delta_c, slope of log|lambda|.
+    """
 
     q: np.ndarray
     size: np.ndarray
@@ -148,10 +169,17 @@ class _Point:
             getattr(self, name)[where] = getattr(other, name)
 
 
-def _evaluate(M: np.ndarray, parts: _Parts, q: np.ndarray, b0: np.ndarray | None, steps: int) -> _Point:
+def _evaluate(
+    M: np.ndarray, parts: _Parts, q: np.ndarray, b0: np.ndarray | None, steps: int
+) -> _Point:
     """The perturbation that completes the real parameters q."""
-    rw, rz, cw, cz = parts.real_w, parts.real_z, parts.complex_w, parts.complex_z
-    M_rr, M_rc, M_cr, M_cc = (M[:, i[:, None], j[None, :]] for i, j in ((rz, rw), (rz, cw), (cz, rw), (cz, cw)))
+    rw = parts.real_w
+    rz = parts.real_z
+    cw = parts.complex_w
+    cz = parts.complex_z
+    M_rr, M_rc, M_cr, M_cc = (
+        M[:, i[:, None], j[None, :]] for i, j in ((rz, rw), (rz, cw), (cz, rw), (cz, cw))
+    )
     channel = q @ parts.member
     E = np.eye(len(rz)) - M_rr * channel[:, None, :]
     R = memberwise(np.linalg.solve, E, M_rc)
@@ -164,43 +192,76 @@ def _evaluate(M: np.ndarray, parts: _Parts, q: np.ndarray, b0: np.ndarray | None
     magnitude = np.maximum(np.abs(eigenvalue), 1e-300)
     # dF/dq_i = L_i R_i with L = M_cr (I + Q E^-1 M_rr): first-order change of log|lambda|
     y_cr = (y.conj()[:, None, :] @ M_cr)[:, 0]
-    y_L = y_cr + (memberwise(np.linalg.solve, E.swapaxes(1, 2), (y_cr * channel)[..., None]).swapaxes(1, 2) @ M_rr)[:, 0]
+    y_L = (
+        y_cr
+        + (
+            memberwise(np.linalg.solve, E.swapaxes(1, 2), (y_cr * channel)[..., None]).swapaxes(
+                1, 2
+            )
+            @ M_rr
+        )[:, 0]
+    )
     R_x = (R @ (delta @ x[..., None]))[..., 0]
     change = (y_L * R_x / np.where(np.abs(eigenvalue) > 0, eigenvalue, 1.0)[:, None]).real
     size = np.maximum(np.abs(q).max(axis=1, initial=0.0), 1 / magnitude)
-    return _Point(q, size, eigenvalue, delta, np.nan_to_num(change @ parts.member.T), (delta @ x[..., None])[..., 0])
+    return _Point(
+        q,
+        size,
+        eigenvalue,
+        delta,
+        np.nan_to_num(change @ parts.member.T),
+        (delta @ x[..., None])[..., 0],
+    )
 
 
 def _ascend(
-    M: np.ndarray, parts: _Parts, q: np.ndarray, b0: np.ndarray, goal: np.ndarray, tolerance: float, iterations: int, steps: int
+    M: np.ndarray,
+    parts: _Parts,
+    q: np.ndarray,
+    b0: np.ndarray,
+    goal: np.ndarray,
+    tolerance: float,
+    iterations: int,
+    steps: int,
 ) -> _Point:
-    """Shrink the perturbation by moving q: projected steps with a secant curvature per parameter and a trust region.
+    """Shrink the perturbation by moving q: projected steps with a secant curvature per parameter
+    and a trust region.
 
-    goal (b,): size 1/upper below which no perturbation exists; members within ``tolerance`` of it stop.
+    goal (b,): size 1/upper below which no perturbation exists; members within ``tolerance`` of it
+    stop.
     """
     best = _evaluate(M, parts, q, b0, steps)
     trust = np.full(len(q), 0.5)
     last_q, last_g = best.q.copy(), best.gradient.copy()
     active = np.arange(len(q))
     for _ in range(iterations):
-        active = active[(best.size[active] > goal[active] * (1 + tolerance)) & (trust[active] > 1e-7)]
+        active = active[
+            (best.size[active] > goal[active] * (1 + tolerance)) & (trust[active] > 1e-7)
+        ]
         if len(active) == 0:
             break
         here = best.take(active)
         g, k = here.gradient, here.size[:, None]
         at_edge = (np.abs(here.q) > 0.999 * k) & (g * here.q > 0)
         slope = np.where(at_edge, g * here.q, 0.0).sum(axis=1, keepdims=True)
-        excess = np.log(np.maximum(np.abs(here.eigenvalue[:, None]), 1e-300) * k)  # > 0: the box may shrink
+        # > 0: the box may shrink
+        excess = np.log(np.maximum(np.abs(here.eigenvalue[:, None]), 1e-300) * k)
         box = k * np.exp(-np.clip(excess, 0, 1) / (1 + slope))
         dq, dg = here.q - last_q[active], g - last_g[active]
         curvature = np.where(dq != 0, -dg / np.where(dq != 0, dq, 1.0), 0.0)
         limit = trust[active, None] * k
-        newton = np.where(curvature > 0, np.abs(g) / np.where(curvature > 0, curvature, 1.0), np.inf)
+        newton = np.where(
+            curvature > 0, np.abs(g) / np.where(curvature > 0, curvature, 1.0), np.inf
+        )
         largest = np.abs(g).max(axis=1, keepdims=True)
         plain = limit * np.abs(g) / np.where(largest > 0, largest, 1.0)
-        step = np.sign(g) * np.minimum(np.where(np.isfinite(newton), newton, np.maximum(plain, 0.1 * limit)), limit)
+        step = np.sign(g) * np.minimum(
+            np.where(np.isfinite(newton), newton, np.maximum(plain, 0.1 * limit)), limit
+        )
         warm = here.direction
-        trial = _evaluate(M[active], parts, np.clip(here.q + step, -box, box), warm, max(1, steps // 3))
+        trial = _evaluate(
+            M[active], parts, np.clip(here.q + step, -box, box), warm, max(1, steps // 3)
+        )
         last_q[active], last_g[active] = trial.q, trial.gradient
         good = trial.size < here.size
         last_q[active[good]], last_g[active[good]] = here.q[good], here.gradient[good]
@@ -212,7 +273,9 @@ def _ascend(
 def _real_only(
     M: np.ndarray, parts: _Parts, q: np.ndarray, goal: np.ndarray, rounds: int = 14
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Smallest box found that holds a root of det(I - M Q) = 0: (size (b,), q (b, m)), infinite where none was found."""
+    """Smallest box found that holds a root of det(I - M Q) = 0: (size (b,), q (b, m)), infinite
+    where none was found.
+    """
     rz, rw = parts.real_z, parts.real_w
     M = M[:, rz[:, None], rw[None, :]]
     size, best = np.full(len(M), np.inf), np.zeros_like(q)
@@ -236,8 +299,12 @@ def _real_only(
     return size, best
 
 
-def _newton_in_box(M: np.ndarray, member: np.ndarray, q: np.ndarray, box: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Newton on (eigenvalue of M Q nearest 1) = 1 with minimum-norm steps, parameters kept within +-box by an active set."""
+def _newton_in_box(
+    M: np.ndarray, member: np.ndarray, q: np.ndarray, box: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Newton on (eigenvalue of M Q nearest 1) = 1 with minimum-norm steps, parameters kept within
+    +-box by an active set.
+    """
     q = np.clip(q, -box[:, None], box[:, None])
     miss = np.full(len(M), np.inf)
     active = np.arange(len(M))
@@ -250,34 +317,50 @@ def _newton_in_box(M: np.ndarray, member: np.ndarray, q: np.ndarray, box: np.nda
         going = np.flatnonzero(np.abs(f) > 1e-13)
         if len(going) == 0:
             break
-        active, rows, near, f = active[going], rows[going], near[going], f[going]
+        active = active[going]
+        rows = rows[going]
+        near = near[going]
+        f = f[going]
         x = vectors[rows, :, near]
         selector = np.eye(M.shape[1])[near][..., None]
-        y = memberwise(np.linalg.solve, vectors[going].swapaxes(1, 2) + 1e-14 * np.eye(M.shape[1]), selector)[..., 0]
+        y = memberwise(
+            np.linalg.solve, vectors[going].swapaxes(1, 2) + 1e-14 * np.eye(M.shape[1]), selector
+        )[..., 0]
         J = np.nan_to_num(((y[:, None, :] @ M[active])[:, 0] * x) @ member.T)  # d lambda / d q_i
         q[active] += _boxed_step(
-            np.stack([J.real, J.imag], axis=1), -np.stack([f.real, f.imag], axis=1), q[active], box[active, None]
+            np.stack([J.real, J.imag], axis=1),
+            -np.stack([f.real, f.imag], axis=1),
+            q[active],
+            box[active, None],
         )
     return q, miss < 1e-10
 
 
 def _boxed_step(J: np.ndarray, target: np.ndarray, q: np.ndarray, edge: np.ndarray) -> np.ndarray:
-    """The shortest step with J step = target (b, 2) that keeps |q + step| <= edge, by three rounds of an active set."""
+    """The shortest step with J step = target (b, 2) that keeps |q + step| <= edge, by three rounds
+    of an active set.
+    """
     free, step = np.ones_like(q), np.zeros_like(q)
     for _ in range(3):
         Jf = J * free[:, None, :]
         rest = target - (J @ (step * (1 - free))[..., None])[..., 0]
         gram = Jf @ Jf.swapaxes(1, 2)
         gram = gram + (1e-13 * np.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-300) * np.eye(2)
-        step = np.where(free > 0, (Jf.swapaxes(1, 2) @ np.linalg.solve(gram, rest[..., None]))[..., 0], step)
+        step = np.where(
+            free > 0, (Jf.swapaxes(1, 2) @ np.linalg.solve(gram, rest[..., None]))[..., 0], step
+        )
         beyond = np.abs(q + step) > edge
         step = np.clip(q + step, -edge, edge) - q
         free = free * ~beyond
     return step
 
 
-def _random_reals(M: np.ndarray, parts: _Parts, reach: np.ndarray, rng: np.random.Generator, *, corner: bool) -> np.ndarray:
-    """Random parameters in the box +-reach (b,), or at its corners; with complex blocks the best of a few, by a quick look."""
+def _random_reals(
+    M: np.ndarray, parts: _Parts, reach: np.ndarray, rng: np.random.Generator, *, corner: bool
+) -> np.ndarray:
+    """Random parameters in the box +-reach (b,), or at its corners; with complex blocks the best of
+    a few, by a quick look.
+    """
     b, m = len(M), len(parts.member)
     tries = _TRIES if m > (0 if parts.structure.complex else 1) else 1
     spread = rng.uniform(-1, 1, (tries, b, m))
@@ -292,7 +375,9 @@ def _random_reals(M: np.ndarray, parts: _Parts, reach: np.ndarray, rng: np.rando
 
 
 def _best_root(M: np.ndarray, parts: _Parts, q: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    """Of several starts q (tries, b, m), the root of det(I - M Q) = 0 in the smallest box; the last start where none leads."""
+    """Of several starts q (tries, b, m), the root of det(I - M Q) = 0 in the smallest box; the last
+    start where none leads.
+    """
     M_rr = M[:, parts.real_z[:, None], parts.real_w[None, :]]
     best, size = q[-1].copy(), np.full(len(M), np.inf)
     for guess in q:
@@ -304,7 +389,9 @@ def _best_root(M: np.ndarray, parts: _Parts, q: np.ndarray, reach: np.ndarray) -
 
 
 def _on_pole(M: np.ndarray, parts: _Parts, q: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    """q stretched to where F(q) is largest along its ray, near a pole: the most real eigenvalue of M_rr Q becomes 1."""
+    """q stretched to where F(q) is largest along its ray, near a pole: the most real eigenvalue of
+    M_rr Q becomes 1.
+    """
     M_rr = M[:, parts.real_z[:, None], parts.real_w[None, :]]
     values = np.linalg.eigvals(M_rr * (q @ parts.member)[:, None, :])
     pick = (np.abs(values.real) - 3 * np.abs(values.imag)).argmax(axis=1)
@@ -314,7 +401,9 @@ def _on_pole(M: np.ndarray, parts: _Parts, q: np.ndarray, reach: np.ndarray) -> 
 
 
 def _start_reals(M: np.ndarray, parts: _Parts, worst: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """The real parameters that map z = M w closest to w, for the direction w of the upper bound, within its box."""
+    """The real parameters that map z = M w closest to w, for the direction w of the upper bound,
+    within its box.
+    """
     z = (M @ worst[..., None])[..., 0][:, parts.real_z]
     w = worst[:, parts.real_w]
     top = (z.conj() * w).real @ parts.member.T
@@ -335,8 +424,8 @@ def lower_bound(
 ) -> LowerBound:
     """Lower bound of mu for a batch M (b, n_z, n_w) with the perturbation that proves it.
 
-    upper (b,): an upper bound, worst (b, n_w): its direction; the search stops within ``tolerance`` of it. ``restarts``
-    seeded random starts are spent where the gap stays open.
+    upper (b,): an upper bound, worst (b, n_w): its direction; the search stops within ``tolerance``
+    of it. ``restarts`` seeded random starts are spent where the gap stays open.
     """
     b = len(M)
     value, delta = np.zeros(b), np.full((b, structure.n_w, structure.n_z), np.nan, complex)
@@ -346,7 +435,9 @@ def lower_bound(
     parts, rng = _parts(structure), np.random.default_rng(seed)
     m = len(structure.real)
     for attempt in range(1 + restarts):
-        todo = todo[value[todo] < upper[todo] * (1 - (tolerance if attempt < 2 else 10 * tolerance))]
+        todo = todo[
+            value[todo] < upper[todo] * (1 - (tolerance if attempt < 2 else 10 * tolerance))
+        ]
         if len(todo) == 0 or (attempt and not m and len(structure.complex) == 1):
             break
         unit, goal = balanced[todo] / size[todo, None, None], size[todo] / upper[todo]
@@ -359,11 +450,15 @@ def lower_bound(
             reach = np.minimum(size[todo] / np.maximum(value[todo], 1e-3 * upper[todo]), 1e3 * goal)
             q = _random_reals(unit, parts, reach, rng, corner=attempt % 2 == 1)
         if structure.complex:
-            point = _ascend(unit, parts, q, b0, goal, tolerance, iterations if m else 0, _POWER_STEPS)
+            point = _ascend(
+                unit, parts, q, b0, goal, tolerance, iterations if m else 0, _POWER_STEPS
+            )
             candidate = _assemble(structure, point)
         else:
             reach, q = _real_only(unit, parts, q, goal)
-            candidate = _assemble(structure, _Point(q, reach, np.ones(len(q)), np.zeros((len(q), 0, 0)), q, b0))
+            candidate = _assemble(
+                structure, _Point(q, reach, np.ones(len(q)), np.zeros((len(q), 0, 0)), q, b0)
+            )
         found = _verify(unit, candidate)
         better = found * size[todo] > value[todo]
         k = todo[better]
@@ -382,13 +477,17 @@ def _assemble(structure: Structure, point: _Point) -> np.ndarray:
     for place in structure.complex:
         n_w, n_z = place.block.n_w, place.block.n_z
         with np.errstate(invalid="ignore"):  # an eigenvalue 0 gives NaN, which _verify refuses
-            delta[:, place.w, place.z] = point.delta[:, i : i + n_w, j : j + n_z] / scale[:, None, None]
+            delta[:, place.w, place.z] = (
+                point.delta[:, i : i + n_w, j : j + n_z] / scale[:, None, None]
+            )
         i, j = i + n_w, j + n_z
     return delta
 
 
 def _verify(M: np.ndarray, delta: np.ndarray) -> np.ndarray:
-    """1 / sigma_max(delta), 0 where the smallest singular value of I - M delta, relative to its terms, exceeds 1e-9."""
+    """1 / sigma_max(delta), 0 where the smallest singular value of I - M delta, relative to its
+    terms, exceeds 1e-9.
+    """
     usable = np.isfinite(delta).all(axis=(1, 2))
     safe = np.where(usable[:, None, None], delta, 0.0)
     norm = largest_gain(safe)

@@ -1,6 +1,8 @@
-"""The structured singular value over frequency: a grid, refined until its peak is no artefact of it.
+"""The structured singular value over frequency: a grid, refined until its peak is no artefact of
+it.
 
-What is returned is still "on the grid"; ``all_frequencies.proved_level`` proves a level between the points, too.
+What is returned is still "on the grid"; ``all_frequencies.proved_level`` proves a level between the
+points, too.
 """
 
 from __future__ import annotations
@@ -30,9 +32,10 @@ Response = Callable[[np.ndarray], np.ndarray]
 class MuPeak(Presented):
     """The largest bounds found on a refined grid.
 
-    upper at frequency [rad/s]; lower at lower_frequency [rad/s], with delta (n_w, n_z) that proves it (NaN when lower is 0);
-    omega (w,) [rad/s] the refined grid and values (w,) the upper bound there; resolved: whether a finer grid would change
-    ``upper`` by less than the tolerance, judged by its neighbours (a judgement, no proof).
+    upper at frequency [rad/s]; lower at lower_frequency [rad/s], with delta (n_w, n_z) that proves
+    it (NaN when lower is 0); omega (w,) [rad/s] the refined grid and values (w,) the upper bound
+    there; resolved: whether a finer grid would change ``upper`` by less than the tolerance, judged
+    by its neighbours (a judgement, no proof).
     """
 
     upper: float
@@ -46,7 +49,10 @@ class MuPeak(Presented):
 
     def facts(self) -> Mapping[str, Any]:
         """Both bounds and where they are."""
-        return {name: getattr(self, name) for name in ("upper", "frequency", "lower", "lower_frequency", "resolved")}
+        return {
+            name: getattr(self, name)
+            for name in ("upper", "frequency", "lower", "lower_frequency", "resolved")
+        }
 
 
 def _response(system: Any, structure: Structure) -> Response:
@@ -61,7 +67,12 @@ def _grid(omega: ArrayLike, system: Any) -> np.ndarray:
     """The sorted grid; a system's resonances inside it are added."""
     grid = np.unique(check_shape(omega, "omega", "(w)").astype(float))
     if len(grid) < 3 or grid[0] < 0:
-        raise invalid("omega", f"{len(grid)} frequencies from {grid.min(initial=0):g}", "3 or more, none negative", "widen it")
+        raise invalid(
+            "omega",
+            f"{len(grid)} frequencies from {grid.min(initial=0):g}",
+            "3 or more, none negative",
+            "widen it",
+        )
     if hasattr(system, "A"):
         p = poles(system)
         dt = getattr(system, "dt", None)
@@ -87,12 +98,14 @@ def mu_peak(
     tolerance: float = 1e-4,
     max_points: int = 3000,
 ) -> MuPeak:
-    """The peak of mu over frequency, refined around the high local maxima of its upper bound until they stand still.
+    """The peak of mu over frequency, refined around the high local maxima of its upper bound until
+    they stand still.
 
-    system: a system from w to z (or a callable, omega (w,) [rad/s] -> M (w, n_z, n_w)). omega (w,) [rad/s]: the starting grid.
-    Points are added halfway to the neighbours of every local maximum within 10 % of the largest, and once between all
-    neighbours of which one is above half the largest. The result is a statement on the final grid, its upper bound to
-    ``tolerance`` where ``resolved``.
+    system: a system from w to z (or a callable, omega (w,) [rad/s] -> M (w, n_z, n_w)). omega (w,)
+    [rad/s]: the starting grid. Points are added halfway to the neighbours of every local maximum
+    within 10 % of the largest, and once between all neighbours of which one is above half the
+    largest. The result is a statement on the final grid, its upper bound to ``tolerance`` where
+    ``resolved``.
 
     Raises InvalidInput when blocks and system do not fit, or a frequency coincides with a pole.
     """
@@ -123,16 +136,33 @@ def mu_peak(
         grid, values = grid[order], values[order]
         k = int(values.argmax())
         near = values[max(0, k - 1) : k + 2]
-        if count and values[k] - top <= 0.25 * tolerance * values[k] and values[k] - near.min() <= tolerance * values[k]:
+        if (
+            count
+            and values[k] - top <= 0.25 * tolerance * values[k]
+            and values[k] - near.min() <= tolerance * values[k]
+        ):
             resolved = True
             break
     k = int(values.argmax())
-    best, at, delta = 0.0, float(grid[k]), np.full((structure.n_w, structure.n_z), np.nan, complex)
+    best = 0.0
+    at = float(grid[k])
+    delta = np.full((structure.n_w, structure.n_z), np.nan, complex)
     if lower:
         chosen = np.argsort(values)[::-1][:40]
         M = respond(grid[chosen])
         up = upper_bound(M, structure, tolerance=tolerance / 4)
         low = lower_bound(M, structure, up.value, up.worst, tolerance=tolerance)
         j = int(low.value.argmax())
-        best, at, delta = float(low.value[j]), float(grid[chosen[j]]), low.delta[j]
-    return MuPeak(float(values[k]), float(grid[k]), min(best, float(values[k])), at, delta, grid, values, resolved)
+        best = float(low.value[j])
+        at = float(grid[chosen[j]])
+        delta = low.delta[j]
+    return MuPeak(
+        float(values[k]),
+        float(grid[k]),
+        min(best, float(values[k])),
+        at,
+        delta,
+        grid,
+        values,
+        resolved,
+    )

@@ -1,8 +1,9 @@
-"""The unknowns of the D and G scalings: X commutes with Delta, G is Hermitian on the real blocks, as one real vector x.
+"""The unknowns of the D and G scalings: X commutes with Delta, G is Hermitian on the real blocks,
+as one real vector x.
 
-S(x) = [[X_w, -j G~], [j G~^H, -X_z]] with the blocks of X appended once more (the rows "x": the barrier that keeps X > 0);
-it is linear, S(x) = sum x_a S_a. A repeated block of size r owns r^2 unknowns for X (and r^2 for G when real), a full block
-one.
+S(x) = [[X_w, -j G~], [j G~^H, -X_z]] with the blocks of X appended once more (the rows "x": the
+barrier that keeps X > 0); it is linear, S(x) = sum x_a S_a. A repeated block of size r owns r^2
+unknowns for X (and r^2 for G when real), a full block one.
 """
 
 from __future__ import annotations
@@ -22,10 +23,12 @@ _DENSE = 500  # coefficients up to which dense arrays are faster than sparse one
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Basis:
-    """S_a as sparse entries at the positions (row, column); those of full blocks are kept apart by their diagonal.
+    """S_a as sparse entries at the positions (row, column); those of full blocks are kept apart by
+    their diagonal.
 
-    mix (positions, variables): S_a at the positions; half (variables, positions above or on the diagonal, numbered in
-    ``upper``): the same with those off the diagonal twice, so that tr(H S_a) = Re sum half H[column, row] for Hermitian H.
+    mix (positions, variables): S_a at the positions; half (variables, positions above or on the
+    diagonal, numbered in ``upper``): the same with those off the diagonal twice, so that tr(H S_a)
+    = Re sum half H[column, row] for Hermitian H.
     """
 
     n_w: int
@@ -81,9 +84,12 @@ class Basis:
         return H
 
     def _curvature(self, K: np.ndarray) -> np.ndarray:
-        """The same without the full blocks: K[q, r] K[s, p] over the positions (p, q) and (r, s), and the coefficients."""
+        """The same without the full blocks: K[q, r] K[s, p] over the positions (p, q) and (r, s),
+        and the coefficients.
+        """
         b, N = len(K), K.shape[1]
-        flat = np.ascontiguousarray(K.reshape(b, N * N).T)  # neighbours in memory: the members of the batch
+        # neighbours in memory: the members of the batch
+        flat = np.ascontiguousarray(K.reshape(b, N * N).T)
         p, q = self.row[self.upper], self.column[self.upper]
         pairs = flat[q * N + self.row[:, None]]
         pairs *= flat[self.column[:, None] * N + p]
@@ -104,7 +110,9 @@ def _hermitian(r: int) -> list[list[tuple[int, int, complex]]]:
 def scaling_basis(structure: Structure, *, g_scaling: bool) -> Basis:
     """The unknowns for a structure; ``g_scaling=False`` leaves G out."""
     n_w, n_z = structure.n_w, structure.n_z
-    n_x = sum(1 if isinstance(place.block, FullBlock) else place.block.n_w for place in structure.places)
+    n_x = sum(
+        1 if isinstance(place.block, FullBlock) else place.block.n_w for place in structure.places
+    )
     N = n_w + n_z + n_x
     entries: list[Entry] = []
     full: list[tuple[int, np.ndarray]] = []
@@ -112,16 +120,26 @@ def scaling_basis(structure: Structure, *, g_scaling: bool) -> Basis:
     is_g: list[bool] = []
     x = n_w + n_z
     for place in structure.places:
-        w, z, block = place.w.start, n_w + place.z.start, place.block
+        w = place.w.start
+        z = n_w + place.z.start
+        block = place.block
         if isinstance(block, FullBlock):
             diagonal = np.zeros(N)
-            diagonal[w : w + block.n_w], diagonal[z : z + block.n_z], diagonal[x] = 1.0, -1.0, 1.0
+            diagonal[w : w + block.n_w] = 1.0
+            diagonal[z : z + block.n_z] = -1.0
+            diagonal[x] = 1.0
             full.append((len(trace), diagonal))
-            trace, is_g, x = [*trace, 1.0], [*is_g, False], x + 1
+            trace = [*trace, 1.0]
+            is_g = [*is_g, False]
+            x = x + 1
             continue
         for matrix in _hermitian(block.n_w):
             for p, q, c in matrix:
-                entries += [(w + p, w + q, c, len(trace)), (z + p, z + q, -c, len(trace)), (x + p, x + q, c, len(trace))]
+                entries += [
+                    (w + p, w + q, c, len(trace)),
+                    (z + p, z + q, -c, len(trace)),
+                    (x + p, x + q, c, len(trace)),
+                ]
             trace, is_g = [*trace, float(len(matrix) == 1)], [*is_g, False]
         for matrix in _hermitian(block.n_w) if g_scaling and isinstance(block, RealBlock) else []:
             for p, q, c in matrix:
@@ -132,7 +150,11 @@ def scaling_basis(structure: Structure, *, g_scaling: bool) -> Basis:
 
 
 def _frozen(
-    sizes: tuple[int, int, int], entries: list[Entry], full: list[tuple[int, np.ndarray]], trace: list[float], is_g: list[bool]
+    sizes: tuple[int, int, int],
+    entries: list[Entry],
+    full: list[tuple[int, np.ndarray]],
+    trace: list[float],
+    is_g: list[bool],
 ) -> Basis:
     """The lists as arrays."""
     from scipy.sparse import csr_array
@@ -147,4 +169,15 @@ def _frozen(
     half: Any = mix[upper].T * np.where(place[upper, 0] < place[upper, 1], 2.0, 1.0)
     if mix.size > _DENSE:
         mix, half = csr_array(mix), csr_array(half)
-    return Basis(*sizes, len(trace), place[:, 0], place[:, 1], upper, mix, half, tuple(full), np.array(trace), np.array(is_g))
+    return Basis(
+        *sizes,
+        len(trace),
+        place[:, 0],
+        place[:, 1],
+        upper,
+        mix,
+        half,
+        tuple(full),
+        np.array(trace),
+        np.array(is_g),
+    )

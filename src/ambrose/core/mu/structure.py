@@ -1,4 +1,6 @@
-"""What the structured singular value needs to know about a list of blocks: where each one sits, and how to balance M."""
+"""What the structured singular value needs to know about a list of blocks: where each one sits, and
+how to balance M.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Structure:
-    """The blocks in order, w = Delta z. ``places`` has one entry per block; n_w, n_z are the totals."""
+    """The blocks in order, w = Delta z. ``places`` has one entry per block; n_w, n_z are the
+    totals.
+    """
 
     places: tuple[Place, ...]
     n_w: int
@@ -41,36 +45,57 @@ class Structure:
 
 
 def structure_of(blocks: Sequence[Block]) -> Structure:
-    """The places of ``blocks``. Raises InvalidInput when the list is empty or holds something else than blocks."""
+    """The places of ``blocks``. Raises InvalidInput when the list is empty or holds something else
+    than blocks.
+    """
     blocks = list(blocks)
     if not blocks:
-        raise InvalidInput("the list of blocks is empty; give at least one RealBlock, ComplexBlock or FullBlock")
-    places, i, j = [], 0, 0
+        raise InvalidInput(
+            "the list of blocks is empty; give at least one RealBlock, ComplexBlock or FullBlock"
+        )
+    places = []
+    i = 0
+    j = 0
     for block in blocks:
         if not isinstance(block, RealBlock | ComplexBlock | FullBlock):
-            raise invalid("a block", repr(block), "a RealBlock, ComplexBlock or FullBlock", "see ambrose.core.lft")
+            raise invalid(
+                "a block",
+                repr(block),
+                "a RealBlock, ComplexBlock or FullBlock",
+                "see ambrose.core.lft",
+            )
         places.append(Place(block, slice(i, i + block.n_w), slice(j, j + block.n_z)))
         i, j = i + block.n_w, j + block.n_z
     return Structure(tuple(places), i, j)
 
 
 def check_matrix(M: ArrayLike, structure: Structure) -> np.ndarray:
-    """``M`` as a complex array (..., n_z, n_w). Raises InvalidInput naming both sizes when the blocks do not fit, or on NaN."""
+    """``M`` as a complex array (..., n_z, n_w). Raises InvalidInput naming both sizes when the
+    blocks do not fit, or on NaN.
+    """
     M = check_finite(M, "M")
     if M.ndim < 2 or M.shape[-2:] != (structure.n_z, structure.n_w):
-        listed = ", ".join(f"{place.block.name} {place.block.n_z} x {place.block.n_w}" for place in structure.places)
+        listed = ", ".join(
+            f"{place.block.name} {place.block.n_z} x {place.block.n_w}"
+            for place in structure.places
+        )
         raise invalid(
             "the shape of M",
             M.shape,
             f"(..., {structure.n_z}, {structure.n_w}), from the blocks' z and w sizes ({listed})",
-            "M maps w to z: one column per input w = Delta z, one row per output z; list the blocks in that order",
+            "M maps w to z: one column per input w = Delta z, one row per output z; list the "
+            "blocks in that order",
         )
     return M.astype(complex)
 
 
 def channel_groups(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
-    """Which channel is in which of Osborne's groups, (groups, n_w), (groups, n_z): full blocks whole, other channels alone."""
-    w_group, z_group, count = [], [], 0
+    """Which channel is in which of Osborne's groups, (groups, n_w), (groups, n_z): full blocks
+    whole, other channels alone.
+    """
+    w_group = []
+    z_group = []
+    count = 0
     for place in structure.places:
         block = place.block
         if isinstance(block, FullBlock):
@@ -82,14 +107,17 @@ def channel_groups(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
             z_group += range(count, count + block.repeat)
             count += block.repeat
     numbers = np.arange(count)[:, None]
-    return (numbers == np.array(w_group)).astype(float), (numbers == np.array(z_group)).astype(float)
+    return (numbers == np.array(w_group)).astype(float), (numbers == np.array(z_group)).astype(
+        float
+    )
 
 
 def osborne(M: np.ndarray, structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Diagonal scalings that even out the off-diagonal blocks: M' = diag(d_z) M diag(1/d_w), d_z (b, n_z), d_w (b, n_w).
+    """Diagonal scalings that even out the off-diagonal blocks: M' = diag(d_z) M diag(1/d_w), d_z
+    (b, n_z), d_w (b, n_w).
 
-    Osborne's iteration on Frobenius norms (Osborne 1960). Norms are floored at 1e-9 of the largest, so that a reducible M
-    gives finite scalings. M (b, n_z, n_w).
+    Osborne's iteration on Frobenius norms (Osborne 1960). Norms are floored at 1e-9 of the largest,
+    so that a reducible M gives finite scalings. M (b, n_z, n_w).
     """
     P_w, P_z = channel_groups(structure)
     groups = len(P_w)

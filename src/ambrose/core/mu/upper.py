@@ -1,13 +1,15 @@
 """Upper bound of the mixed structured singular value with D and G scalings.
 
-For beta >= 0, Hermitian X > 0 that commutes with Delta and Hermitian G on the real blocks (Fan, Tits & Doyle 1991)::
+For beta >= 0, Hermitian X > 0 that commutes with Delta and Hermitian G on the real blocks (Fan,
+Tits & Doyle 1991)::
 
     M^H X_z M + j (G M - M^H G^H) - beta^2 X_w < 0     implies     mu(M) < beta
 
-The smallest such beta is a generalized eigenvalue problem. It is followed along its analytic centres (method of centres, Boyd
-& El Ghaoui 1993): with G = beta G~ (Young's normalisation) the inequality reads F = V^H S V > 0, V = [beta I; M],
-S = [[X_w, -j G~], [j G~^H, -X_z]]. The barrier -logdet F - logdet X + tr X is self-concordant; the trace fixes the scale of
-(X, G). One step lowers beta along the tangent of the path of centres, one to three Newton steps return to the path. All
+The smallest such beta is a generalized eigenvalue problem. It is followed along its analytic
+centres (method of centres, Boyd & El Ghaoui 1993): with G = beta G~ (Young's normalisation) the
+inequality reads F = V^H S V > 0, V = [beta I; M], S = [[X_w, -j G~], [j G~^H, -X_z]]. The barrier
+-logdet F - logdet X + tr X is self-concordant; the trace fixes the scale of (X, G). One step lowers
+beta along the tangent of the path of centres, one to three Newton steps return to the path. All
 members of the batch move together; those that are done leave it.
 """
 
@@ -24,18 +26,22 @@ from ambrose.core.lft import FullBlock, RealBlock
 from ambrose.core.mu.scaling_parameters import Basis, scaling_basis
 from ambrose.core.mu.structure import Structure, osborne
 
-_SHRINK = (1.0, 0.98, 0.9, 0.7, 0.45, 0.2, 0.07, 0.02)  # fractions of the way to the dual bound that the predictor tries
+# fractions of the way to the dual bound that the predictor tries
+_SHRINK = (1.0, 0.98, 0.9, 0.7, 0.45, 0.2, 0.07, 0.02)
 _CENTRED = 0.3  # Newton decrement that counts as centred
-_REGULARISE = (1e-10, 1e-9, 1e-8, 1e-7, 1e-6)  # added to X, whose trace is about the number of channels
+# added to X, whose trace is about the number of channels
+_REGULARISE = (1e-10, 1e-9, 1e-8, 1e-7, 1e-6)
 _LIFTS = (2.0**-52, 2.0**-48, 2.0**-40)  # of the norm of a matrix that rounding made singular
-_LATE = 30  # Newton steps in a row without a centre after which there may be none: G grows without bound
+# Newton steps in a row without a centre after which there may be none: G grows without bound
+_LATE = 30
 _ZERO = 1e-7  # a bound below this fraction of sigma_max(M) is driven no further
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UpperBound:
-    """value (b,); X_w (b, n_w, n_w), X_z (b, n_z, n_z), G (b, n_w, n_z) in the inequality above; worst (b, n_w) complex: the
-    direction w in which it is tight, a guess of the worst perturbation."""
+    """value (b,); X_w (b, n_w, n_w), X_z (b, n_z, n_z), G (b, n_w, n_z) in the inequality above;
+    worst (b, n_w) complex: the direction w in which it is tight, a guess of the worst perturbation.
+    """
 
     value: np.ndarray
     X_w: np.ndarray
@@ -45,11 +51,18 @@ class UpperBound:
 
     def part(self, members: np.ndarray) -> UpperBound:
         """The same for some members of the batch."""
-        return UpperBound(self.value[members], self.X_w[members], self.X_z[members], self.G[members], self.worst[members])
+        return UpperBound(
+            self.value[members],
+            self.X_w[members],
+            self.X_z[members],
+            self.G[members],
+            self.worst[members],
+        )
 
 
 def positive_definite(F: np.ndarray) -> np.ndarray:
-    """Which members of the complex Hermitian batch F (b, n, n) are positive definite, (b,) bool; none with NaN or infinity.
+    """Which members of the complex Hermitian batch F (b, n, n) are positive definite, (b,) bool;
+    none with NaN or infinity.
 
     One by one: many are not, and numpy refuses a batch for one of its members.
     """
@@ -58,8 +71,10 @@ def positive_definite(F: np.ndarray) -> np.ndarray:
 
 
 def _inverse(F: np.ndarray) -> np.ndarray:
-    """Inverses of positive definite F (b, n, n). One that rounding made singular, at the very edge of the feasible set, is
-    lifted by a few roundings: the barrier is as steep there as the arithmetic can tell, and the descent turns back."""
+    """Inverses of positive definite F (b, n, n). One that rounding made singular, at the very edge
+    of the feasible set, is lifted by a few roundings: the barrier is as steep there as the
+    arithmetic can tell, and the descent turns back.
+    """
     P = memberwise(np.linalg.inv, F)
     for lift in _LIFTS:
         k = np.flatnonzero(~np.isfinite(P).all(axis=(1, 2)))
@@ -79,13 +94,20 @@ class _Path:
         n_w, n_z = basis.n_w, basis.n_z
         S = basis.assemble(x)
         V = np.concatenate([beta[:, None, None] * np.eye(n_w), M], axis=1)
-        F, X = V.conj().swapaxes(1, 2) @ S[:, : n_w + n_z, : n_w + n_z] @ V, S[:, n_w + n_z :, n_w + n_z :]
+        F, X = (
+            V.conj().swapaxes(1, 2) @ S[:, : n_w + n_z, : n_w + n_z] @ V,
+            S[:, n_w + n_z :, n_w + n_z :],
+        )
         P = _inverse(F)
         P = 0.5 * (P + P.conj().swapaxes(1, 2))
         K = np.zeros_like(S)
         K[:, : n_w + n_z, : n_w + n_z] = V @ P @ V.conj().swapaxes(1, 2)
         K[:, n_w + n_z :, n_w + n_z :] = _inverse(X)
-        self.basis, self.S, self.V, self.P, self.kernel = basis, S, V, P, K
+        self.basis = basis
+        self.S = S
+        self.V = V
+        self.P = P
+        self.kernel = K
         self.gradient = basis.trace - basis.traces(K)
         self.hessian = basis.curvature(K)
 
@@ -101,14 +123,18 @@ class _Path:
         """d(gradient)/d(beta) at fixed x, (b, variables)."""
         n_w, n_z = self.basis.n_w, self.basis.n_z
         n = n_w + n_z
-        V, P, S = self.V, self.P, self.S
+        V = self.V
+        P = self.P
+        S = self.S
         dV = np.zeros_like(V)
         dV[:, :n_w] = np.eye(n_w)
         cross = dV.conj().swapaxes(1, 2) @ S[:, :n, :n] @ V
         dF = cross + cross.conj().swapaxes(1, 2)
         half = dV @ P @ V.conj().swapaxes(1, 2)
         dK = np.zeros_like(self.kernel)
-        dK[:, :n, :n] = half + half.conj().swapaxes(1, 2) - V @ (P @ dF @ P) @ V.conj().swapaxes(1, 2)
+        dK[:, :n, :n] = (
+            half + half.conj().swapaxes(1, 2) - V @ (P @ dF @ P) @ V.conj().swapaxes(1, 2)
+        )
         return -self.basis.traces(dK)
 
 
@@ -120,7 +146,9 @@ def _eigenvalues(A: np.ndarray) -> np.ndarray:
 
 
 def _solve(H: np.ndarray, g: np.ndarray) -> np.ndarray:
-    """H^-1 g for a batch of symmetric positive definite H, scaled by its diagonal and regularised at rounding level."""
+    """H^-1 g for a batch of symmetric positive definite H, scaled by its diagonal and regularised
+    at rounding level.
+    """
     d = 1 / np.sqrt(np.maximum(np.einsum("bii->bi", H), 1e-300))
     n = H.shape[1]
     scaled = H * d[:, :, None] * d[:, None, :] + 1e-14 * n * np.eye(n)
@@ -138,10 +166,12 @@ def _inside(basis: Basis, M: np.ndarray, x: np.ndarray, beta: np.ndarray) -> np.
 
 
 def _dual(structure: Structure, path: _Path, beta: np.ndarray) -> np.ndarray:
-    """Estimate of the smallest beta the scalings can reach, from the dual variable P = F^-1; the larger of two.
+    """Estimate of the smallest beta the scalings can reach, from the dual variable P = F^-1; the
+    larger of two.
 
-    Per block the smallest ratio of (M P M^H)_ii to P_ii is a true dual bound on the path of centres, but weak for repeated
-    blocks; beta^2 - n_w / tr(P X_w) is the usual gap of a logarithmic barrier.
+    Per block the smallest ratio of (M P M^H)_ii to P_ii is a true dual bound on the path of
+    centres, but weak for repeated blocks; beta^2 - n_w / tr(P X_w) is the usual gap of a
+    logarithmic barrier.
     """
     n_w, K = structure.n_w, path.kernel
     ratio = np.full(len(K), np.inf)
@@ -155,14 +185,17 @@ def _dual(structure: Structure, path: _Path, beta: np.ndarray) -> np.ndarray:
             value = _eigenvalues(L @ top @ L.conj().swapaxes(1, 2))[:, 0]
         ratio = np.minimum(ratio, value)
     gap = n_w / np.einsum("bij,bji->b", path.P, path.S[:, :n_w, :n_w]).real
-    ratio = np.where(ratio < beta**2, ratio, -np.inf)  # beyond beta: not on the path yet; NaN: singular to rounding
+    # beyond beta: not on the path yet; NaN: singular to rounding
+    ratio = np.where(ratio < beta**2, ratio, -np.inf)
     return np.sqrt(np.clip(np.maximum(ratio, beta**2 - gap), 0.0, None))
 
 
 def _lower_beta(
     basis: Basis, M: np.ndarray, x: np.ndarray, beta: np.ndarray, path: _Path, target: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The predictor: move along the tangent of the path of centres as far towards ``target`` as stays inside."""
+    """The predictor: move along the tangent of the path of centres as far towards ``target`` as
+    stays inside.
+    """
     slope = _solve(path.hessian, path.tangent())
     new_x, new_beta = x.copy(), beta.copy()
     left = np.arange(len(x))
@@ -184,24 +217,39 @@ Scalings = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def _scalings(structure: Structure, basis: Basis, x: np.ndarray, beta: np.ndarray) -> Scalings:
     """(X_w, X_z, G) of the variables x."""
-    S, n_w, n = basis.assemble(x), structure.n_w, structure.n_w + structure.n_z
+    S = basis.assemble(x)
+    n_w = structure.n_w
+    n = structure.n_w + structure.n_z
     return S[:, :n_w, :n_w], -S[:, n_w:n, n_w:n], 1j * S[:, :n_w, n_w:n] * beta[:, None, None]
 
 
 def _without_centre(
-    structure: Structure, basis: Basis, M: np.ndarray, x: np.ndarray, beta: np.ndarray, level: np.ndarray
+    structure: Structure,
+    basis: Basis,
+    M: np.ndarray,
+    x: np.ndarray,
+    beta: np.ndarray,
+    level: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """x and beta lowered to nearly what x proves: for where G can grow without bound, so that ``beta`` has no centre."""
+    """x and beta lowered to nearly what x proves: for where G can grow without bound, so that
+    ``beta`` has no centre.
+    """
     scalings = _scalings(structure, basis, x, beta)
-    low = np.maximum(1.05 * _verified(structure, M, scalings[:2], scalings[2]), np.maximum(level, _ZERO / 10))
+    low = np.maximum(
+        1.05 * _verified(structure, M, scalings[:2], scalings[2]), np.maximum(level, _ZERO / 10)
+    )
     with np.errstate(over="ignore"):
         moved = np.where(basis.is_g, x * (beta / low)[:, None], x)
     better = (low < 0.9 * beta) & _inside(basis, M, moved, low)
     return np.where(better[:, None], moved, x), np.where(better, low, beta)
 
 
-def _drop_to_zero(basis: Basis, M: np.ndarray, x: np.ndarray, beta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """With real blocks only, beta = 0 is reached when M^H X M + j (G M - M^H G) < 0; then G~ = G / beta at a tiny beta."""
+def _drop_to_zero(
+    basis: Basis, M: np.ndarray, x: np.ndarray, beta: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """With real blocks only, beta = 0 is reached when M^H X M + j (G M - M^H G) < 0; then G~ = G /
+    beta at a tiny beta.
+    """
     near = np.full(len(x), _ZERO / 10)
     dropped = np.where(basis.is_g, x * (beta / near)[:, None], x)
     zero = _inside(basis, M, dropped, near)
@@ -217,7 +265,9 @@ def _minimise(
     tolerance: float,
     max_iterations: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Follow the centres down until within ``tolerance`` of the dual bound, or at ``level``. M is balanced, of size about 1."""
+    """Follow the centres down until within ``tolerance`` of the dual bound, or at ``level``. M is
+    balanced, of size about 1.
+    """
     b = len(M)
     late = np.zeros(b, int)
     x = np.tile(basis.start, (b, 1))
@@ -226,7 +276,9 @@ def _minimise(
     for iteration in range(1, max_iterations + 1):
         if not len(active):
             break
-        m, xa, ba = M[active], x[active], beta[active]
+        m = M[active]
+        xa = x[active]
+        ba = beta[active]
         path = _Path(basis, m, xa, ba)
         step = _solve(path.hessian, path.gradient)
         decrement = np.sqrt(np.maximum((step * path.gradient).sum(axis=1), 0.0))
@@ -254,16 +306,22 @@ def _minimise(
             end_now = np.flatnonzero(done) if iteration < max_iterations else np.arange(len(done))
             P = path.P[end_now]
             usable = np.isfinite(P).all(axis=(1, 2), keepdims=True)
-            worst[active[end_now]] = np.linalg.eigh(np.where(usable, P, np.eye(basis.n_w)))[1][:, :, -1]
+            worst[active[end_now]] = np.linalg.eigh(np.where(usable, P, np.eye(basis.n_w)))[1][
+                :, :, -1
+            ]
         x[active], beta[active] = xa, ba
         active = active[~done]
     return x, beta, worst
 
 
-def _verified(structure: Structure, M: np.ndarray, X: tuple[np.ndarray, np.ndarray], G: np.ndarray) -> np.ndarray:
-    """The bound that (X, G) prove, by one Hermitian eigenvalue problem, with the rounding error of that added.
+def _verified(
+    structure: Structure, M: np.ndarray, X: tuple[np.ndarray, np.ndarray], G: np.ndarray
+) -> np.ndarray:
+    """The bound that (X, G) prove, by one Hermitian eigenvalue problem, with the rounding error of
+    that added.
 
-    X: (X_w (b, n_w, n_w), X_z (b, n_z, n_z)). Returns the bound (b,), infinite where X is not positive definite to rounding.
+    X: (X_w (b, n_w, n_w), X_z (b, n_z, n_z)). Returns the bound (b,), infinite where X is not
+    positive definite to rounding.
     """
     L_w, L_z = (memberwise(np.linalg.cholesky, part) for part in X)
     inverse = memberwise(np.linalg.inv, L_w)
@@ -277,10 +335,13 @@ def _verified(structure: Structure, M: np.ndarray, X: tuple[np.ndarray, np.ndarr
     return np.where(np.isfinite(bound), bound, np.inf)
 
 
-def _proved(structure: Structure, M: np.ndarray, found: Scalings, beta: np.ndarray) -> tuple[np.ndarray, Scalings]:
+def _proved(
+    structure: Structure, M: np.ndarray, found: Scalings, beta: np.ndarray
+) -> tuple[np.ndarray, Scalings]:
     """The verified bound, (b,), and its scalings (X_w, X_z, G).
 
-    Where the best X is nearly singular rounding errors spoil the proof; then X + epsilon I is tried as well.
+    Where the best X is nearly singular rounding errors spoil the proof; then X + epsilon I is tried
+    as well.
     """
     best = _verified(structure, M, found[:2], found[2])
     X_w, X_z, G = (part.copy() for part in found)
@@ -288,7 +349,10 @@ def _proved(structure: Structure, M: np.ndarray, found: Scalings, beta: np.ndarr
         k = np.flatnonzero(best > beta * (1 + 1e-8))
         if len(k) == 0:
             break
-        wider = found[0][k] + epsilon * np.eye(structure.n_w), found[1][k] + epsilon * np.eye(structure.n_z)
+        wider = (
+            found[0][k] + epsilon * np.eye(structure.n_w),
+            found[1][k] + epsilon * np.eye(structure.n_z),
+        )
         value = _verified(structure, M[k], wider, found[2][k])
         better = value < best[k]
         best[k[better]] = value[better]
@@ -299,7 +363,11 @@ def _proved(structure: Structure, M: np.ndarray, found: Scalings, beta: np.ndarr
 def needs_scaling(structure: Structure) -> bool:
     """Whether scalings can change sigma_max: not for one full block, nor for one complex scalar."""
     block = structure.places[0].block
-    return len(structure.places) > 1 or isinstance(block, RealBlock) or (block.n_w > 1 and not isinstance(block, FullBlock))
+    return (
+        len(structure.places) > 1
+        or isinstance(block, RealBlock)
+        or (block.n_w > 1 and not isinstance(block, FullBlock))
+    )
 
 
 def upper_bound(
@@ -311,10 +379,12 @@ def upper_bound(
     tolerance: float = 1e-4,
     max_iterations: int = 120,
 ) -> UpperBound:
-    """Upper bound of mu for a batch M (b, n_z, n_w), within ``tolerance`` (relative) of the best (D, G) bound.
+    """Upper bound of mu for a batch M (b, n_z, n_w), within ``tolerance`` (relative) of the best
+    (D, G) bound.
 
-    level (b,): stop at this value, with the scalings of its analytic centre: those that prove mu < level with most room, and
-    so reach furthest in frequency. ``g_scaling=False`` treats real blocks as complex.
+    level (b,): stop at this value, with the scalings of its analytic centre: those that prove mu <
+    level with most room, and so reach furthest in frequency. ``g_scaling=False`` treats real blocks
+    as complex.
     """
     b = len(M)
     balanced, d_z, d_w = osborne(M, structure)
@@ -332,10 +402,18 @@ def upper_bound(
         basis = scaling_basis(structure, g_scaling=g_scaling)
         low = (np.zeros(b) if level is None else level / scale)[alive]
         x, beta, direction = _minimise(
-            structure, basis, unit[alive], np.maximum(1.05, np.minimum(low, 10.0)), low, tolerance, max_iterations
+            structure,
+            basis,
+            unit[alive],
+            np.maximum(1.05, np.minimum(low, 10.0)),
+            low,
+            tolerance,
+            max_iterations,
         )
         proved, new = _proved(structure, unit[alive], _scalings(structure, basis, x, beta), beta)
-        better = proved < (value[alive] if level is None else np.maximum(value, level / scale)[alive])
+        better = proved < (
+            value[alive] if level is None else np.maximum(value, level / scale)[alive]
+        )
         k = alive[better]
         value[k], worst[alive] = proved[better], direction
         X_w[k], X_z[k], G[k] = (part[better] for part in new)
@@ -346,7 +424,9 @@ def upper_bound(
     return UpperBound(value, X_w, X_z, G, worst / d_w)
 
 
-def _verified_osborne(structure: Structure, unit: np.ndarray, alive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _verified_osborne(
+    structure: Structure, unit: np.ndarray, alive: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """sigma_max of the balanced matrix, with its rounding error, and the right singular vector."""
     value, worst = np.zeros(len(unit)), np.zeros((len(unit), structure.n_w), complex)
     if len(alive):

@@ -1,4 +1,6 @@
-"""Diagonal scaling of state-space matrices: exact (powers of two), cheap, and worth several digits."""
+"""Diagonal scaling of state-space matrices: exact (powers of two), cheap, and worth several
+digits.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,8 @@ import scipy.linalg as sla
 
 
 def balance(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Diagonal similarity that evens out row and column norms: T^-1 A T with T = diag(t), and t (n,). Exact (powers of 2).
+    """Diagonal similarity that evens out row and column norms: T^-1 A T with T = diag(t), and t
+    (n,). Exact (powers of 2).
 
     A (n, n). Source: Parlett & Reinsch 1969 (LAPACK's gebal, without permutations).
     """
@@ -18,11 +21,14 @@ def balance(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return balanced, scale
 
 
-def balance_system(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """State scaling x = diag(t) z that evens out A, B and C together: T^-1 A T, T^-1 B, C T and t (n,).
+def balance_system(
+    A: np.ndarray, B: np.ndarray, C: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """State scaling x = diag(t) z that evens out A, B and C together: T^-1 A T, T^-1 B, C T and t
+    (n,).
 
-    A (n, n), B (n, m), C (p, n). Inputs and outputs keep their units; one more row and column, the norms of B and C, stand
-    for them while balancing.
+    A (n, n), B (n, m), C (p, n). Inputs and outputs keep their units; one more row and column, the
+    norms of B and C, stand for them while balancing.
     """
     n = A.shape[0]
     joint = np.zeros((n + 1, n + 1))

@@ -1,8 +1,10 @@
-"""A system in real block-diagonal form: every state couples only with those whose poles it cannot be told from.
+"""A system in real block-diagonal form: every state couples only with those whose poles it cannot
+be told from.
 
-A dense state matrix costs n^2 products a step and spreads the rounding of one coefficient over all poles. In modal form a
-single pole is a block of one state, a complex pair a rotation of two, and poles so near each other that separating them would
-need large, cancelling transforms stay together (Bavely & Stewart 1979, SIAM J. Numer. Anal. 16, 359-367).
+A dense state matrix costs n^2 products a step and spreads the rounding of one coefficient over all
+poles. In modal form a single pole is a block of one state, a complex pair a rotation of two, and
+poles so near each other that separating them would need large, cancelling transforms stay together
+(Bavely & Stewart 1979, SIAM J. Numer. Anal. 16, 359-367).
 """
 
 from __future__ import annotations
@@ -23,7 +25,9 @@ _RESIDUAL = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModalForm:
-    """``system`` has a block-diagonal A with blocks of ``sizes`` (they add up to n); complex pairs are [[a, b], [-b, a]]."""
+    """``system`` has a block-diagonal A with blocks of ``sizes`` (they add up to n); complex pairs
+    are [[a, b], [-b, a]].
+    """
 
     system: StateSpace
     sizes: tuple[int, ...]
@@ -36,11 +40,12 @@ class ModalForm:
 
 @named_failure("the modal form")
 def modal_form(system: Any, growth: float = _GROWTH) -> ModalForm:
-    """``system`` in real block-diagonal coordinates, slow blocks first; inputs, outputs and sample time are kept.
+    """``system`` in real block-diagonal coordinates, slow blocks first; inputs, outputs and sample
+    time are kept.
 
-    A transform that separates two blocks has entries up to ``growth``, so that at most 4 digits are lost; beyond, the blocks
-    stay one.
-    Raises NumericalFailure when the transform does not give the system back to 1e-9.
+    A transform that separates two blocks has entries up to ``growth``, so that at most 4 digits are
+    lost; beyond, the blocks stay one. Raises NumericalFailure when the transform does not give the
+    system back to 1e-9.
     """
     system = as_statespace(system)
     n = system.n_states
@@ -55,7 +60,8 @@ def modal_form(system: Any, growth: float = _GROWTH) -> ModalForm:
         or not np.abs(Y @ X - np.eye(n)).max() <= _RESIDUAL
     ):
         raise NumericalFailure(
-            f"the modal form of a system with {n} states misses its matrix by more than {_RESIDUAL:g}; "
+            f"the modal form of a system with {n} states misses its matrix by more than "
+            f"{_RESIDUAL:g}; "
             "reduce the controller's order"
         )
     t = np.ones(n)
@@ -63,13 +69,19 @@ def modal_form(system: Any, growth: float = _GROWTH) -> ModalForm:
     for k in sizes:
         _scale_block(T, Y @ B, C @ X, t, slice(start, start + k))
         start += k
-    T, B, C = T * t / t[:, None], (Y @ B) / t[:, None], (C @ X) * t
+    T = T * t / t[:, None]
+    B = (Y @ B) / t[:, None]
+    C = (C @ X) * t
     order, sizes = _slow_first(T, sizes, system.dt)
-    T, B, C = T[np.ix_(order, order)], B[order], C[:, order]
+    T = T[np.ix_(order, order)]
+    B = B[order]
+    C = C[:, order]
     return ModalForm(StateSpace(T, B, C, system.D, system.inputs, system.outputs, system.dt), sizes)
 
 
-def _separated(T: np.ndarray, X: np.ndarray, growth: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[int, ...]]:
+def _separated(
+    T: np.ndarray, X: np.ndarray, growth: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[int, ...]]:
     """The real Schur form T (n, n) with vectors X made block-diagonal: T, X, X^-1 and the sizes."""
     T, X, Y = T.copy(), X.copy(), X.T.copy()
     n, start = len(T), 0
@@ -95,7 +107,9 @@ def _first_block(T: np.ndarray, i: int) -> int:
 
 def _separator(T: np.ndarray, start: int, end: int) -> np.ndarray | None:
     """R with T11 R - R T22 = -T12; None where the two share a pole."""
-    T11, T12, T22 = T[start:end, start:end], T[start:end, end:], T[end:, end:]
+    T11 = T[start:end, start:end]
+    T12 = T[start:end, end:]
+    T22 = T[end:, end:]
     if not T12.any():
         return np.zeros_like(T12)
     X, scale, info = sla.lapack.dtrsyl(T11, T22, -T12, isgn=-1)
@@ -105,10 +119,14 @@ def _separator(T: np.ndarray, start: int, end: int) -> np.ndarray | None:
 
 
 def _take_nearest(T: np.ndarray, X: np.ndarray, Y: np.ndarray, start: int, end: int) -> int:
-    """Move the block whose pole is nearest to those of start..end next to them, in place; the new end."""
+    """Move the block whose pole is nearest to those of start..end next to them, in place; the new
+    end.
+    """
     own = np.linalg.eigvals(T[start:end, start:end])
     rest = T[end:, end:]
-    best, at, i = np.inf, 0, 0
+    best = np.inf
+    at = 0
+    i = 0
     while i < len(rest):
         k = _first_block(rest, i)
         distance = np.abs(np.linalg.eigvals(rest[i : i + k, i : i + k])[:, None] - own).min()
@@ -117,7 +135,9 @@ def _take_nearest(T: np.ndarray, X: np.ndarray, Y: np.ndarray, start: int, end: 
         i += k
     moved, Q, info = sla.lapack.dtrexc(rest, np.eye(len(rest)), at + 1, 1)
     if info != 0:
-        raise NumericalFailure("two poles of the controller are too near each other to be reordered; reduce its order")
+        raise NumericalFailure(
+            "two poles of the controller are too near each other to be reordered; reduce its order"
+        )
     T[end:, end:] = moved
     T[:end, end:] = T[:end, end:] @ Q
     X[:, end:] = X[:, end:] @ Q
@@ -126,16 +146,23 @@ def _take_nearest(T: np.ndarray, X: np.ndarray, Y: np.ndarray, start: int, end: 
 
 
 def _scale_block(T: np.ndarray, B: np.ndarray, C: np.ndarray, t: np.ndarray, block: slice) -> None:
-    """Factors t of the block's states: a pair becomes a rotation, and the block is as large from the input as to the output."""
+    """Factors t of the block's states: a pair becomes a rotation, and the block is as large from
+    the input as to the output.
+    """
     i = block.start
     if block.stop - i == 2 and T[i, i + 1] * T[i + 1, i] < 0:
         t[i + 1] = np.sqrt(-T[i + 1, i] / T[i, i + 1])
-    gain_in, gain_out = np.linalg.norm(B[block] / t[block, None]), np.linalg.norm(C[:, block] * t[block])
+    gain_in, gain_out = (
+        np.linalg.norm(B[block] / t[block, None]),
+        np.linalg.norm(C[:, block] * t[block]),
+    )
     if gain_in > 0 and gain_out > 0:
         t[block] *= np.exp2(np.round(0.5 * np.log2(gain_in / gain_out)))
 
 
-def _slow_first(T: np.ndarray, sizes: tuple[int, ...], dt: float | None) -> tuple[np.ndarray, tuple[int, ...]]:
+def _slow_first(
+    T: np.ndarray, sizes: tuple[int, ...], dt: float | None
+) -> tuple[np.ndarray, tuple[int, ...]]:
     starts = np.cumsum([0, *sizes])[:-1]
     rates = []
     for start, k in zip(starts, sizes, strict=True):

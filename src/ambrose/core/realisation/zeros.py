@@ -1,4 +1,6 @@
-"""Zeros: the frequencies at which a system of any size and rank loses rank; and systems without hidden poles."""
+"""Zeros: the frequencies at which a system of any size and rank loses rank; and systems without
+hidden poles.
+"""
 
 from __future__ import annotations
 
@@ -15,21 +17,24 @@ from ambrose.core.statespace import StateSpace, as_statespace
 
 @named_failure("the zeros")
 def invariant_zeros(system: Any, tolerance: float = 1e-9) -> np.ndarray:
-    """Finite invariant zeros (z,) complex [rad/s, or z-plane]; transmission zeros when the system is minimal.
+    """Finite invariant zeros (z,) complex [rad/s, or z-plane]; transmission zeros when the system
+    is minimal.
 
-    tolerance: relative to the balanced system matrix, below which a row counts as dependent. Sorted by modulus. Works for
-    rank-deficient and non-square systems: zeros at infinity and the singular part of [A - s, B; C, D] are deflated first.
-    Emami-Naeini & Van Dooren (1982), Automatica 18.
+    tolerance: relative to the balanced system matrix, below which a row counts as dependent. Sorted
+    by modulus. Works for rank-deficient and non-square systems: zeros at infinity and the singular
+    part of [A - s, B; C, D] are deflated first. Emami-Naeini & Van Dooren (1982), Automatica 18.
     """
     system = as_statespace(system)
     A, B, C, D = _scaled(system)
     size = max(float(np.linalg.norm(np.block([[A, B], [C, D]]))), 1e-300)
     A, B, C, D = _row_reduced(A, B, C, D, tolerance * size)
-    A, C, B, D = (x.T for x in _row_reduced(A.T, C.T, B.T, D.T, tolerance * size))  # the dual: now D is square and invertible
+    # the dual: now D is square and invertible
+    A, C, B, D = (x.T for x in _row_reduced(A.T, C.T, B.T, D.T, tolerance * size))
     n = len(A)
     if n == 0:
         return np.zeros(0, complex)
-    # the pencil [A - s, B; C, D]: columns turned so that [C, D] = [0, R] leaves a regular pencil of the size n
+    # the pencil [A - s, B; C, D]: columns turned so that [C, D] = [0, R] leaves a regular pencil of
+    # the size n
     _, _, Vt = sla.svd(np.hstack([C, D]))
     V = Vt[len(C) :].T  # null space of [C, D], n columns
     values = sla.eig(np.hstack([A, B]) @ V, V[:n], right=False, homogeneous_eigvals=True)
@@ -40,22 +45,31 @@ def invariant_zeros(system: Any, tolerance: float = 1e-9) -> np.ndarray:
 
 
 def minimal(system: Any, tolerance: float = 1e-9) -> StateSpace:
-    """A stable system without the states whose Hankel singular values are below ``tolerance`` of the largest.
+    """A stable system without the states whose Hankel singular values are below ``tolerance`` of
+    the largest.
 
-    What is left differs by at most twice the sum of those left out, so its poles and zeros are those that can be seen. Raises
-    UnstableSystem. Moore (1981); Glover (1984).
+    What is left differs by at most twice the sum of those left out, so its poles and zeros are
+    those that can be seen. Raises UnstableSystem. Moore (1981); Glover (1984).
     """
     check_positive(tolerance, "tolerance", "1e-9 keeps all that double precision can tell")
     balanced, hankel, _, _ = balanced_realization(system)
     k = int((hankel > tolerance * hankel.max(initial=0.0)).sum())
     k = min(k, balanced.n_states)
     return StateSpace(
-        balanced.A[:k, :k], balanced.B[:k], balanced.C[:, :k], balanced.D, balanced.inputs, balanced.outputs, balanced.dt
+        balanced.A[:k, :k],
+        balanced.B[:k],
+        balanced.C[:, :k],
+        balanced.D,
+        balanced.inputs,
+        balanced.outputs,
+        balanced.dt,
     )
 
 
 def _unit(system: StateSpace) -> float:
-    """The rate [rad/s] in which a continuous system's poles are of order one; a sampled system stays as it is."""
+    """The rate [rad/s] in which a continuous system's poles are of order one; a sampled system
+    stays as it is.
+    """
     if system.dt is not None or system.n_states == 0:
         return 1.0
     moduli = np.abs(np.linalg.eigvals(system.A))
@@ -64,9 +78,14 @@ def _unit(system: StateSpace) -> float:
 
 
 def _scaled(system: StateSpace) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The matrices in units of time, input and output in which they are of order one; zeros only change by the unit of time."""
+    """The matrices in units of time, input and output in which they are of order one; zeros only
+    change by the unit of time.
+    """
     unit = _unit(system)
-    A, B, C, D = system.A / unit, system.B / unit, system.C, system.D
+    A = system.A / unit
+    B = system.B / unit
+    C = system.C
+    D = system.D
     for _ in range(3):
         A, B, C, _ = balance_system(A, B, C)
         columns = np.linalg.norm(np.vstack([B, D]), axis=0)
@@ -81,7 +100,9 @@ def _scaled(system: StateSpace) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.
 def _row_reduced(
     A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """A system with the same finite zeros whose D has full row rank: outputs that D does not reach hold states at zero."""
+    """A system with the same finite zeros whose D has full row rank: outputs that D does not reach
+    hold states at zero.
+    """
     while True:
         U, s, _ = sla.svd(D) if D.size else (np.eye(len(D)), np.zeros(0), None)
         rank = int((s > tolerance).sum())
@@ -95,7 +116,9 @@ def _row_reduced(
         if k == 0:
             return A, B, C, D
         T = np.vstack([Vt[k:], Vt[:k]]).T  # free states first, then the k held at zero
-        A, B, C = T.T @ A @ T, T.T @ B, C @ T
+        A = T.T @ A @ T
+        B = T.T @ B
+        C = C @ T
         n = len(A) - k
         C, D = np.vstack([A[n:, :n], C[:, :n]]), np.vstack([B[n:], D])
         A, B = A[:n, :n], B[:n]

@@ -1,15 +1,19 @@
-"""The proof for a loop whose matrices follow what is, p, and what is told of it: plant and controller, scheduled or fixed.
+"""The proof for a loop whose matrices follow what is, p, and what is told of it: plant and
+controller, scheduled or fixed.
 
-On a cell of the plane of p and what is told, the loop x' = A x + B d, y = C x + d has polynomial matrices, given as control
-nets of Bernstein polynomials over the cell's two coordinates: they lie in the convex hull of the nets' entries. With
-V = x^T X(p) x, X(p) a polynomial, and |p'| <= rate, V' + |y|^2 - gamma^2 |d|^2 < 0 is again a polynomial inequality, affine in
-X's coefficients. Where it holds for every entry of its control net and both signs of the rate it holds on the whole cell,
-however p and what is told move within their cells (bounded real lemma; Wu, Yang, Packard & Becker 1996, Int. J. Robust
-Nonlinear Control 6, for the function; the hull in place of a grid). A constant X needs no rate. X(p) is positive where one loop
-is stable for its p, and cannot become singular on the way to another p, for there V' would be zero.
+On a cell of the plane of p and what is told, the loop x' = A x + B d, y = C x + d has polynomial
+matrices, given as control nets of Bernstein polynomials over the cell's two coordinates: they lie
+in the convex hull of the nets' entries. With V = x^T X(p) x, X(p) a polynomial, and |p'| <= rate,
+V' + |y|^2 - gamma^2 |d|^2 < 0 is again a polynomial inequality, affine in X's coefficients. Where
+it holds for every entry of its control net and both signs of the rate it holds on the whole cell,
+however p and what is told move within their cells (bounded real lemma; Wu, Yang, Packard & Becker
+1996, Int. J. Robust Nonlinear Control 6, for the function; the hull in place of a grid). A constant
+X needs no rate. X(p) is positive where one loop is stable for its p, and cannot become singular on
+the way to another p, for there V' would be zero.
 
-X = sum_d T_d(p) X_d in Chebyshev polynomials; from d = 1 on X_d has only the rows and columns of the states that disturbances
-reach most. The search takes entries in as it needs them; what it finds is checked at every one.
+X = sum_d T_d(p) X_d in Chebyshev polynomials; from d = 1 on X_d has only the rows and columns of
+the states that disturbances reach most. The search takes entries in as it needs them; what it finds
+is checked at every one.
 """
 
 from __future__ import annotations
@@ -29,7 +33,8 @@ from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, balance, is_stable
 from ambrose.core.varying.proof import Proof
 
-_ROOMS = (5e-4, 1e-3, 2e-3, 4e-3, 1e-2, 3e-2)  # of gamma, above the smallest found, at which the inequality is checked
+# of gamma, above the smallest found, at which the inequality is checked
+_ROOMS = (5e-4, 1e-3, 2e-3, 4e-3, 1e-2, 3e-2)
 _ENOUGH = 2e-3
 _ROUNDS, _ADDED = 12, 120
 _LARGEST = 1e6  # of X, which is I for the loop in the middle
@@ -39,7 +44,9 @@ _TOLERANCE = 2e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cell:
-    """Control nets over a cell: A (a, c, n, n), B (a, c, n, m), and p (2, 2), bilinear, in -1 .. 1; over a line (2, 1)."""
+    """Control nets over a cell: A (a, c, n, n), B (a, c, n, m), and p (2, 2), bilinear, in -1 .. 1;
+    over a line (2, 1).
+    """
 
     A: np.ndarray
     B: np.ndarray
@@ -52,14 +59,18 @@ def elevated(net: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
 
 
 def product(p: np.ndarray, net: np.ndarray) -> np.ndarray:
-    """The control net of a scalar polynomial p (a, c) times one of matrices (b, d, n, m): (a + b - 1, c + d - 1, n, m)."""
+    """The control net of a scalar polynomial p (a, c) times one of matrices (b, d, n, m): (a + b -
+    1, c + d - 1, n, m).
+    """
     (a, c), (b, d) = p.shape, net.shape[:2]
     found = np.zeros((a + b - 1, c + d - 1, *net.shape[2:]))
     weights = [_binomials(size - 1) for size in (a, c, b, d, a + b - 1, c + d - 1)]
     for i in range(a):
         for k in range(c):
             part = weights[0][i] * weights[1][k] * p[i, k] * net
-            found[i : i + b, k : k + d] += part * (weights[2][:, None] * weights[3])[:, :, None, None]
+            found[i : i + b, k : k + d] += (
+                part * (weights[2][:, None] * weights[3])[:, :, None, None]
+            )
     return found / (weights[4][:, None] * weights[5])[:, :, None, None]
 
 
@@ -69,7 +80,9 @@ def _binomials(n: int) -> np.ndarray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Entry:
-    """One inequality: entries of the nets of T_d(p) A (D + 1, n, n) and T_d(p) B (D + 1, n, m), and of p' T_d'(p) (D + 1,)."""
+    """One inequality: entries of the nets of T_d(p) A (D + 1, n, n) and T_d(p) B (D + 1, n, m), and
+    of p' T_d'(p) (D + 1,).
+    """
 
     A: np.ndarray
     B: np.ndarray
@@ -77,13 +90,19 @@ class _Entry:
 
 
 class CellSearch:
-    """The inequalities in coordinates in which the middle loop's own X is I (or those given, T and its inverse), and time in
-    its own pace."""
+    """The inequalities in coordinates in which the middle loop's own X is I (or those given, T and
+    its inverse), and time in its own pace.
+    """
 
     def __init__(
-        self, cells: Sequence[Cell], C: np.ndarray, rate: float, degree: int, share: float,
+        self,
+        cells: Sequence[Cell],
+        C: np.ndarray,
+        rate: float,
+        degree: int,
+        share: float,
         coordinates: tuple[np.ndarray, np.ndarray] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         A, B = middle_of(cells)
         if coordinates is None:
             T, inverse = own_coordinates(A, B, C)
@@ -92,7 +111,8 @@ class CellSearch:
         T, inverse = coordinates
         pace = float(np.exp(np.log(np.abs(np.linalg.eigvals(A)) + 1e-9).mean()))
         off = accurate_product(inverse, T)
-        F = off[0] - np.eye(len(A)) + off[1]  # inverse T = I + F, so that T^-1 A T = (I - F + F^2) inverse A T but for F^3
+        # inverse T = I + F, so that T^-1 A T = (I - F + F^2) inverse A T but for F^3
+        F = off[0] - np.eye(len(A)) + off[1]
         size = float(np.linalg.norm(F, 2))
         skew = size**3 + np.finfo(float).eps * len(A) * size
         self.error = 0.0  # by which rounding in the change of coordinates moves A
@@ -103,11 +123,16 @@ class CellSearch:
         self.variables: list[MatrixVariable] = []
         for _ in range(self.degree + 1):
             start = self.variables[-1].stop if self.variables else 0
-            self.variables.append(MatrixVariable(start, len(A), int(np.ceil(share * len(A))) if start else len(A)))
+            self.variables.append(
+                MatrixVariable(start, len(A), int(np.ceil(share * len(A))) if start else len(A))
+            )
         for cell in cells:
             high, low = accurate_product(cell.A, T)
             turned_A, rest = accurate_product(inverse, high)
-            nets = [(turned_A + (rest + inverse @ low)) / pace, sum(accurate_product(inverse, cell.B)) / np.sqrt(pace)]
+            nets = [
+                (turned_A + (rest + inverse @ low)) / pace,
+                sum(accurate_product(inverse, cell.B)) / np.sqrt(pace),
+            ]
             nets = [net - F @ (net - F @ net) for net in nets]
             largest = float(np.linalg.norm(nets[0], 2, axis=(2, 3)).max())
             self.error = max(self.error, (2 * skew + np.finfo(float).eps * len(A)) * largest)
@@ -122,7 +147,12 @@ class CellSearch:
         (n, m), q = entry.B.shape[1:], len(self.C)
         corner, F0 = np.zeros((n + m, n + m)), np.zeros((n + m, n + m))
         corner[-q:, -q:] = np.eye(q)
-        F0[:n, :n], F0[:n, -q:], F0[-q:, :n], F0[-q:, -q:] = -self.C.T @ self.C, -self.C.T, -self.C, -np.eye(q)
+        F0[:n, :n], F0[:n, -q:], F0[-q:, :n], F0[-q:, -q:] = (
+            -self.C.T @ self.C,
+            -self.C.T,
+            -self.C,
+            -np.eye(q),
+        )
         one = np.eye(n, n + m)
         terms = tuple(
             Term(X, -one, np.hstack([A, B]) + slope / 2 * one)
@@ -131,26 +161,38 @@ class CellSearch:
         return Inequality(svec(corner)[:, None], svec(F0), np.array([self.size - 1]), terms)
 
     def bound(self) -> Inequality:
-        """X_0 at most _LARGEST: where states hardly matter nothing else keeps it from growing until rounding hides the rest."""
+        """X_0 at most _LARGEST: where states hardly matter nothing else keeps it from growing until
+        rounding hides the rest.
+        """
         X, one = self.variables[0], np.eye(self.variables[0].order)
         term = Term(X, -one / 2, one)
-        return Inequality(np.zeros((len(svec(one)), 0)), _LARGEST * svec(one), np.zeros(0, int), (term,))
+        return Inequality(
+            np.zeros((len(svec(one)), 0)), _LARGEST * svec(one), np.zeros(0, int), (term,)
+        )
 
     def functions(self, x: np.ndarray) -> np.ndarray:
         """X_0 .. X_D (D + 1, n, n) of the variables."""
         return np.array([variable.matrix(x) for variable in self.variables])
 
     def first(self) -> list[int]:
-        """Entries to begin with: the largest gains at rest, and those that the middle loop's own X fails most."""
+        """Entries to begin with: the largest gains at rest, and those that the middle loop's own X
+        fails most.
+        """
         X = np.zeros((len(self.variables), *self.entries[0].A.shape[1:]))
         X[0] = np.eye(len(X[0]))
         excess = self.excess(X, 1.0)
         loops = [StateSpace(e.A[0], e.B[0], self.C, np.eye(len(self.C))) for e in self.entries]
         gains = np.array([hinf_norm(loop).value if is_stable(loop) else 0.0 for loop in loops])
-        return list(dict.fromkeys(int(i) for order in (-gains, -excess) for i in np.argsort(order)[: _ADDED // 2]))
+        return list(
+            dict.fromkeys(
+                int(i) for order in (-gains, -excess) for i in np.argsort(order)[: _ADDED // 2]
+            )
+        )
 
     def excess(self, X: np.ndarray, gamma: float) -> np.ndarray:
-        """The largest eigenvalue of every inequality's left side (e,); it holds where that is negative."""
+        """The largest eigenvalue of every inequality's left side (e,); it holds where that is
+        negative.
+        """
         C, q = self.C, len(self.C)
         corner = (1 - gamma**2) * np.eye(q)
         found = []
@@ -167,7 +209,9 @@ class CellSearch:
 
 
 def _entries(p: np.ndarray, A: np.ndarray, B: np.ndarray, degree: int, rate: float) -> list[_Entry]:
-    """All of a cell: nets of T_d(p) A, T_d(p) B and p' T_d'(p), of one size, for p' = -rate and rate."""
+    """All of a cell: nets of T_d(p) A, T_d(p) B and p' T_d'(p), of one size, for p' = -rate and
+    rate.
+    """
     size = (degree * (p.shape[0] - 1) + 1, degree * (p.shape[1] - 1) + 1)
     powers = [np.ones((1, 1, 1, 1))]
     for _ in range(degree):
@@ -175,20 +219,26 @@ def _entries(p: np.ndarray, A: np.ndarray, B: np.ndarray, degree: int, rate: flo
 
     def net(of: np.polynomial.Chebyshev) -> np.ndarray:
         coefficients = of.convert(kind=np.polynomial.Polynomial).coef
-        return np.sum([c * elevated(powers[k], size) for k, c in enumerate(coefficients)], axis=0)[:, :, 0, 0]
+        return np.sum([c * elevated(powers[k], size) for k, c in enumerate(coefficients)], axis=0)[
+            :, :, 0, 0
+        ]
 
     series = [np.polynomial.Chebyshev.basis(d) for d in range(degree + 1)]
     whole = tuple(max(A.shape[k], B.shape[k]) + size[k] - 1 for k in (0, 1))
     factors = [net(T) for T in series]
     of_A, of_B = (np.stack([elevated(product(T, M), whole) for T in factors], 2) for M in (A, B))
-    slopes = np.stack([elevated(net(T.deriv())[:, :, None, None], whole)[:, :, 0, 0] for T in series], 2)
+    slopes = np.stack(
+        [elevated(net(T.deriv())[:, :, None, None], whole)[:, :, 0, 0] for T in series], 2
+    )
     flat = (M.reshape(-1, *M.shape[2:]) for M in (of_A, of_B, slopes))
     signs = (-rate, rate) if degree else (0.0,)
     return [_Entry(a, b, sign * slope) for a, b, slope in zip(*flat, strict=True) for sign in signs]
 
 
 def accurate_product(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A B (..., n, m) as two matrices, as if in twice the precision (Ogita, Rump & Oishi 2005, SIAM J. Sci. Comput. 26)."""
+    """A B (..., n, m) as two matrices, as if in twice the precision (Ogita, Rump & Oishi 2005, SIAM
+    J. Sci. Comput. 26).
+    """
     shape = np.broadcast_shapes(A.shape[:-2], B.shape[:-2])
     high, low = np.zeros((2, *shape, A.shape[-2], B.shape[-1]))
     for k in range(A.shape[-1]):
@@ -220,16 +270,22 @@ def middle_of(cells: Sequence[Cell]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def own_coordinates(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """T and its inverse, x = T x', in which the loop's own bounded-real X, 5 % above its gain, is about I."""
+    """T and its inverse, x = T x', in which the loop's own bounded-real X, 5 % above its gain, is
+    about I.
+    """
     A, t = balance(A)
     B, C, q = B / t[:, None], C * t, len(C)
     gamma = 1.05 * hinf_norm(StateSpace(A, B, C, np.eye(q))).value
     R = (gamma**2 - 1) * np.eye(q)
     inner = np.linalg.solve(R, C)
     try:
-        X = sla.solve_continuous_are(A + B @ inner, B, C.T @ C + C.T @ inner + 1e-9 * np.eye(len(A)), -R)
+        X = sla.solve_continuous_are(
+            A + B @ inner, B, C.T @ C + C.T @ inner + 1e-9 * np.eye(len(A)), -R
+        )
     except (np.linalg.LinAlgError, ValueError) as error:
-        raise NumericalFailure("the loop at rest in the middle of the range has no bounded-real function") from error
+        raise NumericalFailure(
+            "the loop at rest in the middle of the range has no bounded-real function"
+        ) from error
     values, V = np.linalg.eigh((X + X.T) / 2)
     root = np.sqrt(np.maximum(values, _FLOOR * values.max()))
     return t[:, None] * (V / root), (V * root).T / t
@@ -250,31 +306,47 @@ def proved_on_cells(
     time_limit: float = 600.0,
     tell: Callable[[str], None] = lambda text: None,
 ) -> Proof:
-    """The smallest gamma for which a proof is found, over all motions within the cells with |p'| <= rate [1/s].
+    """The smallest gamma for which a proof is found, over all motions within the cells with |p'| <=
+    rate [1/s].
 
-    degree: of X(p); share: of the states whose rows of X change with p; time_limit [s]: of all. Raises
-    NumericalFailure where none is found, with the reason.
+    degree: of X(p); share: of the states whose rows of X change with p; time_limit [s]: of all.
+    Raises NumericalFailure where none is found, with the reason.
     """
     search = CellSearch(cells, C, rate, degree, share)
     chosen = search.first()
-    best, reason, bounded, end = None, "", True, time.monotonic() + time_limit
+    best = None
+    reason = ""
+    bounded = True
+    end = time.monotonic() + time_limit
     for step in range(_ROUNDS):
         items = [search.inequality(search.entries[i]) for i in chosen] + [search.bound()] * bounded
         found = minimise(
-            np.eye(1, search.size, search.size - 1)[0], items, tolerance=_TOLERANCE, time_limit=end - time.monotonic()
+            np.eye(1, search.size, search.size - 1)[0],
+            items,
+            tolerance=_TOLERANCE,
+            time_limit=end - time.monotonic(),
         )
         if found.status == "time limit":
-            reason = f"the search was not at its end after {time_limit:.0f} s; a smaller error or fewer grid points help"
+            reason = (
+                f"the search was not at its end after {time_limit:.0f} s; a smaller error or fewer "
+                "grid points help"
+            )
             break
         if found.status == "infeasible" and bounded:
             bounded = False
             continue
         if found.status == "infeasible" or found.x[-1] <= 0:
-            reason = f"no quadratic function proves the loop stable while the parameter moves ({found.status})"
+            reason = (
+                "no quadratic function proves the loop stable while the parameter moves "
+                f"({found.status})"
+            )
             break
         X = search.functions(found.x)
         least, rounding = float(np.sqrt(found.x[-1])), search.rounding(X)
-        tell(f"round {step + 1}: gain below {least:.4f} at {len(chosen)} of {len(search.entries)} entries")
+        tell(
+            f"round {step + 1}: gain below {least:.4f} at {len(chosen)} of {len(search.entries)} "
+            "entries"
+        )
         for room in _ROOMS:
             gamma = least * (1 + room)
             excess = search.excess(X, gamma)
@@ -286,7 +358,10 @@ def proved_on_cells(
         excess = search.excess(X, least * (1 + _ENOUGH))
         worst = [int(i) for i in np.argsort(-excess) if excess[i] >= 0 and i not in chosen]
         if not worst:
-            reason = f"the inequality does not hold with certainty (by {-excess.max():.1e}, rounding {rounding:.1e})"
+            reason = (
+                f"the inequality does not hold with certainty (by {-excess.max():.1e}, rounding "
+                f"{rounding:.1e})"
+            )
             break
         chosen += worst[:_ADDED]
     if best is None:

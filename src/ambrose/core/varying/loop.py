@@ -1,9 +1,11 @@
-"""A loop with real parameters that move: each delta(t) anywhere in -1 .. 1 and, where a bound is known, |delta'| <= rate.
+"""A loop with real parameters that move: each delta(t) anywhere in -1 .. 1 and, where a bound is
+known, |delta'| <= rate.
 
-The parameters are pulled out of a stable system: w = delta z, channel by channel. For a bounded rate the loop carries filters
-xi' = F xi + H z and eta' = F eta + H w, which change nothing about it. As (delta xi)' = F delta xi + H w + delta' xi,
-delta xi = eta + zeta with zeta' = F zeta + delta' xi: the pairs (z, w) and (xi, eta + zeta) both belong to delta, and xi
-with the input delta' xi belongs to its rate (swapping lemma; Jonsson & Rantzer 1996, Int. J. Robust Nonlinear Control 6).
+The parameters are pulled out of a stable system: w = delta z, channel by channel. For a bounded
+rate the loop carries filters xi' = F xi + H z and eta' = F eta + H w, which change nothing about
+it. As (delta xi)' = F delta xi + H w + delta' xi, delta xi = eta + zeta with zeta' = F zeta +
+delta' xi: the pairs (z, w) and (xi, eta + zeta) both belong to delta, and xi with the input delta'
+xi belongs to its rate (swapping lemma; Jonsson & Rantzer 1996, Int. J. Robust Nonlinear Control 6).
 A rate of zero is a parameter that is not known but stays.
 """
 
@@ -20,7 +22,8 @@ from ambrose.core.frequency import SchurForm, evaluate, schur_form
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace
 
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)  # where within a sample the constraints are read in the search
+# where within a sample the constraints are read in the search
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 _GONE = 1e-6  # a sampled pole so close to zero has no say in the choice of frequencies
 
 
@@ -28,10 +31,11 @@ _GONE = 1e-6  # a sampled pole so close to zero has no say in the choice of freq
 class VaryingLoop:
     """x' = A x + B (w, v), (z, y) = C x + D (w, v), w = delta z with as many w as z.
 
-    Without a controller the loop is closed: v is the disturbance d, and the gain from d to y is asked. With one, y (p) is
-    sampled, e = -(y + d) goes into ``controller`` (sampled), whose held output enters as v (m); asked is the gain from d to
-    y + d at the samples. A (n, n), B (n, r + m), C (r + p, n), D (r + p, r + m); a sampled y holds neither w nor v directly.
-    owner (r,): the parameter that each w belongs to. Raises InvalidInput.
+    Without a controller the loop is closed: v is the disturbance d, and the gain from d to y is
+    asked. With one, y (p) is sampled, e = -(y + d) goes into ``controller`` (sampled), whose held
+    output enters as v (m); asked is the gain from d to y + d at the samples. A (n, n), B (n, r +
+    m), C (r + p, n), D (r + p, r + m); a sampled y holds neither w nor v directly. owner (r,): the
+    parameter that each w belongs to. Raises InvalidInput.
     """
 
     A: np.ndarray
@@ -45,9 +49,16 @@ class VaryingLoop:
         if self.controller is None:
             return
         if self.controller.dt is None:
-            raise invalid("the controller", "continuous", "sampled", "close the loop around it, or sample it")
+            raise invalid(
+                "the controller", "continuous", "sampled", "close the loop around it, or sample it"
+            )
         if np.any(self.D[self.channels :]):
-            raise invalid("D of the sampled outputs", "not zero", "zero", "give the sensor or the amplifier a lag")
+            raise invalid(
+                "D of the sampled outputs",
+                "not zero",
+                "zero",
+                "give the sensor or the amplifier a lag",
+            )
 
     @property
     def channels(self) -> int:
@@ -68,7 +79,11 @@ class VaryingLoop:
         r = self.channels
         S = np.diag(np.asarray(delta, float)[self.owner])
         W = np.linalg.solve(np.eye(r) - S @ self.D[:r, :r], S)
-        B_w, B_v, C_z, C_y, D = self.B[:, :r], self.B[:, r:], self.C[:r], self.C[r:], self.D
+        B_w = self.B[:, :r]
+        B_v = self.B[:, r:]
+        C_z = self.C[:r]
+        C_y = self.C[r:]
+        D = self.D
         A, B = self.A + B_w @ W @ C_z, B_v + B_w @ W @ D[:r, r:]
         C, D = C_y + D[r:, :r] @ W @ C_z, D[r:, r:] + D[r:, :r] @ W @ D[:r, r:]
         if self.controller is None:
@@ -79,7 +94,10 @@ class VaryingLoop:
 
     def scaled(self, factor: float) -> VaryingLoop:
         """The same loop with w and z in units 1/factor as large."""
-        B, C, D, r = self.B.copy(), self.C.copy(), self.D.copy(), self.channels
+        B = self.B.copy()
+        C = self.C.copy()
+        D = self.D.copy()
+        r = self.channels
         B[:, :r] /= factor
         C[:r] *= factor
         D[:r, r:] *= factor
@@ -87,7 +105,9 @@ class VaryingLoop:
         return replace(self, B=B, C=C, D=D)
 
 
-def sampled_closure(P: np.ndarray, Q: np.ndarray, C: np.ndarray, K: StateSpace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def sampled_closure(
+    P: np.ndarray, Q: np.ndarray, C: np.ndarray, K: StateSpace
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """States (x, x_K) from sample to sample with u = K(-(C x + d)): A, B of d, C of y + d."""
     A = np.block([[P - Q @ K.D @ C, Q @ K.C], [-K.B @ C, K.A]])
     return A, np.vstack([-Q @ K.D, -K.B]), np.hstack([C, np.zeros((len(C), K.n_states))])
@@ -95,7 +115,8 @@ def sampled_closure(P: np.ndarray, Q: np.ndarray, C: np.ndarray, K: StateSpace) 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Widened:
-    """The loop with its filters. Inputs (w, w2, v): w2 = (delta'/rate) xi; outputs (z_e, w_e, xi, w2, y): w_e = delta z_e.
+    """The loop with its filters. Inputs (w, w2, v): w2 = (delta'/rate) xi; outputs (z_e, w_e, xi,
+    w2, y): w_e = delta z_e.
 
     A, B, C, D as in VaryingLoop. fast, slow: the owners of z_e and of xi; channels: how many w.
     """
@@ -124,46 +145,70 @@ def _section(pole: complex) -> tuple[np.ndarray, np.ndarray]:
     """A (k, k), b (k, 1) of a filter with the pole [rad/s] (and its conjugate), of gain about 1."""
     if pole.imag == 0:
         return np.array([[pole.real]]), np.array([[-pole.real]])
-    return np.array([[pole.real, pole.imag], [-pole.imag, pole.real]]), np.array([[0.0], [abs(pole)]])
+    return np.array([[pole.real, pole.imag], [-pole.imag, pole.real]]), np.array(
+        [[0.0], [abs(pole)]]
+    )
 
 
 def widen(loop: VaryingLoop, poles: Sequence[complex] = (), rates: Sequence[float] = ()) -> Widened:
-    """The loop with filters of the poles (f,) [rad/s] for every parameter of finite rate [1/s]; none given: any rate."""
-    r, n, p = loop.channels, len(loop.A), loop.B.shape[1] - loop.channels
+    """The loop with filters of the poles (f,) [rad/s] for every parameter of finite rate [1/s];
+    none given: any rate.
+    """
+    r = loop.channels
+    n = len(loop.A)
+    p = loop.B.shape[1] - loop.channels
     bound = np.asarray(rates if len(rates) else [np.inf] * loop.parameters, float)[loop.owner]
     filtered = np.flatnonzero(np.isfinite(bound)) if len(poles) else np.empty(0, int)
     parts = [_section(complex(pole)) for pole in poles] if len(filtered) else []
     count = sum(len(b) for _, b in parts)
-    F = np.kron(sla.block_diag(*[a for a, _ in parts]), np.eye(len(filtered))) if parts else np.zeros((0, 0))
+    F = (
+        np.kron(sla.block_diag(*[a for a, _ in parts]), np.eye(len(filtered)))
+        if parts
+        else np.zeros((0, 0))
+    )
     pick = np.eye(r)[filtered]
     H = np.kron(np.concatenate([b for _, b in parts]), pick) if parts else np.zeros((0, r))
     m, N = len(F), n + 3 * len(F)
     A, B = np.zeros((N, N)), np.zeros((N, r + m + p))
-    x, xi, eta, zeta = slice(0, n), slice(n, n + m), slice(n + m, n + 2 * m), slice(n + 2 * m, N)
-    w, w2, v = slice(0, r), slice(r, r + m), slice(r + m, r + m + p)
+    x = slice(0, n)
+    xi = slice(n, n + m)
+    eta = slice(n + m, n + 2 * m)
+    zeta = slice(n + 2 * m, N)
+    w = slice(0, r)
+    w2 = slice(r, r + m)
+    v = slice(r + m, r + m + p)
     A[x, x], A[xi, x] = loop.A, H @ loop.C[:r]
     A[xi, xi] = A[eta, eta] = A[zeta, zeta] = F
     B[x, w], B[x, v] = loop.B[:, :r], loop.B[:, r:]
-    B[xi, w], B[xi, v], B[eta, w] = H @ loop.D[:r, :r], H @ loop.D[:r, r:], H
+    B[xi, w] = H @ loop.D[:r, :r]
+    B[xi, v] = H @ loop.D[:r, r:]
+    B[eta, w] = H
     B[zeta, w2] = np.diag(np.tile(bound[filtered], count)) if count else np.zeros((0, 0))
     R, y = r + m, 2 * (r + 2 * m)
     C, D = np.zeros((y + len(loop.C) - r, N)), np.zeros((y + len(loop.C) - r, r + m + p))
-    C[:r, x], D[:r, w], D[:r, v] = loop.C[:r], loop.D[:r, :r], loop.D[:r, r:]  # z
+    # z
+    C[:r, x] = loop.C[:r]
+    D[:r, w] = loop.D[:r, :r]
+    D[:r, v] = loop.D[:r, r:]
     C[r:R, xi] = np.eye(m)
     D[R : R + r, w] = np.eye(r)  # w
     C[R + r : 2 * R, eta] = C[R + r : 2 * R, zeta] = np.eye(m)
     C[2 * R : 2 * R + m, xi], D[2 * R + m : y, w2] = np.eye(m), np.eye(m)
-    C[y:, x], D[y:, w], D[y:, v] = loop.C[r:], loop.D[r:, :r], loop.D[r:, r:]
+    C[y:, x] = loop.C[r:]
+    D[y:, w] = loop.D[r:, :r]
+    D[y:, v] = loop.D[r:, r:]
     slow = np.tile(loop.owner[filtered], count) if count else np.empty(0, int)
     return Widened(A, B, C, D, r, np.concatenate([loop.owner, slow]), slow, loop.controller)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Responder:
-    """The constraints' outputs at the instants ``nodes`` (g,) [s] of a sample, and y + d, over (w, w2, d) at any frequencies.
+    """The constraints' outputs at the instants ``nodes`` (g,) [s] of a sample, and y + d, over (w,
+    w2, d) at any frequencies.
 
-    In a sampled loop w and w2 go on as sines between the samples, without the aliases that d brings in with the held u: good
-    enough for a search, no proof. driven: of the plant alone over (w, w2); sampled: of the closed loop over d.
+    In a sampled loop w and w2 go on as sines between the samples, without the aliases that d brings
+    in with the held u: good enough for a search, no proof. driven: of the plant alone over (w, w2);
+    sampled: of the closed loop over d.
     """
 
     driven: SchurForm
@@ -181,8 +226,12 @@ class Responder:
             return M[:, None, : self.rows], M[:, self.rows :]
         g = len(self.nodes)
         over_d = evaluate(self.sampled, np.exp(1j * omega * self.dt))
-        constraint, y = over_d[:, : g * self.rows].reshape(len(omega), g, self.rows, -1), over_d[:, g * self.rows :]
-        free, measured = M[:, None, : self.rows], M[:, self.rows :]  # a w alone is measured like a d of this size
+        constraint, y = (
+            over_d[:, : g * self.rows].reshape(len(omega), g, self.rows, -1),
+            over_d[:, g * self.rows :],
+        )
+        # a w alone is measured like a d of this size
+        free, measured = M[:, None, : self.rows], M[:, self.rows :]
         turn = np.exp(1j * omega[:, None] * self.nodes)[:, :, None, None]
         both = np.concatenate([free * turn + constraint @ measured[:, None], constraint], axis=3)
         return both, np.concatenate([y @ measured, y], axis=2)
@@ -198,7 +247,9 @@ class Responder:
 
 def responder(wide: Widened) -> Responder:
     """Frequency responses of a widened loop."""
-    K, rows, q = wide.controller, wide.rows, wide.driven
+    K = wide.controller
+    rows = wide.rows
+    q = wide.driven
     if K is None:
         whole = schur_form(wide.A, wide.B, wide.C, wide.D, expand=True)
         return Responder(whole, None, rows, wide.B.shape[1], np.zeros(1), np.ones(1), 0.0)
@@ -207,7 +258,9 @@ def responder(wide: Widened) -> Responder:
     over = c2d(by_u, dt)
     A, B, C_d = sampled_closure(over.A, over.B, C_y, K)
     u_x, u_d = np.hstack([-K.D @ C_y, K.C]), -K.D  # u = C_K x_K - D_K (C x + d)
-    C, D, nodes = [], [], dt * (1 + _NODES) / 2
+    C = []
+    D = []
+    nodes = dt * (1 + _NODES) / 2
     for node in nodes:
         part = c2d(by_u, float(node))
         Q = wide.C[:rows] @ part.B + wide.D[:rows, q:]

@@ -1,10 +1,12 @@
-"""Constant multipliers of moving parameters and their rates, found by cutting planes over the frequency.
+"""Constant multipliers of moving parameters and their rates, found by cutting planes over the
+frequency.
 
-With D = D^T >= 0 and G = -G^T the form sigma = z^T D z - w^T D w + 2 z^T G w is not negative where w = delta z, |delta| <= 1,
-at every instant, however delta moves; likewise for xi and w2 = (delta'/rate) xi. If sigma + |y|^2 - gamma^2 |d|^2 is negative
-definite in (w, w2, d) at every frequency, gamma bounds the gain (S-procedure; Megretski & Rantzer 1997, IEEE Trans. Autom.
-Control 42; Scherer 2001, Automatica 37). The search satisfies this at finitely many frequencies and adds those where it fails;
-``proof`` proves what it finds.
+With D = D^T >= 0 and G = -G^T the form sigma = z^T D z - w^T D w + 2 z^T G w is not negative where
+w = delta z, |delta| <= 1, at every instant, however delta moves; likewise for xi and w2 =
+(delta'/rate) xi. If sigma + |y|^2 - gamma^2 |d|^2 is negative definite in (w, w2, d) at every
+frequency, gamma bounds the gain (S-procedure; Megretski & Rantzer 1997, IEEE Trans. Autom. Control
+42; Scherer 2001, Automatica 37). The search satisfies this at finitely many frequencies and adds
+those where it fails; ``proof`` proves what it finds.
 """
 
 from __future__ import annotations
@@ -30,7 +32,9 @@ _TIME_LIMIT = 60.0  # s, of one minimum
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Multipliers:
-    """D, G (R, R) of the parameters and D2, G2 (m, m) of their rates; gamma: of the search, not proved."""
+    """D, G (R, R) of the parameters and D2, G2 (m, m) of their rates; gamma: of the search, not
+    proved.
+    """
 
     D: np.ndarray
     G: np.ndarray
@@ -41,13 +45,17 @@ class Multipliers:
     @property
     def matrix(self) -> np.ndarray:
         """The symmetric matrix (rows, rows) of sigma over (z_e, w_e, xi, w2)."""
-        first, second = (np.block([[D, G], [G.T, -D]]) for D, G in ((self.D, self.G), (self.D2, self.G2)))
+        first, second = (
+            np.block([[D, G], [G.T, -D]]) for D, G in ((self.D, self.G), (self.D2, self.G2))
+        )
         return sla.block_diag(first, second)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Entries:
-    """The free entries of one D (upper triangle, i <= j) and G (i < j) whose indices have one owner; start: first variable."""
+    """The free entries of one D (upper triangle, i <= j) and G (i < j) whose indices have one
+    owner; start: first variable.
+    """
 
     owner: np.ndarray
     start: int
@@ -75,9 +83,14 @@ class _Entries:
         return D, G - G.T
 
     def forms(self, constraint: np.ndarray, weights: np.ndarray, first: int) -> np.ndarray:
-        """Hermitian matrices (f, k, q, q), one per variable; ``first``: where this pair of signals begins in the rows."""
+        """Hermitian matrices (f, k, q, q), one per variable; ``first``: where this pair of signals
+        begins in the rows.
+        """
         size = len(self.owner)
-        z, w = (np.sqrt(weights)[:, None, None] * constraint[:, :, a : a + size] for a in (first, first + size))
+        z, w = (
+            np.sqrt(weights)[:, None, None] * constraint[:, :, a : a + size]
+            for a in (first, first + size)
+        )
 
         def outer(a: np.ndarray, b: np.ndarray, i: np.ndarray, j: np.ndarray) -> np.ndarray:
             return np.einsum("fgkp,fgkq->fkpq", a[:, :, i].conj(), b[:, :, j], optimize=True)
@@ -104,22 +117,31 @@ class _Entries:
         """[b I - D, G; G^T, b I - D] >= 0 with b the variable 0: it bounds D and G together."""
         (i, j), (k, m) = self.pairs(strict=False), self.pairs(strict=True)
         for group in self.groups():
-            d, g, n = np.flatnonzero(np.isin(i, group)), np.flatnonzero(np.isin(k, group)), len(group)
+            d = np.flatnonzero(np.isin(i, group))
+            g = np.flatnonzero(np.isin(k, group))
+            n = len(group)
             basis = np.zeros((1 + len(d) + len(g), 2 * n, 2 * n))
             basis[0] = np.eye(2 * n)
-            a, b, at = np.searchsorted(group, i[d]), np.searchsorted(group, j[d]), 1 + np.arange(len(d))
+            a = np.searchsorted(group, i[d])
+            b = np.searchsorted(group, j[d])
+            at = 1 + np.arange(len(d))
             for shift in (0, n):
                 basis[at, shift + a, shift + b] = basis[at, shift + b, shift + a] = -1.0
-            a, b, at = np.searchsorted(group, k[g]), np.searchsorted(group, m[g]), 1 + len(d) + np.arange(len(g))
+            a = np.searchsorted(group, k[g])
+            b = np.searchsorted(group, m[g])
+            at = 1 + len(d) + np.arange(len(g))
             for e, f, sign in ((a, b, 1.0), (b, a, -1.0)):
                 basis[at, e, n + f] = basis[at, n + f, e] = sign
             rows = svec(basis).T
-            yield Inequality(rows, np.zeros(len(rows)), np.r_[0, self.start + d, self.start + len(i) + g])
+            yield Inequality(
+                rows, np.zeros(len(rows)), np.r_[0, self.start + d, self.start + len(i) + g]
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Search:
-    """The variables are gamma^2 (or a bound b in its place), then the entries of both pairs of signals.
+    """The variables are gamma^2 (or a bound b in its place), then the entries of both pairs of
+    signals.
 
     constraint (f, g, rows, q), weights (g,), y (f, p, q): responses on a fine grid of frequencies.
     """
@@ -131,20 +153,28 @@ class _Search:
     entries: tuple[_Entries, _Entries]
 
     def forms(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The inequality -(F0 + sum x_k F_k) >= 0 at frequencies: F (f, k, q, q) and F0 (f, q, q)."""
+        """The inequality -(F0 + sum x_k F_k) >= 0 at frequencies: F (f, k, q, q) and F0 (f, q,
+        q).
+        """
         constraint, y = self.constraint[chosen], self.y[chosen]
         q = np.arange(self.wide.driven, y.shape[2])
         gain = np.zeros((len(y), 1, *(y.shape[2],) * 2), complex)
         gain[:, 0, q, q] = -1
         places = (0, 2 * len(self.wide.fast))
-        parts = [e.forms(constraint, self.weights, a) for e, a in zip(self.entries, places, strict=True)]
+        parts = [
+            e.forms(constraint, self.weights, a) for e, a in zip(self.entries, places, strict=True)
+        ]
         return np.concatenate([gain, *parts], axis=1), np.einsum("fip,fiq->fpq", y.conj(), y)
 
     def multipliers(self, x: np.ndarray) -> Multipliers:
-        return Multipliers(*self.entries[0].matrices(x), *self.entries[1].matrices(x), float(np.sqrt(x[0])))
+        return Multipliers(
+            *self.entries[0].matrices(x), *self.entries[1].matrices(x), float(np.sqrt(x[0]))
+        )
 
     def excess(self, x: np.ndarray) -> np.ndarray:
-        """The largest eigenvalue of the inequality's left side at every frequency (f,): not positive where it holds."""
+        """The largest eigenvalue of the inequality's left side at every frequency (f,): not
+        positive where it holds.
+        """
         P, q = self.multipliers(x).matrix, self.wide.driven
         H = np.einsum("fip,fiq->fpq", self.y.conj(), self.y)
         for g, weight in enumerate(self.weights):
@@ -155,47 +185,73 @@ class _Search:
         return np.linalg.eigvalsh((H + H.conj().swapaxes(1, 2)) / 2)[:, -1]
 
     def smallest_gamma(self, F: np.ndarray, F0: np.ndarray) -> np.ndarray:
-        found = self._minimum([*_frequencies(F, F0), *(item for e in self.entries for item in e.positive())], F.shape[1], 1e-6)
+        found = self._minimum(
+            [*_frequencies(F, F0), *(item for e in self.entries for item in e.positive())],
+            F.shape[1],
+            1e-6,
+        )
         if found is None:
-            raise NumericalFailure("no quadratic function proves the loop stable while the parameters move")
+            raise NumericalFailure(
+                "no quadratic function proves the loop stable while the parameters move"
+            )
         return found
 
-    def smallest_multipliers(self, F: np.ndarray, F0: np.ndarray, level: float, inside: float) -> np.ndarray | None:
-        """For gamma^2 = level, with some room in every inequality: at the smallest gamma multipliers tend to infinity."""
+    def smallest_multipliers(
+        self, F: np.ndarray, F0: np.ndarray, level: float, inside: float
+    ) -> np.ndarray | None:
+        """For gamma^2 = level, with some room in every inequality: at the smallest gamma
+        multipliers tend to infinity.
+        """
         q = self.wide.driven
         room = np.diag(np.r_[np.full(q, inside), np.full(F.shape[2] - q, inside * level)])
         without = np.concatenate([np.zeros_like(F[:, :1]), F[:, 1:]], axis=1)
         limits = [item for e in self.entries for item in (*e.positive(), *e.bounded())]
-        found = self._minimum([*_frequencies(without, F0 + level * F[:, 0] + room), *limits], F.shape[1], 1e-3)
+        found = self._minimum(
+            [*_frequencies(without, F0 + level * F[:, 0] + room), *limits], F.shape[1], 1e-3
+        )
         return None if found is None else np.r_[level, found[1:]]
 
     @staticmethod
     def _minimum(items: list[Inequality], count: int, tolerance: float) -> np.ndarray | None:
         found = minimise(np.eye(count)[0], items, tolerance=tolerance, time_limit=_TIME_LIMIT)
-        return None if found.status in ("infeasible", "time limit") or found.primal_error > 1e-6 else found.x
+        return (
+            None
+            if found.status in ("infeasible", "time limit") or found.primal_error > 1e-6
+            else found.x
+        )
 
 
 def _frequencies(F: np.ndarray, F0: np.ndarray) -> list[Inequality]:
     """-(F0 + sum x_k F_k) >= 0 as real matrices, each of norm about 1."""
     size, every = 1 / np.maximum(1.0, np.linalg.norm(F0, 2, axis=(1, 2))), np.arange(F.shape[1])
     rows, constant = (-svec(_real(M)) for M in (F, F0))
-    return [Inequality(s * row.T, s * c, every) for s, row, c in zip(size, rows, constant, strict=True)]
+    return [
+        Inequality(s * row.T, s * c, every) for s, row, c in zip(size, rows, constant, strict=True)
+    ]
 
 
 def _real(H: np.ndarray) -> np.ndarray:
     """[[Re, -Im], [Im, Re]] of Hermitian matrices (..., q, q)."""
-    return np.concatenate([np.concatenate([H.real, -H.imag], axis=-1), np.concatenate([H.imag, H.real], axis=-1)], axis=-2)
+    return np.concatenate(
+        [np.concatenate([H.real, -H.imag], axis=-1), np.concatenate([H.imag, H.real], axis=-1)],
+        axis=-2,
+    )
 
 
-def find_multipliers(wide: Widened, tell: Callable[[str], None] = lambda text: None) -> Iterator[Multipliers]:
-    """Multipliers of the smallest gamma on a fine grid of frequencies, and of ROOMS above it, one after the other.
+def find_multipliers(
+    wide: Widened, tell: Callable[[str], None] = lambda text: None
+) -> Iterator[Multipliers]:
+    """Multipliers of the smallest gamma on a fine grid of frequencies, and of ROOMS above it, one
+    after the other.
 
     Raises NumericalFailure where there are none.
     """
     fast = _Entries(wide.fast, 1)
     responses = responder(wide)
     constraint, y = responses.at(frequency_grid(responses))
-    search = _Search(wide, constraint, responses.weights, y, (fast, _Entries(wide.slow, 1 + fast.count)))
+    search = _Search(
+        wide, constraint, responses.weights, y, (fast, _Entries(wide.slow, 1 + fast.count))
+    )
     chosen = np.zeros(len(y), bool)
     chosen[:: max(1, len(y) // _FIRST)] = True
     chosen[np.argsort(np.linalg.norm(y, 2, axis=(1, 2)))[-_ADDED:]] = True
@@ -211,13 +267,18 @@ def find_multipliers(wide: Widened, tell: Callable[[str], None] = lambda text: N
 
     for step in range(_ROUNDS):
         x = search.smallest_gamma(*search.forms(chosen))
-        tell(f"multipliers, round {step + 1}: gain below {np.sqrt(x[0]):.4f} at {int(chosen.sum())} frequencies")
+        tell(
+            f"multipliers, round {step + 1}: gain below {np.sqrt(x[0]):.4f} at "
+            f"{int(chosen.sum())} frequencies"
+        )
         if not add(x, _CLOSE * x[0]):
             break
     least = x[0]
     for room in ROOMS:
         for _ in range(_ROUNDS):
-            found = search.smallest_multipliers(*search.forms(chosen), least * (1 + room) ** 2, _INSIDE * room)
+            found = search.smallest_multipliers(
+                *search.forms(chosen), least * (1 + room) ** 2, _INSIDE * room
+            )
             if found is None or not add(found, 0.0):
                 break
         if found is not None:
@@ -225,14 +286,18 @@ def find_multipliers(wide: Widened, tell: Callable[[str], None] = lambda text: N
 
 
 def frequency_grid(responses: Responder) -> np.ndarray:
-    """Frequencies (f,) [rad/s] from zero to half the sample rate (or beyond the poles), denser at light poles."""
+    """Frequencies (f,) [rad/s] from zero to half the sample rate (or beyond the poles), denser at
+    light poles.
+    """
     poles = responses.poles
     modulus = np.abs(poles[np.abs(poles) > 0])
     high = 0.9999 * np.pi / responses.dt if responses.dt else 10 * modulus.max(initial=1.0)
     low = min(max(0.1 * modulus.min(initial=1.0), 1e-6 * high), 0.1 * high)
     net = np.geomspace(low, high, int(_PER_DECADE * np.log10(high / low)) + 2)
     light = poles[(poles.imag > 0) & (-poles.real < 0.3 * np.abs(poles))]
-    beside = (light.imag[:, None] + light.real[:, None] * np.array([-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0])).ravel()
+    beside = (
+        light.imag[:, None] + light.real[:, None] * np.array([-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0])
+    ).ravel()
     return np.unique(np.concatenate([[0.0], net, beside[(beside > low) & (beside < high)]]))
 
 

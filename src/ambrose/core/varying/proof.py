@@ -1,14 +1,18 @@
-"""The proof that a gamma bounds a loop's gain, whatever its parameters do within their range and their rates.
+"""The proof that a gamma bounds a loop's gain, whatever its parameters do within their range and
+their rates.
 
-V = s^T X s over the widened loop's state s, with X from the worst case of sigma + |y|^2 - gamma^2 |d|^2 over all time to come.
-What is checked is an inequality for the X that was found: over one period, for every s, every w(t) and w2(t) within it and d,
+V = s^T X s over the widened loop's state s, with X from the worst case of sigma + |y|^2 - gamma^2
+|d|^2 over all time to come. What is checked is an inequality for the X that was found: over one
+period, for every s, every w(t) and w2(t) within it and d,
 
     V(after) - V(before) + integral of sigma + |y|^2 - gamma^2 |d|^2 <= -s^T W s,    W > 0.
 
-Since sigma >= 0 for every admitted motion, also within a sample, the gain from d to y is at most gamma along each. V need not
-be positive for all s: on the states that an admitted motion reaches (zeta = delta xi - eta) its matrix solves, for every frozen
-delta, a strict Lyapunov inequality; it is positive for delta = 0, where the loop is stable, and cannot become singular on the
-way to another delta, for there V could not fall. It is positive for every delta then, and falls along every admitted motion.
+Since sigma >= 0 for every admitted motion, also within a sample, the gain from d to y is at most
+gamma along each. V need not be positive for all s: on the states that an admitted motion reaches
+(zeta = delta xi - eta) its matrix solves, for every frozen delta, a strict Lyapunov inequality; it
+is positive for delta = 0, where the loop is stable, and cannot become singular on the way to
+another delta, for there V could not fall. It is positive for every delta then, and falls along
+every admitted motion.
 """
 
 from __future__ import annotations
@@ -24,7 +28,8 @@ from ambrose.core.varying.loop import VaryingLoop, Widened, widen
 from ambrose.core.varying.multipliers import ROOMS, Multipliers, find_multipliers, unit_of_w
 from ambrose.core.varying.two_port import TwoPort, cost_before, flow, forever, instant, linear
 
-_MARGIN = 1e-4  # of the slowest decay under the worst inputs, by which V falls beyond what is needed
+# of the slowest decay under the worst inputs, by which V falls beyond what is needed
+_MARGIN = 1e-4
 _FLOOR = 1e-6  # of the largest eigenvalue of X, below which a direction counts as of that size
 _TINY = 1e-20  # of its largest diagonal entry
 STEP = 1e-4  # s, period of a continuous loop
@@ -32,9 +37,11 @@ STEP = 1e-4  # s, period of a continuous loop
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Proof:
-    """gamma holds for every admitted motion: X (N, N) in the states of the widened loop at the samples (and the controller's).
+    """gamma holds for every admitted motion: X (N, N) in the states of the widened loop at the
+    samples (and the controller's).
 
-    slack: smallest eigenvalue of the inequality in states in which |X| is about I; rounding: a bound of its error.
+    slack: smallest eigenvalue of the inequality in states in which |X| is about I; rounding: a
+    bound of its error.
     """
 
     gamma: float
@@ -45,17 +52,29 @@ class Proof:
 
 def period(wide: Widened, multipliers: Multipliers, gamma: float) -> TwoPort:
     """One sample of a sampled loop, STEP of a continuous one."""
-    P, rows, q, n = multipliers.matrix, wide.rows, wide.driven, len(wide.A)
-    C, D, C_y, D_y = wide.C[:rows], wide.D[:rows], wide.C[rows:], wide.D[rows:]
+    P = multipliers.matrix
+    rows = wide.rows
+    q = wide.driven
+    n = len(wide.A)
+    C = wide.C[:rows]
+    D = wide.D[:rows]
+    C_y = wide.C[rows:]
+    D_y = wide.D[rows:]
     K = wide.controller
     if K is None:
-        Q, S, R = C.T @ P @ C + C_y.T @ C_y, C.T @ P @ D + C_y.T @ D_y, D.T @ P @ D + D_y.T @ D_y
+        Q = C.T @ P @ C + C_y.T @ C_y
+        S = C.T @ P @ D + C_y.T @ D_y
+        R = D.T @ P @ D + D_y.T @ D_y
         R[q:, q:] -= gamma**2 * np.eye(len(R) - q)
         return flow(wide.A, wide.B, Q, S, R, STEP)
-    k, m, u = K.n_states, len(C_y), wide.B.shape[1] - q
+    k = K.n_states
+    m = len(C_y)
+    u = wide.B.shape[1] - q
     N = n + u + k  # between the samples: x, and u and the controller's next state, which stay
     A, B = np.zeros((N, N)), np.zeros((N, q))
-    A[:n, :n], A[:n, n : n + u], B[:n] = wide.A, wide.B[:, q:], wide.B[:, :q]
+    A[:n, :n] = wide.A
+    A[:n, n : n + u] = wide.B[:, q:]
+    B[:n] = wide.B[:, :q]
     C, D = np.hstack([C, D[:, q:], np.zeros((rows, k))]), D[:, :q]
     between = flow(A, B, C.T @ P @ C, C.T @ P @ D, D.T @ P @ D, float(K.dt or 0.0))
     keep = np.delete(np.eye(N), np.arange(n, n + u), axis=0)
@@ -74,11 +93,15 @@ def in_fitting_states(wide: Widened, X: np.ndarray) -> tuple[Widened, np.ndarray
     a, b = t[:n], t[n:]
     if K is not None:
         K = replace(K, A=K.A * b / b[:, None], B=K.B / b[:, None], C=K.C * b)
-    return replace(wide, A=wide.A * a / a[:, None], B=wide.B / a[:, None], C=wide.C * a, controller=K), t
+    return replace(
+        wide, A=wide.A * a / a[:, None], B=wide.B / a[:, None], C=wide.C * a, controller=K
+    ), t
 
 
 def prove(wide: Widened, multipliers: Multipliers, gamma: float) -> Proof:
-    """The inequality, checked by eigenvalues with an X of its own. Raises NumericalFailure where it does not hold."""
+    """The inequality, checked by eigenvalues with an X of its own. Raises NumericalFailure where it
+    does not hold.
+    """
     for M in (multipliers.D, multipliers.D2):
         if M.size and np.linalg.eigvalsh(M)[0] <= 0:
             raise NumericalFailure("a multiplier is not positive definite")
@@ -97,9 +120,14 @@ def prove(wide: Widened, multipliers: Multipliers, gamma: float) -> Proof:
     before, room = cost_before(port, X)
     slack = float(np.linalg.eigvalsh(X - before)[0])
     largest = max(1.0, *(float(np.linalg.norm(M, 2)) for M in (X, port.F, port.E)))
-    rounding = float(len(X) * np.finfo(float).eps * largest**3 / min(1.0, room)) if room > 0 else np.inf
+    rounding = (
+        float(len(X) * np.finfo(float).eps * largest**3 / min(1.0, room)) if room > 0 else np.inf
+    )
     if not slack > rounding:
-        raise NumericalFailure(f"the inequality does not hold with certainty (slack {slack:.1e}, rounding {rounding:.1e})")
+        raise NumericalFailure(
+            f"the inequality does not hold with certainty (slack {slack:.1e}, rounding "
+            f"{rounding:.1e})"
+        )
     back = inverse / t
     return Proof(gamma, back.T @ X @ back, slack, rounding)
 
@@ -111,13 +139,16 @@ def proved_gain(
     *,
     tell: Callable[[str], None] = lambda text: None,
 ) -> Proof:
-    """The smallest gamma for which a proof is found, over all motions of the parameters with |delta'| <= rates (k,) [1/s].
+    """The smallest gamma for which a proof is found, over all motions of the parameters with
+    |delta'| <= rates (k,) [1/s].
 
-    poles (f,) [rad/s]: of the filters that a bounded rate needs; without them, or for an infinite rate, any motion is admitted.
-    Raises NumericalFailure where none is found, with the reason.
+    poles (f,) [rad/s]: of the filters that a bounded rate needs; without them, or for an infinite
+    rate, any motion is admitted. Raises NumericalFailure where none is found, with the reason.
     """
     if not is_stable(loop.closed(np.zeros(loop.parameters))):
-        raise NumericalFailure("the loop is unstable with every parameter in the middle of its range")
+        raise NumericalFailure(
+            "the loop is unstable with every parameter in the middle of its range"
+        )
     wide = widen(loop.scaled(unit_of_w(loop)), poles, rates)
     reason = ""
     for multipliers in find_multipliers(wide, tell):
@@ -126,4 +157,6 @@ def proved_gain(
         except NumericalFailure as error:
             reason = str(error)
             tell(f"not proved at {multipliers.gamma:.4f}: {reason}")
-    raise NumericalFailure(f"the proof ends {ROOMS[-1]:.0%} above the smallest gain of the search: {reason}")
+    raise NumericalFailure(
+        f"the proof ends {ROOMS[-1]:.0%} above the smallest gain of the search: {reason}"
+    )

@@ -1,20 +1,22 @@
 """The proof on cells of a loop with parameters within tolerances besides the one that moves.
 
-The tolerances are pulled out of the loop, w_i = delta_i z_i with |delta_i| <= 1 and z = Z x, and so are multiplied: whatever
-delta_i is,
+The tolerances are pulled out of the loop, w_i = delta_i z_i with |delta_i| <= 1 and z = Z x, and so
+are multiplied: whatever delta_i is,
 
     sigma_i = d z_i^2 - d w_i^2 >= 0,    d >= 0,
 
-and V' + sum_i sigma_i + |y|^2 - gamma^2 |d|^2 < 0 on every cell proves gamma for parameters that move as they like
-(S-procedure). Of those that stand still more is known: with the filters xi_i' = a (z_i - xi_i), eta_i' = a (w_i - eta_i)
-eta_i = delta_i xi_i holds as well, and with v = (z_i, xi_i), u = (w_i, eta_i)
+and V' + sum_i sigma_i + |y|^2 - gamma^2 |d|^2 < 0 on every cell proves gamma for parameters that
+move as they like (S-procedure). Of those that stand still more is known: with the filters xi_i' = a
+(z_i - xi_i), eta_i' = a (w_i - eta_i) eta_i = delta_i xi_i holds as well, and with v = (z_i, xi_i),
+u = (w_i, eta_i)
 
     sigma_i = v^T D v - u^T D u + 2 g (z_i eta_i - xi_i w_i) >= 0,    D = D^T >= 0, g any number,
 
-at every instant (the D and G of mixed mu as functions of frequency; Veenman, Scherer & Koroglu 2016, Eur. J. Control 31). V is
-a quadratic function of the loop's state and the filters'. It need not be positive for all of them: where eta = delta xi its
-matrix solves a strict Lyapunov inequality for every frozen delta and p; it is positive for delta = 0, where the loop is stable,
-and cannot become singular on the way to another delta.
+at every instant (the D and G of mixed mu as functions of frequency; Veenman, Scherer & Koroglu
+2016, Eur. J. Control 31). V is a quadratic function of the loop's state and the filters'. It need
+not be positive for all of them: where eta = delta xi its matrix solves a strict Lyapunov inequality
+for every frozen delta and p; it is positive for delta = 0, where the loop is stable, and cannot
+become singular on the way to another delta.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ from ambrose.core.matrix_inequalities.semidefinite import Inequality, minimise, 
 from ambrose.core.varying.cells import Cell, CellSearch, middle_of, own_coordinates
 from ambrose.core.varying.proof import Proof
 
-_ROOMS = (5e-3, 2e-2, 5e-2)  # of gamma, above the smallest found, at which the inequality is checked
+# of gamma, above the smallest found, at which the inequality is checked
+_ROOMS = (5e-3, 2e-2, 5e-2)
 _REMEDY = "narrower tolerances, a smaller range or a slower motion help"
 _TURNS, _WORTH = 10, 0.98  # of the search in its own solution's states, and what a turn must gain
 _LESS = 0.25  # of the tolerances, where all of them have no solution in the states at hand
@@ -49,24 +52,44 @@ def proved_over_tolerances(
     time_limit: float = 600.0,
     tell: Callable[[str], None] = lambda text: None,
 ) -> Proof:
-    """The smallest gamma from d to y = C x + d for which a proof is found, for all motions within the cells with |p'| <= rate.
+    """The smallest gamma from d to y = C x + d for which a proof is found, for all motions within
+    the cells with |p'| <= rate.
 
-    cells: B (.., n, r + q), the columns of w before those of d; C (q, n), Z (r, n); pole [rad/s]: a of the filters for
-    parameters that stand still; None: they move as they like. degree: of X(p). Raises NumericalFailure where none is found.
+    cells: B (.., n, r + q), the columns of w before those of d; C (q, n), Z (r, n); pole [rad/s]: a
+    of the filters for parameters that stand still; None: they move as they like. degree: of X(p).
+    Raises NumericalFailure where none is found.
     """
-    end, (A, B), q = time.monotonic() + time_limit, middle_of(cells), len(C)
+    end = time.monotonic() + time_limit
+    A, B = middle_of(cells)
+    q = len(C)
     T, inverse = own_coordinates(A, B[:, -q:], C)
     size = np.linalg.norm(Z @ T, axis=1)
     cells, Z = [_scaled(cell, size) for cell in cells], Z / size[:, None]
     if pole is not None and len(Z):
         cells, C, Z = _with_filters(cells, C, Z, pole)
         T, inverse = (
-            np.pad(M, (0, 2 * len(size))) + np.diag(np.repeat([0.0, 1.0], [len(M), 2 * len(size)])) for M in (T, inverse)
+            np.pad(M, (0, 2 * len(size))) + np.diag(np.repeat([0.0, 1.0], [len(M), 2 * len(size)]))
+            for M in (T, inverse)
         )
-    least, unit, count, share = np.inf, np.ones(len(size)), len(size), 1.0  # share of the tolerances, by which states are found
+    # share of the tolerances, by which states are found
+    least = np.inf
+    unit = np.ones(len(size))
+    count = len(size)
+    share = 1.0
     for _ in range(_TURNS):
-        search = _Tolerant([_scaled(cell, share / unit) for cell in cells], C, Z, rate, degree, (T, inverse), count, unit)
-        first = minimise(search.cost, search.inequalities(), tolerance=3e-3, time_limit=end - time.monotonic())
+        search = _Tolerant(
+            [_scaled(cell, share / unit) for cell in cells],
+            C,
+            Z,
+            rate,
+            degree,
+            (T, inverse),
+            count,
+            unit,
+        )
+        first = minimise(
+            search.cost, search.inequalities(), tolerance=3e-3, time_limit=end - time.monotonic()
+        )
         held = first.status in ("optimal", "inexact") and first.x[-1] > 0
         if held and share == 1.0:
             if not np.sqrt(first.x[-1]) < _WORTH * least:
@@ -82,18 +105,33 @@ def proved_over_tolerances(
         root = np.sqrt(np.maximum(np.abs(values), _LIGHT * np.abs(values).max()))
         T, inverse = T @ (V / root), (V * root).T @ inverse
         d = first.x[search.begin :][: search.each * count : search.each]
-        unit, share = unit * np.sqrt(np.maximum(d, np.finfo(float).tiny)), min(1.0, share / _LESS**0.5)
+        unit, share = (
+            unit * np.sqrt(np.maximum(d, np.finfo(float).tiny)),
+            min(1.0, share / _LESS**0.5),
+        )
     if not least < _USELESS:
-        raise NumericalFailure(f"no quadratic function proves the loop over its tolerances ({first.status}); {_REMEDY}")
-    search = _Tolerant([_scaled(cell, 1 / unit) for cell in cells], C, Z, rate, degree, (T, inverse), count, unit)
+        raise NumericalFailure(
+            f"no quadratic function proves the loop over its tolerances ({first.status}); {_REMEDY}"
+        )
+    search = _Tolerant(
+        [_scaled(cell, 1 / unit) for cell in cells], C, Z, rate, degree, (T, inverse), count, unit
+    )
     for room in _ROOMS:
         gamma = least * (1 + room)
-        found = minimise(-search.cost, search.inequalities(gamma), tolerance=1e-3, time_limit=end - time.monotonic())
+        found = minimise(
+            -search.cost,
+            search.inequalities(gamma),
+            tolerance=1e-3,
+            time_limit=end - time.monotonic(),
+        )
         X, m = search.functions(found.x), found.x[search.begin : -1]
         slack, rounding = -float(search.excess_with(X, m, gamma).max()), search.rounding_with(X, m)
         if search.admitted(m) and slack > rounding:
             return Proof(gamma, X, slack, rounding)
-    raise NumericalFailure(f"the inequality does not hold with certainty (by {slack:.1e}, rounding {rounding:.1e}); {_REMEDY}")
+    raise NumericalFailure(
+        f"the inequality does not hold with certainty (by {slack:.1e}, rounding {rounding:.1e}); "
+        f"{_REMEDY}"
+    )
 
 
 def _scaled(cell: Cell, size: np.ndarray) -> Cell:
@@ -106,7 +144,9 @@ def _scaled(cell: Cell, size: np.ndarray) -> Cell:
 def _with_filters(
     cells: Sequence[Cell], C: np.ndarray, Z: np.ndarray, pole: float
 ) -> tuple[list[Cell], np.ndarray, np.ndarray]:
-    """Cells and C of the states (x, xi, eta), and the rows of z, xi and eta over them (3 r, n + 2 r)."""
+    """Cells and C of the states (x, xi, eta), and the rows of z, xi and eta over them (3 r, n + 2
+    r).
+    """
     r, n = Z.shape
     wide = []
     for cell in cells:
@@ -116,33 +156,57 @@ def _with_filters(
         A[..., n:, n:] -= pole * np.eye(2 * r)
         B[..., n + r :, :r] += pole * np.eye(r)
         wide.append(replace(cell, A=A, B=B))
-    return wide, np.pad(C, ((0, 0), (0, 2 * r))), np.vstack([np.pad(Z, ((0, 0), (0, 2 * r))), np.eye(2 * r, n + 2 * r, n)])
+    return (
+        wide,
+        np.pad(C, ((0, 0), (0, 2 * r))),
+        np.vstack([np.pad(Z, ((0, 0), (0, 2 * r))), np.eye(2 * r, n + 2 * r, n)]),
+    )
 
 
 class _Tolerant(CellSearch):
-    """The inequalities over (x, w, d) with the multipliers' numbers after X's: a parameter's d, or D (3) and g; gamma^2 last.
+    """The inequalities over (x, w, d) with the multipliers' numbers after X's: a parameter's d, or
+    D (3) and g; gamma^2 last.
 
     rows: of z, or of z, xi and eta, in the states given; unit (r,): w is in, so that d is about 1.
     """
 
     def __init__(
-        self, cells: Sequence[Cell], C: np.ndarray, rows: np.ndarray, rate: float, degree: int,
-        coordinates: tuple[np.ndarray, np.ndarray], count: int, unit: np.ndarray | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        cells: Sequence[Cell],
+        C: np.ndarray,
+        rows: np.ndarray,
+        rate: float,
+        degree: int,
+        coordinates: tuple[np.ndarray, np.ndarray],
+        count: int,
+        unit: np.ndarray | None = None,
+    ) -> None:
         super().__init__(cells, C, rate, degree, 1.0, coordinates)
         n, q = self.T.shape[1], len(C)
         unit = np.ones(count) if unit is None else unit
-        seen = rows @ self.T / np.sqrt(self.pace) * np.tile(unit, len(rows) // max(1, count))[:, None]
-        seen = np.pad(seen, ((0, 0), (0, count + q))).reshape(len(rows) // max(1, count), count, n + count + q)
+        seen = (
+            rows @ self.T / np.sqrt(self.pace) * np.tile(unit, len(rows) // max(1, count))[:, None]
+        )
+        seen = np.pad(seen, ((0, 0), (0, count + q))).reshape(
+            len(rows) // max(1, count), count, n + count + q
+        )
         w = np.eye(count, n + count + q, n)
-        self.each, self.begin, self.count, self.w = (4 if len(seen) == 3 else 1), self.variables[-1].stop, count, w
+        self.each, self.begin, self.count, self.w = (
+            (4 if len(seen) == 3 else 1),
+            self.variables[-1].stop,
+            count,
+            w,
+        )
         self.forms: list[np.ndarray] = []
         for i in range(count):
             z = seen[0, i]
             self.forms.append(_product(z, z) - _product(w[i], w[i]))
             if self.each == 4:
                 xi, eta = seen[1:, i]
-                self.forms += [2 * (_product(z, xi) - _product(w[i], eta)), _product(xi, xi) - _product(eta, eta)]
+                self.forms += [
+                    2 * (_product(z, xi) - _product(w[i], eta)),
+                    _product(xi, xi) - _product(eta, eta),
+                ]
                 self.forms.append(2 * (_product(z, eta) - _product(xi, w[i])))
 
     @property
@@ -168,35 +232,54 @@ class _Tolerant(CellSearch):
         return [*found, *self._positive(), self.bound()]
 
     def _positive(self) -> list[Inequality]:
-        entries = [[[1, 0], [0, 0]], [[0, 1], [1, 0]], [[0, 0], [0, 1]]] if self.each == 4 else [[[1]]]
+        entries = (
+            [[[1, 0], [0, 0]], [[0, 1], [1, 0]], [[0, 0], [0, 1]]] if self.each == 4 else [[[1]]]
+        )
         rows = np.column_stack([svec(np.array(E, float)) for E in entries])
         starts = self.begin + self.each * np.arange(self.count)
-        return [Inequality(rows, np.zeros(len(rows)), start + np.arange(rows.shape[1])) for start in starts.tolist()]
+        return [
+            Inequality(rows, np.zeros(len(rows)), start + np.arange(rows.shape[1]))
+            for start in starts.tolist()
+        ]
 
     def admitted(self, m: np.ndarray) -> bool:
         """Whether every D is positive semidefinite."""
         D = m.reshape(self.count, self.each)
-        return bool((D[:, 0] > 0).all() and (self.each == 1 or (D[:, 0] * D[:, 2] >= D[:, 1] ** 2).all()))
+        return bool(
+            (D[:, 0] > 0).all() and (self.each == 1 or (D[:, 0] * D[:, 2] >= D[:, 1] ** 2).all())
+        )
 
     def excess_with(self, X: np.ndarray, m: np.ndarray, gamma: float) -> np.ndarray:
         """``excess`` with the multipliers of the numbers m."""
         n, q = len(self.T), len(self.C)
-        fixed = sum((a * form for a, form in zip(m, self.forms, strict=True)), np.zeros((n + self.count + q,) * 2))
+        fixed = sum(
+            (a * form for a, form in zip(m, self.forms, strict=True)),
+            np.zeros((n + self.count + q,) * 2),
+        )
         fixed[n + self.count :, n + self.count :] += (1 - gamma**2) * np.eye(q)
         found = []
         for e in self.entries:
-            half = np.hstack([(X @ e.A).sum(0) + np.tensordot(e.slope / 2, X, 1) + self.C.T @ self.C / 2, (X @ e.B).sum(0)])
+            half = np.hstack(
+                [
+                    (X @ e.A).sum(0) + np.tensordot(e.slope / 2, X, 1) + self.C.T @ self.C / 2,
+                    (X @ e.B).sum(0),
+                ]
+            )
             half[:, n + self.count :] += self.C.T
             found.append(
                 np.linalg.eigvalsh(
-                    fixed + np.pad(half, ((0, self.count + q), (0, 0))) + np.pad(half, ((0, self.count + q), (0, 0))).T
+                    fixed
+                    + np.pad(half, ((0, self.count + q), (0, 0)))
+                    + np.pad(half, ((0, self.count + q), (0, 0))).T
                 )[-1]
             )
         return np.array(found)
 
     def rounding_with(self, X: np.ndarray, m: np.ndarray) -> float:
         """``rounding``, and that of the multipliers' forms."""
-        size = sum(abs(a) * float(np.linalg.norm(form)) for a, form in zip(m, self.forms, strict=True))
+        size = sum(
+            abs(a) * float(np.linalg.norm(form)) for a, form in zip(m, self.forms, strict=True)
+        )
         return self.rounding(X) + 4 * (len(self.T) + self.count) * np.finfo(float).eps * size
 
 

@@ -1,12 +1,14 @@
 """Worst-case cost to come over a stretch of time, as a two-port between states and costates.
 
-Over a stretch, the largest of the integral of a quadratic form over all inputs, plus lambda1^T x1 at its end, is described by
+Over a stretch, the largest of the integral of a quadratic form over all inputs, plus lambda1^T x1
+at its end, is described by
 
     x1 = E x0 + G lambda1,    lambda0 = F x0 + E^T lambda1,
 
-F, G symmetric, G >= 0. Stretches compose; a period composed with itself again and again (doubling) goes to E = 0 and to F = X,
-the stabilising solution of the Riccati equation over all time to come (Anderson 1978, Int. J. Control 28; Chu, Fan & Lin 2005,
-Linear Algebra Appl. 396). Where I - G1 F2 has an eigenvalue that is not positive the largest value is infinite.
+F, G symmetric, G >= 0. Stretches compose; a period composed with itself again and again (doubling)
+goes to E = 0 and to F = X, the stabilising solution of the Riccati equation over all time to come
+(Anderson 1978, Int. J. Control 28; Chu, Fan & Lin 2005, Linear Algebra Appl. 396). Where I - G1 F2
+has an eigenvalue that is not positive the largest value is infinite.
 """
 
 from __future__ import annotations
@@ -33,17 +35,27 @@ class TwoPort:
 
     def in_states(self, T: np.ndarray, inverse: np.ndarray) -> TwoPort:
         """In states x = T x', before and after (n0 = n1)."""
-        return TwoPort(inverse @ self.E @ T, _symmetric(inverse @ self.G @ inverse.T), _symmetric(T.T @ self.F @ T))
+        return TwoPort(
+            inverse @ self.E @ T,
+            _symmetric(inverse @ self.G @ inverse.T),
+            _symmetric(T.T @ self.F @ T),
+        )
 
     def then(self, other: TwoPort, bounded: bool = True) -> TwoPort:
-        """This stretch followed by another. Raises NumericalFailure where, with ``bounded``, the cost of both is not."""
+        """This stretch followed by another. Raises NumericalFailure where, with ``bounded``, the
+        cost of both is not.
+        """
         M = np.eye(len(self.G)) - self.G @ other.F
         factors = sla.lu_factor(M, check_finite=False)
         both = sla.lu_solve(factors, np.hstack([self.E, self.G @ other.E.T]), check_finite=False)
         E1, G1 = both[:, : self.E.shape[1]], both[:, self.E.shape[1] :]
         if not np.isfinite(both).all() or (bounded and not _positive(self.G, other.F)):
             raise NumericalFailure("the cost is unbounded")
-        return TwoPort(other.E @ E1, _symmetric(other.G + other.E @ G1), _symmetric(self.F + self.E.T @ other.F @ E1))
+        return TwoPort(
+            other.E @ E1,
+            _symmetric(other.G + other.E @ G1),
+            _symmetric(self.F + self.E.T @ other.F @ E1),
+        )
 
 
 def _positive(G: np.ndarray, F: np.ndarray) -> bool:
@@ -58,7 +70,9 @@ def _positive(G: np.ndarray, F: np.ndarray) -> bool:
 
 
 def cost_before(port: TwoPort, X: np.ndarray) -> tuple[np.ndarray, float]:
-    """The matrix of the largest cost over a stretch with x1^T X x1 at its end, and how far it is from unbounded (positive)."""
+    """The matrix of the largest cost over a stretch with x1^T X x1 at its end, and how far it is
+    from unbounded (positive).
+    """
     values, V = np.linalg.eigh(port.G)
     L = V * np.sqrt(np.maximum(values, 0))
     inner = np.eye(len(L)) - _symmetric(L.T @ X @ L)
@@ -81,7 +95,9 @@ def _negative(R: np.ndarray) -> np.ndarray:
 def instant(A: np.ndarray, B: np.ndarray, Q: np.ndarray, S: np.ndarray, R: np.ndarray) -> TwoPort:
     """A jump x1 = A x0 + B d with the cost x0^T Q x0 + 2 x0^T S d + d^T R d, R < 0."""
     inverse = _negative(R)
-    return TwoPort(A + B @ inverse @ S.T, _symmetric(B @ inverse @ B.T), _symmetric(Q + S @ inverse @ S.T))
+    return TwoPort(
+        A + B @ inverse @ S.T, _symmetric(B @ inverse @ B.T), _symmetric(Q + S @ inverse @ S.T)
+    )
 
 
 def linear(A: np.ndarray) -> TwoPort:
@@ -89,8 +105,12 @@ def linear(A: np.ndarray) -> TwoPort:
     return TwoPort(A, np.zeros((len(A), len(A))), np.zeros((A.shape[1],) * 2))
 
 
-def flow(A: np.ndarray, B: np.ndarray, Q: np.ndarray, S: np.ndarray, R: np.ndarray, time: float) -> TwoPort:
-    """x' = A x + B w with the cost integral x^T Q x + 2 x^T S w + w^T R w, R < 0, over ``time`` [s]."""
+def flow(
+    A: np.ndarray, B: np.ndarray, Q: np.ndarray, S: np.ndarray, R: np.ndarray, time: float
+) -> TwoPort:
+    """x' = A x + B w with the cost integral x^T Q x + 2 x^T S w + w^T R w, R < 0, over ``time``
+    [s].
+    """
     inverse = _negative(R)
     a = A + B @ inverse @ S.T
     H = np.block([[a, B @ inverse @ B.T], [-(Q + S @ inverse @ S.T), -a.T]])
@@ -98,14 +118,20 @@ def flow(A: np.ndarray, B: np.ndarray, Q: np.ndarray, S: np.ndarray, R: np.ndarr
     count = max(0, int(np.ceil(np.log2(time * size / _LARGEST))))
     W = sla.expm(H * (time / 2**count))
     inv = np.linalg.inv(W[n:, n:])
-    port = TwoPort(W[:n, :n] - W[:n, n:] @ inv @ W[n:, :n], _symmetric(W[:n, n:] @ inv), _symmetric(-inv @ W[n:, :n]))
+    port = TwoPort(
+        W[:n, :n] - W[:n, n:] @ inv @ W[n:, :n],
+        _symmetric(W[:n, n:] @ inv),
+        _symmetric(-inv @ W[n:, :n]),
+    )
     for _ in range(count):
         port = port.then(port)
     return port
 
 
 def forever(port: TwoPort) -> np.ndarray:
-    """X (n, n): the largest cost x0^T X x0 from a state, over repetitions of a period without end. Raises NumericalFailure."""
+    """X (n, n): the largest cost x0^T X x0 from a state, over repetitions of a period without end.
+    Raises NumericalFailure.
+    """
     size = 0.0
     for _ in range(_DOUBLINGS):
         new = port.then(port, bounded=False)

@@ -1,12 +1,14 @@
-"""Where a loop with real parameters has a pole on the imaginary axis, and the smallest perturbation that puts one there.
+"""Where a loop with real parameters has a pole on the imaginary axis, and the smallest perturbation
+that puts one there.
 
-A point (delta, omega) of the crossing surface has an eigenvalue 1 of M11(j omega) diag(delta). Along one direction v the
-eigenvalues mu of M11 diag(v) over frequency are real where the direction crosses, at the factor 1 / mu: all crossings at once,
-without a step in the factor that could miss a range of instability. M11 is the nominal loop's, smooth between its own poles.
-Parameters that act at one place share inputs: M11 = N E with r < n columns of M11 and a constant E (r, n), and the eigenvalues
-other than zero are those of E diag(v) N.
-From a crossing the surface is followed downhill: a step in delta that lowers the largest entry and keeps the eigenvalue real to
-first order (a linear program with one equation, solved exactly), then back onto the surface.
+A point (delta, omega) of the crossing surface has an eigenvalue 1 of M11(j omega) diag(delta).
+Along one direction v the eigenvalues mu of M11 diag(v) over frequency are real where the direction
+crosses, at the factor 1 / mu: all crossings at once, without a step in the factor that could miss a
+range of instability. M11 is the nominal loop's, smooth between its own poles. Parameters that act
+at one place share inputs: M11 = N E with r < n columns of M11 and a constant E (r, n), and the
+eigenvalues other than zero are those of E diag(v) N. From a crossing the surface is followed
+downhill: a step in delta that lowers the largest entry and keeps the eigenvalue real to first order
+(a linear program with one equation, solved exactly), then back onto the surface.
 """
 
 from __future__ import annotations
@@ -35,10 +37,12 @@ _STILL = 1e-10  # relative imaginary part of the eigenvalue that counts as none
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoxMargin:
-    """The box may grow by ``factor`` before a perturbation in it destabilises: delta (k,), largest entry ``factor``, does.
+    """The box may grow by ``factor`` before a perturbation in it destabilises: delta (k,), largest
+    entry ``factor``, does.
 
-    frequency [rad/s] of the pole on the axis. factor is infinite (delta NaN) when none was found up to 20 times the box. It is
-    found by search: a smaller perturbation may exist where there are several parameters.
+    frequency [rad/s] of the pole on the axis. factor is infinite (delta NaN) when none was found up
+    to 20 times the box. It is found by search: a smaller perturbation may exist where there are
+    several parameters.
     """
 
     factor: float
@@ -48,14 +52,17 @@ class BoxMargin:
 
 @named_failure("the margin of the box")
 def box_margin(loop: BoxLoop, also: np.ndarray | None = None, seed: int = 0) -> BoxMargin:
-    """The smallest destabilising perturbation found, up to 20 times the box. also (d, k): more directions to try."""
+    """The smallest destabilising perturbation found, up to 20 times the box. also (d, k): more
+    directions to try.
+    """
     rng = np.random.default_rng(seed)
     grid = _grid(loop)
     n = len(loop.owner)
     shared = _shared_inputs(loop)
     M = loop.at(grid)[:, :n, :n]
     M[0] = M[0].real  # at rest, exactly: its real eigenvalues are crossings, of poles at zero
-    reach = np.linalg.norm(osborne(M, structure_of(loop.blocks))[0], 2, axis=(1, 2))  # no crossing below 1 / reach there
+    # no crossing below 1 / reach there
+    reach = np.linalg.norm(osborne(M, structure_of(loop.blocks))[0], 2, axis=(1, 2))
     directions = _main_directions(loop.parameters, rng)
     if also is not None:
         size = np.abs(also).max(axis=1, keepdims=True)
@@ -67,20 +74,28 @@ def box_margin(loop: BoxLoop, also: np.ndarray | None = None, seed: int = 0) -> 
         elif number == 2:
             if not np.isfinite(best.factor):
                 break
-            directions = best.delta / best.factor + rng.normal(0, 0.4, (_DIRECTIONS, loop.parameters))
+            directions = best.delta / best.factor + rng.normal(
+                0, 0.4, (_DIRECTIONS, loop.parameters)
+            )
             directions /= np.abs(directions).max(axis=1, keepdims=True)
         top = min(best.factor, LARGEST_BOX)
         kept = reach >= 1 / top
         kept[1:] |= kept[:-1]
         kept[:-1] |= kept[1:]
         starts = _candidates(grid, M, kept, loop, shared, directions, top)
-        found = [landed for start in starts if (landed := _followed(loop, start)) and landed.factor <= LARGEST_BOX]
+        found = [
+            landed
+            for start in starts
+            if (landed := _followed(loop, start)) and landed.factor <= LARGEST_BOX
+        ]
         best = min([best, *found], key=lambda item: item.factor)
     return best
 
 
 def _grid(loop: BoxLoop) -> np.ndarray:
-    """Frequencies (w,) [rad/s] between which the eigenvalues turn by a few degrees: equal angles as seen from each pole."""
+    """Frequencies (w,) [rad/s] between which the eigenvalues turn by a few degrees: equal angles as
+    seen from each pole.
+    """
     turned = np.tan(np.linspace(-1.5, 1.5, _ANGLES))
     light = loop.poles[(loop.poles.imag > 0) & (-loop.poles.real < 0.3 * np.abs(loop.poles))]
     beside = (light.imag[:, None] - light.real[:, None] * turned).ravel()
@@ -130,9 +145,17 @@ def _shared_inputs(loop: BoxLoop) -> _Inputs:
 
 
 def _candidates(
-    grid: np.ndarray, M: np.ndarray, kept: np.ndarray, loop: BoxLoop, shared: _Inputs, directions: np.ndarray, limit: float
+    grid: np.ndarray,
+    M: np.ndarray,
+    kept: np.ndarray,
+    loop: BoxLoop,
+    shared: _Inputs,
+    directions: np.ndarray,
+    limit: float,
 ) -> list[BoxMargin]:
-    """Crossings of the directions below ``limit``, to first order; the lowest, and of those in one band of frequency a few."""
+    """Crossings of the directions below ``limit``, to first order; the lowest, and of those in one
+    band of frequency a few.
+    """
     index = np.flatnonzero(kept)
     if len(index) < 2:
         return []
@@ -142,7 +165,10 @@ def _candidates(
         part = directions[start : start + step]
         values = shared.eigenvalues(M[index], part[:, None, loop.owner])
         through, touching = _real_crossings(values, grid[index], np.diff(index) == 1, limit)
-        rows += [(factor, start + d, omega) for factor, d, omega in [*_narrowed(loop, shared, part, through), *touching]]
+        rows += [
+            (factor, start + d, omega)
+            for factor, d, omega in [*_narrowed(loop, shared, part, through), *touching]
+        ]
     rows.sort()
     chosen: list[BoxMargin] = []
     bands: dict[int, int] = {}
@@ -158,7 +184,9 @@ def _candidates(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Brackets:
-    """Eigenvalues (r,) at the two ends (r, 2) [rad/s] of an interval in which they cross the real axis, each of a direction."""
+    """Eigenvalues (r,) at the two ends (r, 2) [rad/s] of an interval in which they cross the real
+    axis, each of a direction.
+    """
 
     direction: np.ndarray
     omega: np.ndarray
@@ -168,26 +196,43 @@ class _Brackets:
 def _real_crossings(
     values: np.ndarray, omega: np.ndarray, beside: np.ndarray, limit: float
 ) -> tuple[_Brackets, list[tuple[float, int, float]]]:
-    """Where an eigenvalue (d, w, n) crosses the positive real axis; and (factor, direction, frequency) where it nearly does."""
-    values = np.where(np.abs(values.imag) <= _STILL * np.abs(values), values.real, values)  # real but for rounding, as at zero
+    """Where an eigenvalue (d, w, n) crosses the positive real axis; and (factor, direction,
+    frequency) where it nearly does.
+    """
+    # real but for rounding, as at zero
+    values = np.where(np.abs(values.imag) <= _STILL * np.abs(values), values.real, values)
     a, b = values[:, :-1], values[:, 1:]
     near = np.abs(a[..., :, None] - b[..., None, :]).argmin(axis=-1)
     b = np.take_along_axis(b, near, axis=-1)
-    through = (a.imag * b.imag <= 0) & (np.maximum(a.real, b.real) > 1 / limit) & beside[None, :, None]
+    through = (
+        (a.imag * b.imag <= 0) & (np.maximum(a.real, b.real) > 1 / limit) & beside[None, :, None]
+    )
     d, w, i = np.nonzero(through)
-    brackets = _Brackets(d, np.stack([omega[w], omega[w + 1]], axis=1), np.stack([a[d, w, i], b[d, w, i]], axis=1))
+    brackets = _Brackets(
+        d, np.stack([omega[w], omega[w + 1]], axis=1), np.stack([a[d, w, i], b[d, w, i]], axis=1)
+    )
     turn = np.abs(values.imag)
-    touch = (turn[:, 1:-1] <= turn[:, :-2]) & (turn[:, 1:-1] <= turn[:, 2:]) & (turn[:, 1:-1] < 0.1 * values.real[:, 1:-1])
+    touch = (
+        (turn[:, 1:-1] <= turn[:, :-2])
+        & (turn[:, 1:-1] <= turn[:, 2:])
+        & (turn[:, 1:-1] < 0.1 * values.real[:, 1:-1])
+    )
     d, w, i = np.nonzero(touch & (values.real[:, 1:-1] > 1 / limit))
     sizes = 1.05 / values.real[d, w + 1, i]
     return brackets, list(zip(sizes.tolist(), d.tolist(), omega[w + 1].tolist(), strict=True))
 
 
-def _narrowed(loop: BoxLoop, shared: _Inputs, directions: np.ndarray, found: _Brackets) -> list[tuple[float, int, float]]:
-    """(factor, direction, frequency) of the crossings, their brackets halved: the eigenvalues may turn fast in between."""
+def _narrowed(
+    loop: BoxLoop, shared: _Inputs, directions: np.ndarray, found: _Brackets
+) -> list[tuple[float, int, float]]:
+    """(factor, direction, frequency) of the crossings, their brackets halved: the eigenvalues may
+    turn fast in between.
+    """
     if not len(found.direction):
         return []
-    n, (low, high), (a, b) = len(loop.owner), found.omega.T.copy(), found.values.T.copy()
+    n = len(loop.owner)
+    low, high = found.omega.T.copy()
+    a, b = found.values.T.copy()
     wide = directions[found.direction][:, loop.owner]
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
@@ -198,15 +243,26 @@ def _narrowed(loop: BoxLoop, shared: _Inputs, directions: np.ndarray, found: _Br
         upper = value.imag * a.imag > 0  # the crossing is in the upper half
         low, a = np.where(upper, middle, low), np.where(upper, value, a)
         high, b = np.where(upper, high, middle), np.where(upper, b, value)
-    share = np.where(a.imag == b.imag, 0.0, a.imag / np.where(a.imag == b.imag, 1.0, a.imag - b.imag))
+    share = np.where(
+        a.imag == b.imag, 0.0, a.imag / np.where(a.imag == b.imag, 1.0, a.imag - b.imag)
+    )
     size, omega = a.real + share * (b.real - a.real), low + share * (high - low)
     kept = size > 0
-    return list(zip((1 / size[kept]).tolist(), found.direction[kept].tolist(), omega[kept].tolist(), strict=True))
+    return list(
+        zip(
+            (1 / size[kept]).tolist(),
+            found.direction[kept].tolist(),
+            omega[kept].tolist(),
+            strict=True,
+        )
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Eigenvalue:
-    """An eigenvalue of M11(j omega) diag(v), and its derivatives with respect to omega and v (k,)."""
+    """An eigenvalue of M11(j omega) diag(v), and its derivatives with respect to omega and v
+    (k,).
+    """
 
     value: complex
     over_omega: complex
@@ -226,12 +282,18 @@ def _eigenvalue(loop: BoxLoop, v: np.ndarray, omega: float, near: complex) -> _E
         return None
     x = X[:, i]
     gradient = (y @ M) * x
-    over = np.bincount(loop.owner, gradient.real, len(v)) + 1j * np.bincount(loop.owner, gradient.imag, len(v))
+    over = np.bincount(loop.owner, gradient.real, len(v)) + 1j * np.bincount(
+        loop.owner, gradient.imag, len(v)
+    )
     return _Eigenvalue(complex(values[i]), complex(y @ (slope * wide) @ x), over)
 
 
-def _on_surface(loop: BoxLoop, delta: np.ndarray, omega: float) -> tuple[BoxMargin, _Eigenvalue] | None:
-    """The crossing in the direction of delta near (delta, omega), by Newton's iteration: where the eigenvalue is real."""
+def _on_surface(
+    loop: BoxLoop, delta: np.ndarray, omega: float
+) -> tuple[BoxMargin, _Eigenvalue] | None:
+    """The crossing in the direction of delta near (delta, omega), by Newton's iteration: where the
+    eigenvalue is real.
+    """
     near: complex = 1.0
     for _ in range(_NEWTON):
         found = _eigenvalue(loop, delta, omega, near)
@@ -252,21 +314,31 @@ def _on_surface(loop: BoxLoop, delta: np.ndarray, omega: float) -> tuple[BoxMarg
 
 
 def _followed(loop: BoxLoop, start: BoxMargin) -> BoxMargin | None:
-    """Down the crossing surface from a start near it, to where no direction lowers the largest entry any more."""
+    """Down the crossing surface from a start near it, to where no direction lowers the largest
+    entry any more.
+    """
     landed = _on_surface(loop, start.delta, start.frequency)
     if landed is None:
         return None
     here, slope = landed
     radius = 0.3
     for _ in range(_STEPS if loop.parameters > 1 else 0):
-        # the eigenvalue is 1 at here.delta: d mu = over_v . d delta / r + over_omega d omega = 0, omega eliminated
+        # the eigenvalue is 1 at here.delta: d mu = over_v . d delta / r + over_omega d omega = 0,
+        # omega eliminated
         scale = slope.value.real
-        turned = slope.over_v * scale * np.conj(slope.over_omega) if here.frequency > 0 else slope.over_v * scale * 1j
+        turned = (
+            slope.over_v * scale * np.conj(slope.over_omega)
+            if here.frequency > 0
+            else slope.over_v * scale * 1j
+        )
         step = _downhill(turned.imag, here.delta, radius * here.factor)
         moved = here.delta + step
         omega = here.frequency
         if omega > 0:
-            guess = -float((np.conj(slope.over_omega) * (slope.over_v @ step) * scale).real) / abs(slope.over_omega) ** 2
+            guess = (
+                -float((np.conj(slope.over_omega) * (slope.over_v @ step) * scale).real)
+                / abs(slope.over_omega) ** 2
+            )
             omega = float(np.clip(omega + guess, 0.5 * omega, 2 * omega))
         landed = _on_surface(loop, moved, omega)
         if landed is not None and landed[0].factor < here.factor:
@@ -283,16 +355,19 @@ def _followed(loop: BoxLoop, start: BoxMargin) -> BoxMargin | None:
 
 
 def _downhill(a: np.ndarray, delta: np.ndarray, radius: float) -> np.ndarray:
-    """The step with a . step = 0 and |step| <= radius that makes the largest entry of |delta + step| smallest, by bisection.
+    """The step with a . step = 0 and |step| <= radius that makes the largest entry of |delta +
+    step| smallest, by bisection.
 
-    With the largest entry at most t each coordinate has a range; a . step can be zero when the extremes of the sum enclose it.
+    With the largest entry at most t each coordinate has a range; a . step can be zero when the
+    extremes of the sum enclose it.
     """
     low, high = np.abs(delta).max() - radius, float(np.abs(delta).max())
     low = max(low, 0.0)
 
     def ends(t: float) -> tuple[np.ndarray, np.ndarray]:
         least, most = np.maximum(-t - delta, -radius), np.minimum(t - delta, radius)
-        return np.where(a > 0, least, most), np.where(a > 0, most, least)  # of the smallest and the largest sum
+        # of the smallest and the largest sum
+        return np.where(a > 0, least, most), np.where(a > 0, most, least)
 
     for _ in range(30):
         t = 0.5 * (low + high)
@@ -303,4 +378,6 @@ def _downhill(a: np.ndarray, delta: np.ndarray, radius: float) -> np.ndarray:
             low = t
     smallest, largest = ends(high)
     bottom, span = a @ smallest, a @ (largest - smallest)
-    return smallest + (largest - smallest) * (np.clip(-bottom / span, 0.0, 1.0) if span > 0 else 0.5)
+    return smallest + (largest - smallest) * (
+        np.clip(-bottom / span, 0.0, 1.0) if span > 0 else 0.5
+    )

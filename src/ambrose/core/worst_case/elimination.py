@@ -1,8 +1,10 @@
-"""Many points of a box of real parameters at once: the determinant and the closed loop at each, over frequency.
+"""Many points of a box of real parameters at once: the determinant and the closed loop at each,
+over frequency.
 
-The parameters are closed one after another, M' = M22 + M21 delta (I - M11 delta)^-1 M12, and det(I - M11 diag(delta)) is the
-product of the pivots' determinants. Points that share the values of the first parameters share the work (the corners of a box
-of k parameters: 2, 4, 8 .. matrices that shrink, in place of 2^k full ones).
+The parameters are closed one after another, M' = M22 + M21 delta (I - M11 delta)^-1 M12, and det(I
+- M11 diag(delta)) is the product of the pivots' determinants. Points that share the values of the
+first parameters share the work (the corners of a box of k parameters: 2, 4, 8 .. matrices that
+shrink, in place of 2^k full ones).
 """
 
 from __future__ import annotations
@@ -13,16 +15,20 @@ import numpy as np
 
 from ambrose.core.checks import memberwise
 
-_HELD = 100_000  # complex numbers of matrices that are factorised one by one: memory that is not asked for anew
+# complex numbers of matrices that are factorised one by one: memory that is not asked for anew
+_HELD = 100_000
 _CHUNK = 200_000  # numbers held at once, so that they stay in the cache
-_SMALL = 1e-5  # a pivot smaller than this, relative, spoils digits: such points are solved with pivoting
+# a pivot smaller than this, relative, spoils digits: such points are solved with pivoting
+_SMALL = 1e-5
 _FEW = 16  # points below which each is solved by itself
 _SHARED = 0.5  # branches over points, on average over the parameters, above which nothing is gained
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Branching:
-    """Parameters in the order in which they are closed; per parameter: channels, the branch it comes from, the value there."""
+    """Parameters in the order in which they are closed; per parameter: channels, the branch it
+    comes from, the value there.
+    """
 
     order: np.ndarray
     repeats: tuple[int, ...]
@@ -32,32 +38,43 @@ class _Branching:
 
 
 def determinants_at(M11: np.ndarray, owner: np.ndarray, delta: np.ndarray) -> np.ndarray:
-    """h = det(I - M11 diag(delta)), (d, w), for M11 (w, n, n), the parameter ``owner`` (n,) of each channel, delta (d, k)."""
+    """h = det(I - M11 diag(delta)), (d, w), for M11 (w, n, n), the parameter ``owner`` (n,) of each
+    channel, delta (d, k).
+    """
     branching = _branching(owner, delta)
     if branching is not None:
         return _closed(M11, owner, delta, branching)[0]
-    return np.concatenate([_determinants(M11[None], part[:, None, owner]) for part in _parts(delta, M11.size)])
+    return np.concatenate(
+        [_determinants(M11[None], part[:, None, owner]) for part in _parts(delta, M11.size)]
+    )
 
 
 def transfers_at(M: np.ndarray, owner: np.ndarray, delta: np.ndarray) -> np.ndarray:
-    """T = M22 + M21 diag(delta) (I - M11 diag(delta))^-1 M12, (d, w, p, m), for M (w, n + p, n + m); the others as above.
+    """T = M22 + M21 diag(delta) (I - M11 diag(delta))^-1 M12, (d, w, p, m), for M (w, n + p, n +
+    m); the others as above.
 
     NaN where I - M11 diag(delta) is singular: a pole.
     """
     branching = _branching(owner, delta)
     if branching is not None:
         return _closed(M, owner, delta, branching)[1]
-    return np.concatenate([_transfers(M[None], part[:, None, owner]) for part in _parts(delta, M.size)])
+    return np.concatenate(
+        [_transfers(M[None], part[:, None, owner]) for part in _parts(delta, M.size)]
+    )
 
 
 def _parts(delta: np.ndarray, size: int) -> list[np.ndarray]:
-    """delta (d, k) in parts, whose matrices with ``size`` entries each stay within a few megabytes."""
+    """delta (d, k) in parts, whose matrices with ``size`` entries each stay within a few
+    megabytes.
+    """
     step = max(1, _HELD // size)
     return [delta[i : i + step] for i in range(0, max(1, len(delta)), step)]
 
 
 def _branching(owner: np.ndarray, delta: np.ndarray) -> _Branching | None:
-    """Parameters with few values and many channels first: while there are few branches. None where little would be shared."""
+    """Parameters with few values and many channels first: while there are few branches. None where
+    little would be shared.
+    """
     d, k = delta.shape
     if d < _FEW or k == 1:
         return None
@@ -66,7 +83,9 @@ def _branching(owner: np.ndarray, delta: np.ndarray) -> _Branching | None:
     if distinct.min() > _SHARED * d:
         return None
     order = np.lexsort((-repeats, distinct))
-    leaf, parents, values = np.zeros(d, int), [], []
+    leaf = np.zeros(d, int)
+    parents = []
+    values = []
     for i in order:
         pairs, leaf = np.unique(np.stack([leaf, delta[:, i]], axis=1), axis=0, return_inverse=True)
         leaf = leaf.reshape(-1)
@@ -77,11 +96,16 @@ def _branching(owner: np.ndarray, delta: np.ndarray) -> _Branching | None:
     return _Branching(order, tuple(repeats[order].tolist()), tuple(parents), tuple(values), leaf)
 
 
-def _closed(M: np.ndarray, owner: np.ndarray, delta: np.ndarray, branching: _Branching) -> tuple[np.ndarray, np.ndarray]:
+def _closed(
+    M: np.ndarray, owner: np.ndarray, delta: np.ndarray, branching: _Branching
+) -> tuple[np.ndarray, np.ndarray]:
     """Determinants (d, w) and transfers (d, w, p, m), in chunks over frequency."""
     n, (w, rows, columns) = len(owner), M.shape
     channels = np.concatenate([np.flatnonzero(owner == i) for i in branching.order])
-    row, column = np.append(channels, np.arange(n, rows)), np.append(channels, np.arange(n, columns))
+    row, column = (
+        np.append(channels, np.arange(n, rows)),
+        np.append(channels, np.arange(n, columns)),
+    )
     S = np.ascontiguousarray(M[:, row[:, None], column].transpose(1, 2, 0))[:, :, None]
     h = np.empty((len(delta), w), complex)
     T = np.empty((len(delta), w, rows - n, columns - n), complex)
@@ -102,10 +126,14 @@ def _closed(M: np.ndarray, owner: np.ndarray, delta: np.ndarray, branching: _Bra
 
 
 def _eliminated(S: np.ndarray, branching: _Branching) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """S (rows, columns, 1, w) closed parameter by parameter: determinant (c, w), the rest (p, m, c, w), spoilt (c, w)."""
+    """S (rows, columns, 1, w) closed parameter by parameter: determinant (c, w), the rest (p, m, c,
+    w), spoilt (c, w).
+    """
     det, bad = np.ones(S.shape[2:], complex), np.zeros(S.shape[2:], bool)
     with np.errstate(all="ignore"):
-        for r, parent, value in zip(branching.repeats, branching.parents, branching.values, strict=True):
+        for r, parent, value in zip(
+            branching.repeats, branching.parents, branching.values, strict=True
+        ):
             v = value[:, None]
             if r == 1:
                 loop = v * S[0, 0][parent]
@@ -119,9 +147,15 @@ def _eliminated(S: np.ndarray, branching: _Branching) -> tuple[np.ndarray, np.nd
     return det, S, bad
 
 
-def _block(S: np.ndarray, r: int, parent: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A parameter of r channels: determinant of its pivot (c, w), whether that is near zero, what is added (a, b, c, w)."""
-    B, right, left = (part.transpose(2, 3, 0, 1)[parent] for part in (S[:r, :r], S[:r, r:], S[r:, :r]))
+def _block(
+    S: np.ndarray, r: int, parent: np.ndarray, v: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A parameter of r channels: determinant of its pivot (c, w), whether that is near zero, what
+    is added (a, b, c, w).
+    """
+    B, right, left = (
+        part.transpose(2, 3, 0, 1)[parent] for part in (S[:r, :r], S[:r, r:], S[r:, :r])
+    )
     X = np.eye(r) - B * v[..., None, None]
     pivot = np.linalg.det(X)
     singular = ~(np.abs(pivot) > 0)

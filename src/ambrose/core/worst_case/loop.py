@@ -1,10 +1,13 @@
-"""A loop with real parameters in a box: its gain and the number of its unstable poles at any point of the box.
+"""A loop with real parameters in a box: its gain and the number of its unstable poles at any point
+of the box.
 
-The parameters are pulled out of a stable system: w = diag(delta) z, (z, e) = M (w, d), so that at every frequency
+The parameters are pulled out of a stable system: w = diag(delta) z, (z, e) = M (w, d), so that at
+every frequency
 
     T(delta) = M22 + M21 diag(delta) (I - M11 diag(delta))^-1 M12        d -> e
 
-costs a small matrix whatever the order of the system. ``worst_case/search.py`` looks for the worst that can happen in the box.
+costs a small matrix whatever the order of the system. ``worst_case/search.py`` looks for the worst
+that can happen in the box.
 """
 
 from __future__ import annotations
@@ -25,18 +28,24 @@ from ambrose.core.worst_case.elimination import determinants_at, transfers_at
 
 _CHUNK = 400_000  # matrices worked on at once
 _STEP = 0.8  # rad, largest turn of the determinant between two grid points that is trusted
-_HIDDEN = 1.2  # distance between grid points over the distance of the nearest zero or pole of the determinant (about)
+# distance between grid points over the distance of the nearest zero or pole of the determinant
+# (about)
+_HIDDEN = 1.2
 _BESIDE = 1e-6  # relative step of the derivative in frequency
 _ROUNDS = 14
-_WEAK = 0.1  # norm of M11 delta, over the channels, below which a frequency is left out unless its neighbour is not
+# norm of M11 delta, over the channels, below which a frequency is left out unless its neighbour is
+# not
+_WEAK = 0.1
 _ALL_CORNERS = 8  # parameters up to which every corner is visited
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoxLoop:
-    """A stable continuous loop whose first inputs w and outputs z belong to ``blocks``, one real parameter each.
+    """A stable continuous loop whose first inputs w and outputs z belong to ``blocks``, one real
+    parameter each.
 
-    owner (n,): the parameter that channel belongs to; model: for evaluation and proof; poles (s,) of the loop with delta = 0.
+    owner (n,): the parameter that channel belongs to; model: for evaluation and proof; poles (s,)
+    of the loop with delta = 0.
     """
 
     system: StateSpace
@@ -57,18 +66,31 @@ class BoxLoop:
 def box_loop(system: Any, blocks: Sequence[Block], model: Chords | None = None) -> BoxLoop:
     """model: the chords of the system, where they are known: it is stable then.
 
-    Raises InvalidInput for blocks that are not real or do not fit, UnstableSystem when delta = 0 is unstable already."""
+    Raises InvalidInput for blocks that are not real or do not fit, UnstableSystem when delta = 0 is
+    unstable already.
+    """
     system = as_statespace(system)
     other = [block.name for block in blocks if not isinstance(block, RealBlock)]
     if other or not blocks:
-        raise invalid("the blocks", other or "none", "real parameters, at least one", "use mu_bounds for complex ones")
+        raise invalid(
+            "the blocks",
+            other or "none",
+            "real parameters, at least one",
+            "use mu_bounds for complex ones",
+        )
     real = tuple(block for block in blocks if isinstance(block, RealBlock))
     owner = np.repeat(np.arange(len(real)), [block.repeat for block in real])
     if system.dt is not None or min(system.D.shape) < len(owner):
-        raise invalid("the loop", repr(system), f"continuous with {len(owner)} or more inputs and outputs", "list w, z first")
+        raise invalid(
+            "the loop",
+            repr(system),
+            f"continuous with {len(owner)} or more inputs and outputs",
+            "list w, z first",
+        )
     if model is None and not is_stable(system):
         raise UnstableSystem(
-            f"the loop with all parameters nominal has a pole with real part {spectral_abscissa(system):.4g} rad/s; "
+            "the loop with all parameters nominal has a pole with real part "
+            f"{spectral_abscissa(system):.4g} rad/s; "
             "robustness is a question about a stable loop: change the controller first"
         )
     model = chords(system) if model is None else model
@@ -76,14 +98,18 @@ def box_loop(system: Any, blocks: Sequence[Block], model: Chords | None = None) 
 
 
 def default_grid(loop: BoxLoop, per_decade: int = 60) -> np.ndarray:
-    """Frequencies (w,) [rad/s] from 0.01 times the slowest to 100 times the fastest pole, denser around resonances."""
+    """Frequencies (w,) [rad/s] from 0.01 times the slowest to 100 times the fastest pole, denser
+    around resonances.
+    """
     modulus = np.abs(loop.poles)
     if not modulus.size:
         return np.array([1.0])
     low, high = 0.01 * modulus.min(), 100 * modulus.max()
     net = np.geomspace(low, high, int(per_decade * np.log10(high / low)) + 2)
     light = loop.poles[(loop.poles.imag > 0) & (-loop.poles.real < 0.3 * modulus)]
-    beside = light.imag[:, None] + light.real[:, None] * np.array([-4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0])
+    beside = light.imag[:, None] + light.real[:, None] * np.array(
+        [-4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0]
+    )
     return np.unique(np.concatenate([net, beside[beside > low]]))
 
 
@@ -103,11 +129,15 @@ def samples(parameters: int, count: int = 64, seed: int = 1) -> np.ndarray:
 
 def box_points(parameters: int, count: int = 64, seed: int = 1) -> np.ndarray:
     """The nominal point, the corners and ``count`` samples of the box (d, parameters)."""
-    return np.vstack([np.zeros((1, parameters)), corners(parameters), samples(parameters, count, seed)])
+    return np.vstack(
+        [np.zeros((1, parameters)), corners(parameters), samples(parameters, count, seed)]
+    )
 
 
 def gains(M: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
-    """Largest singular value of T(delta), (d, w), infinite on a pole; M (w, n + p, n + m) of ``loop.at``, delta (d, k)."""
+    """Largest singular value of T(delta), (d, w), infinite on a pole; M (w, n + p, n + m) of
+    ``loop.at``, delta (d, k).
+    """
     T = transfers(M, loop, delta)
     on_pole = ~np.isfinite(T).all(axis=(2, 3))
     T[on_pole] = 0.0
@@ -117,13 +147,18 @@ def gains(M: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
 def transfers(M: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
     """T(delta) (d, w, p, m)."""
     step = max(1, _CHUNK // max(1, len(M)))
-    parts = [transfers_at(M, loop.owner, delta[start : start + step]) for start in range(0, max(1, len(delta)), step)]
+    parts = [
+        transfers_at(M, loop.owner, delta[start : start + step])
+        for start in range(0, max(1, len(delta)), step)
+    ]
     return np.concatenate(parts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sweep:
-    """M11 at ascending frequencies, 0 and infinity included: omega (w,) [rad/s], M11 and slope = dM11/d(ln omega) (w, n, n)."""
+    """M11 at ascending frequencies, 0 and infinity included: omega (w,) [rad/s], M11 and slope =
+    dM11/d(ln omega) (w, n, n).
+    """
 
     omega: np.ndarray
     M11: np.ndarray
@@ -136,7 +171,10 @@ class Sweep:
         """Both in one, and the order that sorts (self, other)."""
         omega = np.concatenate([self.omega, other.omega])
         order = np.argsort(omega)
-        M11, slope = np.concatenate([self.M11, other.M11]), np.concatenate([self.slope, other.slope])
+        M11, slope = (
+            np.concatenate([self.M11, other.M11]),
+            np.concatenate([self.slope, other.slope]),
+        )
         return Sweep(omega[order], M11[order], slope[order]), order
 
 
@@ -155,9 +193,10 @@ def _evaluated(loop: BoxLoop, omega: np.ndarray) -> Sweep:
 def unstable_poles(loop: BoxLoop, delta: np.ndarray, start: Sweep | None = None) -> np.ndarray:
     """How many poles of the loop lie in the right half plane for every delta (d, k), (d,).
 
-    By the turns of h = det(I - M11 diag(delta)) along the imaginary axis (argument principle). The sweep is refined until h
-    turns by less than 0.8 rad between neighbours and its logarithm changes slowly enough there for no zero to hide between
-    them; where it does not come to rest, a pole is next to the axis, and the eigenvalues decide. Raises InvalidInput.
+    By the turns of h = det(I - M11 diag(delta)) along the imaginary axis (argument principle). The
+    sweep is refined until h turns by less than 0.8 rad between neighbours and its logarithm changes
+    slowly enough there for no zero to hide between them; where it does not come to rest, a pole is
+    next to the axis, and the eigenvalues decide. Raises InvalidInput.
     """
     delta = check_shape(delta, "delta", "(d, k)", k=loop.parameters)
     return count_unstable(loop, delta, sweep(loop) if start is None else start)[0]
@@ -165,7 +204,8 @@ def unstable_poles(loop: BoxLoop, delta: np.ndarray, start: Sweep | None = None)
 
 def count_unstable(loop: BoxLoop, delta: np.ndarray, start: Sweep) -> tuple[np.ndarray, Sweep]:
     """``unstable_poles``, and the sweep with the frequencies that had to be added."""
-    # where the perturbation cannot turn the determinant noticeably only the neighbours of other points are needed
+    # where the perturbation cannot turn the determinant noticeably only the neighbours of other
+    # points are needed
     strong = largest_gain(start.M11) * np.abs(delta).max(initial=0.0) > _WEAK / len(loop.owner)
     near = strong.copy()
     near[1:] |= strong[:-1]
@@ -187,14 +227,18 @@ def count_unstable(loop: BoxLoop, delta: np.ndarray, start: Sweep) -> tuple[np.n
         start = start.joined(added[~np.isin(new, start.omega)])[0]
     turns = np.angle(h[:, 1:] / h[:, :-1]).sum(axis=1) / np.pi
     count = np.rint(-turns)
-    unclear = _restless(used.omega, h, rate).any(axis=1) | (np.abs(-turns - count) > 0.1) | (count < 0)
+    unclear = (
+        _restless(used.omega, h, rate).any(axis=1) | (np.abs(-turns - count) > 0.1) | (count < 0)
+    )
     for i in np.flatnonzero(unclear):
         count[i] = (np.linalg.eigvals(perturbed_matrix(loop, delta[i])).real >= 0).sum()
     return count.astype(int), start
 
 
 def _restless(omega: np.ndarray, h: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """Between which neighbours (d, w - 1) h turns far, or has a zero or pole closer than the distance between them."""
+    """Between which neighbours (d, w - 1) h turns far, or has a zero or pole closer than the
+    distance between them.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
         turns = np.abs(np.angle(h[:, 1:] / h[:, :-1]))
         width = np.log(omega[1:] / omega[:-1])
@@ -204,11 +248,18 @@ def _restless(omega: np.ndarray, h: np.ndarray, rate: np.ndarray) -> np.ndarray:
 
 
 def _determinants(part: Sweep, loop: BoxLoop, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """h = det(I - M11 diag(delta)) and |dh/d(ln omega)| / |h|, (d, w) each; the latter is 0 at 0 and infinity."""
+    """h = det(I - M11 diag(delta)) and |dh/d(ln omega)| / |h|, (d, w) each; the latter is 0 at 0
+    and infinity.
+    """
     both = np.concatenate([part.M11, part.M11 + _BESIDE * part.slope])
     step = max(1, _CHUNK // max(1, len(both)))
     h, beside = np.split(
-        np.concatenate([determinants_at(both, loop.owner, delta[i : i + step]) for i in range(0, max(1, len(delta)), step)]),
+        np.concatenate(
+            [
+                determinants_at(both, loop.owner, delta[i : i + step])
+                for i in range(0, max(1, len(delta)), step)
+            ]
+        ),
         2,
         1,
     )

@@ -1,9 +1,11 @@
-"""The largest gain over a box of real parameters and all frequencies, from below: members tried, and the best followed uphill.
+"""The largest gain over a box of real parameters and all frequencies, from below: members tried,
+and the best followed uphill.
 
-M is the nominal loop's and smooth between its poles; the gain of a member is sharp where the member has a pole. That pole is a
-zero of h = det(I - M11 delta), found from the grid by one Newton step, d ln h / d ln s: where it lies between grid points
-the member is looked at beside it as well. From the best, ascent in delta and frequency together, frequency measured from the
-pole, in units of its decay, along with which it moves: a ridge that is narrow in frequency is followed all the same.
+M is the nominal loop's and smooth between its poles; the gain of a member is sharp where the member
+has a pole. That pole is a zero of h = det(I - M11 delta), found from the grid by one Newton step, d
+ln h / d ln s: where it lies between grid points the member is looked at beside it as well. From the
+best, ascent in delta and frequency together, frequency measured from the pole, in units of its
+decay, along with which it moves: a ridge that is narrow in frequency is followed all the same.
 """
 
 from __future__ import annotations
@@ -39,10 +41,12 @@ class BoxGain(Presented):
 
 
 def worst_case_gain(system: Any, blocks: Sequence[Block], seed: int = 1) -> BoxGain:
-    """The largest gain that was found of ``system`` over its real parameters, each in -1..1, and over all frequencies.
+    """The largest gain that was found of ``system`` over its real parameters, each in -1..1, and
+    over all frequencies.
 
-    system: stable, its leading inputs and outputs those of ``blocks`` (RealBlock), the others those of the gain; see
-    ``box_loop``. A lower bound: it is searched, not proved (``worst_gain``). Raises InvalidInput.
+    system: stable, its leading inputs and outputs those of ``blocks`` (RealBlock), the others those
+    of the gain; see ``box_loop``. A lower bound: it is searched, not proved (``worst_gain``).
+    Raises InvalidInput.
     """
     return worst_gain(box_loop(system, blocks), seed=seed)
 
@@ -51,8 +55,9 @@ def worst_case_gain(system: Any, blocks: Sequence[Block], seed: int = 1) -> BoxG
 def worst_gain(loop: BoxLoop, seed: int = 1, also: Sequence[float] = ()) -> BoxGain:
     """The largest singular value of T(delta) over the box and all frequencies, from below.
 
-    Corners, samples and the centre on a grid and beside their own poles, then ascent from the best of different bands of
-    frequency. The loop must be stable all over the box. also: frequencies [rad/s] at which to look besides.
+    Corners, samples and the centre on a grid and beside their own poles, then ascent from the best
+    of different bands of frequency. The loop must be stable all over the box. also: frequencies
+    [rad/s] at which to look besides.
     """
     grid = np.concatenate([[0.0], default_grid(loop)])
     members = box_points(loop.parameters, seed=seed)
@@ -89,8 +94,12 @@ def worst_gain_at(loop: BoxLoop, omega: float) -> BoxGain:
 
 
 def _gain_limit(M: np.ndarray, n: int) -> np.ndarray:
-    """What the gain cannot exceed anywhere in the box, (w,), by norms alone: frequencies where it is low need no search."""
-    M11, M12, M21, M22 = (largest_gain(X) for X in (M[:, :n, :n], M[:, :n, n:], M[:, n:, :n], M[:, n:, n:]))
+    """What the gain cannot exceed anywhere in the box, (w,), by norms alone: frequencies where it
+    is low need no search.
+    """
+    M11, M12, M21, M22 = (
+        largest_gain(X) for X in (M[:, :n, :n], M[:, :n, n:], M[:, n:, :n], M[:, n:, n:])
+    )
     room = 1 - M11
     return np.where(room > 0, M22 + M21 * M12 / np.where(room > 0, room, 1.0), np.inf)
 
@@ -101,14 +110,20 @@ def _local_maxima(values: np.ndarray) -> np.ndarray:
     return np.asarray((values >= padded[:, :-2]) & (values >= padded[:, 2:]))
 
 
-def _beside_poles(loop: BoxLoop, grid: np.ndarray, M: np.ndarray, members: np.ndarray, kept: np.ndarray) -> np.ndarray:
-    """(3, c): gain, member and frequency [rad/s] beside those poles of the members that hide between grid points."""
+def _beside_poles(
+    loop: BoxLoop, grid: np.ndarray, M: np.ndarray, members: np.ndarray, kept: np.ndarray
+) -> np.ndarray:
+    """(3, c): gain, member and frequency [rad/s] beside those poles of the members that hide
+    between grid points.
+    """
     n, positive = len(loop.owner), grid > 0
     omega = grid[positive]
     M11 = M[positive, :n, :n]
     h = determinants_at(M11, loop.owner, members)
     with np.errstate(all="ignore"):
-        shift = -_STEP / (determinants_at(loop.at(omega * (1 + _STEP))[:, :n, :n], loop.owner, members) / h - 1)
+        shift = -_STEP / (
+            determinants_at(loop.at(omega * (1 + _STEP))[:, :n, :n], loop.owner, members) / h - 1
+        )
     gap = np.gradient(np.log(omega)) if len(omega) > 1 else np.ones(1)
     i, k = np.nonzero((np.abs(shift.real) <= 1.5 * gap) & (np.abs(shift.imag) <= gap))
     if not len(i):
@@ -135,7 +150,9 @@ def _gains_one_by_one(loop: BoxLoop, delta: np.ndarray, omega: np.ndarray) -> np
 
 
 def _best_of_each_band(rows: np.ndarray) -> list[tuple[float, float, float]]:
-    """Of rows (gain, member, frequency), the highest: three of one band of frequency at most, one of a member there."""
+    """Of rows (gain, member, frequency), the highest: three of one band of frequency at most, one
+    of a member there.
+    """
     chosen: list[tuple[float, float, float]] = []
     count: dict[int, int] = {}
     seen: set[tuple[int, int]] = set()
@@ -173,15 +190,21 @@ def _ascend(loop: BoxLoop, delta: np.ndarray, omega: float) -> BoxGain:
     return best
 
 
-def _along(loop: BoxLoop, centre: float, line: np.ndarray, origin: np.ndarray, x: np.ndarray) -> tuple[float, np.ndarray]:
-    """-ln of the gain at x = (delta, distance from the pole in decays), and its gradient (k + 1,)."""
+def _along(
+    loop: BoxLoop, centre: float, line: np.ndarray, origin: np.ndarray, x: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """-ln of the gain at x = (delta, distance from the pole in decays), and its gradient (k +
+    1,).
+    """
     omega = centre + float(line @ (x - origin))
     value, over_delta, over_omega = _log_gain(loop, x[:-1], abs(omega))
     return value, np.append(over_delta, 0.0) + (over_omega if omega >= 0 else -over_omega) * line
 
 
 def _pole_beside(loop: BoxLoop, delta: np.ndarray, omega: float) -> tuple[float, np.ndarray]:
-    """The decay [rad/s] of the member's pole next to j omega, and how its frequency moves with delta (k,) [rad/s]."""
+    """The decay [rad/s] of the member's pole next to j omega, and how its frequency moves with
+    delta (k,) [rad/s].
+    """
     k, n = loop.parameters, len(loop.owner)
     broad = (max(0.05 * omega, 1e-3 * float(np.abs(loop.poles).min(initial=1.0))), np.zeros(k))
     if omega == 0.0:
@@ -210,7 +233,9 @@ def _gain(loop: BoxLoop, delta: np.ndarray, omega: float) -> float:
 
 
 def _climb(M: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
-    """The point (k,) of the box with the largest gain near delta (k,), for M (n + p, n + m) at one frequency."""
+    """The point (k,) of the box with the largest gain near delta (k,), for M (n + p, n + m) at one
+    frequency.
+    """
     from scipy.optimize import minimize
 
     def cost(x: np.ndarray) -> tuple[float, np.ndarray]:
@@ -221,12 +246,16 @@ def _climb(M: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
 
 
 def _log_gain(loop: BoxLoop, delta: np.ndarray, omega: float) -> tuple[float, np.ndarray, float]:
-    """-ln sigma_max(T(delta)) at omega [rad/s], its gradient (k,) and its derivative with respect to omega."""
+    """-ln sigma_max(T(delta)) at omega [rad/s], its gradient (k,) and its derivative with respect
+    to omega.
+    """
     at = np.array([omega])
     return _slopes(loop.at(at)[0], loop.model.slope(at)[0], loop, delta)
 
 
-def _slopes(M: np.ndarray, slope: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> tuple[float, np.ndarray, float]:
+def _slopes(
+    M: np.ndarray, slope: np.ndarray, loop: BoxLoop, delta: np.ndarray
+) -> tuple[float, np.ndarray, float]:
     """The same from M and dM/d omega (n + p, n + m)."""
     n = len(loop.owner)
     wide = delta[loop.owner]
@@ -246,8 +275,12 @@ def _slopes(M: np.ndarray, slope: np.ndarray, loop: BoxLoop, delta: np.ndarray) 
     return -float(np.log(s[0])), -over_delta / s[0], -float(over_omega.real) / float(s[0])
 
 
-def peak_at(loop: BoxLoop, delta: np.ndarray, left: float, middle: float, right: float) -> tuple[float, float]:
-    """Frequency [rad/s] and value of the largest gain at delta (k,) near ``middle``, by a narrowing net in [left, right]."""
+def peak_at(
+    loop: BoxLoop, delta: np.ndarray, left: float, middle: float, right: float
+) -> tuple[float, float]:
+    """Frequency [rad/s] and value of the largest gain at delta (k,) near ``middle``, by a narrowing
+    net in [left, right].
+    """
     best, value = middle, _gain(loop, delta, middle)
     for _ in range(8):
         net = np.unique(np.concatenate([np.linspace(left, best, 6), np.linspace(best, right, 6)]))
@@ -257,5 +290,8 @@ def peak_at(loop: BoxLoop, delta: np.ndarray, left: float, middle: float, right:
         i = int(row.argmax())
         if row[i] > value:
             best, value = float(net[i]), float(row[i])
-        left, right = max(left, best - (net[1] - net[0]) * 1.5), min(right, best + (net[-1] - net[-2]) * 1.5)
+        left, right = (
+            max(left, best - (net[1] - net[0]) * 1.5),
+            min(right, best + (net[-1] - net[-2]) * 1.5),
+        )
     return best, value

@@ -1,8 +1,10 @@
-"""Which channel is which? The measured closed-loop responses against the model's, for every way channels could be mixed up.
+"""Which channel is which? The measured closed-loop responses against the model's, for every way
+channels could be mixed up.
 
-Responses T from the excitations to y, u and i (frf/spectral.py, free of the loop's noise) must be those of the loop: T_y and
-T_u those of the model, T_u = -K T_y whatever the plant is, and T_i the amplifier's response to u + e. A swapped or inverted
-channel breaks some of these and not the others, which tells it from a changed parameter, and mostly also tells which one it is.
+Responses T from the excitations to y, u and i (frf/spectral.py, free of the loop's noise) must be
+those of the loop: T_y and T_u those of the model, T_u = -K T_y whatever the plant is, and T_i the
+amplifier's response to u + e. A swapped or inverted channel breaks some of these and not the
+others, which tells it from a changed parameter, and mostly also tells which one it is.
 """
 
 from __future__ import annotations
@@ -20,9 +22,9 @@ from ambrose.core.statespace import StateSpace, select
 from ambrose.identification.excitation import signal_rows
 from ambrose.identification.frf import spectral as frf
 from ambrose.identification.output_error.normal_equations import distinct
-from ambrose.machine.record.record import Record
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.model import Plant
+from ambrose.law.loop import closed_loop
+from ambrose.model.plant import Plant
+from ambrose.record.record import Record
 
 KINDS = {"y": "displacement", "u": "controller output", "i": "coil current", "e": "excitation"}
 _LINES = 400  # of a response that are compared, at most
@@ -32,7 +34,9 @@ _ALL_UP_TO = 4  # axes for which every signed permutation is tried
 
 @dataclass(frozen=True, slots=True)
 class Wiring:
-    """Channel number i of a kind shows axis ``order[i]`` times ``signs[i]``; kind "" is the record as it is labelled."""
+    """Channel number i of a kind shows axis ``order[i]`` times ``signs[i]``; kind "" is the record
+    as it is labelled.
+    """
 
     kind: str = ""
     order: tuple[int, ...] = ()
@@ -46,7 +50,9 @@ class Wiring:
 
     @property
     def changes(self) -> int:
-        return sum(j != i or s < 0 for i, (j, s) in enumerate(zip(self.order, self.signs, strict=True)))
+        return sum(
+            j != i or s < 0 for i, (j, s) in enumerate(zip(self.order, self.signs, strict=True))
+        )
 
     def words(self, axes: Sequence[str]) -> str:
         """ "y_A_zeta and y_A_eta are swapped", "u_B_eta has the wrong sign"."""
@@ -71,9 +77,11 @@ class Wiring:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Responses:
-    """Responses (w, a, r) of each kind of signal to the distinct excitations, at omega (w,) [rad/s], with the sum of squares
-    that noise makes of them (w, a); coherence (a, w) with the excitations, ``chance`` what 995 of 1000 lines without any trace
-    of them would stay below; mix (a, r): the excitations e from the distinct ones."""
+    """Responses (w, a, r) of each kind of signal to the distinct excitations, at omega (w,)
+    [rad/s], with the sum of squares that noise makes of them (w, a); coherence (a, w) with the
+    excitations, ``chance`` what 995 of 1000 lines without any trace of them would stay below; mix
+    (a, r): the excitations e from the distinct ones.
+    """
 
     omega: np.ndarray
     values: Mapping[str, np.ndarray]
@@ -83,19 +91,28 @@ class Responses:
     mix: np.ndarray
 
 
-def measured_responses(records: Sequence[Record], axes: Sequence[str], of: str = "yui") -> Responses | None:
-    """The responses of the records' signals of these kinds, or None where excitations or their number of segments do not
-    allow any."""
+def measured_responses(
+    records: Sequence[Record], axes: Sequence[str], of: str = "yui"
+) -> Responses | None:
+    """The responses of the records' signals of these kinds, or None where excitations or their
+    number of segments do not allow any.
+    """
     from scipy.special import betaincinv
 
-    parts_of = zip(*(signal_rows(record, [f"e_{axis}" for axis in axes]) for record in records), strict=True)
+    parts_of = zip(
+        *(signal_rows(record, [f"e_{axis}" for axis in axes]) for record in records), strict=True
+    )
     e = [rows[0] if len(rows) == 1 else np.concatenate(rows) for rows in parts_of]
     if not any(row.any() for row in e):
         return None
     _, mix = distinct(e)
     names = [f"e_{axes[int(np.flatnonzero(column)[0])]}" for column in mix.T]
     signs = np.array([column[np.flatnonzero(column)[0]] for column in mix.T])
-    kinds = [kind for kind in of if all(f"{kind}_{axis}" in record.signals for record in records for axis in axes)]
+    kinds = [
+        kind
+        for kind in of
+        if all(f"{kind}_{axis}" in record.signals for record in records for axis in axes)
+    ]
     shortest = min(record.values.shape[1] for record in records)
     total = sum(record.values.shape[1] for record in records)
     dt = records[0].dt
@@ -103,10 +120,16 @@ def measured_responses(records: Sequence[Record], axes: Sequence[str], of: str =
     if L < 64 or not kinds:
         return None
     try:
-        estimate = frf.h1(records, names, [f"{kind}_{axis}" for kind in kinds for axis in axes], segment=L * dt)
+        estimate = frf.h1(
+            records, names, [f"{kind}_{axis}" for kind in kinds for axis in axes], segment=L * dt
+        )
     except InvalidInput:
         return None
-    kept = np.unique(np.round(np.linspace(0, len(estimate.omega) - 1, min(_LINES, len(estimate.omega)))).astype(int))
+    kept = np.unique(
+        np.round(np.linspace(0, len(estimate.omega) - 1, min(_LINES, len(estimate.omega)))).astype(
+            int
+        )
+    )
     a = len(axes)
     parts = {kind: slice(n * a, (n + 1) * a) for n, kind in enumerate(kinds)}
     return Responses(
@@ -120,9 +143,14 @@ def measured_responses(records: Sequence[Record], axes: Sequence[str], of: str =
 
 
 def compared_responses(
-    record: Record, names: Sequence[str], residual: Sequence[np.ndarray] | np.ndarray, axes: Sequence[str]
+    record: Record,
+    names: Sequence[str],
+    residual: Sequence[np.ndarray] | np.ndarray,
+    axes: Sequence[str],
 ) -> tuple[Responses, Responses] | None:
-    """The responses of a record's signals, and those of what a model leaves of them, residual (a, k); None as above."""
+    """The responses of a record's signals, and those of what a model leaves of them, residual (a,
+    k); None as above.
+    """
     driven = [name for name in record.signals if name[:2] == "e_"]
     whole = measured_responses([record], axes, names[0][0])
     left = np.empty((len(names) + len(driven), record.values.shape[1]))
@@ -130,13 +158,17 @@ def compared_responses(
         row[:] = values
     left.flags.writeable = False  # or the record would copy it
     units = tuple(record.units[record.signals.index(name)] for name in (*names, *driven))
-    rest = measured_responses([replace(record, signals=(*names, *driven), units=units, values=left)], axes)
+    rest = measured_responses(
+        [replace(record, signals=(*names, *driven), units=units, values=left)], axes
+    )
     return None if whole is None or rest is None else (whole, rest)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Expected:
-    """The loop of the model on the same lines: T_y, T_u (w, a, a) from e, K with its delay (w, a, a), amplifier (w, a, a)."""
+    """The loop of the model on the same lines: T_y, T_u (w, a, a) from e, K with its delay (w, a,
+    a), amplifier (w, a, a).
+    """
 
     y: np.ndarray
     u: np.ndarray
@@ -145,23 +177,34 @@ class Expected:
 
 
 def expected_responses(plant: Plant, law: StateSpace, omega: np.ndarray) -> Expected:
-    """law: sampled, its computing delay included, signals err_<axis> and u_<axis>; omega (w,) [rad/s]."""
+    """law: sampled, its computing delay included, signals err_<axis> and u_<axis>; omega (w,)
+    [rad/s].
+    """
     axes, dt = plant.axes, law.dt
     assert dt is not None
     e, y, u = ([f"{kind}_{axis}" for axis in axes] for kind in "eyu")
     coils = c2d(select(plant.system, u, [f"i_{axis}" for axis in axes]), dt)
     loop = frequency_response(select(closed_loop(plant, law), e, [*y, *u]), omega).values
     a = len(axes)
-    return Expected(loop[:, :a], loop[:, a:], frequency_response(law, omega).values, frequency_response(coils, omega).values)
+    return Expected(
+        loop[:, :a],
+        loop[:, a:],
+        frequency_response(law, omega).values,
+        frequency_response(coils, omega).values,
+    )
 
 
 def shares(measured: Responses, expected: Expected, wiring: Wiring) -> dict[str, float]:
-    """What part of the measured power each relation leaves unexplained under this wiring: "y" and "u" against the model,
-    "K": u against the controller, "i" against the amplifier; the mean over the axes."""
+    """What part of the measured power each relation leaves unexplained under this wiring: "y" and
+    "u" against the model, "K": u against the controller, "i" against the amplifier; the mean over
+    the axes.
+    """
     a = len(measured.mix)
     excited = wiring.matrix("e", a).T @ measured.mix
     true = {kind: wiring.matrix(kind, a).T @ values for kind, values in measured.values.items()}
-    noise = {kind: values @ np.abs(wiring.matrix(kind, a)) for kind, values in measured.noise.items()}
+    noise = {
+        kind: values @ np.abs(wiring.matrix(kind, a)) for kind, values in measured.noise.items()
+    }
     unexplained: dict[str, float] = {}
     if "y" in true:
         unexplained["y"] = _share(true["y"], expected.y @ excited, noise["y"])
@@ -184,12 +227,16 @@ def _share(measured: np.ndarray, model: np.ndarray, noise: np.ndarray) -> float:
 
 
 def score(unexplained: Mapping[str, float]) -> float:
-    """The smaller, the better a wiring explains everything: the sum of the logarithms of its shares."""
+    """The smaller, the better a wiring explains everything: the sum of the logarithms of its
+    shares.
+    """
     return float(sum(np.log(max(share, _FLOOR)) for share in unexplained.values()))
 
 
 def wirings(kinds: Sequence[str], count: int) -> Iterator[Wiring]:
-    """Every way in which the channels of one kind can be mixed up; beyond four axes one swap or any one or all signs."""
+    """Every way in which the channels of one kind can be mixed up; beyond four axes one swap or any
+    one or all signs.
+    """
     for kind in kinds:
         if count <= _ALL_UP_TO:
             for order in permutations(range(count)):
@@ -209,11 +256,17 @@ def _simple(kind: str, count: int) -> Iterator[Wiring]:
         order = list(same)
         order[i], order[j] = j, i
         for one, other in product((1, -1), repeat=2):
-            yield Wiring(kind, tuple(order), tuple(one if n == i else other if n == j else 1 for n in same))
+            yield Wiring(
+                kind, tuple(order), tuple(one if n == i else other if n == j else 1 for n in same)
+            )
 
 
-def ranked(measured: Responses, expected: Expected, kinds: Sequence[str]) -> list[tuple[float, Wiring, dict[str, float]]]:
-    """All wirings, the record as labelled among them, by rising score plus a little for every changed channel."""
+def ranked(
+    measured: Responses, expected: Expected, kinds: Sequence[str]
+) -> list[tuple[float, Wiring, dict[str, float]]]:
+    """All wirings, the record as labelled among them, by rising score plus a little for every
+    changed channel.
+    """
     rows = []
     for wiring in (Wiring(), *wirings(kinds, len(measured.mix))):
         unexplained = shares(measured, expected, wiring)

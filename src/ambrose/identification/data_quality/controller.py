@@ -1,7 +1,9 @@
-"""Does the controller that is given explain its recorded output? u = K (r - y) sample by sample: delay, size, lost samples.
+"""Does the controller that is given explain its recorded output? u = K (r - y) sample by sample:
+delay, size, lost samples.
 
-Exact where the controller itself records: its unknown initial state and an offset are eliminated, so a residual of some
-percent means another controller, another delay, another rate, or samples that are missing.
+Exact where the controller itself records: its unknown initial state and an offset are eliminated,
+so a residual of some percent means another controller, another delay, another rate, or samples that
+are missing.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from ambrose.core.response import impulse_response, simulate
 from ambrose.core.statespace import StateSpace, poles
 from ambrose.identification.excitation import signal_rows
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 LAGS = 6  # samples, the longest delay that is tried
 _BLOCK = 8000  # samples that are compared at once, with an initial state of their own
@@ -23,17 +25,19 @@ _REMEMBERED = 200  # samples of the law's impulse response
 _MARGINAL = 1 + 1e-9
 _AT_LIMIT = 0.999
 _FOLLOWS = 0.01  # residual of u below which its delay counts as seen
-_BURST, _VISIBLE = 60.0, 3e-4  # over the median jump of the residual, and over the rms of the signal
+# over the median jump of the residual, and over the rms of the signal
+_BURST, _VISIBLE = 60.0, 3e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ControllerMatch:
     """How well u_<axis> follows the controller, per axis.
 
-    residual (a, lags) [-]: rms of what is left over rms of the signal, when the controller's output acts 0, 1, ... samples
-    later; lag (a,): where it is least; gain (a,): recorded over computed there, and scaled (a,) the residual with that gain.
-    left (a, k): what is left of the record's u at the best delay, zero where u is at its limit. jumps: samples at which the
-    residual of an axis jumps although it is quiet around: (axis number, sample).
+    residual (a, lags) [-]: rms of what is left over rms of the signal, when the controller's output
+    acts 0, 1, ... samples later; lag (a,): where it is least; gain (a,): recorded over computed
+    there, and scaled (a,) the residual with that gain. left (a, k): what is left of the record's u
+    at the best delay, zero where u is at its limit. jumps: samples at which the residual of an axis
+    jumps although it is quiet around: (axis number, sample).
     """
 
     axes: tuple[str, ...]
@@ -51,14 +55,18 @@ class ControllerMatch:
 
 
 def controller_match(machine: Machine, record: Record, law: StateSpace) -> ControllerMatch | None:
-    """The sampled ``law`` (signals err_<axis>, u_<axis>, no computing delay) against u_ and y_ of the record; else None.
+    """The sampled ``law`` (signals err_<axis>, u_<axis>, no computing delay) against u_ and y_ of
+    the record; else None.
 
-    Samples of u at the bearing's largest current do not count. An unstable law is compared through its innovation, with an
-    observer in place of the simulation.
+    Samples of u at the bearing's largest current do not count. An unstable law is compared through
+    its innovation, with an observer in place of the simulation.
     """
     axes = machine.axes
     total = record.values.shape[1]
-    if any(f"{kind}_{axis}" not in record.signals for kind in "yu" for axis in axes) or total <= 4 * LAGS + law.n_states:
+    if (
+        any(f"{kind}_{axis}" not in record.signals for kind in "yu" for axis in axes)
+        or total <= 4 * LAGS + law.n_states
+    ):
         return None
     systems = _innovation(law)
     a, first = len(axes), _samples(machine, record, 0, min(total, _BLOCK))
@@ -80,13 +88,17 @@ def controller_match(machine: Machine, record: Record, law: StateSpace) -> Contr
             comparison = trials[lag] if begin == 0 else _compare(systems, free, part, lag)
             for i in np.flatnonzero(best == lag):
                 left[i, begin + lag : begin + lag + comparison.left.shape[1]] = comparison.left[i]
-                jumps += [(int(i), begin + lag + at) for at in _jumps(comparison.left[i], part.u[i])]
+                jumps += [
+                    (int(i), begin + lag + at) for at in _jumps(comparison.left[i], part.u[i])
+                ]
     jumps = jumps if len(jumps) <= a * max(20, total // 500) else []
     return ControllerMatch(axes, residual, best, gain, scaled, left, tuple(jumps))
 
 
 def seen_delay(match: ControllerMatch | None) -> int | None:
-    """After how many samples u follows the controller, the same on every axis and clearly so; None where that is not seen."""
+    """After how many samples u follows the controller, the same on every axis and clearly so; None
+    where that is not seen.
+    """
     if match is None or len(set(match.lag.tolist())) > 1 or match.least.max() > _FOLLOWS:
         return None
     return int(match.lag[0])
@@ -103,7 +115,9 @@ class _Samples:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Comparison:
-    """residual (a,), gain (a,), residual with that gain (a,), and what is left (a, k), zero where u is at its limit."""
+    """residual (a,), gain (a,), residual with that gain (a,), and what is left (a, k), zero where u
+    is at its limit.
+    """
 
     residual: np.ndarray
     gain: np.ndarray
@@ -113,23 +127,44 @@ class _Comparison:
 
 def _samples(machine: Machine, record: Record, begin: int, end: int) -> _Samples:
     def stacked(kind: str) -> np.ndarray:
-        return np.stack([row[begin:end] for row in signal_rows(record, [f"{kind}_{axis}" for axis in machine.axes])])
+        return np.stack(
+            [
+                row[begin:end]
+                for row in signal_rows(record, [f"{kind}_{axis}" for axis in machine.axes])
+            ]
+        )
 
-    limits = [np.inf if b.max_current is None else b.max_current for b in machine.bearings for _ in range(2)]
+    limits = [
+        np.inf if b.max_current is None else b.max_current
+        for b in machine.bearings
+        for _ in range(2)
+    ]
     u = stacked("u")
-    return _Samples(u, stacked("r") - stacked("y"), np.abs(u) < _AT_LIMIT * np.array(limits)[:, None])
+    return _Samples(
+        u, stacked("r") - stacked("y"), np.abs(u) < _AT_LIMIT * np.array(limits)[:, None]
+    )
 
 
-def _compare(systems: tuple[StateSpace, StateSpace, StateSpace], free: np.ndarray, part: _Samples, lag: int) -> _Comparison:
-    """The controller's output ``lag`` samples later against u, without what initial state and offset explain."""
+def _compare(
+    systems: tuple[StateSpace, StateSpace, StateSpace], free: np.ndarray, part: _Samples, lag: int
+) -> _Comparison:
+    """The controller's output ``lag`` samples later against u, without what initial state and
+    offset explain.
+    """
     filtered, predicted, _ = systems
     a, k = len(part.u), part.u.shape[1] - LAGS
     given = simulate(filtered, part.u[:, lag : lag + k])
     computed = simulate(predicted, part.errors[:, :k])
-    residual, gain, scaled, left = np.ones(a), np.ones(a), np.ones(a), np.zeros((a, k))
+    residual = np.ones(a)
+    gain = np.ones(a)
+    scaled = np.ones(a)
+    left = np.zeros((a, k))
     for i in range(a):
         used = part.inside[i, lag : lag + k]
-        rest = _without(np.column_stack([free[i, :k], np.ones(k)])[used], np.stack([given[i], computed[i]])[:, used])
+        rest = _without(
+            np.column_stack([free[i, :k], np.ones(k)])[used],
+            np.stack([given[i], computed[i]])[:, used],
+        )
         size, energy = float(np.linalg.norm(rest[0])), float(rest[1] @ rest[1])
         left[i, used] = rest[0] - rest[1]
         residual[i] = float(np.linalg.norm(left[i])) / size if size > 0 else 1.0
@@ -139,16 +174,25 @@ def _compare(systems: tuple[StateSpace, StateSpace, StateSpace], free: np.ndarra
 
 
 def _innovation(law: StateSpace) -> tuple[StateSpace, StateSpace, StateSpace]:
-    """Systems M (from u) and N (from errors) with M u = N err, and one whose free response is their common one.
+    """Systems M (from u) and N (from errors) with M u = N err, and one whose free response is their
+    common one.
 
-    A stable law needs no observer: M = I, N = K. Otherwise K = M^-1 N with the observer gain of a steady Kalman filter.
+    A stable law needs no observer: M = I, N = K. Otherwise K = M^-1 N with the observer gain of a
+    steady Kalman filter.
     """
-    A, B, C, D = law.A, law.B, law.C, law.D
+    A = law.A
+    B = law.B
+    C = law.C
+    D = law.D
     a = len(C)
     if law.n_states == 0 or float(np.abs(poles(law)).max()) <= _MARGINAL:
-        through = StateSpace(np.zeros((0, 0)), np.zeros((0, a)), np.zeros((a, 0)), np.eye(a), None, None, law.dt)
+        through = StateSpace(
+            np.zeros((0, 0)), np.zeros((0, a)), np.zeros((a, 0)), np.eye(a), None, None, law.dt
+        )
         return through, StateSpace(A, B, C, D, None, None, law.dt), law
-    P = sla.solve_discrete_are(A.T, C.T, B @ B.T + 1e-9 * np.eye(len(A)) * np.trace(B @ B.T), np.eye(a))
+    P = sla.solve_discrete_are(
+        A.T, C.T, B @ B.T + 1e-9 * np.eye(len(A)) * np.trace(B @ B.T), np.eye(a)
+    )
     L = A @ P @ C.T @ np.linalg.inv(np.eye(a) + C @ P @ C.T)
     stable = A - L @ C
     M = StateSpace(stable, L, -C, np.eye(a), None, None, law.dt)
@@ -160,7 +204,11 @@ def _free(system: StateSpace, k: int) -> np.ndarray:
     """The free responses (a, k, n) of a system from each of its states."""
     n, a = system.n_states, len(system.C)
     quiet = np.zeros((system.B.shape[1], k))
-    return np.stack([simulate(system, quiet, x0=row) for row in np.eye(n)], axis=2) if n else np.zeros((a, k, 0))
+    return (
+        np.stack([simulate(system, quiet, x0=row) for row in np.eye(n)], axis=2)
+        if n
+        else np.zeros((a, k, 0))
+    )
 
 
 def _without(basis: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -183,13 +231,19 @@ def _jumps(left: np.ndarray, signal: np.ndarray) -> list[int]:
 
 
 def resolution_residual(machine: Machine, record: Record, law: StateSpace) -> np.ndarray:
-    """What coarse steps of the recorded y make of the residual (a,), over the rms of u: steps/sqrt(12) through the law."""
+    """What coarse steps of the recorded y make of the residual (a,), over the rms of u:
+    steps/sqrt(12) through the law.
+    """
     steps = []
     for axis in machine.axes:
         change = np.abs(np.diff(record[f"y_{axis}"]))
         moved = change[change > 0]
-        stepped = len(moved) < 0.98 * len(change) or len(np.unique(np.round(moved / moved.min(), 3))) < 0.1 * len(moved)
+        stepped = len(moved) < 0.98 * len(change) or len(
+            np.unique(np.round(moved / moved.min(), 3))
+        ) < 0.1 * len(moved)
         steps.append(float(moved.min()) if len(moved) and stepped else 0.0)
     energy = np.sum(impulse_response(law, _REMEMBERED) ** 2, axis=2)
     made = np.sqrt(energy @ (np.array(steps) ** 2 / 12))
-    return made / np.array([max(float(np.std(record[f"u_{axis}"])), 1e-300) for axis in machine.axes])
+    return made / np.array(
+        [max(float(np.std(record[f"u_{axis}"])), 1e-300) for axis in machine.axes]
+    )

@@ -1,14 +1,15 @@
-"""Is this record what it says it is? Findings before the identification, so that no wrong number comes out silently.
+"""Is this record what it says it is? Findings before the identification, so that no wrong number
+comes out silently.
 
-Signal by signal (data_quality/signals.py), the controller against its own output (data_quality/controller.py), the measured
-responses against the model's for every way the channels could be mixed up (data_quality/channels.py).
+Signal by signal (data_quality/signals.py), the controller against its own output
+(data_quality/controller.py), the measured responses against the model's for every way the channels
+could be mixed up (data_quality/channels.py).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -26,45 +27,64 @@ from ambrose.identification.data_quality.channels import (
     score,
     shares,
 )
-from ambrose.identification.data_quality.controller import LAGS, ControllerMatch, controller_match, resolution_residual
+from ambrose.identification.data_quality.controller import (
+    LAGS,
+    ControllerMatch,
+    controller_match,
+    resolution_residual,
+)
 from ambrose.identification.data_quality.signals import signal_findings
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding
 from ambrose.identification.output_error.problem import as_records, deployed_controller
 from ambrose.identification.parameters import plant_at, ratios
+from ambrose.law.law import LawLike, law_of
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import assemble
-from ambrose.plant.model import Plant
+from ambrose.model.assemble import assemble
+from ambrose.model.plant import Plant
+from ambrose.record.record import Record
 
 _RATES = (0.1, 0.2, 0.25, 0.4, 0.5, 2.0, 2.5, 4.0, 5.0, 10.0)  # true over stated
-_SUSPECT = {"y": 0.25, "u": 0.25, "K": 0.02, "i": 0.05}  # share of power from which other explanations are tried
+# share of power from which other explanations are tried
+_SUSPECT = {"y": 0.25, "u": 0.25, "K": 0.02, "i": 0.05}
 _BETTER = 1.0  # by how much a score must fall: a factor e in what is left unexplained
 _CLEARLY = 3.0  # and the worst of its relations by this factor
 _COARSE = 1.5  # times what the steps of a coarse converter make of the controller's residual
-_MINOR, _OTHER = 0.02, 0.2  # residual of the controller that is no matter, and that of another controller
+# residual of the controller that is no matter, and that of another controller
+_MINOR, _OTHER = 0.02, 0.2
 
 
 def diagnose_records(
     machine: Machine,
     records: Record | Sequence[Record],
-    controller: Any,
+    controller: LawLike,
     *,
     start: Mapping[str, float] | None = None,
     bending_modes: int = 3,
     computing_delay: float = 1,
 ) -> tuple[Finding, ...]:
-    """What is wrong or doubtful about these records, errors first; () where nothing is. Arguments as ``identify``.
+    """What is wrong or doubtful about these records, errors first; () where nothing is. Arguments
+    as ``identify``.
 
-    Looks for: no excitation; dead, clipped, saturated, held, repeated and missing samples; swapped and inverted channels; a
-    wrong sample rate; a record given twice; another controller, delay or channel skew; an excitation that the machine does not
-    follow. Records that do not belong together or to the machine are left to ``identify``, which refuses them.
+    Looks for: no excitation; dead, clipped, saturated, held, repeated and missing samples; swapped
+    and inverted channels; a wrong sample rate; a record given twice; another controller, delay or
+    channel skew; an excitation that the machine does not follow. Records that do not belong
+    together or to the machine are left to ``identify``, which refuses them.
     """
     records = as_records(records)
-    findings = [finding for n, record in enumerate(records, 1) for finding in signal_findings(machine, record, n)]
+    findings = [
+        finding
+        for n, record in enumerate(records, 1)
+        for finding in signal_findings(machine, record, n)
+    ]
     findings += _twice(records)
     broken = any(finding.severity == ERROR for finding in findings)
-    alike = len({(record.machine, record.sample_rate_hz) for record in records}) == 1 and records[0].machine == machine.name
-    if alike and not any(finding.code in {Code.NO_EXCITATION, Code.DEAD_CHANNEL} for finding in findings):
+    alike = (
+        len({(record.machine, record.sample_rate_hz) for record in records}) == 1
+        and records[0].machine == machine.name
+    )
+    if alike and not any(
+        finding.code in {Code.NO_EXCITATION, Code.DEAD_CHANNEL} for finding in findings
+    ):
         delay = round(computing_delay)
         for chosen in _by_point(records):
             begin = _start_at(machine, records, records[chosen[0]], start or {})
@@ -75,7 +95,11 @@ def diagnose_records(
             except AmbroseError:  # which identify() explains with all it knows
                 continue
             measured = measured_responses(own, plant.axes)
-            mixed = [] if measured is None else _wiring_findings(plant, controller, law, measured, own[0], delay)
+            mixed = (
+                []
+                if measured is None
+                else _wiring_findings(plant, controller, law, measured, own[0], delay)
+            )
             findings += [finding for finding in mixed if finding.severity == ERROR or not broken]
             if not broken and not any(finding.severity == ERROR for finding in mixed):
                 for n, record in zip(chosen, own, strict=True):
@@ -87,7 +111,9 @@ def _twice(records: Sequence[Record]) -> Iterator[Finding]:
     """Records that hold the same samples: they add nothing, and make every interval too narrow."""
     for n, record in enumerate(records):
         for other in range(n):
-            if record.signals == records[other].signals and np.array_equal(record.values, records[other].values):
+            if record.signals == records[other].signals and np.array_equal(
+                record.values, records[other].values
+            ):
                 what = f"record {n + 1} is record {other + 1} once more"
                 evidence = f"all {record.values.size} numbers are the same"
                 remedy = "give every record once; repeats are measured anew"
@@ -98,21 +124,35 @@ def _by_point(records: Sequence[Record]) -> list[list[int]]:
     """The numbers of the records at each operating point, from 0."""
     points = [replace(record.point, label="") for record in records]
     return [
-        [n for n, other in enumerate(points) if other == point] for i, point in enumerate(points) if point not in points[:i]
+        [n for n, other in enumerate(points) if other == point]
+        for i, point in enumerate(points)
+        if point not in points[:i]
     ]
 
 
-def _start_at(machine: Machine, records: Sequence[Record], record: Record, start: Mapping[str, float]) -> dict[str, float]:
-    """The start values, which hold at the highest pressure of all records, at that of one of them."""
+def _start_at(
+    machine: Machine, records: Sequence[Record], record: Record, start: Mapping[str, float]
+) -> dict[str, float]:
+    """The start values, which hold at the highest pressure of all records, at that of one of
+    them.
+    """
     if not start:
         return {}
     reference = max((other.point for other in records), key=lambda point: abs(point.seal_pressure))
     factors = ratios(assemble(machine, reference), assemble(machine, record.point), tuple(start))
-    return {path: value * factor for (path, value), factor in zip(start.items(), factors.tolist(), strict=True)}
+    return {
+        path: value * factor
+        for (path, value), factor in zip(start.items(), factors.tolist(), strict=True)
+    }
 
 
 def _wiring_findings(
-    plant: Plant, controller: Any, law: StateSpace, measured: Responses, record: Record, delay: int
+    plant: Plant,
+    controller: LawLike,
+    law: StateSpace,
+    measured: Responses,
+    record: Record,
+    delay: int,
 ) -> list[Finding]:
     """Mixed-up channels, or another sample rate, or a response that is no response at all."""
     untouched = _no_trace(measured)
@@ -131,9 +171,17 @@ def _wiring_findings(
     rate = _other_rate(plant, controller, few, delay, record.sample_rate_hz)
     if rate is not None and rate[0] < min(best[0], here - _BETTER) and _clear(now, rate[2]):
         stated, true = record.sample_rate_hz, rate[1] * record.sample_rate_hz
-        what = f"the records were not sampled at {stated:g} Hz, as they say, but at about {true:g} Hz"
-        evidence = f"left unexplained of the power: {_compared(now, rate[2], 'as stated', f'at {true:g} Hz')}"
-        remedy = "correct sample_rate_hz; a record that leaves samples out does not show the controller's own rate: record all"
+        what = (
+            f"the records were not sampled at {stated:g} Hz, as they say, but at about {true:g} Hz"
+        )
+        evidence = (
+            "left unexplained of the power: "
+            f"{_compared(now, rate[2], 'as stated', f'at {true:g} Hz')}"
+        )
+        remedy = (
+            "correct sample_rate_hz; a record that leaves samples out does not show the "
+            "controller's own rate: record all"
+        )
         return [Finding(Code.SAMPLE_RATE, ERROR, what, evidence, f"{remedy} of them")]
     if best[1].kind and best[0] < here - _BETTER and _clear(now, best[2]):
         return [_mixed_finding(plant.axes, rows, now)]
@@ -142,45 +190,68 @@ def _wiring_findings(
 
 def _thinned(measured: Responses, lines: int) -> Responses:
     """The strongest lines: where the displacements respond most."""
-    strength = np.sum(np.abs(measured.values["y" if "y" in measured.values else "u"]) ** 2, axis=(1, 2))
+    strength = np.sum(
+        np.abs(measured.values["y" if "y" in measured.values else "u"]) ** 2, axis=(1, 2)
+    )
     kept = np.sort(np.argsort(strength)[::-1][:lines])
-    values, noise = ({kind: of[kind][kept] for kind in of} for of in (measured.values, measured.noise))
+    values, noise = (
+        {kind: of[kind][kept] for kind in of} for of in (measured.values, measured.noise)
+    )
     return replace(measured, omega=measured.omega[kept], values=values, noise=noise)
 
 
 def _clear(now: Mapping[str, float], then: Mapping[str, float]) -> bool:
-    """Whether the worst relation of the record as labelled gets clearly better, and none that holds is lost."""
+    """Whether the worst relation of the record as labelled gets clearly better, and none that holds
+    is lost.
+    """
     worst = max(now, key=lambda relation: now[relation] / _SUSPECT[relation])
-    kept = all(then[relation] <= max(2 * share, _SUSPECT[relation]) for relation, share in now.items())
+    kept = all(
+        then[relation] <= max(2 * share, _SUSPECT[relation]) for relation, share in now.items()
+    )
     return then[worst] * _CLEARLY < now[worst] and kept
 
 
 def _other_rate(
-    plant: Plant, controller: Any, measured: Responses, delay: int, stated: float
+    plant: Plant, controller: LawLike, measured: Responses, delay: int, stated: float
 ) -> tuple[float, float, dict[str, float]] | None:
-    """(score, true rate over the stated one, shares) of the rate that explains the responses best; None for a sampled law."""
-    if getattr(controller, "dt", None) is not None:
+    """(score, true rate over the stated one, shares) of the rate that explains the responses best;
+    None for a sampled law.
+    """
+    if law_of(controller).sample_time is not None:
         return None
     rows = []
     for factor in _RATES:
         law = deployed_controller(plant, controller, 1 / (factor * stated), delay)
-        unexplained = shares(measured, expected_responses(plant, law, measured.omega * factor), Wiring())
+        unexplained = shares(
+            measured, expected_responses(plant, law, measured.omega * factor), Wiring()
+        )
         rows.append((score(unexplained), factor, unexplained))
     return min(rows, key=lambda row: row[0])
 
 
 def _mixed_finding(
-    axes: Sequence[str], rows: Sequence[tuple[float, Wiring, dict[str, float]]], now: Mapping[str, float]
+    axes: Sequence[str],
+    rows: Sequence[tuple[float, Wiring, dict[str, float]]],
+    now: Mapping[str, float],
 ) -> Finding:
     best = rows[0]
-    alike = [row[1] for row in rows[1:] if row[1].kind and row[0] < best[0] + 0.3 and row[1].changes <= best[1].changes]
-    other = f" (or, equally well: {' / '.join(wiring.words(axes) for wiring in alike[:3])})" if alike else ""
+    alike = [
+        row[1]
+        for row in rows[1:]
+        if row[1].kind and row[0] < best[0] + 0.3 and row[1].changes <= best[1].changes
+    ]
+    other = (
+        f" (or, equally well: {' / '.join(wiring.words(axes) for wiring in alike[:3])})"
+        if alike
+        else ""
+    )
     return Finding(
         Code.MIXED_CHANNELS,
         ERROR,
         f"channels are mixed up: {best[1].words(axes)}{other}",
         f"left unexplained of the power: {_compared(now, best[2], 'as labelled', 'so corrected')}",
-        f"correct the names or signs of the {KINDS[best[1].kind]} channels (ambrose convert --columns), and check the cables",
+        f"correct the names or signs of the {KINDS[best[1].kind]} channels (ambrose convert "
+        "--columns), and check the cables",
     )
 
 
@@ -205,11 +276,16 @@ def _percent(share: float) -> str:
 
 
 def _no_trace(measured: Responses) -> list[Finding]:
-    coherence = float(np.quantile(measured.coherence["y"], 0.98)) if "y" in measured.coherence else 1.0
+    coherence = (
+        float(np.quantile(measured.coherence["y"], 0.98)) if "y" in measured.coherence else 1.0
+    )
     if coherence >= measured.chance:
         return []
     what = "the displacements hold no trace of the excitation"
-    evidence = f"their coherence with it stays below {coherence:.2f}, and {measured.chance:.2f} would be chance"
+    evidence = (
+        f"their coherence with it stays below {coherence:.2f}, and {measured.chance:.2f} would be "
+        "chance"
+    )
     remedy = "check that the recorded excitation reaches the amplifiers, or excite more"
     return [Finding(Code.NO_RESPONSE, ERROR, what, evidence, remedy)]
 
@@ -218,28 +294,39 @@ def _unexplained(now: Mapping[str, float]) -> list[Finding]:
     share = now.get("y", 0.0)
     if share <= _SUSPECT["y"]:
         return []
-    what = "the machine as it is described, with the start values, responds otherwise than the record"
+    what = (
+        "the machine as it is described, with the start values, responds otherwise than the record"
+    )
     evidence = f"it leaves {_percent(share)} of the displacements' power unexplained"
-    remedy = "usual where unknown parameters are far from their start; else it is another machine, point or controller"
+    remedy = (
+        "usual where unknown parameters are far from their start; else it is another machine, "
+        "point or controller"
+    )
     return [Finding(Code.FAR_FROM_START, WARNING, what, evidence, remedy)]
 
 
 def _following(record: Record, match: ControllerMatch) -> float | None:
-    """The part of the residual that follows the excitation, over the part of u that does: noise between the controller and the
-    recorder has none. None where the record allows no such estimate."""
-    responses = compared_responses(record, [f"u_{axis}" for axis in match.axes], match.left, match.axes)
+    """The part of the residual that follows the excitation, over the part of u that does: noise
+    between the controller and the recorder has none. None where the record allows no such estimate.
+    """
+    responses = compared_responses(
+        record, [f"u_{axis}" for axis in match.axes], match.left, match.axes
+    )
     if responses is None:
         return None
     rest = responses[1]
     size, doubt = (np.sum(np.abs(one.values["u"]) ** 2, axis=(1, 2)) for one in responses)
     noise = rest.noise["u"].sum(axis=1)
-    clear = np.argsort(size / np.maximum(noise, 1e-300))[-max(len(size) // 4, 1) :]  # the lines where noise matters least
+    # the lines where noise matters least
+    clear = np.argsort(size / np.maximum(noise, 1e-300))[-max(len(size) // 4, 1) :]
     excess = float(doubt[clear].sum() - noise[clear].sum())
     chance = 3 * float(np.sqrt(np.sum(noise[clear] ** 2)))
     return float(np.sqrt(max(excess, 0.0) / size[clear].sum())) if excess > chance else 0.0
 
 
-def _controller_findings(machine: Machine, record: Record, number: int, law: StateSpace, delay: int) -> list[Finding]:
+def _controller_findings(
+    machine: Machine, record: Record, number: int, law: StateSpace, delay: int
+) -> list[Finding]:
     match = controller_match(machine, record, law)
     if match is None:
         return []
@@ -251,17 +338,26 @@ def _controller_findings(machine: Machine, record: Record, number: int, law: Sta
     if (match.least <= _MINOR + _COARSE * resolution_residual(machine, record, law)).all():
         return []
     following = _following(record, match)
-    if following is not None and following <= _MINOR:  # noise between the controller and the recorder
+    # noise between the controller and the recorder
+    if following is not None and following <= _MINOR:
         return []
-    residual = float(match.least[worst]) if following is None else min(float(match.least[worst]), following)
+    residual = (
+        float(match.least[worst])
+        if following is None
+        else min(float(match.least[worst]), following)
+    )
     gains = ", ".join(f"{gain:.3g}" for gain in match.gain)
     severity = ERROR if residual > _OTHER else WARNING
     what = f"{where}: the controller that was given is not the one that ran"
     evidence = (
-        f"u_{match.axes[worst]} differs from K(-y) by {100 * residual:.2g} % of its size at the best delay "
+        f"u_{match.axes[worst]} differs from K(-y) by {100 * residual:.2g} % of its size at the "
+        "best delay "
         f"({_samples(int(match.lag[worst]))}); recorded over computed: {gains}"
     )
-    remedy = "give the controller of this record, and record every sample of it; one percent of gain is two in the stiffness"
+    remedy = (
+        "give the controller of this record, and record every sample of it; one percent of gain is "
+        "two in the stiffness"
+    )
     return [Finding(Code.OTHER_CONTROLLER, severity, what, evidence, remedy)]
 
 
@@ -282,7 +378,9 @@ def _jump_findings(record: Record, match: ControllerMatch, where: str) -> list[F
     what = "samples are missing or inserted" if len(axes) > 1 else f"{names} has disturbed samples"
     severity = WARNING if len(starts) <= 5 else ERROR
     evidence = f"u stops following K(-y) at sample {places}{more}"
-    remedy = "find the gap in the logger, and identify the stretches between as records of their own"
+    remedy = (
+        "find the gap in the logger, and identify the stretches between as records of their own"
+    )
     return [Finding(Code.LOST_SAMPLES, severity, f"{where}: {what}", evidence, remedy)]
 
 
@@ -291,7 +389,11 @@ def _timing(match: ControllerMatch, delay: int, where: str) -> list[Finding]:
     if delay > LAGS:
         return []
     given = match.residual[:, delay]
-    late = [i for i in range(len(match.axes)) if match.lag[i] != delay and match.least[i] < 0.5 * given[i]]
+    late = [
+        i
+        for i in range(len(match.axes))
+        if match.lag[i] != delay and match.least[i] < 0.5 * given[i]
+    ]
     if not late:
         return []
     lags = {int(match.lag[i]) for i in late}
@@ -302,7 +404,10 @@ def _timing(match: ControllerMatch, delay: int, where: str) -> list[Finding]:
             f"u differs from K(-y) by {100 * float(given.max()):.2g} % after {delay} and by "
             f"{100 * float(match.least.max()):.2g} % after {_samples(lag)}"
         )
-        remedy = f"give --delay-samples {lag}, unless u is recorded before it acts: one is 2 to 5 % of the stiffness"
+        remedy = (
+            f"give --delay-samples {lag}, unless u is recorded before it acts: one is 2 to 5 % of "
+            "the stiffness"
+        )
         return [Finding(Code.OTHER_DELAY, WARNING, what, evidence, remedy)]
     names = ", ".join(f"{match.axes[i]} ({_samples(int(match.lag[i]))})" for i in late)
     what = f"{where}: channels are not recorded at the same time"
@@ -316,11 +421,18 @@ def _timing(match: ControllerMatch, delay: int, where: str) -> list[Finding]:
 
 def _size(match: ControllerMatch, where: str) -> list[Finding]:
     """A factor between the recorded and the computed output."""
-    off = [i for i, gain in enumerate(match.gain) if abs(gain - 1) > 0.005 and match.scaled[i] < 0.5 * match.least[i]]
+    off = [
+        i
+        for i, gain in enumerate(match.gain)
+        if abs(gain - 1) > 0.005 and match.scaled[i] < 0.5 * match.least[i]
+    ]
     if not off:
         return []
     names = ", ".join(f"u_{match.axes[i]} is {match.gain[i]:.4g} times K(-y)" for i in off)
     severity = ERROR if max(abs(match.gain[i] - 1) for i in off) > _OTHER else WARNING
     what = f"{where}: the controller has another gain than the one given"
-    remedy = "correct the gain or the scale of the channels; every percent of it is two in the negative stiffness"
+    remedy = (
+        "correct the gain or the scale of the channels; every percent of it is two in the negative "
+        "stiffness"
+    )
     return [Finding(Code.CONTROLLER_GAIN, severity, what, names, remedy)]

@@ -1,4 +1,6 @@
-"""What a signal shows by itself: dead, clipped, held or repeated samples, at a limit of the machine, not excited."""
+"""What a signal shows by itself: dead, clipped, held or repeated samples, at a limit of the
+machine, not excited.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +12,11 @@ from ambrose.core.checks import InvalidInput
 from ambrose.identification.excitation import signal_rows
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 _LONG, _FEW = 3, 2  # samples of a flat top, and how many flat tops make it clipping
-_CROWDED = 4.0  # samples at the extreme over those one step below it: 2.4 at the crest of a sine in coarse steps
+# samples at the extreme over those one step below it: 2.4 at the crest of a sine in coarse steps
+_CROWDED = 4.0
 _STEPPED = 1e-3  # share of equal neighbours from which a signal comes in coarse steps
 _ROUNDING = 1e-9  # of a signal's size: less than this moves nothing
 _SERIOUS = 1e-3  # share of clipped or repeated samples from which a record is refused
@@ -23,7 +26,9 @@ _MEASURED = ("y", "u", "i")
 
 
 def signal_findings(machine: Machine, record: Record, number: int) -> list[Finding]:
-    """The findings of one record, the ``number``-th of those given; excitations may be constant or two-valued."""
+    """The findings of one record, the ``number``-th of those given; excitations may be constant or
+    two-valued.
+    """
     where = f"record {number}"
     findings = _excitation(machine, record, where)
     shown = [f"{kind}_{axis}" for kind in _MEASURED for axis in machine.axes]
@@ -32,7 +37,10 @@ def signal_findings(machine: Machine, record: Record, number: int) -> list[Findi
         if np.ptp(record[name]) == 0:
             what = f"{where}: {name} never changes"
             evidence = f"all {record.values.shape[1]} samples are {record[name][0]:g}"
-            remedy = "a dead sensor or an unplugged channel: repair it, or leave the signal out of the record"
+            remedy = (
+                "a dead sensor or an unplugged channel: repair it, or leave the signal out of the "
+                "record"
+            )
             findings.append(Finding(Code.DEAD_CHANNEL, ERROR, what, evidence, remedy))
     moving = [name for name in shown if np.ptp(record[name]) > 0]
     for name in moving:
@@ -41,10 +49,12 @@ def signal_findings(machine: Machine, record: Record, number: int) -> list[Findi
 
 
 def flat_tops(x: np.ndarray) -> tuple[int, float]:
-    """Samples of x (k,) that lie at its clipped extreme, and that extreme; 0 where no extreme looks clipped.
+    """Samples of x (k,) that lie at its clipped extreme, and that extreme; 0 where no extreme looks
+    clipped.
 
-    Clipped: several stretches of equal samples at the extreme, which a smooth signal has nowhere; in a signal of coarse
-    steps, also far more samples there than one step below (a sine has 2.4 times as many in its top step).
+    Clipped: several stretches of equal samples at the extreme, which a smooth signal has nowhere;
+    in a signal of coarse steps, also far more samples there than one step below (a sine has 2.4
+    times as many in its top step).
     """
     best, level = 0, 0.0
     for sign in (1.0, -1.0):
@@ -74,8 +84,13 @@ def _clipped(record: Record, name: str, where: str) -> list[Finding]:
     unit = record.units[record.signals.index(name)]
     severity = ERROR if share > _SERIOUS else WARNING
     what = f"{where}: {name} is clipped"
-    evidence = f"{count} samples ({100 * share:.2g} %) lie exactly at {level:.4g} {unit}, in flat tops"
-    remedy = "reduce the excitation, or widen the range of the sensor or the converter, and measure again"
+    evidence = (
+        f"{count} samples ({100 * share:.2g} %) lie exactly at {level:.4g} {unit}, in flat tops"
+    )
+    remedy = (
+        "reduce the excitation, or widen the range of the sensor or the converter, and measure "
+        "again"
+    )
     return [Finding(Code.CLIPPED, severity, what, evidence, remedy)]
 
 
@@ -83,7 +98,11 @@ def _at_limit(machine: Machine, record: Record, name: str, where: str) -> list[F
     """Currents at the bearing's limit, displacements at its touchdown gap."""
     kind, axis = name.split("_", 1)
     bearing = machine.bearings[machine.axes.index(axis) // 2]
-    limit, what = (bearing.touchdown_gap, "touchdown gap") if kind == "y" else (bearing.max_current, "largest control current")
+    limit, what = (
+        (bearing.touchdown_gap, "touchdown gap")
+        if kind == "y"
+        else (bearing.max_current, "largest control current")
+    )
     if limit is None or kind == "i":
         return []
     x = record[name]
@@ -93,9 +112,23 @@ def _at_limit(machine: Machine, record: Record, name: str, where: str) -> list[F
     unit = record.units[record.signals.index(name)]
     share = count / len(x)
     remedy = "reduce the excitation until no signal reaches its limit, and measure again"
-    evidence = f"{count} samples ({100 * share:.2g} %) reach the bearing's {what} of {limit:.4g} {unit}"
-    code, text = (Code.SATURATED, "is saturated") if kind != "y" else (Code.TOUCHDOWN, "reaches the touchdown bearing")
-    return [Finding(code, ERROR if share > _SERIOUS or kind == "y" else WARNING, f"{where}: {name} {text}", evidence, remedy)]
+    evidence = (
+        f"{count} samples ({100 * share:.2g} %) reach the bearing's {what} of {limit:.4g} {unit}"
+    )
+    code, text = (
+        (Code.SATURATED, "is saturated")
+        if kind != "y"
+        else (Code.TOUCHDOWN, "reaches the touchdown bearing")
+    )
+    return [
+        Finding(
+            code,
+            ERROR if share > _SERIOUS or kind == "y" else WARNING,
+            f"{where}: {name} {text}",
+            evidence,
+            remedy,
+        )
+    ]
 
 
 def check_point(record: Record, where: str) -> None:
@@ -117,7 +150,9 @@ def _moving_point(record: Record, where: str) -> Iterator[Finding]:
 
 
 def _repeated(record: Record, names: list[str], where: str) -> list[Finding]:
-    """All measured channels equal to their last sample at once: a logger that repeats, or a slower rate than stated."""
+    """All measured channels equal to their last sample at once: a logger that repeats, or a slower
+    rate than stated.
+    """
     if len(names) < 2:
         return []
     same = np.array([row[1:] == row[:-1] for row in signal_rows(record, names)])
@@ -133,31 +168,54 @@ def _repeated(record: Record, names: list[str], where: str) -> list[Finding]:
         return []
     share = count / k
     first = int(np.flatnonzero(both)[0]) + 1 + int(moving[0])
-    evidence = f"{count} of {k} samples repeat the one before in all of {len(names)} channels, first at sample {first}"
+    evidence = (
+        f"{count} of {k} samples repeat the one before in all of {len(names)} channels, first at "
+        f"sample {first}"
+    )
     hold = 1 / (1 - share)
     if share > 0.3 and abs(hold - round(hold)) < 0.05:
         rate = record.sample_rate_hz
         what = f"{where}: the sample rate of {rate:g} Hz is not the one it was measured at"
-        evidence = f"every value is held for {round(hold)} samples, as if measured at {rate / round(hold):g} Hz"
-        remedy = "record at the controller's rate, or keep every value once and correct sample_rate_hz"
+        evidence = (
+            f"every value is held for {round(hold)} samples, as if measured at "
+            f"{rate / round(hold):g} Hz"
+        )
+        remedy = (
+            "record at the controller's rate, or keep every value once and correct sample_rate_hz"
+        )
         return [Finding(Code.SAMPLE_RATE, ERROR, what, evidence, remedy)]
     remedy = "samples were lost and filled in: find the gaps in the logger, or cut the record there"
     severity = ERROR if share > _SERIOUS else WARNING
     return [
-        Finding(Code.REPEATED_SAMPLES, severity, f"{where}: samples are repeated in all channels at once", evidence, remedy)
+        Finding(
+            Code.REPEATED_SAMPLES,
+            severity,
+            f"{where}: samples are repeated in all channels at once",
+            evidence,
+            remedy,
+        )
     ]
 
 
 def _excitation(machine: Machine, record: Record, where: str) -> list[Finding]:
     """No excitation at all, or excitations that are there but never change."""
-    excitations = [name for name in record.signals if name[:2] in {"e_", "f_"} and not name.startswith("f_magnet_")]
+    excitations = [
+        name
+        for name in record.signals
+        if name[:2] in {"e_", "f_"} and not name.startswith("f_magnet_")
+    ]
     known = [name for name in excitations if name[:2] == "f_" or name[2:] in machine.axes]
     if any(np.ptp(record[name]) > 0 for name in known):
         return []
     kinds = ", ".join(dict.fromkeys(f"{name.partition('_')[0]}_" for name in record.signals))
     evidence = f"{', '.join(known)} never change" if known else f"it has signals {kinds} alone"
     if excitations and not known:
-        evidence = f"{', '.join(excitations)} fit no axis of the machine ({', '.join(machine.axes)})"
+        evidence = (
+            f"{', '.join(excitations)} fit no axis of the machine ({', '.join(machine.axes)})"
+        )
     what = f"{where} holds no excitation"
-    remedy = "add a PRBS or chirp to the controller's output and record it as e_<axis>; noise alone tells nothing"
+    remedy = (
+        "add a PRBS or chirp to the controller's output and record it as e_<axis>; noise alone "
+        "tells nothing"
+    )
     return [Finding(Code.NO_EXCITATION, ERROR, what, evidence, remedy)]

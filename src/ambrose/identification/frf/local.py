@@ -1,8 +1,10 @@
-"""A frequency response by the local polynomial method: no window, no leakage, the resolution of the whole record.
+"""A frequency response by the local polynomial method: no window, no leakage, the resolution of the
+whole record.
 
-Around every line response and transient are polynomials of the line's number, fitted by least squares over the lines beside it;
-what they leave is noise (Pintelon & Schoukens 2012, ch. 7). A window smears a resonance and takes its leakage for noise; here
-both are of third order in the width of the band.
+Around every line response and transient are polynomials of the line's number, fitted by least
+squares over the lines beside it; what they leave is noise (Pintelon & Schoukens 2012, ch. 7). A
+window smears a resonance and takes its leakage for noise; here both are of third order in the width
+of the band.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from ambrose.core.statespace import Names
 from ambrose.identification.excitation import signal_rows
 from ambrose.identification.frf.spectral import Frf
 from ambrose.identification.output_error.synchronous import without_synchronous
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 _DEGREE = 2
 _INDEPENDENT = 1e-5  # least singular value of the lines' matrix, columns of unit length
@@ -36,32 +38,50 @@ def local_response(
     periodic: bool = False,
     at: Sequence[float] | None = None,
 ) -> Frf:
-    """The response of ``outputs`` to excitations ``inputs`` (e_, r_ or d_<axis>), which are free of noise, over all records.
+    """The response of ``outputs`` to excitations ``inputs`` (e_, r_ or d_<axis>), which are free of
+    noise, over all records.
 
-    freedom: degrees of freedom of the noise estimate at every line, which with the number of unknowns makes the least band that
-    is fitted together; up to nine times that where the polynomials leave no more. band [rad/s]: kept. harmonics: multiples of
-    the speed up to which unbalance and run-out are taken out. periodic: each record is one whole period, without transient.
-    at [rad/s]: the lines wanted, of which those that cannot be told are left out (None: as dense as the record allows).
-    Bands overlap: neighbouring lines are not independent. Raises InvalidInput where the records are too short, or the inputs
-    alike.
+    freedom: degrees of freedom of the noise estimate at every line, which with the number of
+    unknowns makes the least band that is fitted together; up to nine times that where the
+    polynomials leave no more. band [rad/s]: kept. harmonics: multiples of the speed up to which
+    unbalance and run-out are taken out. periodic: each record is one whole period, without
+    transient. at [rad/s]: the lines wanted, of which those that cannot be told are left out (None:
+    as dense as the record allows). Bands overlap: neighbouring lines are not independent. Raises
+    InvalidInput where the records are too short, or the inputs alike.
     """
     u, y = (tuple([names] if isinstance(names, str) else names) for names in (inputs, outputs))
     records = (records,) if isinstance(records, Record) else tuple(records)
     dt, m = records[0].dt, len(u)
     if any(abs(record.dt - dt) > 1e-9 * dt for record in records):
-        raise InvalidInput("the records have different sample rates; estimate a response from records of one rate")
+        raise InvalidInput(
+            "the records have different sample rates; estimate a response from records of one rate"
+        )
     spectra = [_spectra(without_synchronous(record, harmonics), (*u, *y)) for record in records]
     spans = np.array([record.values.shape[1] * dt for record in records])
-    still = [name for name, row in zip(u, np.hstack([Z[:m] for Z in spectra]), strict=True) if not np.abs(row).any()]
+    still = [
+        name
+        for name, row in zip(u, np.hstack([Z[:m] for Z in spectra]), strict=True)
+        if not np.abs(row).any()
+    ]
     if still:
-        raise InvalidInput(f"{', '.join(still)} never changes in these records; excite it, or leave it out")
+        raise InvalidInput(
+            f"{', '.join(still)} never changes in these records; excite it, or leave it out"
+        )
     unknowns = (_DEGREE + 1) * (m + (0 if periodic else len(records)))
-    width = 2 * np.pi * (unknowns + freedom + len(records)) / float(spans.sum())  # [rad/s], of the band around a line
+    # [rad/s], of the band around a line
+    width = 2 * np.pi * (unknowns + freedom + len(records)) / float(spans.sum())
     low, high = max(band[0], width), min(band[1], 0.98 * np.pi / dt - width / 2)
     if high <= low + 2 * width:
-        requirement = f"so long that {width / 2 / np.pi:.3g} Hz, the band fitted together, is far below the highest frequency"
-        raise invalid("the length of the records", f"{spans.sum():g} s", requirement, "record longer")
-    lines, centre, wanted = [], low, None if at is None else iter(sorted(w for w in at if low <= w <= high))
+        requirement = (
+            f"so long that {width / 2 / np.pi:.3g} Hz, the band fitted together, is far below the "
+            "highest frequency"
+        )
+        raise invalid(
+            "the length of the records", f"{spans.sum():g} s", requirement, "record longer"
+        )
+    lines = []
+    centre = low
+    wanted = None if at is None else iter(sorted(w for w in at if low <= w <= high))
     while centre < high:
         if wanted is not None and (centre := next(wanted, np.inf)) == np.inf:
             break
@@ -71,21 +91,43 @@ def local_response(
         centre += width * max(0.5, wider / 6)  # a third of half the band that was fitted
     if not lines:
         raise InvalidInput(
-            f"the excitations {', '.join(u)} are alike, or hold no power in the band; excite each by a pattern of its own"
+            f"the excitations {', '.join(u)} are alike, or hold no power in the band; excite each "
+            "by a pattern of its own"
         )
     omega, G, noise, share, coherence = (np.array(part) for part in zip(*lines, strict=True))
-    variance = np.einsum("wii->wi", noise).real[:, :, None] * np.einsum("wii->wi", share).real[:, None, :]
-    return Frf(G, omega, u, y, variance, coherence, np.ones((len(omega), m)), float(freedom), dt, noise, share)
+    variance = (
+        np.einsum("wii->wi", noise).real[:, :, None] * np.einsum("wii->wi", share).real[:, None, :]
+    )
+    return Frf(
+        G,
+        omega,
+        u,
+        y,
+        variance,
+        coherence,
+        np.ones((len(omega), m)),
+        float(freedom),
+        dt,
+        noise,
+        share,
+    )
 
 
 _Fit = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 def _line(
-    spectra: list[np.ndarray], spans: np.ndarray, m: int, centre: float, width: float, dt: float, periodic: bool
+    spectra: list[np.ndarray],
+    spans: np.ndarray,
+    m: int,
+    centre: float,
+    width: float,
+    dt: float,
+    periodic: bool,
 ) -> tuple[_Fit | None, float]:
-    """``_fit`` in the widest band that is no worse than the least, and how many times wider that is; None where the inputs are
-    not told apart."""
+    """``_fit`` in the widest band that is no worse than the least, and how many times wider that
+    is; None where the inputs are not told apart.
+    """
     best, chosen = None, 1.0
     for wider in _WIDER:
         reach = wider * width / 2
@@ -102,8 +144,17 @@ def _line(
     return best, chosen
 
 
-def _fit(spectra: list[np.ndarray], spans: np.ndarray, m: int, centre: float, reach: float, periodic: bool) -> _Fit | None:
-    """Response (p, m), noise (p, p), share (m, m) and coherence (p,) in centre -+ reach [rad/s]; None: not told."""
+def _fit(
+    spectra: list[np.ndarray],
+    spans: np.ndarray,
+    m: int,
+    centre: float,
+    reach: float,
+    periodic: bool,
+) -> _Fit | None:
+    """Response (p, m), noise (p, p), share (m, m) and coherence (p,) in centre -+ reach [rad/s];
+    None: not told.
+    """
     count = _DEGREE + 1
     rows, right = [], []
     for number, (Z, span) in enumerate(zip(spectra, spans, strict=True)):
@@ -113,7 +164,8 @@ def _fit(spectra: list[np.ndarray], spans: np.ndarray, m: int, centre: float, re
         X = np.zeros((len(at), count * (m + (0 if periodic else len(spectra)))), complex)
         X[:, : count * m] = (powers[:, None] * Z[:m, at]).reshape(-1, len(at)).T
         if not periodic:
-            X[:, count * (m + number) : count * (m + number + 1)] = powers.T  # the record's transient
+            # the record's transient
+            X[:, count * (m + number) : count * (m + number + 1)] = powers.T
         rows.append(X)
         right.append(Z[m:, at].T)
     X, Y = np.vstack(rows), np.vstack(right)
@@ -129,10 +181,17 @@ def _fit(spectra: list[np.ndarray], spans: np.ndarray, m: int, centre: float, re
     left = Y - Q @ inside
     total = np.sum(np.abs(Y) ** 2, axis=0)
     coherence = 1 - np.sum(np.abs(left) ** 2, axis=0) / np.where(total > 0, total, 1.0)
-    return (back @ inside).T, left.T @ left.conj() / max(len(Y) - X.shape[1], 1), back.conj() @ back.T, coherence
+    return (
+        (back @ inside).T,
+        left.T @ left.conj() / max(len(Y) - X.shape[1], 1),
+        back.conj() @ back.T,
+        coherence,
+    )
 
 
 def _spectra(record: Record, names: tuple[str, ...]) -> np.ndarray:
     """The spectra (signals, lines) of a record, means taken out."""
     rows = np.stack(signal_rows(record, names))
-    return np.asarray(scipy.fft.rfft(rows - rows.mean(axis=1, keepdims=True), axis=1) / np.sqrt(rows.shape[1]))
+    return np.asarray(
+        scipy.fft.rfft(rows - rows.mean(axis=1, keepdims=True), axis=1) / np.sqrt(rows.shape[1])
+    )

@@ -1,8 +1,10 @@
-"""Frequency responses of a running loop from whatever it was excited by: sines, repeated sequences, sweeps, noise.
+"""Frequency responses of a running loop from whatever it was excited by: sines, repeated sequences,
+sweeps, noise.
 
-Steady sines give their lines (stepped.py). An excitation that repeats is averaged over its periods, the first left out, and
-what remains is free of transient and leakage; all else takes the whole record (local.py). The excitation is known without
-noise, so what is measured against it has no bias by feedback; the plant is the quotient of two such responses.
+Steady sines give their lines (stepped.py). An excitation that repeats is averaged over its periods,
+the first left out, and what remains is free of transient and leakage; all else takes the whole
+record (local.py). The excitation is known without noise, so what is measured against it has no bias
+by feedback; the plant is the quotient of two such responses.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from ambrose.identification.frf.spectral import Frf
 from ambrose.identification.frf.stepped import is_stepped, stepped
 from ambrose.identification.output_error.periodic import shortest_period
 from ambrose.identification.output_error.synchronous import without_synchronous
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 METHODS = ("sines", "periods", "polynomials")
 IN_WORDS = {
@@ -33,14 +35,17 @@ IN_WORDS = {
 _ALIKE = 1e-6  # relative difference of two excitations that are one
 _WEAK = 1e4  # times the least variance per unit of noise: lines that the excitation hardly reaches
 _SETTLE = 0.3  # [s]
-_FREEDOM = 12  # degrees of freedom of the noise at a line of repeated excitations, whose lines are few
+# degrees of freedom of the noise at a line of repeated excitations, whose lines are few
+_FREEDOM = 12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopFrf:
-    """What one operating point's records show. closed: from the excitations to y_<axis> and, where currents were recorded, to
-    the amplifiers' commands v_<axis> = u + e; method: one of METHODS; together: per excitation all that were driven alike, of
-    which it is the first; periods: how many were averaged."""
+    """What one operating point's records show. closed: from the excitations to y_<axis> and, where
+    currents were recorded, to the amplifiers' commands v_<axis> = u + e; method: one of METHODS;
+    together: per excitation all that were driven alike, of which it is the first; periods: how many
+    were averaged.
+    """
 
     closed: Frf
     method: str
@@ -55,68 +60,116 @@ class LoopFrf:
     @property
     def motion(self) -> Frf:
         """From the excitations to the displacements."""
-        return self.closed.select(outputs=[name for name in self.closed.outputs if name.startswith("y_")])
+        return self.closed.select(
+            outputs=[name for name in self.closed.outputs if name.startswith("y_")]
+        )
 
     @property
     def plant(self) -> Frf | None:
-        """From every command v_<axis> to every displacement, G = T_y T_v^-1; None: not all axes were driven, or no currents."""
-        y, v = ([name for name in self.closed.outputs if name.startswith(kind)] for kind in ("y_", "v_"))
+        """From every command v_<axis> to every displacement, G = T_y T_v^-1; None: not all axes
+        were driven, or no currents.
+        """
+        y, v = (
+            [name for name in self.closed.outputs if name.startswith(kind)] for kind in ("y_", "v_")
+        )
         if not v or len(self.together) < len(v):
             return None
         Ty, Tv = self.closed.select(outputs=y), self.closed.select(outputs=v)
         back = np.linalg.pinv(Tv.values)
-        G, noise, share, variance = Ty.values @ back, None, None, np.zeros_like(Ty.variance)
+        G = Ty.values @ back
+        noise = None
+        share = None
+        variance = np.zeros_like(Ty.variance)
         if self.closed.noise is not None and self.closed.share is not None:
             order = [self.closed.outputs.index(name) for name in (*y, *v)]
             whole = self.closed.noise[:, order][:, :, order]
-            A = np.concatenate([np.broadcast_to(np.eye(len(y)), (len(G), len(y), len(y))), -G], axis=2)
+            A = np.concatenate(
+                [np.broadcast_to(np.eye(len(y)), (len(G), len(y), len(y))), -G], axis=2
+            )
             noise = A @ whole @ A.conj().swapaxes(1, 2)  # dG = (dT_y - G dT_v) T_v^-1
             share = np.einsum("wji,wjk,wkl->wil", back, self.closed.share, back.conj())
-            variance = np.einsum("wii->wi", noise).real[:, :, None] * np.einsum("wii->wi", share).real[:, None, :]
+            variance = (
+                np.einsum("wii->wi", noise).real[:, :, None]
+                * np.einsum("wii->wi", share).real[:, None, :]
+            )
         return replace(
-            Ty, values=G, inputs=tuple(v), variance=np.maximum(variance, 0.0), input_coherence=Tv.coherence, noise=noise,
+            Ty,
+            values=G,
+            inputs=tuple(v),
+            variance=np.maximum(variance, 0.0),
+            input_coherence=Tv.coherence,
+            noise=noise,
             share=share,
-        )  # fmt: skip
+        )
 
 
 def measure(
-    records: Sequence[Record], axes: Sequence[str], *, method: str | None = None, band: tuple[float, float] = (0.0, np.inf),
-    harmonics: int = 3, settle: float | None = None,
-) -> LoopFrf:  # fmt: skip
-    """The loop's responses from records of one operating point, to all excitations e_<axis>, r_<axis> and f_<port> in them.
+    records: Sequence[Record],
+    axes: Sequence[str],
+    *,
+    method: str | None = None,
+    band: tuple[float, float] = (0.0, np.inf),
+    harmonics: int = 3,
+    settle: float | None = None,
+) -> LoopFrf:
+    """The loop's responses from records of one operating point, to all excitations e_<axis>,
+    r_<axis> and f_<port> in them.
 
-    method: one of METHODS; None: the one that suits the excitation. Excitations that are driven alike in all records are one,
-    the response to both together. band [rad/s]: kept. harmonics: multiples of the speed that are taken out of the signals;
-    settle [s]: left out of each sine (None: 0.3 s, or what three periods leave of the shortest). Raises InvalidInput.
+    method: one of METHODS; None: the one that suits the excitation. Excitations that are driven
+    alike in all records are one, the response to both together. band [rad/s]: kept. harmonics:
+    multiples of the speed that are taken out of the signals; settle [s]: left out of each sine
+    (None: 0.3 s, or what three periods leave of the shortest). Raises InvalidInput.
     """
     if method is not None and method not in METHODS:
-        raise invalid("method", repr(method), " or ".join(METHODS), "leave it out: the excitation tells")
+        raise invalid(
+            "method", repr(method), " or ".join(METHODS), "leave it out: the excitation tells"
+        )
     together = driven_groups(records, axes)
     inputs = tuple(group[0] for group in together)
     commanded = all(f"u_{axis}" in record.signals for record in records for axis in axes)
     ready = [_with_commands(record, axes, inputs) if commanded else record for record in records]
     outputs = [f"{kind}_{axis}" for kind in ("y", "v")[: 1 + commanded] for axis in axes]
-    sines = all(is_stepped(record, [name for group in together for name in group]) for record in records)
+    sines = all(
+        is_stepped(record, [name for group in together for name in group]) for record in records
+    )
     if method == "sines" or (method is None and sines):
-        found = stepped(ready, inputs, outputs, settle=_settling(ready) if settle is None else settle)
+        found = stepped(
+            ready, inputs, outputs, settle=_settling(ready) if settle is None else settle
+        )
         return LoopFrf(_kept(found, band), "sines", together)
     calm = [without_synchronous(record, harmonics) for record in ready]
     folded = None if method == "polynomials" else _folded(calm, inputs, outputs)
     if folded is not None:
-        with suppress(*(() if method else (InvalidInput,))):  # a period too short for its lines to tell the inputs apart
+        # a period too short for its lines to tell the inputs apart
+        with suppress(*(() if method else (InvalidInput,))):
             options: dict[str, Any] = {"harmonics": 0, "freedom": _FREEDOM, "periodic": True}
             found = local_response(folded[0], inputs, outputs, band=band, **options)
             return LoopFrf(_reached(found), "periods", together, folded[1])
     if method == "periods":
-        raise InvalidInput("the excitation does not repeat twice in every record; take the method polynomials")
-    return LoopFrf(_reached(local_response(calm, inputs, outputs, band=band, harmonics=0)), "polynomials", together)
+        raise InvalidInput(
+            "the excitation does not repeat twice in every record; take the method polynomials"
+        )
+    return LoopFrf(
+        _reached(local_response(calm, inputs, outputs, band=band, harmonics=0)),
+        "polynomials",
+        together,
+    )
 
 
 def driven_groups(records: Sequence[Record], axes: Sequence[str]) -> tuple[tuple[str, ...], ...]:
-    """The excitations that change, those together that are proportional in every record by one factor."""
+    """The excitations that change, those together that are proportional in every record by one
+    factor.
+    """
     named = dict.fromkeys(name for record in records for name in record.signals)
-    wanted = [n for n in named if (n[:2] in {"e_", "r_"} and n[2:] in axes) or (n[:2] == "f_" and n[:9] != "f_magnet_")]
-    rows = {name: np.concatenate([signal_rows(record, [name])[0] for record in records]) for name in wanted}
+    wanted = [
+        n
+        for n in named
+        if (n[:2] in {"e_", "r_"} and n[2:] in axes) or (n[:2] == "f_" and n[:9] != "f_magnet_")
+    ]
+    rows = {
+        name: np.concatenate([signal_rows(record, [name])[0] for record in records])
+        for name in wanted
+    }
     groups: list[list[str]] = []
     for name, row in rows.items():
         if not np.ptp(row):
@@ -124,39 +177,59 @@ def driven_groups(records: Sequence[Record], axes: Sequence[str]) -> tuple[tuple
         for group in groups:
             first = rows[group[0]]
             factor = float(first @ row) / float(first @ first)
-            if group[0][:2] == name[:2] and np.linalg.norm(row - factor * first) <= _ALIKE * np.linalg.norm(row):
+            if group[0][:2] == name[:2] and np.linalg.norm(
+                row - factor * first
+            ) <= _ALIKE * np.linalg.norm(row):
                 group.append(name)
                 break
         else:
             groups.append([name])
     if not groups:
         raise InvalidInput(
-            "the records hold no excitation e_<axis>, r_<axis> or f_<port> that changes; excite the loop, as the scenarios "
+            "the records hold no excitation e_<axis>, r_<axis> or f_<port> that changes; excite "
+            "the loop, as the scenarios "
             "chirp, prbs, stepped-sine and acceptance do, and record what was added"
         )
     return tuple(map(tuple, groups))
 
 
 def _settling(records: Sequence[Record]) -> float:
-    """Seconds left out of every sine, so that three periods of each remain (and a little, as ends are found to a sample)."""
+    """Seconds left out of every sine, so that three periods of each remain (and a little, as ends
+    are found to a sample).
+    """
     steps = [(step, record.dt) for record in records for step in find_steps(record)]
-    return min(_SETTLE, *(max(s.stop - s.start - 3.01 * 2 * np.pi / s.frequency - dt, 0.0) for s, dt in steps))
+    return min(
+        _SETTLE,
+        *(max(s.stop - s.start - 3.01 * 2 * np.pi / s.frequency - dt, 0.0) for s, dt in steps),
+    )
 
 
 def _with_commands(record: Record, axes: Sequence[str], inputs: Sequence[str]) -> Record:
-    """The record with v_<axis> [A], what the amplifiers were told, and without all that is not needed."""
+    """The record with v_<axis> [A], what the amplifiers were told, and without all that is not
+    needed.
+    """
     e = signal_rows(record, [f"e_{axis}" for axis in axes])
     v = [record[f"u_{axis}"] + wave for axis, wave in zip(axes, e, strict=True)]
-    kept = [name for name in record.signals if name in inputs or name[:2] in {"y_", "e_"} or name.partition("_")[0] == "speed"]
+    kept = [
+        name
+        for name in record.signals
+        if name in inputs or name[:2] in {"y_", "e_"} or name.partition("_")[0] == "speed"
+    ]
     part = record.select(kept)
     return replace(
-        part, signals=(*part.signals, *(f"v_{axis}" for axis in axes)), units=(*part.units, *("A" for _ in axes)),
+        part,
+        signals=(*part.signals, *(f"v_{axis}" for axis in axes)),
+        units=(*part.units, *("A" for _ in axes)),
         values=np.vstack([part.values, *v]),
-    )  # fmt: skip
+    )
 
 
-def _folded(records: Sequence[Record], inputs: Sequence[str], outputs: Sequence[str]) -> tuple[tuple[Record, ...], int] | None:
-    """The records as means over their periods but the first, and the least number of periods averaged; None: none repeats."""
+def _folded(
+    records: Sequence[Record], inputs: Sequence[str], outputs: Sequence[str]
+) -> tuple[tuple[Record, ...], int] | None:
+    """The records as means over their periods but the first, and the least number of periods
+    averaged; None: none repeats.
+    """
     means, least = [], 0
     for record in records:
         own = [name for name in inputs if name in record.signals and np.ptp(record[name])]
@@ -182,13 +255,20 @@ def _reached(found: Frf) -> Frf:
 def _kept(found: Frf, band: tuple[float, float]) -> Frf:
     inside = (found.omega >= band[0]) & (found.omega <= band[1])
     if not inside.any():
-        raise invalid("the band", f"{band[0]:g} to {band[1]:g} rad/s", "one that holds a sine", "move it")
+        raise invalid(
+            "the band", f"{band[0]:g} to {band[1]:g} rad/s", "one that holds a sine", "move it"
+        )
     return _lines(found, inside)
 
 
 def _lines(found: Frf, kept: np.ndarray) -> Frf:
     return replace(
-        found, values=found.values[kept], omega=found.omega[kept], variance=found.variance[kept],
-        coherence=found.coherence[kept], input_coherence=found.input_coherence[kept],
-        noise=None if found.noise is None else found.noise[kept], share=None if found.share is None else found.share[kept],
-    )  # fmt: skip
+        found,
+        values=found.values[kept],
+        omega=found.omega[kept],
+        variance=found.variance[kept],
+        coherence=found.coherence[kept],
+        input_coherence=found.input_coherence[kept],
+        noise=None if found.noise is None else found.noise[kept],
+        share=None if found.share is None else found.share[kept],
+    )

@@ -1,4 +1,6 @@
-"""Steady sines in records: which frequency is driven when, and amplitude and phase of every signal, block by block."""
+"""Steady sines in records: which frequency is driven when, and amplitude and phase of every signal,
+block by block.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.statespace import index_of
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 _ALIKE = 0.02  # relative difference of successive periods within one step
 _SLACK = 1e-3  # [s] by which steps of two signals may overlap and still follow each other
@@ -31,7 +33,8 @@ class Step:
 class Phasors:
     """Complex amplitudes of the signals of one step: x(t) = Re(value exp(j frequency (t - start))).
 
-    mean (s,): over all blocks; blocks (b, s): of whole periods one after the other, whose scatter tells the noise.
+    mean (s,): over all blocks; blocks (b, s): of whole periods one after the other, whose scatter
+    tells the noise.
     """
 
     frequency: float
@@ -41,16 +44,23 @@ class Phasors:
 
 
 def steps_of(frequencies: Sequence[float], dwell: float, start: float = 0.0) -> tuple[Step, ...]:
-    """The steps of a schedule: each of the frequencies (f,) [rad/s] for ``dwell`` [s], one after the other."""
+    """The steps of a schedule: each of the frequencies (f,) [rad/s] for ``dwell`` [s], one after
+    the other.
+    """
     dwell = check_positive(dwell, "dwell", "give it in seconds")
-    return tuple(Step(float(w), start + i * dwell, start + (i + 1) * dwell) for i, w in enumerate(frequencies))
+    return tuple(
+        Step(float(w), start + i * dwell, start + (i + 1) * dwell)
+        for i, w in enumerate(frequencies)
+    )
 
 
 def find_steps(record: Record) -> tuple[Step, ...]:
-    """The stretches of a record in which an excitation is a steady sine, from the times of its rising zero crossings.
+    """The stretches of a record in which an excitation is a steady sine, from the times of its
+    rising zero crossings.
 
-    Excitations e_<axis> that are driven at the same time count once. Neighbouring periods that differ by less than 2 % belong
-    to one step. Raises InvalidInput where there is none of four periods.
+    Excitations e_<axis> that are driven at the same time count once. Neighbouring periods that
+    differ by less than 2 % belong to one step. Raises InvalidInput where there is none of four
+    periods.
     """
     names = [name for name in record.signals if name.startswith("e_")]
     if not names:
@@ -58,11 +68,15 @@ def find_steps(record: Record) -> tuple[Step, ...]:
     steps: list[Step] = []
     for name in names:
         for step in _steady(record, name):
-            if all(step.start >= other.stop - _SLACK or step.stop <= other.start + _SLACK for other in steps):
+            if all(
+                step.start >= other.stop - _SLACK or step.stop <= other.start + _SLACK
+                for other in steps
+            ):
                 steps.append(step)
     if not steps:
         raise InvalidInput(
-            f"no excitation of the record is a steady sine for {_LEAST_PERIODS} periods; excite by stepped sines"
+            f"no excitation of the record is a steady sine for {_LEAST_PERIODS} periods; excite "
+            "by stepped sines"
         )
     return tuple(sorted(steps, key=lambda step: step.start))
 
@@ -86,21 +100,26 @@ def _steady(record: Record, name: str) -> list[Step]:
 
 
 def phasors(record: Record, step: Step, signals: Sequence[str], settle: float = 0.3) -> Phasors:
-    """The phasors of ``signals`` in a step, after the first ``settle`` [s] of it were left to the transient; zero for an
-    excitation e_<axis> that the record lacks.
+    """The phasors of ``signals`` in a step, after the first ``settle`` [s] of it were left to the
+    transient; zero for an excitation e_<axis> that the record lacks.
 
-    Each block of whole periods is fitted by least squares with a sine, an offset and a drift, so periods need not be whole
-    numbers of samples. Raises InvalidInput for a step too short for three periods after settling.
+    Each block of whole periods is fitted by least squares with a sine, an offset and a drift, so
+    periods need not be whole numbers of samples. Raises InvalidInput for a step too short for three
+    periods after settling.
     """
     check_positive(settle, "settle", "give it in seconds", zero_allowed=True)
-    period = 2 * np.pi / check_positive(step.frequency, "the frequency of a step", "give it in rad/s")
+    period = (
+        2 * np.pi / check_positive(step.frequency, "the frequency of a step", "give it in rad/s")
+    )
     whole = int((step.stop - step.start - settle) / period + 1e-6)
     if whole < _LEAST_BLOCKS:
         need = settle + _LEAST_BLOCKS * period
         raise invalid(
-            f"the step at {step.frequency / 2 / np.pi:g} Hz", f"{step.stop - step.start:g} s long",
-            f"at least {need:.3g} s, {_LEAST_BLOCKS} periods after {settle:g} s of settling", "dwell longer, or settle less",
-        )  # fmt: skip
+            f"the step at {step.frequency / 2 / np.pi:g} Hz",
+            f"{step.stop - step.start:g} s long",
+            f"at least {need:.3g} s, {_LEAST_BLOCKS} periods after {settle:g} s of settling",
+            "dwell longer, or settle less",
+        )
     each = -(-whole // _MOST_BLOCKS)
     count = whole // each
     edges = step.stop - np.arange(count, -1, -1) * each * period
@@ -108,8 +127,15 @@ def phasors(record: Record, step: Step, signals: Sequence[str], settle: float = 
     if edges[0] < 0 or edges[-1] > record.values.shape[1]:
         time = record.time
         remedy = "pass the steps of this record"
-        raise invalid("a step", f"up to {step.stop:g} s", f"within {time[0]:g} to {time[-1]:g} s of the record", remedy)
-    known = [i for i, name in enumerate(signals) if name in record.signals or not name.startswith("e_")]
+        raise invalid(
+            "a step",
+            f"up to {step.stop:g} s",
+            f"within {time[0]:g} to {time[-1]:g} s of the record",
+            remedy,
+        )
+    known = [
+        i for i, name in enumerate(signals) if name in record.signals or not name.startswith("e_")
+    ]
     rows = record.values[list(index_of([signals[i] for i in known], record.signals, "signal"))]
     blocks = np.zeros((count, len(signals)), complex)
     for block, (i, j) in zip(blocks, pairwise(edges.tolist()), strict=True):

@@ -1,9 +1,12 @@
-"""Frequency responses from records: averaged over windowed segments, open loop or closed loop, with what they are worth.
+"""Frequency responses from records: averaged over windowed segments, open loop or closed loop, with
+what they are worth.
 
-In closed loop noise comes round through the controller into the plant's input, and the quotient S_yu/S_uu (H1) is drawn
-towards -1/K. The excitation e is not part of the loop's noise: G = S_ye S_ue^-1 (joint input-output method, e as instrument)
-is free of that bias. Both are one estimate here: responses T from e to outputs and inputs by least squares over all segments,
-G = T_y T_u^-1; H1 is the case e = u. Pintelon & Schoukens (2012), ch. 2; Bendat & Piersol (2010), ch. 9; Welch (1967).
+In closed loop noise comes round through the controller into the plant's input, and the quotient
+S_yu/S_uu (H1) is drawn towards -1/K. The excitation e is not part of the loop's noise: G = S_ye
+S_ue^-1 (joint input-output method, e as instrument) is free of that bias. Both are one estimate
+here: responses T from e to outputs and inputs by least squares over all segments, G = T_y T_u^-1;
+H1 is the case e = u. Pintelon & Schoukens (2012), ch. 2; Bendat & Piersol (2010), ch. 9; Welch
+(1967).
 """
 
 from __future__ import annotations
@@ -20,23 +23,26 @@ from ambrose.core.frequency import FrequencyResponse
 from ambrose.core.statespace import Names, index_of
 from ambrose.identification.excitation import signal_rows
 from ambrose.identification.output_error.synchronous import without_synchronous
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 WINDOWS = ("hann", "boxcar")
 _EXCITED = 1e-4  # of the strongest line's power: weaker lines are left out
 _BLOCK = 500_000  # samples of all signals cut at once
-_INDEPENDENT = 1e-6  # least eigenvalue of the excitations' coherence matrix: below, they cannot be told apart
+# least eigenvalue of the excitations' coherence matrix: below, they cannot be told apart
+_INDEPENDENT = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frf:
-    """A measured transfer matrix: values (w, p, m) complex at omega (w,) [rad/s], units of outputs per unit of inputs.
+    """A measured transfer matrix: values (w, p, m) complex at omega (w,) [rad/s], units of outputs
+    per unit of inputs.
 
-    variance (w, p, m): E|error|^2 of every value, from what the segments leave unexplained, overlap allowed for; the error is
-    circular: each of real and imaginary part has half of it. coherence (w, p): of every output with all excitations together,
-    0..1; input_coherence (w, m): the same of the inputs (1 for H1). freedom: degrees of freedom of the noise estimate.
-    dt [s]: compare with a plant sampled at this rate, with a zero-order hold. noise (w, p, p), share (w, m, m), where they are
-    known: E[dG_ij conj dG_kl] = noise_ik share_jl, of which ``variance`` is the diagonal.
+    variance (w, p, m): E|error|^2 of every value, from what the segments leave unexplained, overlap
+    allowed for; the error is circular: each of real and imaginary part has half of it. coherence
+    (w, p): of every output with all excitations together, 0..1; input_coherence (w, m): the same of
+    the inputs (1 for H1). freedom: degrees of freedom of the noise estimate. dt [s]: compare with a
+    plant sampled at this rate, with a zero-order hold. noise (w, p, p), share (w, m, m), where they
+    are known: E[dG_ij conj dG_kl] = noise_ik share_jl, of which ``variance`` is the diagonal.
     """
 
     values: np.ndarray
@@ -62,11 +68,16 @@ class Frf:
         i = index_of(self.outputs if outputs is None else outputs, self.outputs, "output")
         part = self.response.select(inputs, outputs)
         return replace(
-            self, values=part.values, inputs=part.inputs, outputs=part.outputs,
-            variance=self.variance[:, i][:, :, j], coherence=self.coherence[:, i], input_coherence=self.input_coherence[:, j],
+            self,
+            values=part.values,
+            inputs=part.inputs,
+            outputs=part.outputs,
+            variance=self.variance[:, i][:, :, j],
+            coherence=self.coherence[:, i],
+            input_coherence=self.input_coherence[:, j],
             noise=None if self.noise is None else self.noise[:, i][:, :, i],
             share=None if self.share is None else self.share[:, j][:, :, j],
-        )  # fmt: skip
+        )
 
     def between(self, low: float, high: float) -> Frf:
         """The lines from ``low`` to ``high`` [rad/s]; raises InvalidInput where there are none."""
@@ -75,15 +86,22 @@ class Frf:
             has = f"{self.omega[0]:g} to {self.omega[-1]:g} rad/s"
             raise invalid("the band", f"{low:g} to {high:g} rad/s", f"within {has}", "move it")
         return replace(
-            self, values=self.values[kept], omega=self.omega[kept], variance=self.variance[kept],
-            coherence=self.coherence[kept], input_coherence=self.input_coherence[kept],
-            noise=None if self.noise is None else self.noise[kept], share=None if self.share is None else self.share[kept],
-        )  # fmt: skip
+            self,
+            values=self.values[kept],
+            omega=self.omega[kept],
+            variance=self.variance[kept],
+            coherence=self.coherence[kept],
+            input_coherence=self.input_coherence[kept],
+            noise=None if self.noise is None else self.noise[kept],
+            share=None if self.share is None else self.share[kept],
+        )
 
     def radius(self, confidence: float = 0.95) -> np.ndarray:
-        """Radius (w, p, m) of the circle around each value that holds the truth with this probability, noise alone.
+        """Radius (w, p, m) of the circle around each value that holds the truth with this
+        probability, noise alone.
 
-        sd^2 F(2, 2 freedom): the ellipse of real and imaginary part, which is a circle here. Raises InvalidInput.
+        sd^2 F(2, 2 freedom): the ellipse of real and imaginary part, which is a circle here. Raises
+        InvalidInput.
         """
         from scipy.special import fdtri
 
@@ -93,10 +111,11 @@ class Frf:
 
 
 def h1(records: Record | Sequence[Record], inputs: Names, outputs: Names, **options: Any) -> Frf:
-    """The response of ``outputs`` to ``inputs``, S_yu S_uu^-1 over all segments of all records: for inputs free of noise.
+    """The response of ``outputs`` to ``inputs``, S_yu S_uu^-1 over all segments of all records: for
+    inputs free of noise.
 
-    With e_<axis> as inputs it gives closed-loop responses without bias; between signals inside the loop use ``closed_loop``,
-    whose options these are. Raises InvalidInput.
+    With e_<axis> as inputs it gives closed-loop responses without bias; between signals inside the
+    loop use ``closed_loop``, whose options these are. Raises InvalidInput.
     """
     return closed_loop(records, inputs, outputs, excitations=inputs, **options)
 
@@ -113,38 +132,61 @@ def closed_loop(
     band: tuple[float, float] | None = None,
     harmonics: int = 3,
 ) -> Frf:
-    """The response of ``outputs`` to ``inputs`` inside the loop, S_ye S_ue^-1: free of the bias that feedback gives H1.
+    """The response of ``outputs`` to ``inputs`` inside the loop, S_ye S_ue^-1: free of the bias
+    that feedback gives H1.
 
-    excitations: as many as inputs (None: those with the inputs' axes, e_A_zeta for v_A_zeta, u_A_zeta or i_A_zeta). The plant
-    is closed_loop(records, ["v_A_zeta", ...], ["y_A_zeta", ...]). segment [s]: its length, 1/segment the distance of the lines;
-    overlap: share of a segment that it has in common with the next; window "hann" or "boxcar" (periodic records only); band
-    [rad/s]: lines kept (None: all that are excited). harmonics: multiples of the record's speed up to which unbalance and
-    run-out are taken out of every signal. Several inputs need several records, or excitations that differ over the
-    segments. A name v_<axis> [A] stands for u + e, the amplifier's command, where the record lacks it. Raises InvalidInput.
+    excitations: as many as inputs (None: those with the inputs' axes, e_A_zeta for v_A_zeta,
+    u_A_zeta or i_A_zeta). The plant is closed_loop(records, ["v_A_zeta", ...], ["y_A_zeta", ...]).
+    segment [s]: its length, 1/segment the distance of the lines; overlap: share of a segment that
+    it has in common with the next; window "hann" or "boxcar" (periodic records only); band [rad/s]:
+    lines kept (None: all that are excited). harmonics: multiples of the record's speed up to which
+    unbalance and run-out are taken out of every signal. Several inputs need several records, or
+    excitations that differ over the segments. A name v_<axis> [A] stands for u + e, the amplifier's
+    command, where the record lacks it. Raises InvalidInput.
     """
     u, y = (tuple([names] if isinstance(names, str) else names) for names in (inputs, outputs))
     e = tuple(f"e_{name.partition('_')[2]}" for name in u)
     if excitations is not None:
         e = (excitations,) if isinstance(excitations, str) else tuple(excitations)
     records = (records,) if isinstance(records, Record) else tuple(records)
-    needed = {*e, *u, *y, *(f"{kind}_{name[2:]}" for name in u if name[:2] == "v_" for kind in "ue")}
-    frames = _frames(tuple(without_synchronous(record, harmonics, needed) for record in records), segment, overlap, window)
+    needed = {
+        *e,
+        *u,
+        *y,
+        *(f"{kind}_{name[2:]}" for name in u if name[:2] == "v_" for kind in "ue"),
+    }
+    frames = _frames(
+        tuple(without_synchronous(record, harmonics, needed) for record in records),
+        segment,
+        overlap,
+        window,
+    )
     if not e or not y or len(e) != len(u):
-        raise invalid("the number of excitations and inputs", (len(e), len(u)), "equal, with an output", "one per input")
+        raise invalid(
+            "the number of excitations and inputs",
+            (len(e), len(u)),
+            "equal, with an output",
+            "one per input",
+        )
     m = len(u)
     names = (*e, *y) if u == e else (*e, *u, *y)
     powers, products, N = frames.sums(names, m)  # of all lines
     kept = _excited(powers[:m], frames.omega, band, e)
-    omega, powers, products, N = frames.omega[kept], powers[:, kept], products[kept], N[kept]
+    omega = frames.omega[kept]
+    powers = powers[:, kept]
+    products = products[kept]
+    N = N[kept]
     P = _inverse(products[:, :m], omega, e)
     T = products @ P
-    T, total = (T, powers) if u == e else (T[:, m:], powers[m:])  # e alone: its response to itself is one
+    # e alone: its response to itself is one
+    T, total = (T, powers) if u == e else (T[:, m:], powers[m:])
     Tu, Ty = T[:, :m], T[:, m:]
     back = np.linalg.inv(Tu) if u != e else np.broadcast_to(np.eye(m), Tu.shape)
     G = Ty @ back
     K = sum(len(start) for start in frames.starts)
     missed, power = np.zeros(total.shape), np.zeros((len(y), len(omega)))
-    for _, block in frames.blocks(names):  # once more: the difference of sums of squares would lose clean records
+    # once more: the difference of sums of squares would lose clean records
+    for _, block in frames.blocks(names):
         Z = block[:, :, kept].transpose(2, 0, 1)  # (w, signals, segments)
         left = (Z if u == e else Z[:, m:]) - T @ Z[:, :m]
         missed += _squares(left)
@@ -156,19 +198,31 @@ def closed_loop(
     coherence = 1 - missed.T / np.where(total.T > 0, total.T, 1.0)
     coherence = np.clip(np.where(total.T > 0, coherence, 0.0), 0.0, 1.0)
     return Frf(
-        G, omega, u, y, power[:, :, None] * np.maximum(share, 0.0)[:, None, :], coherence[:, m:], coherence[:, :m],
-        max(frames.independent - m, 1.0), records[0].dt,
-    )  # fmt: skip
+        G,
+        omega,
+        u,
+        y,
+        power[:, :, None] * np.maximum(share, 0.0)[:, None, :],
+        coherence[:, m:],
+        coherence[:, :m],
+        max(frames.independent - m, 1.0),
+        records[0].dt,
+    )
 
 
 def _squares(values: np.ndarray) -> np.ndarray:
     """sum over the segments of |values|^2 (w, signals, segments), as (signals, w)."""
-    return np.asarray(np.einsum("wsk,wsk->sw", values.real, values.real) + np.einsum("wsk,wsk->sw", values.imag, values.imag))
+    return np.asarray(
+        np.einsum("wsk,wsk->sw", values.real, values.real)
+        + np.einsum("wsk,wsk->sw", values.imag, values.imag)
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Frames:
-    """How records are cut: first samples of every segment per record, window (L,), correlation of the window with itself."""
+    """How records are cut: first samples of every segment per record, window (L,), correlation of
+    the window with itself.
+    """
 
     records: tuple[Record, ...]
     starts: tuple[np.ndarray, ...]
@@ -197,7 +251,8 @@ class _Frames:
         return total
 
     def blocks(self, names: Sequence[str]) -> Iterator[tuple[bool, np.ndarray]]:
-        """The windowed spectra (signals, segments, lines), some segments of one record at a time, and whether it is a new one.
+        """The windowed spectra (signals, segments, lines), some segments of one record at a time,
+        and whether it is a new one.
 
         The mean over a record is taken out first.
         """
@@ -215,10 +270,16 @@ class _Frames:
                 yield first == 0, block
 
     def sums(self, names: Sequence[str], m: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Over all segments, at every line: powers (signals, w), products with the first m signals (w, signals, m), and
-        sum over segments j, k of R_jk conj(E_j) E_k' (w, m, m) of these; R: correlation of white noise in segments j and k."""
-        lines, n, rho = len(self.omega), len(names), self.likeness
-        powers, products, N = np.zeros((n, lines)), np.zeros((lines, n, m), complex), np.zeros((lines, m, m), complex)
+        """Over all segments, at every line: powers (signals, w), products with the first m signals
+        (w, signals, m), and sum over segments j, k of R_jk conj(E_j) E_k' (w, m, m) of these; R:
+        correlation of white noise in segments j and k.
+        """
+        lines = len(self.omega)
+        n = len(names)
+        rho = self.likeness
+        powers = np.zeros((n, lines))
+        products = np.zeros((lines, n, m), complex)
+        N = np.zeros((lines, m, m), complex)
         last: list[np.ndarray] = []  # the segments before, (w, m) each
         for new, block in self.blocks(names):
             Z = np.ascontiguousarray(block.transpose(2, 0, 1))
@@ -231,8 +292,13 @@ class _Frames:
             for d in range(1, min(len(rho), E.shape[2])):
                 if rho[d] > 0:
                     later = max(len(last), d)  # pairs whose later one is in this block
-                    pair = E[:, :, later - d : E.shape[2] - d].conj() @ E[:, :, later:].swapaxes(1, 2)
-                    pair *= (rho[d] * np.exp(-1j * self.omega * d * self.step * self.dt))[:, None, None]  # t_j - t_k
+                    pair = E[:, :, later - d : E.shape[2] - d].conj() @ E[:, :, later:].swapaxes(
+                        1, 2
+                    )
+                    # t_j - t_k
+                    pair *= (rho[d] * np.exp(-1j * self.omega * d * self.step * self.dt))[
+                        :, None, None
+                    ]
                     N += pair + pair.conj().swapaxes(1, 2)
             last = [E[:, :, k] for k in range(max(0, E.shape[2] - len(rho) + 1), E.shape[2])]
         return powers, products, N
@@ -245,9 +311,19 @@ def _frames(records: tuple[Record, ...], segment: float, overlap: float, window:
     for number, record in enumerate(records, 1):
         if abs(record.dt - dt) > 1e-9 * dt:
             have = f"{record.sample_rate_hz:g} Hz"
-            raise invalid(f"the sample rate of record {number}", have, f"{1 / dt:g} Hz, that of the first", "take equal rates")
+            raise invalid(
+                f"the sample rate of record {number}",
+                have,
+                f"{1 / dt:g} Hz, that of the first",
+                "take equal rates",
+            )
     if window not in WINDOWS:
-        raise invalid("window", repr(window), " or ".join(WINDOWS), "hann, unless the record is periodic in the segment")
+        raise invalid(
+            "window",
+            repr(window),
+            " or ".join(WINDOWS),
+            "hann, unless the record is periodic in the segment",
+        )
     if not 0 <= overlap <= 0.95:
         raise invalid("overlap", overlap, "from 0 to 0.95", "0.75 is usual with a Hann window")
     L = round(segment / dt) if np.isfinite(segment) else 0
@@ -262,7 +338,9 @@ def _frames(records: tuple[Record, ...], segment: float, overlap: float, window:
 
 
 def _signal(record: Record, name: str) -> np.ndarray:
-    """A signal, u + e of an axis for v_<axis>, nothing for an excitation that this record does not drive."""
+    """A signal, u + e of an axis for v_<axis>, nothing for an excitation that this record does not
+    drive.
+    """
     kind, _, axis = name.partition("_")
     if kind == "v" and name not in record.signals:
         command, excitation = signal_rows(record, [f"u_{axis}", f"e_{axis}"])
@@ -270,17 +348,29 @@ def _signal(record: Record, name: str) -> np.ndarray:
     return signal_rows(record, [name])[0]
 
 
-def _excited(power: np.ndarray, omega: np.ndarray, band: tuple[float, float] | None, names: tuple[str, ...]) -> np.ndarray:
+def _excited(
+    power: np.ndarray, omega: np.ndarray, band: tuple[float, float] | None, names: tuple[str, ...]
+) -> np.ndarray:
     """The lines (w,) bool that every excitation, of power (m, w), reaches within the band."""
     for name, row in zip(names, power, strict=True):
         if not row.any():
-            raise InvalidInput(f"the excitation {name} never changes in these records; excite it, or leave its input out")
+            raise InvalidInput(
+                f"the excitation {name} never changes in these records; excite it, or leave its "
+                "input out"
+            )
     strong = (power > _EXCITED * power.max(axis=1, keepdims=True)).all(axis=0)
     low, high = (0.0, np.inf) if band is None else band
-    kept = (omega >= max(low, 1.5 * omega[1]) * (1 - 1e-9)) & (omega <= high * (1 + 1e-9)) & (omega < omega[-1])
+    kept = (
+        (omega >= max(low, 1.5 * omega[1]) * (1 - 1e-9))
+        & (omega <= high * (1 + 1e-9))
+        & (omega < omega[-1])
+    )
     if not (kept & strong).any():
         where = "anywhere" if band is None else f"between {low:g} and {high:g} rad/s"
-        raise InvalidInput(f"the excitations {', '.join(names)} hold no power {where}; move the band, or excite there")
+        raise InvalidInput(
+            f"the excitations {', '.join(names)} hold no power {where}; move the band, or excite "
+            "there"
+        )
     return kept & strong
 
 
@@ -291,9 +381,15 @@ def _inverse(S: np.ndarray, omega: np.ndarray, names: tuple[str, ...]) -> np.nda
     values, vectors = np.linalg.eigh(alike)
     worst = int(np.argmin(values[:, 0]))
     if values[worst, 0] < _INDEPENDENT:
-        together = [name for name, part in zip(names, np.abs(vectors[worst, :, 0]), strict=True) if part > 0.1]
+        together = [
+            name
+            for name, part in zip(names, np.abs(vectors[worst, :, 0]), strict=True)
+            if part > 0.1
+        ]
         raise InvalidInput(
-            f"the excitations {', '.join(together)} are alike at {omega[worst]:.4g} rad/s, so their responses cannot be told "
-            "apart; add a record with another pattern (parallel and tilt, or each axis alone), or take fewer inputs"
+            f"the excitations {', '.join(together)} are alike at {omega[worst]:.4g} rad/s, so "
+            "their responses cannot be told "
+            "apart; add a record with another pattern (parallel and tilt, or each axis alone), or "
+            "take fewer inputs"
         )
     return np.linalg.inv(S)

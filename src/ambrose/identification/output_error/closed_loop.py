@@ -1,9 +1,11 @@
-"""Closed-loop identification: records of the running machine -> its parameters, with what they are worth.
+"""Closed-loop identification: records of the running machine -> its parameters, with what they are
+worth.
 
-Output error: the loop is simulated as it runs (sampled controller, computing delay, plant held between the samples) from the
-recorded excitation, and the parameters are moved until its signals are the measured ones. No noise model enters, so the
-estimate is unbiased whatever the colour of the noise; its covariance allows for that colour (sandwich).
-Lauridsen's papers P2 and P4 identify in this way.
+Output error: the loop is simulated as it runs (sampled controller, computing delay, plant held
+between the samples) from the recorded excitation, and the parameters are moved until its signals
+are the measured ones. No noise model enters, so the estimate is unbiased whatever the colour of the
+noise; its covariance allows for that colour (sandwich). Lauridsen's papers P2 and P4 identify in
+this way.
 """
 
 from __future__ import annotations
@@ -50,12 +52,14 @@ from ambrose.identification.output_error.problem import (
     start_values,
 )
 from ambrose.identification.output_error.residual_analysis import residual_scores
+from ambrose.law.law import LawLike
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 _EARLY = 5000  # samples on which a good start is found
-_NEGLIGIBLE = 1e-4  # a gain of this many variances of the noise: steps of 0.01 standard deviations need no second look
+# a gain of this many variances of the noise: steps of 0.01 standard deviations need no second look
+_NEGLIGIBLE = 1e-4
 _NEAR = 10.0  # the same for the start, which all samples improve on
 _TURNS = 6  # times the rotor's angle is looked for
 _FEW = 150  # lines on which a good start is found
@@ -66,13 +70,16 @@ Loop = tuple[StateSpace, list[SystemDerivative]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParameterEstimate:
-    """Parameters (q,) found at the operating point ``point``, SI, in the order of ``paths``; ``start`` is where they began.
+    """Parameters (q,) found at the operating point ``point``, SI, in the order of ``paths``;
+    ``start`` is where they began.
 
-    covariance (q, q): under the colour of the residuals (sandwich); standard_deviations (q,). correlation (q, q): of the
-    parameters, from (J'J)^-1; column_cosine (q, q): between the columns of J, which is no correlation and mostly has the
-    other sign. fit: (record number, signal, NRMSE percent). tests: does a residual still follow an excitation. condition [-]
-    of J'J scaled to a unit diagonal. warnings: what makes the result doubtful; verdict: one sentence. turning: what every
-    fitted signal holds at multiples of the speed and at the tones, whatever the excitation does.
+    covariance (q, q): under the colour of the residuals (sandwich); standard_deviations (q,).
+    correlation (q, q): of the parameters, from (J'J)^-1; column_cosine (q, q): between the columns
+    of J, which is no correlation and mostly has the other sign. fit: (record number, signal, NRMSE
+    percent). tests: does a residual still follow an excitation. condition [-] of J'J scaled to a
+    unit diagonal. warnings: what makes the result doubtful; verdict: one sentence. turning: what
+    every fitted signal holds at multiples of the speed and at the tones, whatever the excitation
+    does.
     """
 
     machine: str
@@ -98,7 +105,9 @@ class ParameterEstimate:
 
     @property
     def adequate(self) -> bool:
-        """Whether what the residuals still hold of the excitation leaves the values as they are, or nearly so."""
+        """Whether what the residuals still hold of the excitation leaves the values as they are, or
+        nearly so.
+        """
         return all(finding.code != Code.RESIDUALS for finding in self.warnings)
 
     def widened(self, least: np.ndarray) -> ParameterEstimate:
@@ -110,25 +119,31 @@ class ParameterEstimate:
 def identify(
     machine: Machine,
     records: Record | Sequence[Record],
-    controller: Any,
+    controller: LawLike,
     unknown: Sequence[str],
     *,
     start: Mapping[str, float] | None = None,
     **options: Any,
 ) -> ParameterEstimate:
-    """The parameters at the paths ``unknown`` (machine/parameters.py; "*" for every name or axis) from closed-loop records.
+    """The parameters at the paths ``unknown`` (machine/parameters.py; "*" for every name or axis)
+    from closed-loop records.
 
     records: with excitations e_<axis> [A] (or f_<port> [N]) and measured y_<axis> [m], at one rate.
-    controller: from errors [m] to currents [A]; continuous, it is sampled by Tustin's map. start: path -> value to begin at
-    (else the machine's). options: those of FitOptions (output_error/problem.py).
-    Raises InvalidInput for records that do not belong to this machine, hold too little excitation or say nothing about a
-    parameter, and for a start at which the loop is unstable.
+    controller: from errors [m] to currents [A]; continuous, it is sampled by Tustin's map. start:
+    path -> value to begin at (else the machine's). options: those of FitOptions
+    (output_error/problem.py). Raises InvalidInput for records that do not belong to this machine,
+    hold too little excitation or say nothing about a parameter, and for a start at which the loop
+    is unstable.
     """
-    return fit(build_experiment(machine, records, controller, unknown, FitOptions(**options)), start)
+    return fit(
+        build_experiment(machine, records, controller, unknown, FitOptions(**options)), start
+    )
 
 
 def fit(experiment: Experiment, start: Mapping[str, float] | None = None) -> ParameterEstimate:
-    """``identify`` for an experiment that was built before; start: path -> value to begin at. Raises InvalidInput."""
+    """``identify`` for an experiment that was built before; start: path -> value to begin at.
+    Raises InvalidInput.
+    """
     begin = start_values(experiment.paths, experiment.nominal, start)
     check_start(experiment.models, begin)
     if experiment.options.period is not None:
@@ -137,10 +152,15 @@ def fit(experiment: Experiment, start: Mapping[str, float] | None = None) -> Par
 
 
 class LeastSquares:
-    """The least squares of an experiment on tasks, or on the lines of their spectra: ``equations`` makes an item's normal
-    equations from its loop over the weights, and its derivatives."""
+    """The least squares of an experiment on tasks, or on the lines of their spectra: ``equations``
+    makes an item's normal equations from its loop over the weights, and its derivatives.
+    """
 
-    def __init__(self, experiment: Experiment, equations: Callable[[StateSpace, list[SystemDerivative], Any], Any]) -> None:
+    def __init__(
+        self,
+        experiment: Experiment,
+        equations: Callable[[StateSpace, list[SystemDerivative], Any], Any],
+    ) -> None:
         self.experiment, self.equations = experiment, equations
         self._last: tuple[bytes, list[Loop]] = (b"", [])
 
@@ -152,15 +172,21 @@ class LeastSquares:
             self._last = key, [over_weights(model, theta, given.sizes) for model in given.models]
         return self._last[1]
 
-    def synchronised(self, minimum: Minimum, tasks: Sequence[Task], by_step: bool = False) -> tuple[Task, ...]:
-        """The tasks with the rotor's angle by what the model leaves at a minimum; by_step: near it, together with theta."""
+    def synchronised(
+        self, minimum: Minimum, tasks: Sequence[Task], by_step: bool = False
+    ) -> tuple[Task, ...]:
+        """The tasks with the rotor's angle by what the model leaves at a minimum; by_step: near it,
+        together with theta.
+        """
         loops = self.loops(minimum.x)
         if not by_step:
             return tuple(synchronised(loops[task.place][0], task) for task in tasks)
         H = np.sum([part.equations.H for part in minimum.parts], axis=0)
         return tuple(turned(*loops[task.place], task, H) for task in tasks)
 
-    def minimise(self, items: Sequence[Task] | Sequence[Lines], begin: np.ndarray, **limits: float) -> Minimum:
+    def minimise(
+        self, items: Sequence[Task] | Sequence[Lines], begin: np.ndarray, **limits: float
+    ) -> Minimum:
         given = self.experiment
 
         def linearise(theta: np.ndarray) -> Linearised:
@@ -172,15 +198,26 @@ class LeastSquares:
             return Linearised(sum(part.equations.cost for part in parts), H, g, parts)
 
         def is_stable(theta: np.ndarray) -> bool:
-            return admitted(given.models, theta) and slowest(loop for loop, _ in self.loops(theta)) < 1
+            return (
+                admitted(given.models, theta) and slowest(loop for loop, _ in self.loops(theta)) < 1
+            )
 
-        return minimise(linearise, begin, given.scale, is_stable, given.options.max_iterations, **limits)
+        return minimise(
+            linearise, begin, given.scale, is_stable, given.options.max_iterations, **limits
+        )
 
-    def approach(self, items: Sequence[Task] | Sequence[Lines], begin: np.ndarray, small: float) -> Minimum | None:
-        """The minimum over a part of the data, or None where it says too little for one, or leads nowhere."""
+    def approach(
+        self, items: Sequence[Task] | Sequence[Lines], begin: np.ndarray, small: float
+    ) -> Minimum | None:
+        """The minimum over a part of the data, or None where it says too little for one, or leads
+        nowhere.
+        """
         try:
             minimum = self.minimise(items, begin, tolerance=1e-4, negligible=small)
-        except (InvalidInput, NumericalFailure):  # the part does not show every parameter; all of it may
+        except (
+            InvalidInput,
+            NumericalFailure,
+        ):  # the part does not show every parameter; all of it may
             return None
         return minimum if minimum.converged else None
 
@@ -190,18 +227,26 @@ def _task(item: Task | Lines) -> Task:
 
 
 def fit_samples(experiment: Experiment, begin: np.ndarray) -> ParameterEstimate:
-    """Least squares on all samples from theta = begin (q,), by way of a start found on the first ones; with covariance,
-    residual tests, warnings and verdict."""
+    """Least squares on all samples from theta = begin (q,), by way of a start found on the first
+    ones; with covariance, residual tests, warnings and verdict.
+    """
     problem, tasks = LeastSquares(experiment, normal_equations), experiment.tasks
     early = [task.first(_EARLY) for task in tasks]
     _check_driven(problem, begin, early)
-    start, begun, excited = begin, 0, all(np.any(wave) for task in early for wave in task.e)
+    start = begin
+    begun = 0
+    excited = all(np.any(wave) for task in early for wave in task.e)
     if excited and max(task.samples for task in tasks) > 3 * _EARLY:
         small = _NEAR / sum(task.samples * len(task.y) for task in early)
         near = problem.approach(early, begin, small)
-        if near is not None:  # a good start from the first second; what is found is decided by all samples
+        # a good start from the first second; what is found is decided by all samples
+        if near is not None:
             start, begun = near.x, near.iterations
-    total = sum(float(np.vdot(y, y)) for task in tasks for y in (task.measured(i, 0, task.samples) for i in range(len(task.y))))
+    total = sum(
+        float(np.vdot(y, y))
+        for task in tasks
+        for y in (task.measured(i, 0, task.samples) for i in range(len(task.y)))
+    )
     small = _NEGLIGIBLE / sum(task.samples * len(task.y) for task in tasks)
     minimum = problem.minimise(tasks, start, floor=_EXACT * total, negligible=small)
     for turns in range(_TURNS):  # the rotor's angle, by what is left; nothing to do at standstill
@@ -210,7 +255,9 @@ def fit_samples(experiment: Experiment, begin: np.ndarray) -> ParameterEstimate:
             break
         tasks, begun = further, begun + minimum.iterations
         minimum = problem.minimise(tasks, minimum.x, floor=_EXACT * total, negligible=small)
-    loops, signals, models = problem.loops(minimum.x), experiment.models[0].signals, experiment.models
+    loops = problem.loops(minimum.x)
+    signals = experiment.models[0].signals
+    models = experiment.models
     H = np.sum([part.equations.H for part in minimum.parts], axis=0)
     middle = np.zeros_like(H)
     fits: list[tuple[int, str, float]] = []
@@ -222,7 +269,9 @@ def fit_samples(experiment: Experiment, begin: np.ndarray) -> ParameterEstimate:
         loop, directions = loops[task.place]
         names = [_names(models[task.place], mix) for mix in task.mix.T]
         scores = residual_scores(loop, task, part, names, signals, count)
-        coloured = coloured_products(jacobian_pieces(loop, directions, task, part), scores.covariance)
+        coloured = coloured_products(
+            jacobian_pieces(loop, directions, task, part), scores.covariance
+        )
         middle += restored(coloured, loop, directions, task, part, H)
         fits += [(number, name, percent) for name, percent in zip(signals, scores.fit, strict=True)]
         tests += scores.tests
@@ -231,24 +280,47 @@ def fit_samples(experiment: Experiment, begin: np.ndarray) -> ParameterEstimate:
             b = part.b[:, int(task.offset) :] * experiment.sizes[:, None]
             noise = scores.covariance * experiment.sizes[:, None, None] ** 2
             turning += statistics.turning_waves(
-                number, signals, (hertz, task.synchronous.orders), b, noise, task.samples, experiment.dt
+                number,
+                signals,
+                (hertz, task.synchronous.orders),
+                b,
+                noise,
+                task.samples,
+                experiment.dt,
             )
             for wave, name in zip(task.e, names, strict=True):
-                unused += [f"{name} at {hertz[n - 1]:.4g} Hz, {n} x the speed" for n in task.synchronous.coinciding(wave)]
-    done = _estimate(experiment, begin, replace(minimum, iterations=minimum.iterations + begun), middle, fits, tests)
-    said = f"; not used, for the rotor turns with it: {', '.join(dict.fromkeys(unused))}" if unused else ""
+                unused += [
+                    f"{name} at {hertz[n - 1]:.4g} Hz, {n} x the speed"
+                    for n in task.synchronous.coinciding(wave)
+                ]
+    done = _estimate(
+        experiment,
+        begin,
+        replace(minimum, iterations=minimum.iterations + begun),
+        middle,
+        fits,
+        tests,
+    )
+    said = (
+        f"; not used, for the rotor turns with it: {', '.join(dict.fromkeys(unused))}"
+        if unused
+        else ""
+    )
     return replace(done, turning=tuple(turning), verdict=done.verdict + said)
 
 
 def _check_driven(problem: LeastSquares, begin: np.ndarray, early: Sequence[Task]) -> None:
-    """Refuse parameters of which the excitation shows nothing at the start values; what noise makes of an initial state is no
-    sign of them. The first samples mostly do; else all of them decide."""
+    """Refuse parameters of which the excitation shows nothing at the start values; what noise makes
+    of an initial state is no sign of them. The first samples mostly do; else all of them decide.
+    """
     given, loops = problem.experiment, problem.loops(begin)
     if any(len(task.tail) for task in given.tasks):
         return
     for chosen in (early, given.tasks):
         still = [replace(task, initial_state=False) for task in chosen]
-        H = np.sum([normal_equations(*loops[task.place], task).equations.H for task in still], axis=0)
+        H = np.sum(
+            [normal_equations(*loops[task.place], task).equations.H for task in still], axis=0
+        )
         try:
             statistics.check_visible(given.paths, H, given.scale)
         except InvalidInput:
@@ -261,7 +333,9 @@ def _check_driven(problem: LeastSquares, begin: np.ndarray, early: Sequence[Task
 def _fit_lines(experiment: Experiment, begin: np.ndarray, period: float | str) -> ParameterEstimate:
     """The same from the spectrum of a periodic excitation (output_error/periodic.py)."""
     problem = LeastSquares(experiment, line_equations)
-    start, begun, tasks = begin, 0, experiment.tasks
+    start = begin
+    begun = 0
+    tasks = experiment.tasks
     every = chosen = [lines_of(task, period_of(task, period, experiment.dt)) for task in tasks]
     few = [one.only(slice(None, None, max(len(one.z) // _FEW, 1))) for one in every]
     near = problem.approach(few, begin, _NEAR / sum(2 * one.Y.size for one in few))
@@ -287,10 +361,21 @@ def _fit_lines(experiment: Experiment, begin: np.ndarray, period: float | str) -
     for number, (one, used, part) in enumerate(zip(every, chosen, minimum.parts, strict=True), 1):
         middle += line_middle(part, used)
         residual = line_residual(problem.loops(minimum.x)[one.task.place][0], one, part)
-        percent, line_tests = line_scores(residual, one, experiment.signals, "the periodic excitation")
-        fits += [(number, name, value) for name, value in zip(experiment.signals, percent, strict=True)]
+        percent, line_tests = line_scores(
+            residual, one, experiment.signals, "the periodic excitation"
+        )
+        fits += [
+            (number, name, value) for name, value in zip(experiment.signals, percent, strict=True)
+        ]
         tests += line_tests
-    return _estimate(experiment, begin, replace(minimum, iterations=minimum.iterations + begun), middle, fits, tests)
+    return _estimate(
+        experiment,
+        begin,
+        replace(minimum, iterations=minimum.iterations + begun),
+        middle,
+        fits,
+        tests,
+    )
 
 
 def _estimate(
@@ -307,13 +392,32 @@ def _estimate(
     correlation, cosine = statistics.parameter_correlation(H), statistics.column_cosine(H)
     condition = float(np.linalg.cond(cosine))
     verdict = statistics.verdict_of(tests, minimum.converged)
-    warnings = tuple(statistics.warnings_of(experiment.paths, minimum, covariance, correlation, tests, verdict))
+    warnings = tuple(
+        statistics.warnings_of(experiment.paths, minimum, covariance, correlation, tests, verdict)
+    )
     return ParameterEstimate(
-        experiment.machine, experiment.point, experiment.paths, minimum.x, begin, covariance, correlation, cosine, tuple(fits),
-        tuple(tests), condition, minimum.converged, minimum.iterations, warnings, verdict,
-    )  # fmt: skip
+        experiment.machine,
+        experiment.point,
+        experiment.paths,
+        minimum.x,
+        begin,
+        covariance,
+        correlation,
+        cosine,
+        tuple(fits),
+        tuple(tests),
+        condition,
+        minimum.converged,
+        minimum.iterations,
+        warnings,
+        verdict,
+    )
 
 
 def _names(model: ParametricModel, mix: np.ndarray) -> str:
     """The excitations that a distinct signal drives: "e_A_zeta", or "e_A_zeta, -e_B_zeta"."""
-    return ", ".join(("-" if sign < 0 else "") + name for name, sign in zip(model.excitations, mix, strict=True) if sign)
+    return ", ".join(
+        ("-" if sign < 0 else "") + name
+        for name, sign in zip(model.excitations, mix, strict=True)
+        if sign
+    )

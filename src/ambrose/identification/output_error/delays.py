@@ -1,12 +1,16 @@
-"""The sampled loop with delays that are no whole number of samples and may be unknown, and its exact derivatives.
+"""The sampled loop with delays that are no whole number of samples and may be unknown, and its
+exact derivatives.
 
-The command computed from the sample k acts from t_k + tau_u on, the excitation recorded at k from t_k + tau_e on, each held for
-one sample. Within a sample the plant so sees the older value first and the newer one for the rest, h = tau - d dt into it:
+The command computed from the sample k acts from t_k + tau_u on, the excitation recorded at k from
+t_k + tau_e on, each held for one sample. Within a sample the plant so sees the older value first
+and the newer one for the rest, h = tau - d dt into it:
 
-    x+ = Phi(dt) x + [Gamma(dt) - Gamma(dt - h)] v(k-d-1) + Gamma(dt - h) v(k-d),   Gamma(t) = integral of exp(A s) B over 0..t
+    x+ = Phi(dt) x + [Gamma(dt) - Gamma(dt - h)] v(k-d-1) + Gamma(dt - h) v(k-d),
+    Gamma(t) = integral of exp(A s) B over 0..t
 
-(Franklin, Powell & Workman 1998, sec. 4.3.4), and dx+/dh = Phi(dt - h) B (v(k-d-1) - v(k-d)). Older values are states, as many
-as the longest delay needs, so that the loop keeps its size while a delay moves from one sample to the next.
+(Franklin, Powell & Workman 1998, sec. 4.3.4), and dx+/dh = Phi(dt - h) B (v(k-d-1) - v(k-d)). Older
+values are states, as many as the longest delay needs, so that the loop keeps its size while a delay
+moves from one sample to the next.
 """
 
 from __future__ import annotations
@@ -23,17 +27,20 @@ from ambrose.identification.output_error.loop_model import LoopModel
 from ambrose.machine.parameters import CONTROLLER_DELAY, EXCITATION_DELAY, TIMING
 
 AHEAD = 2  # samples by which an excitation may have been recorded late: its delay is then negative
-Parts = tuple[np.ndarray | None, np.ndarray | None]  # of Gamma, by which the older and the newer value act; None: not at all
+# of Gamma, by which the older and the newer value act; None: not at all
+Parts = tuple[np.ndarray | None, np.ndarray | None]
 _STILL: Parts = (None, None)
 _ROOM = 2  # samples by which a delay may grow beyond where it began, at least
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TimedLoop:
-    """``inner``, whose controller has no delay, with the delays tau (2,) [s] of command and excitation.
+    """``inner``, whose controller has no delay, with the delays tau (2,) [s] of command and
+    excitation.
 
-    unknown: which of the two are the last parameters of theta, after those of ``inner``. longest: whole samples that fit. With
-    an unknown delay of the excitation its signals are to be given AHEAD samples early (``aligned``).
+    unknown: which of the two are the last parameters of theta, after those of ``inner``. longest:
+    whole samples that fit. With an unknown delay of the excitation its signals are to be given
+    AHEAD samples early (``aligned``).
     """
 
     inner: LoopModel
@@ -62,8 +69,10 @@ class TimedLoop:
     def aligned(
         self, waves: Sequence[np.ndarray], measured: Sequence[np.ndarray]
     ) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray]:
-        """Excitations and measured signals (k,) as this loop takes them, and its last states, which hold excitations of
-        earlier samples: with an unknown delay the first samples serve for that and the excitation is given AHEAD early."""
+        """Excitations and measured signals (k,) as this loop takes them, and its last states, which
+        hold excitations of earlier samples: with an unknown delay the first samples serve for that
+        and the excitation is given AHEAD early.
+        """
         late = self.longest[1]
         if not late:
             return list(waves), list(measured), np.zeros(0)
@@ -80,13 +89,20 @@ class TimedLoop:
 
     def admits(self, theta: np.ndarray) -> bool:
         """Whether the delays at theta (q,) are within what the loop can hold."""
-        return all(0 <= d < max(room, 1) for (d, _), room in zip(self._split(theta), self.longest, strict=True))
+        return all(
+            0 <= d < max(room, 1)
+            for (d, _), room in zip(self._split(theta), self.longest, strict=True)
+        )
 
     def _split(self, theta: np.ndarray) -> list[tuple[int, float]]:
-        """(whole samples, rest [s]) of both delays, the excitation's counted from the signals as given."""
+        """(whole samples, rest [s]) of both delays, the excitation's counted from the signals as
+        given.
+        """
         dt = self.inner.controller.dt or 0.0
         parts = []
-        for tau, ahead in zip(self.delays(theta), (0, AHEAD if EXCITATION_DELAY in self.unknown else 0), strict=True):
+        for tau, ahead in zip(
+            self.delays(theta), (0, AHEAD if EXCITATION_DELAY in self.unknown else 0), strict=True
+        ):
             whole = int(np.floor(tau / dt + 1e-9))
             parts.append((whole + ahead, max(tau - whole * dt, 0.0)))
         return parts
@@ -94,10 +110,14 @@ class TimedLoop:
     def loop(self, theta: np.ndarray) -> tuple[StateSpace, list[SystemDerivative]]:
         """The sampled loop at theta (q,), and its derivative for each parameter."""
         (d_u, h_u), (d_e, h_e) = self._split(theta)
-        inner, K, own = self.inner, self.inner.controller, theta[: len(theta) - len(self.unknown)]
+        inner = self.inner
+        K = self.inner.controller
+        own = theta[: len(theta) - len(self.unknown)]
         dt = K.dt or 0.0
         A, B, dA, dB = inner.plant(own)
-        a, n, nk = len(K.outputs), len(A), K.n_states
+        a = len(K.outputs)
+        n = len(A)
+        nk = K.n_states
         m = B.shape[1] - a
         old_u, old_e = self.longest[0] * a, self.longest[1] * m
         size = n + nk + old_u + old_e
@@ -143,7 +163,11 @@ class TimedLoop:
         ]
         for name in self.unknown:
             u_moves = name == CONTROLLER_DELAY
-            moved = step(zero, (edge_u, -edge_u) if u_moves else _STILL, _STILL if u_moves else (edge_e, -edge_e))
+            moved = step(
+                zero,
+                (edge_u, -edge_u) if u_moves else _STILL,
+                _STILL if u_moves else (edge_e, -edge_e),
+            )
             changes.append((moved, nothing if u_moves or d_e > 0 else -edge_e))
         directions = []
         for rows, pushed in changes:
@@ -162,7 +186,8 @@ def _newer(
 
 
 def timed(inner: LoopModel, computing_delay: float, unknown: Sequence[str]) -> TimedLoop:
-    """The loop with a command that acts ``computing_delay`` samples late, any number, and the ``unknown`` of TIMING.
+    """The loop with a command that acts ``computing_delay`` samples late, any number, and the
+    ``unknown`` of TIMING.
 
     Raises InvalidInput where a controller's output is to be fitted whose instant is unknown.
     """
@@ -170,9 +195,11 @@ def timed(inner: LoopModel, computing_delay: float, unknown: Sequence[str]) -> T
     commands = [name for name in inner.signals if name.startswith("u_")]
     if commands:
         raise invalid(
-            f"the fitted signal {commands[0]}", "a controller output whose instant is not a whole sample", "y_ or i_<axis>",
+            f"the fitted signal {commands[0]}",
+            "a controller output whose instant is not a whole sample",
+            "y_ or i_<axis>",
             "leave it out of signals, or give a whole computing_delay and do not ask for the delay",
-        )  # fmt: skip
+        )
     room = int(np.floor(computing_delay)) + 1 + (_ROOM if CONTROLLER_DELAY in unknown else 0)
     late = AHEAD + 1 + _ROOM if EXCITATION_DELAY in unknown else 0
     return TimedLoop(inner, np.array([computing_delay * dt, 0.0]), tuple(unknown), (room, late))

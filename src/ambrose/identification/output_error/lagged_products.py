@@ -1,8 +1,8 @@
 """Sums over products of signals some samples apart, from records that are only seen piece by piece.
 
-Overlap-save: each piece is transformed together with the ``span`` samples before it, so that every pair of samples at most
-``span`` apart meets exactly once and the memory does not grow with the record. What output_error/statistics.py does on whole
-records is the oracle in the tests.
+Overlap-save: each piece is transformed together with the ``span`` samples before it, so that every
+pair of samples at most ``span`` apart meets exactly once and the memory does not grow with the
+record. What output_error/statistics.py does on whole records is the oracle in the tests.
 """
 
 from __future__ import annotations
@@ -18,8 +18,10 @@ _BAND = 512  # frequencies
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LaggedSums:
-    """values (pairs, span + 1): sum over t of a(t) b(t - lag) for each pair (a, b) of the c signals; total (c,) their sums,
-    squares (c,) those of their squares; head, tail (c, span): the first samples and the last; samples: how many there were."""
+    """values (pairs, span + 1): sum over t of a(t) b(t - lag) for each pair (a, b) of the c
+    signals; total (c,) their sums, squares (c,) those of their squares; head, tail (c, span): the
+    first samples and the last; samples: how many there were.
+    """
 
     pairs: tuple[tuple[int, int], ...]
     values: np.ndarray
@@ -33,16 +35,21 @@ class LaggedSums:
         """The sums (span + 1,) for signals a and b less their means."""
         lag, k = np.arange(self.values.shape[1]), self.samples
         mean_a, mean_b = self.total[a] / k, self.total[b] / k
-        early = np.concatenate([[0.0], np.cumsum(self.head[a])])  # of a: the samples that have no partner
+        # of a: the samples that have no partner
+        early = np.concatenate([[0.0], np.cumsum(self.head[a])])
         late = np.concatenate([[0.0], np.cumsum(self.tail[b][::-1])])
         sums = self.values[self.pairs.index((a, b))]
         crossed = mean_b * (self.total[a] - early[lag]) + mean_a * (self.total[b] - late[lag])
         return np.asarray(sums - crossed + (k - lag) * mean_a * mean_b)
 
 
-def lagged_sums(pieces: Iterable[np.ndarray], pairs: Sequence[tuple[int, int]], span: int) -> LaggedSums:
+def lagged_sums(
+    pieces: Iterable[np.ndarray], pairs: Sequence[tuple[int, int]], span: int
+) -> LaggedSums:
     """The sums over pieces (c, any length) of c signals for lags 0 to ``span``."""
-    size, spectra, joined = 0, np.zeros(0), np.zeros((0, 0))
+    size = 0
+    spectra = np.zeros(0)
+    joined = np.zeros((0, 0))
     first, second = [a for a, _ in pairs], [b for _, b in pairs]
     total = squares = np.zeros(0)
     head, samples = np.zeros((0, 0)), 0
@@ -50,7 +57,10 @@ def lagged_sums(pieces: Iterable[np.ndarray], pairs: Sequence[tuple[int, int]], 
     for piece in pieces:
         c, length = piece.shape
         if not samples:
-            total, squares, joined, head = np.zeros(c), np.zeros(c), np.zeros((c, span)), np.zeros((c, 0))
+            total = np.zeros(c)
+            squares = np.zeros(c)
+            joined = np.zeros((c, span))
+            head = np.zeros((c, 0))
         needed = scipy.fft.next_fast_len(span + length, real=True)
         if needed > size:  # the first piece, unless a longer one follows
             if size:
@@ -75,25 +85,34 @@ def lagged_sums(pieces: Iterable[np.ndarray], pairs: Sequence[tuple[int, int]], 
 def coloured_products(pieces: Iterable[np.ndarray], covariance: np.ndarray) -> np.ndarray:
     """sum over t and s of J_t' Gamma(t - s) J_s (q, q) for pieces of J (q, p, any length).
 
-    covariance (p, p, span + 1): Gamma_ij at the lags 0 to span; Gamma_ij(-l) = Gamma_ji(l), and zero beyond. All pieces but
-    the last are equally long.
+    covariance (p, p, span + 1): Gamma_ij at the lags 0 to span; Gamma_ij(-l) = Gamma_ji(l), and
+    zero beyond. All pieces but the last are equally long.
     """
     p, _, longest = covariance.shape
-    span, size, q = longest - 1, 0, 0
-    kernel, result, whole = np.zeros(0), np.zeros((0, 0)), np.zeros((0, p, 0))
+    span = longest - 1
+    size = 0
+    q = 0
+    kernel = np.zeros(0)
+    result = np.zeros((0, 0))
+    whole = np.zeros((0, p, 0))
     half = covariance.copy()
     half[:, :, 0] /= 2  # one side of the sum, of which the other is the transpose
     for piece in pieces:
         length = piece.shape[2]
         if not size:
             q, size = len(piece), scipy.fft.next_fast_len(span + length, real=True)
-            kernel, result, whole = scipy.fft.rfft(half, size, axis=2), np.zeros((q, q)), np.zeros((q, p, size))
-            kernel[:, :, 1 : (size + 1) // 2] *= 2  # the frequencies that stand for their negatives too
-            kernel *= np.exp(2j * np.pi * span / size * np.arange(kernel.shape[2]))  # the piece begins ``span`` samples later
+            kernel = scipy.fft.rfft(half, size, axis=2)
+            result = np.zeros((q, q))
+            whole = np.zeros((q, p, size))
+            # the frequencies that stand for their negatives too
+            kernel[:, :, 1 : (size + 1) // 2] *= 2
+            # the piece begins ``span`` samples later
+            kernel *= np.exp(2j * np.pi * span / size * np.arange(kernel.shape[2]))
         whole[:, :, span : span + length] = piece
         whole[:, :, span + length :] = 0.0
         W, N = scipy.fft.rfft(whole, axis=2), scipy.fft.rfft(piece, size, axis=2)
-        for start in range(0, W.shape[2], _BAND):  # few enough frequencies at a time to stay in the cache
+        # few enough frequencies at a time to stay in the cache
+        for start in range(0, W.shape[2], _BAND):
             band = slice(start, start + _BAND)
             part = np.ascontiguousarray(W[:, :, band])
             mixed = np.zeros_like(part)

@@ -1,6 +1,8 @@
-"""Levenberg-Marquardt with a guard: a step that leaves the set where the model may be used (a stable loop) is shortened.
+"""Levenberg-Marquardt with a guard: a step that leaves the set where the model may be used (a
+stable loop) is shortened.
 
-Marquardt's scaling by the diagonal of J'J (1963); the gain ratio steers the damping as in Nielsen (1999).
+Marquardt's scaling by the diagonal of J'J (1963); the gain ratio steers the damping as in Nielsen
+(1999).
 """
 
 from __future__ import annotations
@@ -17,9 +19,11 @@ from ambrose.core.checks import InvalidInput, NumericalFailure
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Linearised:
-    """The normal equations at a point: cost = r'r, H = J'J (q, q), g = J'r (q,); model(theta + step) = model + J step.
+    """The normal equations at a point: cost = r'r, H = J'J (q, q), g = J'r (q,); model(theta +
+    step) = model + J step.
 
-    parts: whatever else was found there, handed on to the Minimum."""
+    parts: whatever else was found there, handed on to the Minimum.
+    """
 
     cost: float
     H: np.ndarray
@@ -29,9 +33,11 @@ class Linearised:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Minimum:
-    """Where the iteration ended: x (q,), the cost there, whether it converged, its number of steps, and the refused ones.
+    """Where the iteration ended: x (q,), the cost there, whether it converged, its number of steps,
+    and the refused ones.
 
-    parts: of the last point that was computed, which is x or a negligible step before it."""
+    parts: of the last point that was computed, which is x or a negligible step before it.
+    """
 
     x: np.ndarray
     cost: float
@@ -53,18 +59,24 @@ def minimise(
 ) -> Minimum:
     """The least of r(x)'r(x) near x (q,).
 
-    scale (q,): the size of a parameter, for the stopping rule |step| <= tolerance * max(|x|, scale); a step whose predicted
-    gain is below 1e-12 of the cost, or a cost below ``floor``, also ends it. One below ``negligible`` of the cost is taken and
-    ends it, without a look at where it leads. allowed(x): steps are shortened until true, and until ``linearise`` does not
-    raise InvalidInput (a point at which nothing can be told); at the start that is raised. Raises NumericalFailure where J has
-    a zero column.
+    scale (q,): the size of a parameter, for the stopping rule |step| <= tolerance * max(|x|,
+    scale); a step whose predicted gain is below 1e-12 of the cost, or a cost below ``floor``, also
+    ends it. One below ``negligible`` of the cost is taken and ends it, without a look at where it
+    leads. allowed(x): steps are shortened until true, and until ``linearise`` does not raise
+    InvalidInput (a point at which nothing can be told); at the start that is raised. Raises
+    NumericalFailure where J has a zero column.
     """
-    damping, growth, refused = 1e-6, 2.0, 0
+    damping = 1e-6
+    growth = 2.0
+    refused = 0
     state = linearise(x)
     for iteration in range(max_iterations):
         size = np.sqrt(np.diag(state.H))
         if not (size > 0).all():
-            raise NumericalFailure(f"the outputs do not depend on parameter number {int(np.argmin(size)) + 1}; leave it out")
+            raise NumericalFailure(
+                f"the outputs do not depend on parameter number {int(np.argmin(size)) + 1}; leave "
+                "it out"
+            )
         H, g = state.H / size / size[:, None], state.g / size
         while True:
             scaled = np.linalg.solve(H + damping * np.eye(len(x)), g)
@@ -75,10 +87,13 @@ def minimise(
                 return Minimum(x, state.cost, damping < 1e3, iteration, refused, state.parts)
             trial = x + step
             if predicted <= negligible * state.cost and damping < 1e-3 and allowed(trial):
-                return Minimum(trial, state.cost - predicted, True, iteration + 1, refused, state.parts)
+                return Minimum(
+                    trial, state.cost - predicted, True, iteration + 1, refused, state.parts
+                )
             following = None
             if allowed(trial):
-                with suppress(InvalidInput):  # where a trial says nothing, as at the edge of stability
+                # where a trial says nothing, as at the edge of stability
+                with suppress(InvalidInput):
                     following = linearise(trial)
             gain = (state.cost - following.cost) / predicted if following is not None else -1.0
             if following is not None and gain > 0:

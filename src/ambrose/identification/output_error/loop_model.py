@@ -1,10 +1,11 @@
 """The sampled closed loop as a function of the unknown parameters, and its exact derivatives.
 
-The plant is affine in its parameters, A(theta) = A0 + sum (theta_j - theta0_j) A_j and B likewise: a changed parameter is a
-feedback through the block that plant/uncertainty.py gives it. A bending mode enters by w^2 and 2 zeta w. The loop is the one
-of core/lft.py, as it runs: plant held between the samples, sampled controller, computing delay. So the derivative of the loop
-is exact through that of the matrix exponential (core/response.py: held_derivative), and that of the outputs through the sampled
-sensitivity equations.
+The plant is affine in its parameters, A(theta) = A0 + sum (theta_j - theta0_j) A_j and B likewise:
+a changed parameter is a feedback through the block that plant/uncertainty.py gives it. A bending
+mode enters by w^2 and 2 zeta w. The loop is the one of core/lft.py, as it runs: plant held between
+the samples, sampled controller, computing delay. So the derivative of the loop is exact through
+that of the matrix exponential (core/response.py: held_derivative), and that of the outputs through
+the sampled sensitivity equations.
 """
 
 from __future__ import annotations
@@ -20,13 +21,14 @@ from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.response import SystemDerivative, held_derivative
 from ambrose.core.statespace import StateSpace, index_of
 from ambrose.machine.description import Tolerance
-from ambrose.plant.model import Plant
-from ambrose.plant.uncertainty import channels, uncertain
+from ambrose.model.plant import Plant
+from ambrose.model.uncertainty import channels, uncertain
 
 
 class ParametricModel(Protocol):
-    """What least squares needs: a sampled system from ``excitations`` to ``signals`` at theta (q,), and its derivatives; its
-    C does not depend on theta, and it has no feedthrough."""
+    """What least squares needs: a sampled system from ``excitations`` to ``signals`` at theta (q,),
+    and its derivatives; its C does not depend on theta, and it has no feedthrough.
+    """
 
     @property
     def excitations(self) -> tuple[str, ...]: ...
@@ -39,7 +41,8 @@ class ParametricModel(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BendingTerm:
-    """A bending mode of frequency w0 [rad/s] and damping ratio zeta0; w, zeta: their places in theta (None: known there).
+    """A bending mode of frequency w0 [rad/s] and damping ratio zeta0; w, zeta: their places in
+    theta (None: known there).
 
     by_stiffness, by_damping (n, n): what A gains with w^2 and with 2 zeta w.
     """
@@ -55,7 +58,9 @@ class BendingTerm:
         """Add its part at theta (q,) to A (n, n) and to the derivatives A_theta (q, n, n)."""
         w = self.w0 if self.w is None else float(theta[self.w])
         zeta = self.zeta0 if self.zeta is None else float(theta[self.zeta])
-        A += (w**2 - self.w0**2) * self.by_stiffness + 2 * (zeta * w - self.zeta0 * self.w0) * self.by_damping
+        A += (w**2 - self.w0**2) * self.by_stiffness + 2 * (
+            zeta * w - self.zeta0 * self.w0
+        ) * self.by_damping
         if self.w is not None:
             A_theta[self.w] = 2 * w * self.by_stiffness + 2 * zeta * self.by_damping
         if self.zeta is not None:
@@ -64,13 +69,14 @@ class BendingTerm:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopModel:
-    """A (n, n), B (n, a + m), C (p, n) of the continuous plant at theta0 (q,), with directions A_theta (q, n, n),
-    B_theta (q, n, a + m).
+    """A (n, n), B (n, a + m), C (p, n) of the continuous plant at theta0 (q,), with directions
+    A_theta (q, n, n), B_theta (q, n, a + m).
 
-    Inputs: the ``a`` commands u_<axis>, then the ``m`` excitations; outputs: y_<axis> (a), then the plant's part of ``signals``
-    (i_, y_). ``controller``: sampled, delay included, from err_<axis> to u_<axis>. factor (q,): theta is given for a reference
-    point; at this one the parameters are factor * theta, and so they are in theta0. bending: the modes whose frequency or
-    damping is unknown; A_theta is zero for these.
+    Inputs: the ``a`` commands u_<axis>, then the ``m`` excitations; outputs: y_<axis> (a), then the
+    plant's part of ``signals`` (i_, y_). ``controller``: sampled, delay included, from err_<axis>
+    to u_<axis>. factor (q,): theta is given for a reference point; at this one the parameters are
+    factor * theta, and so they are in theta0. bending: the modes whose frequency or damping is
+    unknown; A_theta is zero for these.
     """
 
     theta0: np.ndarray
@@ -86,21 +92,30 @@ class LoopModel:
     bending: tuple[BendingTerm, ...] = ()
 
     def plant(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """A, B of the continuous plant at theta (q,), and their derivatives (q, n, n), (q, n, a + m)."""
+        """A, B of the continuous plant at theta (q,), and their derivatives (q, n, n), (q, n, a +
+        m).
+        """
         step, scaled = self.factor * theta - self.theta0, self.factor[:, None, None]
-        A, B = self.A + np.tensordot(step, self.A_theta, 1), self.B + np.tensordot(step, self.B_theta, 1)
+        A, B = (
+            self.A + np.tensordot(step, self.A_theta, 1),
+            self.B + np.tensordot(step, self.B_theta, 1),
+        )
         dA = scaled * self.A_theta
         for mode in self.bending:
             mode.add(theta, A, dA)
         return A, B, dA, scaled * self.B_theta
 
     def loop(self, theta: np.ndarray) -> tuple[StateSpace, list[SystemDerivative]]:
-        """The sampled loop from ``excitations`` to ``signals`` at theta (q,), and its derivative for each parameter."""
+        """The sampled loop from ``excitations`` to ``signals`` at theta (q,), and its derivative
+        for each parameter.
+        """
         A, B, dA_theta, dB_theta = self.plant(theta)
         K = self.controller
         assert K.dt is not None
         Ad, Bd, dAd, dBd = held_derivative(A, B, dA_theta, dB_theta, K.dt)
-        n, nk, a = len(A), K.n_states, len(K.outputs)
+        n = len(A)
+        nk = K.n_states
+        a = len(K.outputs)
         y = self.C[:a]
         closed = np.block([[Ad - Bd[:, :a] @ K.D @ y, Bd[:, :a] @ K.C], [-K.B @ y, K.A]])
         driven = np.vstack([Bd[:, a:], np.zeros((nk, len(self.excitations)))])
@@ -112,7 +127,9 @@ class LoopModel:
             changed[:n] = np.hstack([dA - dB[:, :a] @ K.D @ y, dB[:, :a] @ K.C])
             pushed = np.vstack([dB[:, a:], np.zeros((nk, driven.shape[1]))])
             directions.append(SystemDerivative(changed, pushed, np.zeros_like(shown), D))
-        return StateSpace(closed, driven, shown, D, self.excitations, self.signals, K.dt), directions
+        return StateSpace(
+            closed, driven, shown, D, self.excitations, self.signals, K.dt
+        ), directions
 
     def row(self, name: str, a: int) -> np.ndarray:
         """The row (1, n + nk) of an output signal on the loop's state."""
@@ -124,10 +141,16 @@ class LoopModel:
         return np.hstack([self.C[i : i + 1], np.zeros((1, K.n_states))])
 
 
-def over_weights(model: ParametricModel, theta: np.ndarray, sizes: np.ndarray) -> tuple[StateSpace, list[SystemDerivative]]:
-    """The loop of a model at theta (q,) and its derivatives, with the outputs over their weights ``sizes`` (p,)."""
+def over_weights(
+    model: ParametricModel, theta: np.ndarray, sizes: np.ndarray
+) -> tuple[StateSpace, list[SystemDerivative]]:
+    """The loop of a model at theta (q,) and its derivatives, with the outputs over their weights
+    ``sizes`` (p,).
+    """
     loop, directions = model.loop(theta)
-    return StateSpace(loop.A, loop.B, loop.C / sizes[:, None], loop.D, loop.inputs, loop.outputs, loop.dt), directions
+    return StateSpace(
+        loop.A, loop.B, loop.C / sizes[:, None], loop.D, loop.inputs, loop.outputs, loop.dt
+    ), directions
 
 
 def loop_model(
@@ -139,32 +162,47 @@ def loop_model(
     signals: Sequence[str],
     factor: np.ndarray | None = None,
 ) -> LoopModel:
-    """The loop of a plant and a sampled controller (signals err_<axis>, u_<axis>) in the parameters at ``paths``.
+    """The loop of a plant and a sampled controller (signals err_<axis>, u_<axis>) in the parameters
+    at ``paths``.
 
-    theta0 (q,): their values in the plant, SI. excitations: e_<axis> or f_<port>; signals: y_, u_, i_<axis>. factor (q,):
-    see LoopModel (None: one). Raises InvalidInput for a path or a signal that is not there.
+    theta0 (q,): their values in the plant, SI. excitations: e_<axis> or f_<port>; signals: y_, u_,
+    i_<axis>. factor (q,): see LoopModel (None: one). Raises InvalidInput for a path or a signal
+    that is not there.
     """
     modes = dict.fromkeys(path.rpartition(".")[0] for path in paths if path.startswith("rotor."))
-    own = list(dict.fromkeys([*paths, *(f"{mode}.damping" for mode in modes)]))  # the damping 2 zeta w follows the frequency
+    # the damping 2 zeta w follows the frequency
+    own = list(dict.fromkeys([*paths, *(f"{mode}.damping" for mode in modes)]))
     general = uncertain(plant, [Tolerance(path, absolute=1.0) for path in own]) if own else None
     system, axes = plant.system if general is None else general.system, plant.axes
     u = index_of([f"u_{axis}" for axis in axes], system.inputs, "input")
-    m = index_of([f"u_{name[2:]}" if name.startswith("e_") else name for name in excitations], system.inputs, "input")
+    m = index_of(
+        [f"u_{name[2:]}" if name.startswith("e_") else name for name in excitations],
+        system.inputs,
+        "input",
+    )
     shown = [f"y_{axis}" for axis in axes] + [name for name in signals if not name.startswith("u_")]
     rows = index_of(shown, system.outputs, "output")
     B, C = system.B[:, [*u, *m]], system.C[rows]
     n, inputs = system.n_states, [*u, *m]
-    dA, dB, count, inside = np.zeros((0, n, n)), np.zeros((0, n, len(inputs))), 0, np.zeros((0, 0))
+    dA = np.zeros((0, n, n))
+    dB = np.zeros((0, n, len(inputs)))
+    count = 0
+    inside = np.zeros((0, 0))
     if general is not None:
         dA, dB = directions_of(general, inputs)
-        count, inside = general.n_w_blocks, system.D[: general.n_z_blocks, : general.n_w_blocks].copy()
+        count, inside = (
+            general.n_w_blocks,
+            system.D[: general.n_z_blocks, : general.n_w_blocks].copy(),
+        )
         first = 0
         for block in general.blocks:  # a frequency enters by its square, which BendingTerm has
             if block.name.startswith("rotor."):
                 inside[first : first + block.n_z, first : first + block.n_w] = 0.0
             first += block.n_w
     if inside.any() or system.D[np.ix_(rows, [*range(count), *inputs])].any():
-        raise NumericalFailure("the plant has feedthrough at its ports; take one reduced without static correction")
+        raise NumericalFailure(
+            "the plant has feedthrough at its ports; take one reduced without static correction"
+        )
     bending = tuple(_bending(plant, mode, paths, own, dA) for mode in modes)
     affine = np.array([not path.startswith("rotor.") for path in paths], dtype=float)[:, None, None]
     dA, dB = affine * dA[: len(paths)], affine * dB[: len(paths)]
@@ -173,8 +211,12 @@ def loop_model(
     return LoopModel(theta0, system.A, B, C, dA, dB, controller, *names, factor, bending)
 
 
-def _bending(plant: Plant, mode: str, paths: Sequence[str], own: Sequence[str], dA: np.ndarray) -> BendingTerm:
-    """The term of the mode "rotor.bending_<k>" from the directions dA (., n, n) of the paths ``own``."""
+def _bending(
+    plant: Plant, mode: str, paths: Sequence[str], own: Sequence[str], dA: np.ndarray
+) -> BendingTerm:
+    """The term of the mode "rotor.bending_<k>" from the directions dA (., n, n) of the paths
+    ``own``.
+    """
     frequency, damping = f"{mode}.frequency", f"{mode}.damping"
     zeta0, w0 = channels(plant, damping)[0].nominal, channels(plant, frequency)[0].nominal
     w, zeta = (paths.index(path) if path in paths else None for path in (frequency, damping))
@@ -182,8 +224,12 @@ def _bending(plant: Plant, mode: str, paths: Sequence[str], own: Sequence[str], 
     return BendingTerm(w, zeta, w0, zeta0, by_stiffness, dA[own.index(damping)] / (2 * w0))
 
 
-def directions_of(general: GeneralizedPlant, inputs: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """A_theta (q, n, n) and B_theta (q, n, inputs): one per block, for a change of the parameter by one SI unit."""
+def directions_of(
+    general: GeneralizedPlant, inputs: Sequence[int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """A_theta (q, n, n) and B_theta (q, n, inputs): one per block, for a change of the parameter by
+    one SI unit.
+    """
     system, first = general.system, 0
     dA, dB = [], []
     for block in general.blocks:

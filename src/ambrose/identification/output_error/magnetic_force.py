@@ -1,10 +1,12 @@
 """The magnets' own nonlinearity in a record, found beside the linear loop and taken out of it.
 
-A magnet pair is odd in (i, x): without a load its first terms beyond k_i i + k_s x are cubic; a static load i_0 adds quadratic
-ones, which grow with i_0. As forces they pass the linear loop, driven by the currents and displacements that it has itself
-(the second order of a Volterra series; Rugh 1981). So what they do to the outputs is known but for a few amplitudes: the
-static load of every axis, and one for the cubic terms of all, which is 1 if the magnets are as in the machine file. Those are
-found by one step of least squares beside the parameters; values fitted to what is then left are those of small motion.
+A magnet pair is odd in (i, x): without a load its first terms beyond k_i i + k_s x are cubic; a
+static load i_0 adds quadratic ones, which grow with i_0. As forces they pass the linear loop,
+driven by the currents and displacements that it has itself (the second order of a Volterra series;
+Rugh 1981). So what they do to the outputs is known but for a few amplitudes: the static load of
+every axis, and one for the cubic terms of all, which is 1 if the magnets are as in the machine
+file. Those are found by one step of least squares beside the parameters; values fitted to what is
+then left are those of small motion.
 """
 
 from __future__ import annotations
@@ -30,33 +32,46 @@ from ambrose.identification.output_error.normal_equations import (
     residual_pieces,
     synchronised,
 )
-from ambrose.identification.output_error.problem import Experiment, build_experiment, deployed_controller
+from ambrose.identification.output_error.problem import (
+    Experiment,
+    build_experiment,
+    deployed_controller,
+)
 from ambrose.identification.output_error.residual_analysis import residual_scores
 from ambrose.identification.output_error.statistics import TurningWave
 from ambrose.identification.parameters import plant_at
+from ambrose.law.law import LawLike
+from ambrose.law.loop import closed_loop
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
-from ambrose.machine.record.record import Record
-from ambrose.physics import magnet
-from ambrose.plant.loop import closed_loop
-from ambrose.plant.model import Plant
-from ambrose.plant.static_load import operating_magnets
+from ambrose.model.effects import magnet
+from ambrose.model.plant import Plant
+from ambrose.model.static_load import operating_magnets
+from ambrose.record.record import Record
 
 _LOAD = 0.25  # of the bias current: the load that amplitude 1 of a quadratic signal stands for
 _PASSES = 2
-_TRUNCATED = 0.05  # of the change that the correction makes: standard deviation for terms beyond the third; assumed
+# of the change that the correction makes: standard deviation for terms beyond the third; assumed
+_TRUNCATED = 0.05
 _PIECE = 65_536  # samples at a time
 _GRID = 7  # points of current and of displacement, on which the terms are fitted
-_POWERS = np.array([(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)])  # of i and x
-_CERTAIN = 4.0  # standard deviations from which on the nonlinearity is believed, and within which it may differ from the file's
-_OFF = 1.0  # by so much more the cubic terms may differ from the file's, and so many bias currents a load may have
+# of i and x
+_POWERS = np.array([(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)])
+# standard deviations from which on the nonlinearity is believed, and within which it may differ
+# from the file's
+_CERTAIN = 4.0
+# by so much more the cubic terms may differ from the file's, and so many bias currents a load may
+# have
+_OFF = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MagneticForce:
-    """loads {axis: static current [A]}, cubic terms (1: as in the machine file), amplitudes (a + 1,) of the candidates, and the
-    share of what the linear model left that they explain. widening (q,): variances that their own uncertainty adds to the
-    fitted parameters'. responses: one (p, k) per record in the fitted signals, SI."""
+    """loads {axis: static current [A]}, cubic terms (1: as in the machine file), amplitudes (a +
+    1,) of the candidates, and the share of what the linear model left that they explain. widening
+    (q,): variances that their own uncertainty adds to the fitted parameters'. responses: one (p, k)
+    per record in the fitted signals, SI.
+    """
 
     loads: Mapping[str, float]
     cubic: float
@@ -67,17 +82,29 @@ class MagneticForce:
     responses: tuple[np.ndarray, ...]
 
     def less(self, records: Sequence[Record]) -> tuple[Record, ...]:
-        """The records without what the nonlinearity makes of the fitted signals; others that no fit needs are left out."""
+        """The records without what the nonlinearity makes of the fitted signals; others that no fit
+        needs are left out.
+        """
         done = []
         for record, response in zip(records, self.responses, strict=True):
             needed = ("y_", "u_", "e_", "f_", "r_", "p_", "speed")
-            rest = {name for name in record.signals if not name.startswith(needed) or name.startswith("f_magnet_")}
-            kept = [j for j, name in enumerate(record.signals) if name not in rest - set(self.signals)]
+            rest = {
+                name
+                for name in record.signals
+                if not name.startswith(needed) or name.startswith("f_magnet_")
+            }
+            kept = [
+                j for j, name in enumerate(record.signals) if name not in rest - set(self.signals)
+            ]
             names, values = tuple(record.signals[j] for j in kept), record.values[kept]
             for name, row in zip(self.signals, response, strict=True):
                 values[names.index(name)] -= row
             values.flags.writeable = False  # or the record would copy it
-            done.append(replace(record, signals=names, units=tuple(record.units[j] for j in kept), values=values))
+            done.append(
+                replace(
+                    record, signals=names, units=tuple(record.units[j] for j in kept), values=values
+                )
+            )
         return tuple(done)
 
     @property
@@ -85,79 +112,132 @@ class MagneticForce:
         """One sentence without its stop."""
         loads = ", ".join(f"{value:.3g} A on {axis}" for axis, value in self.loads.items())
         return (
-            f"the magnets' own nonlinearity makes {100 * self.explains:.3g} % of the linear model's residual and is taken out: "
+            f"the magnets' own nonlinearity makes {100 * self.explains:.3g} % of the linear "
+            "model's residual and is taken out: "
             f"static loads of about {loads}, cubic terms {self.cubic:.2g} times the machine file's"
         )
 
 
 def magnetic_force(
-    machine: Machine, records: Sequence[Record], controller: Any, experiment: Experiment, result: ParameterEstimate,
+    machine: Machine,
+    records: Sequence[Record],
+    controller: LawLike,
+    experiment: Experiment,
+    result: ParameterEstimate,
     before: MagneticForce | None = None,
-) -> MagneticForce | None:  # fmt: skip
-    """What the magnets add to a fit of the linear loop; None where it is not certain, or not what magnets do.
+) -> MagneticForce | None:
+    """What the magnets add to a fit of the linear loop; None where it is not certain, or not what
+    magnets do.
 
-    records: those of ``experiment``, of which ``result`` is the fit; ``before`` is out of them already, and in what is found.
+    records: those of ``experiment``, of which ``result`` is the fit; ``before`` is out of them
+    already, and in what is found.
     """
     found = dict(zip(result.paths, result.values.tolist(), strict=True))
-    delay = found.get(CONTROLLER_DELAY, experiment.options.computing_delay * experiment.dt) / experiment.dt
+    delay = (
+        found.get(CONTROLLER_DELAY, experiment.options.computing_delay * experiment.dt)
+        / experiment.dt
+    )
     values = {path: value for path, value in found.items() if path not in TIMING}
     model = experiment.models[0]
     try:
-        plants = [plant_at(machine, record.point, values, experiment.options.bending_modes) for record in records]
+        plants = [
+            plant_at(machine, record.point, values, experiment.options.bending_modes)
+            for record in records
+        ]
         waves = []
         for number, (plant, record) in enumerate(zip(plants, records, strict=True), 1):
             law = deployed_controller(plant, controller, record.dt, round(delay))
-            turning = _turning_motion(plant, law, record.dt, [wave for wave in result.turning if wave.record == number])
-            waves.append(nonlinear_responses(plant, law, record, model.excitations, experiment.signals, turning))
+            turning = _turning_motion(
+                plant, law, record.dt, [wave for wave in result.turning if wave.record == number]
+            )
+            waves.append(
+                nonlinear_responses(
+                    plant, law, record, model.excitations, experiment.signals, turning
+                )
+            )
             waves[-1] /= experiment.sizes[:, None].astype(np.float32)
-    except AmbroseError:  # no magnet follows from these coefficients, or the loop with a whole delay is none that runs
+    # no magnet follows from these coefficients, or the loop with a whole delay is none that runs
+    except AmbroseError:
         return None
-    step, covariance, widening, gained = _step(*_normal(experiment, result.values, waves), len(result.values))
+    step, covariance, widening, gained = _step(
+        *_normal(experiment, result.values, waves), len(result.values)
+    )
     amplitudes = step if before is None else before.amplitudes + step
     if not _plausible(amplitudes, covariance):
         return None
     axes = plants[0].axes
     bias = [_bias(plants[0], j) for j in range(len(axes))]
-    loads = {axis: float(_LOAD * i_0 * amplitude) for axis, i_0, amplitude in zip(axes, bias, amplitudes, strict=False)}
-    responses = tuple(experiment.sizes[:, None] * np.tensordot(amplitudes.astype(np.float32), wave, 1) for wave in waves)
+    loads = {
+        axis: float(_LOAD * i_0 * amplitude)
+        for axis, i_0, amplitude in zip(axes, bias, amplitudes, strict=False)
+    }
+    responses = tuple(
+        experiment.sizes[:, None] * np.tensordot(amplitudes.astype(np.float32), wave, 1)
+        for wave in waves
+    )
     explains = gained if before is None else before.explains
-    return MagneticForce(loads, float(amplitudes[-1]), amplitudes, explains, widening, experiment.signals, responses)
+    return MagneticForce(
+        loads, float(amplitudes[-1]), amplitudes, explains, widening, experiment.signals, responses
+    )
 
 
 def _step(
     H: np.ndarray, middle: np.ndarray, g: np.ndarray, cost: float, q: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """The best amplitudes (b,) beside q parameters, their covariance (b, b), the variances (q,) that this adds to the
-    parameters', and the share of the cost that is gained; zero where a signal is."""
+    """The best amplitudes (b,) beside q parameters, their covariance (b, b), the variances (q,)
+    that this adds to the parameters', and the share of the cost that is gained; zero where a signal
+    is.
+    """
     size = np.sqrt(np.diag(H))
     own, extra = np.arange(q), q + np.flatnonzero(size[q:] > 1e-9 * size[q:].max(initial=0.0))
     X = np.linalg.solve(H[np.ix_(own, own)], H[np.ix_(own, extra)])
     slope = g[extra] - X.T @ g[own]
-    W, both, unit = np.vstack([-X, np.eye(len(extra))]), np.concatenate([own, extra]), np.outer(size[extra], size[extra])
-    inverse = np.linalg.pinv((H[np.ix_(extra, extra)] - H[np.ix_(extra, own)] @ X) / unit, rcond=1e-8, hermitian=True) / unit
+    W = np.vstack([-X, np.eye(len(extra))])
+    both = np.concatenate([own, extra])
+    unit = np.outer(size[extra], size[extra])
+    inverse = (
+        np.linalg.pinv(
+            (H[np.ix_(extra, extra)] - H[np.ix_(extra, own)] @ X) / unit, rcond=1e-8, hermitian=True
+        )
+        / unit
+    )
     found = inverse @ W.T @ middle[np.ix_(both, both)] @ W @ inverse
     step, covariance = np.zeros(len(H) - q), np.zeros((len(H) - q, len(H) - q))
     step[extra - q] = inverse @ slope
     covariance[np.ix_(extra - q, extra - q)] = found
-    return step, covariance, np.einsum("qb,bc,qc->q", X, found, X), float(slope @ inverse @ slope) / cost
+    return (
+        step,
+        covariance,
+        np.einsum("qb,bc,qc->q", X, found, X),
+        float(slope @ inverse @ slope) / cost,
+    )
 
 
 def _plausible(amplitudes: np.ndarray, covariance: np.ndarray) -> bool:
-    """Whether noise cannot make it, and magnets can. Cubic terms resemble changed parameters: the quadratic ones must tell."""
+    """Whether noise cannot make it, and magnets can. Cubic terms resemble changed parameters: the
+    quadratic ones must tell.
+    """
     even, deviations = np.flatnonzero(np.diag(covariance)[:-1] > 0), np.sqrt(np.diag(covariance))
     if not len(even):
         return False
-    statistic = amplitudes[even] @ np.linalg.pinv(covariance[np.ix_(even, even)], hermitian=True) @ amplitudes[even]
+    statistic = (
+        amplitudes[even]
+        @ np.linalg.pinv(covariance[np.ix_(even, even)], hermitian=True)
+        @ amplitudes[even]
+    )
     certain = scipy.special.chdtrc(len(even), statistic) < 2 * scipy.special.ndtr(-_CERTAIN)
     loads = np.abs(amplitudes[:-1]) <= _OFF / _LOAD + _CERTAIN * deviations[:-1]
-    return bool(certain and loads.all() and abs(amplitudes[-1] - 1) <= _OFF + _CERTAIN * deviations[-1])
+    return bool(
+        certain and loads.all() and abs(amplitudes[-1] - 1) <= _OFF + _CERTAIN * deviations[-1]
+    )
 
 
 def _normal(
     experiment: Experiment, theta: np.ndarray, waves: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """J'J (q + b, q + b), the covariance of J'r, J'r and r'r at theta (q,), with the signals (b, p, k) of every record over the
-    weights, which are left without the nuisances."""
+    """J'J (q + b, q + b), the covariance of J'r, J'r and r'r at theta (q,), with the signals (b, p,
+    k) of every record over the weights, which are left without the nuisances.
+    """
     loops = LeastSquares(experiment, normal_equations).loops(theta)
     parts = []
     for task, given in zip(experiment.tasks, waves, strict=True):
@@ -167,11 +247,15 @@ def _normal(
         start = getattr(experiment.models[task.place], "skipped", 0)
         D = given[:, :, start : start + task.samples]
         _clean(D, turning)
-        covariance = residual_scores(loop, turning, solution, ["e"] * len(task.e), experiment.signals, 1).covariance
+        covariance = residual_scores(
+            loop, turning, solution, ["e"] * len(task.e), experiment.signals, 1
+        ).covariance
 
         H, g = 0.0, 0.0
 
-        def pieces(made: Any = (loop, directions, turning, solution), D: np.ndarray = D) -> Iterator[np.ndarray]:
+        def pieces(
+            made: Any = (loop, directions, turning, solution), D: np.ndarray = D
+        ) -> Iterator[np.ndarray]:
             return _stacked(jacobian_pieces(*made), D)
 
         for J, r in zip(pieces(), residual_pieces(loop, turning, solution), strict=True):
@@ -190,7 +274,9 @@ def _stacked(pieces: Iterable[np.ndarray], D: np.ndarray) -> Iterator[np.ndarray
 
 
 def _clean(D: np.ndarray, task: Task) -> None:
-    """Take out of the signals (b, p, k) what constants and turning waves explain, which are nuisances anyway."""
+    """Take out of the signals (b, p, k) what constants and turning waves explain, which are
+    nuisances anyway.
+    """
     if not task.waves:
         return
     square, product = np.zeros((task.waves, task.waves)), np.zeros((*D.shape[:2], task.waves))
@@ -209,9 +295,15 @@ def _stretches(samples: int) -> Iterator[slice]:
 
 
 def without_magnets(
-    machine: Machine, records: Sequence[Record], controller: Any, experiment: Experiment, result: ParameterEstimate
+    machine: Machine,
+    records: Sequence[Record],
+    controller: LawLike,
+    experiment: Experiment,
+    result: ParameterEstimate,
 ) -> tuple[MagneticForce | None, tuple[Record, ...], Experiment, ParameterEstimate]:
-    """What the magnets add to ``result``, and the records, their experiment and its fit without it; as given where nothing."""
+    """What the magnets add to ``result``, and the records, their experiment and its fit without it;
+    as given where nothing.
+    """
     found, kept = None, (tuple(records), experiment, result)
     for _ in range(_PASSES):
         further = magnetic_force(machine, kept[0], controller, kept[1], kept[2], found)
@@ -220,7 +312,10 @@ def without_magnets(
         left = further.less(records)
         try:
             task = build_experiment(machine, left, controller, result.paths, experiment.options)
-            fitted = replace(fit(task, dict(zip(result.paths, kept[2].values.tolist(), strict=True))), start=result.start)
+            fitted = replace(
+                fit(task, dict(zip(result.paths, kept[2].values.tolist(), strict=True))),
+                start=result.start,
+            )
         except AmbroseError:
             break
         if not fitted.converged:
@@ -228,14 +323,21 @@ def without_magnets(
         found, kept = replace(further, responses=()), (left, task, fitted)
     if found is None:
         return None, *kept
-    sure = np.hypot(kept[2].standard_deviations, np.hypot(np.sqrt(found.widening), _further_terms(result, kept[2].values)))
+    sure = np.hypot(
+        kept[2].standard_deviations,
+        np.hypot(np.sqrt(found.widening), _further_terms(result, kept[2].values)),
+    )
     return found, kept[0], kept[1], kept[2].widened(sure)
 
 
 def _further_terms(result: ParameterEstimate, values: np.ndarray) -> np.ndarray:
-    """Standard deviations (q,) for what is left of the nonlinearity: a part of the change, relative the largest of its kind."""
+    """Standard deviations (q,) for what is left of the nonlinearity: a part of the change, relative
+    the largest of its kind.
+    """
     change, size = np.abs(values - result.values), np.abs(values)
-    kinds = np.array([path if path in TIMING else parse_parameter(path).quantity for path in result.paths])
+    kinds = np.array(
+        [path if path in TIMING else parse_parameter(path).quantity for path in result.paths]
+    )
     for kind in set(kinds):
         alike = (kinds == kind) & (size > 0)
         if alike.any():
@@ -243,30 +345,47 @@ def _further_terms(result: ParameterEstimate, values: np.ndarray) -> np.ndarray:
     return np.asarray(_TRUNCATED * change)
 
 
-def _turning_motion(plant: Plant, law: StateSpace, dt: float, waves: Sequence[TurningWave]) -> list[tuple[float, np.ndarray]]:
-    """Frequency [rad/s] and phasors (2 a,) of coil currents, then displacements, of what turns with the rotor: y_ as it was
-    fitted, and what the controller makes of it."""
+def _turning_motion(
+    plant: Plant, law: StateSpace, dt: float, waves: Sequence[TurningWave]
+) -> list[tuple[float, np.ndarray]]:
+    """Frequency [rad/s] and phasors (2 a,) of coil currents, then displacements, of what turns with
+    the rotor: y_ as it was fitted, and what the controller makes of it.
+    """
     axes, found = plant.axes, []
     for frequency in dict.fromkeys(wave.frequency for wave in waves):
-        own = {wave.signal: wave.amplitude * np.exp(1j * wave.phase) for wave in waves if wave.frequency == frequency}
+        own = {
+            wave.signal: wave.amplitude * np.exp(1j * wave.phase)
+            for wave in waves
+            if wave.frequency == frequency
+        }
         y = np.array([own.get(f"y_{axis}", 0.0) for axis in axes])
         omega = np.array([2 * np.pi * frequency])
         held = np.exp(-0.5j * omega[0] * dt) * np.sinc(frequency * dt)
         coils = select(plant.system, plant.named("u"), [f"i_{axis}" for axis in axes])
-        i = -frequency_response(coils, omega).values[0] @ frequency_response(law, omega).values[0] @ y * held
+        i = (
+            -frequency_response(coils, omega).values[0]
+            @ frequency_response(law, omega).values[0]
+            @ y
+            * held
+        )
         found.append((float(omega[0]), np.concatenate([i, y])))
     return found
 
 
 def nonlinear_responses(
-    plant: Plant, law: StateSpace, record: Record, excitations: Sequence[str], signals: Sequence[str],
+    plant: Plant,
+    law: StateSpace,
+    record: Record,
+    excitations: Sequence[str],
+    signals: Sequence[str],
     turning: Sequence[tuple[float, np.ndarray]] = (),
-) -> np.ndarray:  # fmt: skip
-    """The candidates (a + 1, p, k) in the signals (p,) of a record: quadratic terms of every axis, then all cubic ones.
+) -> np.ndarray:
+    """The candidates (a + 1, p, k) in the signals (p,) of a record: quadratic terms of every axis,
+    then all cubic ones.
 
-    plant: reduced, with the parameters that were found; law: the controller as it runs; turning: frequency and
-    phasors (2 a,) of currents, then displacements, that no excitation makes. Raises InvalidInput where no magnet follows from
-    the coefficients.
+    plant: reduced, with the parameters that were found; law: the controller as it runs; turning:
+    frequency and phasors (2 a,) of currents, then displacements, that no excitation makes. Raises
+    InvalidInput where no magnet follows from the coefficients.
     """
     loop, axes = closed_loop(plant, law), plant.axes
     driven = np.array(signal_rows(record, excitations))
@@ -285,16 +404,22 @@ def nonlinear_responses(
 
 
 def _replaced(moved: np.ndarray, plant: Plant, j: int) -> np.ndarray:
-    """Current and displacement (2, k) of axis number j, replaced by its quadratic and its cubic force."""
+    """Current and displacement (2, k) of axis number j, replaced by its quadratic and its cubic
+    force.
+    """
     largest = [float(np.abs(row).max()) for row in moved]
     if not all(largest):
         moved[:] = 0.0
         return moved
-    bias, (i, x), made = _bias(plant, j), moved, []
+    bias = _bias(plant, j)
+    i, x = moved
+    made = []
     p = operating_magnets(plant.machine, plant.point.bias_current)[j // 2].of_force
     for load, power in ((_LOAD * bias, 2), (0.0, 3)):
         terms, chosen = _terms(p, plant.axes[j], load, *largest), _POWERS.sum(axis=1) == power
-        made.append(sum(c * i**m * x**n for c, (m, n) in zip(terms[chosen], _POWERS[chosen], strict=True)))
+        made.append(
+            sum(c * i**m * x**n for c, (m, n) in zip(terms[chosen], _POWERS[chosen], strict=True))
+        )
     moved[:] = made
     return moved
 
@@ -305,8 +430,9 @@ def _bias(plant: Plant, j: int) -> float:
 
 
 def _terms(p: tuple[float, ...], axis: str, load: float, i: float, x: float) -> np.ndarray:
-    """Coefficients (10,) of i^m x^n in an axis' force about a load [A], up to currents i [A] and displacements x [m]; p: what
-    ``magnet.force`` needs."""
+    """Coefficients (10,) of i^m x^n in an axis' force about a load [A], up to currents i [A] and
+    displacements x [m]; p: what ``magnet.force`` needs.
+    """
     second = axis.endswith("_eta")
     at = np.linspace(-1.0, 1.0, _GRID)
     force = np.zeros((_GRID, _GRID))
@@ -314,6 +440,8 @@ def _terms(p: tuple[float, ...], axis: str, load: float, i: float, x: float) -> 
         for k, shift in enumerate(p[9 if second else 6] + x * at):
             zeta, eta = ((0.0, 0.0), (current, shift)) if second else ((current, shift), (0.0, 0.0))
             force[j, k] = magnet.force(zeta[0], eta[0], zeta[1], eta[1], p)[second]
-    basis = np.stack([at[:, None] ** m * at[None] ** n for m, n in _POWERS], axis=-1).reshape(-1, len(_POWERS))
+    basis = np.stack([at[:, None] ** m * at[None] ** n for m, n in _POWERS], axis=-1).reshape(
+        -1, len(_POWERS)
+    )
     fitted = np.linalg.lstsq(basis, force.ravel())[0]
     return np.asarray(fitted / i ** _POWERS[:, 0] / x ** _POWERS[:, 1])

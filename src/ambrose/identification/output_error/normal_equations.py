@@ -1,9 +1,11 @@
-"""The output error of one record: residual and normal equations, with initial state, offsets and synchronous waves eliminated.
+"""The output error of one record: residual and normal equations, with initial state, offsets and
+synchronous waves eliminated.
 
-All enter linearly, y = y(theta, u) + O(theta) x0 + b W, O = [C; C A; C A^2; ...] and W the rows of waves, a constant among
-them, so they are eliminated at every theta (variable projection, Golub & Pereyra 1973, in Kaufman's form): what is left is a
-problem in theta alone. O is never formed for the whole record: O'O follows from doubling, O' times a signal from blocks.
-Records are only looked at in pieces: the memory does not grow with their length.
+All enter linearly, y = y(theta, u) + O(theta) x0 + b W, O = [C; C A; C A^2; ...] and W the rows of
+waves, a constant among them, so they are eliminated at every theta (variable projection, Golub &
+Pereyra 1973, in Kaufman's form): what is left is a problem in theta alone. O is never formed for
+the whole record: O'O follows from doubling, O' times a signal from blocks. Records are only looked
+at in pieces: the memory does not grow with their length.
 """
 
 from __future__ import annotations
@@ -16,10 +18,19 @@ import numpy as np
 from ambrose.core.response import SystemDerivative
 from ambrose.core.statespace import StateSpace
 from ambrose.identification.output_error.levenberg_marquardt import Linearised
-from ambrose.identification.output_error.lifted import BLOCK, Lifted, blocks, lift, powers_of, stream
+from ambrose.identification.output_error.lifted import (
+    BLOCK,
+    Lifted,
+    blocks,
+    lift,
+    powers_of,
+    stream,
+)
 from ambrose.identification.output_error.synchronous import Synchronous
 
-_INVISIBLE = 1e-10  # directions of the initial state seen weaker than this (squared) are left at zero: rounding rules there
+# directions of the initial state seen weaker than this (squared) are left at zero: rounding rules
+# there
+_INVISIBLE = 1e-10
 _BLIND = 1e-9  # part of a parameter's effect (squared) that must remain beside them
 _GONE = 1e-24  # of a unit state: what is left of it later counts no more
 _STEPS = 8  # towards the rotor's angle, at most
@@ -29,11 +40,14 @@ _LONG = 12_288  # samples at a time, about, where pieces are compared with each 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Task:
-    """A record: the r distinct excitations e, each (k,), and mix (m, r) of them; the p measured signals y, each (k,), and what
-    else is estimated. unit (p,): what y is still to be divided by to stand over its weights (None: it does already). place:
-    which of several models made the record. tail: the loop's last states, as far as they are known; alike: how many before them
-    are old commands, of one size, some of which may hardly be seen. synchronous: what turns with the rotor, eliminated
-    from every signal (None: nothing). e and y may be views of the record: only looked at."""
+    """A record: the r distinct excitations e, each (k,), and mix (m, r) of them; the p measured
+    signals y, each (k,), and what else is estimated. unit (p,): what y is still to be divided by to
+    stand over its weights (None: it does already). place: which of several models made the record.
+    tail: the loop's last states, as far as they are known; alike: how many before them are old
+    commands, of one size, some of which may hardly be seen. synchronous: what turns with the rotor,
+    eliminated from every signal (None: nothing). e and y may be views of the record: only looked
+    at.
+    """
 
     e: Sequence[np.ndarray] | np.ndarray
     mix: np.ndarray
@@ -69,7 +83,11 @@ class Task:
 
     def differs(self, other: Task) -> bool:
         """Whether the rotor's angle is another, by more than what a signal shows."""
-        if self.synchronous is None or other.synchronous is None or self.synchronous is other.synchronous:
+        if (
+            self.synchronous is None
+            or other.synchronous is None
+            or self.synchronous is other.synchronous
+        ):
             return False
         return self.synchronous.differs(other.synchronous, self.samples)
 
@@ -80,8 +98,10 @@ class Task:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordSolution:
-    """The normal equations of a record at one theta, with the initial state x0 (n,) and the waves' amplitudes b (p, waves) over
-    the weights that fit best, and how they would follow a parameter: dx0 (q, n), db (q, p, waves)."""
+    """The normal equations of a record at one theta, with the initial state x0 (n,) and the waves'
+    amplitudes b (p, waves) over the weights that fit best, and how they would follow a parameter:
+    dx0 (q, n), db (q, p, waves).
+    """
 
     equations: Linearised
     x0: np.ndarray
@@ -91,7 +111,9 @@ class RecordSolution:
 
 
 def distinct(e: Sequence[np.ndarray]) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-    """The r signals (k,) and mix (m, r) with e (m, k) = mix signals: equal, opposite and absent excitations are taken once."""
+    """The r signals (k,) and mix (m, r) with e (m, k) = mix signals: equal, opposite and absent
+    excitations are taken once.
+    """
     rows: list[np.ndarray] = []
     mix = np.zeros((len(e), len(e)))
     for i, row in enumerate(e):
@@ -109,30 +131,48 @@ def distinct(e: Sequence[np.ndarray]) -> tuple[tuple[np.ndarray, ...], np.ndarra
 
 
 def _same(one: np.ndarray, sign: float, other: np.ndarray, piece: int = 8192) -> bool:
-    return all(np.array_equal(one[i : i + piece], sign * other[i : i + piece]) for i in range(0, len(one), piece))
+    return all(
+        np.array_equal(one[i : i + piece], sign * other[i : i + piece])
+        for i in range(0, len(one), piece)
+    )
 
 
-def _driven(system: StateSpace, directions: list[SystemDerivative], task: Task) -> tuple[StateSpace, list[SystemDerivative]]:
+def _driven(
+    system: StateSpace, directions: list[SystemDerivative], task: Task
+) -> tuple[StateSpace, list[SystemDerivative]]:
     """The loop and its derivatives from the distinct signals."""
-    mixed = StateSpace(system.A, system.B @ task.mix, system.C, system.D @ task.mix, None, system.outputs, system.dt)
+    mixed = StateSpace(
+        system.A,
+        system.B @ task.mix,
+        system.C,
+        system.D @ task.mix,
+        None,
+        system.outputs,
+        system.dt,
+    )
     return mixed, [SystemDerivative(d.A, d.B @ task.mix, d.C, d.D @ task.mix) for d in directions]
 
 
 def fit(system: StateSpace, task: Task) -> tuple[np.ndarray, RecordSolution]:
-    """The residual (p, k) of a whole record with the best initial state, offsets and waves, and those; ``system`` as in
-    ``normal_equations``."""
+    """The residual (p, k) of a whole record with the best initial state, offsets and waves, and
+    those; ``system`` as in ``normal_equations``.
+    """
     best = normal_equations(system, [], task)
     pieces = [piece[: len(system.outputs)] for piece in residual_pieces(system, task, best)]
     return np.concatenate(pieces, axis=1), best
 
 
 def synchronised(system: StateSpace, task: Task) -> Task:
-    """The record with the rotor's angle under which most of what ``system`` leaves of the signals turns with it."""
+    """The record with the rotor's angle under which most of what ``system`` leaves of the signals
+    turns with it.
+    """
     if task.synchronous is None:
         return task
     best, p = normal_equations(system, [], task), len(system.outputs)
     still = replace(best, b=best.b * (np.arange(task.waves) < int(task.offset)))
-    refined = task.synchronous.refined((piece[:p] for piece in residual_pieces(system, task, still)), task.samples)
+    refined = task.synchronous.refined(
+        (piece[:p] for piece in residual_pieces(system, task, still)), task.samples
+    )
     if refined is None:
         return task
     task = replace(task, synchronous=refined)
@@ -143,13 +183,18 @@ def synchronised(system: StateSpace, task: Task) -> Task:
     return task
 
 
-def turned(system: StateSpace, directions: list[SystemDerivative], task: Task, H: np.ndarray) -> Task:
-    """The record with the rotor's angle one step of Gauss and Newton further, as if the parameters, of which H (q, q) = J'J is
-    left of all records, went along."""
+def turned(
+    system: StateSpace, directions: list[SystemDerivative], task: Task, H: np.ndarray
+) -> Task:
+    """The record with the rotor's angle one step of Gauss and Newton further, as if the parameters,
+    of which H (q, q) = J'J is left of all records, went along.
+    """
     if task.synchronous is None:
         return task
     best = normal_equations(system, directions, task, with_angle=True)
-    H_all, g, q = best.equations.H.copy(), best.equations.g, len(H)
+    H_all = best.equations.H.copy()
+    g = best.equations.g
+    q = len(H)
     H_all[:q, :q] = H
     size = np.sqrt(np.maximum(np.diag(H_all), 1e-300))
     step = np.linalg.lstsq(H_all / size / size[:, None], g / size)[0] / size
@@ -159,13 +204,17 @@ def turned(system: StateSpace, directions: list[SystemDerivative], task: Task, H
 def normal_equations(
     system: StateSpace, directions: list[SystemDerivative], task: Task, with_angle: bool = False
 ) -> RecordSolution:
-    """r'r, J'J and J'r of the record for theta alone; ``system`` from all excitations to outputs over their weights.
-    with_angle: and for the two coefficients of the rotor's angle, which come last.
+    """r'r, J'J and J'r of the record for theta alone; ``system`` from all excitations to outputs
+    over their weights. with_angle: and for the two coefficients of the rotor's angle, which come
+    last.
 
     Two passes: the first finds initial state and waves, on which the derivatives depend.
     """
     system, directions = _driven(system, directions, task)
-    n, p, q, still = system.n_states, len(system.outputs), len(directions), lift(system, [])
+    n = system.n_states
+    p = len(system.outputs)
+    q = len(directions)
+    still = lift(system, [])
     basis = _nuisance_basis(system, still, task)
     x0, b = np.concatenate([np.zeros(n - len(task.tail)), task.tail]), np.zeros((p, task.waves))
     if basis.size:
@@ -173,19 +222,33 @@ def normal_equations(
         best = basis @ (basis.T @ N[:, 0])
         x0, b = x0 + best[:n], best[n:].reshape(b.shape)
     q += 2 * with_angle
-    G, N = _products(lift(system, directions), task, x0, b, with_nuisance=bool(basis.size), with_angle=with_angle)
+    G, N = _products(
+        lift(system, directions), task, x0, b, with_nuisance=bool(basis.size), with_angle=with_angle
+    )
     M = basis.T @ N
     shift = -(basis @ M).T[1:]
     H, g = G[1:, 1:] - M[:, 1:].T @ M[:, 1:], G[1:, 0]
-    blind = np.diag(H) <= _BLIND * np.diag(G)[1:]  # what is left is rounding: the nuisances explain it all
-    H[blind], H[:, blind], g[blind] = 0.0, 0.0, 0.0
-    return RecordSolution(Linearised(float(G[0, 0]), H, g), x0, b, shift[:, :n], shift[:, n:].reshape(q, *b.shape))
+    # what is left is rounding: the nuisances explain it all
+    blind = np.diag(H) <= _BLIND * np.diag(G)[1:]
+    H[blind] = 0.0
+    H[:, blind] = 0.0
+    g[blind] = 0.0
+    return RecordSolution(
+        Linearised(float(G[0, 0]), H, g), x0, b, shift[:, :n], shift[:, n:].reshape(q, *b.shape)
+    )
 
 
 def _products(
-    lifted: Lifted, task: Task, x0: np.ndarray, b: np.ndarray, with_nuisance: bool, with_angle: bool = False
+    lifted: Lifted,
+    task: Task,
+    x0: np.ndarray,
+    b: np.ndarray,
+    with_nuisance: bool,
+    with_angle: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """F F' (1 + q, 1 + q) and [O, W]' F' (n + p waves, 1 + q) of F = [r, J], summed over the record."""
+    """F F' (1 + q, 1 + q) and [O, W]' F' (n + p waves, 1 + q) of F = [r, J], summed over the
+    record.
+    """
     q1 = len(lifted.maps) + 2 * with_angle
     early = _Early(lifted, q1)
     G, N = np.zeros((q1, q1)), np.zeros((q1, *b.shape))
@@ -203,7 +266,9 @@ def _products(
 
 
 class _Early:
-    """O' times signals, piece by piece: total (c, n), until what is left of an initial state is rounding."""
+    """O' times signals, piece by piece: total (c, n), until what is left of an initial state is
+    rounding.
+    """
 
     def __init__(self, lifted: Lifted, count: int) -> None:
         n = len(lifted.shown)
@@ -221,22 +286,28 @@ class _Early:
         n = len(self.ahead)
         if count >= len(self.powers):
             self.powers = powers_of(self.lifted.powers[1].T, count + 1)
-        self.total += seen.reshape(-1, count * n) @ self.powers[:count].reshape(count * n, n) @ self.ahead
+        self.total += (
+            seen.reshape(-1, count * n) @ self.powers[:count].reshape(count * n, n) @ self.ahead
+        )
         self.ahead = self.powers[count] @ self.ahead
         if np.abs(self.ahead).max() < _GONE:
             self.ahead = np.zeros_like(self.ahead)
 
 
 def _measured_less(F: np.ndarray, task: Task, start: int, b: np.ndarray) -> np.ndarray:
-    """Turn the simulated outputs F[0] (count, p, L) of a piece into the residual; nothing counts past the record's end.
+    """Turn the simulated outputs F[0] (count, p, L) of a piece into the residual; nothing counts
+    past the record's end.
 
-    Returns the waves there (waves, count L), zero past the end."""
+    Returns the waves there (waves, count L), zero past the end.
+    """
     _, count, _, L = F.shape
     stop = min(start + count * L, task.samples)
     rest = count * L - (stop - start)
     W = np.pad(task.waves_at(start, stop), ((0, 0), (0, rest)))
     for i in range(len(task.y)):
-        F[0, :, i] = blocks(task.measured(i, start, stop), L) - F[0, :, i] - (b[i] @ W).reshape(count, L)
+        F[0, :, i] = (
+            blocks(task.measured(i, start, stop), L) - F[0, :, i] - (b[i] @ W).reshape(count, L)
+        )
     if rest:
         F[:, -1, :, L - rest :] = 0.0
     return W
@@ -252,8 +323,12 @@ def _slopes(F: np.ndarray, task: Task, start: int, b: np.ndarray) -> np.ndarray:
     return padded.reshape(2, p, count, L).transpose(0, 2, 1, 3)
 
 
-def residual_pieces(system: StateSpace, task: Task, solution: RecordSolution) -> Iterator[np.ndarray]:
-    """The residual over the weights and below it the distinct excitations, (p + r, length) piece by piece."""
+def residual_pieces(
+    system: StateSpace, task: Task, solution: RecordSolution
+) -> Iterator[np.ndarray]:
+    """The residual over the weights and below it the distinct excitations, (p + r, length) piece by
+    piece.
+    """
     loop, _ = _driven(system, [], task)
     for start, F in stream(lift(loop, []), list(task.e), solution.x0, None, _long(task)):
         _measured_less(F, task, start, solution.b)
@@ -264,25 +339,37 @@ def residual_pieces(system: StateSpace, task: Task, solution: RecordSolution) ->
 def jacobian_pieces(
     system: StateSpace, directions: list[SystemDerivative], task: Task, solution: RecordSolution
 ) -> Iterator[np.ndarray]:
-    """J (q, p, length) piece by piece, without the part that initial state and waves could explain."""
+    """J (q, p, length) piece by piece, without the part that initial state and waves could
+    explain.
+    """
     loop, directions = _driven(system, directions, task)
     for start, piece in _pieces(loop, directions, task, solution.x0, solution.dx0):
         yield piece + solution.db @ task.waves_at(start, start + piece.shape[2])
 
 
 def explained_columns(system: StateSpace, task: Task) -> np.ndarray:
-    """Orthonormal columns (r, p, k) of all that initial state and waves can explain in a short record."""
+    """Orthonormal columns (r, p, k) of all that initial state and waves can explain in a short
+    record.
+    """
     loop, _ = _driven(system, [], task)
-    n, p, still = loop.n_states, len(loop.outputs), lift(loop, [])
+    n = loop.n_states
+    p = len(loop.outputs)
+    still = lift(loop, [])
     basis = _nuisance_basis(loop, still, task)
-    nothing = SystemDerivative(np.zeros_like(loop.A), np.zeros_like(loop.B), np.zeros_like(loop.C), np.zeros_like(loop.D))
+    nothing = SystemDerivative(
+        np.zeros_like(loop.A), np.zeros_like(loop.B), np.zeros_like(loop.C), np.zeros_like(loop.D)
+    )
     x0, b = basis[:n].T, basis[n:].T.reshape(basis.shape[1], p, task.waves)
     seen = [piece for _, piece in _pieces(loop, [nothing] * len(x0), task, np.zeros(n), x0)]
     return np.concatenate(seen, axis=2) + b @ task.waves_at(0, task.samples)
 
 
 def _pieces(
-    loop: StateSpace, directions: list[SystemDerivative], task: Task, x0: np.ndarray, dx0: np.ndarray
+    loop: StateSpace,
+    directions: list[SystemDerivative],
+    task: Task,
+    x0: np.ndarray,
+    dx0: np.ndarray,
 ) -> Iterator[tuple[int, np.ndarray]]:
     """The first sample and the derivatives (q, p, length) piece by piece."""
     for start, F in stream(lift(loop, directions), list(task.e), x0, dx0, _long(task)):
@@ -302,12 +389,18 @@ def _in_time(F: np.ndarray, length: int) -> np.ndarray:
 
 
 def _nuisance_basis(system: StateSpace, still: Lifted, task: Task) -> np.ndarray:
-    """(n + p waves, r) such that [O, W] basis has orthonormal columns, which span all that x0 and b can explain; rows of what
-    is not estimated are zero."""
-    n, p, k, w = system.n_states, len(system.outputs), task.samples, task.waves
+    """(n + p waves, r) such that [O, W] basis has orthonormal columns, which span all that x0 and b
+    can explain; rows of what is not estimated are zero.
+    """
+    n = system.n_states
+    p = len(system.outputs)
+    k = task.samples
+    w = task.waves
     if not (task.initial_state or w):
         return np.zeros((n + p * w, 0))
-    early, WW, L = _Early(still, p * w), np.zeros((w, w)), still.shown.shape[1] // p
+    early = _Early(still, p * w)
+    WW = np.zeros((w, w))
+    L = still.shown.shape[1] // p
     for start in range(0, k, BLOCK * _ROWS):
         W = task.waves_at(start, min(start + BLOCK * _ROWS, k))
         WW += W @ W.T
@@ -319,7 +412,9 @@ def _nuisance_basis(system: StateSpace, still: Lifted, task: Task) -> np.ndarray
     Q, F = _gramian(system.A, system.C, k)[0], early.total.T
     G = np.block([[Q, F], [F.T, np.kron(np.eye(p), WW)]])
     known = len(task.tail)
-    free = np.r_[np.full(n - known, task.initial_state), np.full(known, False), np.full(p * w, True)]
+    free = np.r_[
+        np.full(n - known, task.initial_state), np.full(known, False), np.full(p * w, True)
+    ]
     seen_by = np.diag(G).copy()
     old = slice(n - known - task.alike, n - known)
     seen_by[old] = seen_by[old].max(initial=0.0)

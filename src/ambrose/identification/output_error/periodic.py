@@ -1,9 +1,11 @@
 """The fast path for a periodic excitation: the same least squares on the lines of its spectrum.
 
-Over M whole periods the mean period x(t) obeys z X = A X + B U + z d at the lines z = exp(2 pi i k/P), d = (x(0) - x(M P))/M:
-no leakage, and no need for a steady state, since the n numbers d are eliminated like an initial state (Pintelon & Schoukens
-2012, ch. 2 and 6). Lines without excitation are left out, and so are those above the frequency up to which nearly all is told.
-The scatter of the periods about their mean gives the noise at each line without a model of it, hence the covariance.
+Over M whole periods the mean period x(t) obeys z X = A X + B U + z d at the lines z = exp(2 pi i
+k/P), d = (x(0) - x(M P))/M: no leakage, and no need for a steady state, since the n numbers d are
+eliminated like an initial state (Pintelon & Schoukens 2012, ch. 2 and 6). Lines without excitation
+are left out, and so are those above the frequency up to which nearly all is told. The scatter of
+the periods about their mean gives the noise at each line without a model of it, hence the
+covariance.
 """
 
 from __future__ import annotations
@@ -31,9 +33,10 @@ _SURE = 3.0  # normal quantile: 99.5 % for four signals
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lines:
-    """A record at its excited lines z (l,): the distinct excitations U (r, l), the mean period's outputs Y (p, l) over their
-    weights, and by how much the single periods deviate from it, scatter (M', p, l); the mean period's waves W (waves, l) that
-    turn with the rotor, which the scatter does not hold.
+    """A record at its excited lines z (l,): the distinct excitations U (r, l), the mean period's
+    outputs Y (p, l) over their weights, and by how much the single periods deviate from it, scatter
+    (M', p, l); the mean period's waves W (waves, l) that turn with the rotor, which the scatter
+    does not hold.
 
     periods: M; length: P samples; task: the record.
     """
@@ -55,14 +58,20 @@ class Lines:
     def only(self, kept: slice) -> Lines:
         """Some of the lines only."""
         return replace(
-            self, z=self.z[kept], U=self.U[:, kept], Y=self.Y[:, kept], scatter=self.scatter[:, :, kept], W=self.W[:, kept]
+            self,
+            z=self.z[kept],
+            U=self.U[:, kept],
+            Y=self.Y[:, kept],
+            scatter=self.scatter[:, :, kept],
+            W=self.W[:, kept],
         )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LineFit:
-    """The normal equations at the lines, the residual R (p, l) and J (l, p, q) they come from, transient and waves taken out:
-    d (n,) and b (p, waves)."""
+    """The normal equations at the lines, the residual R (p, l) and J (l, p, q) they come from,
+    transient and waves taken out: d (n,) and b (p, waves).
+    """
 
     equations: Linearised
     R: np.ndarray
@@ -72,30 +81,51 @@ class LineFit:
 
 
 def period_of(task: Task, period: float | str, dt: float) -> int:
-    """The period in samples: as given [s], or "auto": the shortest with which all excitations repeat exactly.
+    """The period in samples: as given [s], or "auto": the shortest with which all excitations
+    repeat exactly.
 
-    Raises InvalidInput where the record has no whole period, or the excitation does not repeat with it.
+    Raises InvalidInput where the record has no whole period, or the excitation does not repeat with
+    it.
     """
     k = task.samples
     if isinstance(period, str):
         if period != "auto":
-            raise invalid("period", repr(period), 'a time in s, or "auto"', "leave it out for a fit in time domain")
+            raise invalid(
+                "period",
+                repr(period),
+                'a time in s, or "auto"',
+                "leave it out for a fit in time domain",
+            )
         shortest = shortest_period(task.e)
         if shortest is None:
             raise InvalidInput(
-                'period "auto": the excitation does not repeat within the record; leave period out, or record whole periods'
+                'period "auto": the excitation does not repeat within the record; leave period '
+                "out, or record whole periods"
             )
         return shortest
     samples = check_positive(period, "period", "give it in seconds") / dt
     P = round(samples)
     if abs(samples - P) > 1e-6 * samples or P < 4:
-        raise invalid("period", f"{samples:.6g} samples", "a whole number of samples, at least 4", "generate it by samples")
+        raise invalid(
+            "period",
+            f"{samples:.6g} samples",
+            "a whole number of samples, at least 4",
+            "generate it by samples",
+        )
     if k < P:
-        raise invalid("period", f"{P} samples", f"at most the record, {k} samples", "record at least one whole period")
+        raise invalid(
+            "period",
+            f"{P} samples",
+            f"at most the record, {k} samples",
+            "record at least one whole period",
+        )
     wrong = next((i for i, wave in enumerate(task.e) if not _repeats(wave, P)), None)
     if wrong is not None:
         raise invalid(
-            "period", f"{period:g} s", "that of the excitation", f'excitation {wrong + 1} does not repeat; try "auto"'
+            "period",
+            f"{period:g} s",
+            "that of the excitation",
+            f'excitation {wrong + 1} does not repeat; try "auto"',
         )
     return P
 
@@ -106,18 +136,23 @@ def _repeats(wave: np.ndarray, P: int) -> bool:
 
 
 def shortest_period(waves: Sequence[np.ndarray] | np.ndarray) -> int | None:
-    """The shortest number of samples after which all waves (m, k) repeat exactly; None: they do not."""
+    """The shortest number of samples after which all waves (m, k) repeat exactly; None: they do
+    not.
+    """
     k = len(waves[0])
     lags = np.arange(4, k // 2 + 1)
     for wave in waves:
         size = _SAME * float(np.abs(wave).max())
-        for t in np.unique(np.linspace(0, k - k // 2 - 1, 200).astype(int)):  # a few samples rule out nearly all
+        # a few samples rule out nearly all
+        for t in np.unique(np.linspace(0, k - k // 2 - 1, 200).astype(int)):
             lags = lags[np.abs(wave[lags + t] - wave[t]) <= size]
     return next((int(P) for P in lags if all(_repeats(wave, int(P)) for wave in waves)), None)
 
 
 def lines_of(task: Task, P: int) -> Lines:
-    """The record at the excited lines of the period of P samples; what is left after whole periods is not used."""
+    """The record at the excited lines of the period of P samples; what is left after whole periods
+    is not used.
+    """
     M = task.samples // P
     U = np.stack([scipy.fft.rfft(np.asarray(wave[:P])) for wave in task.e])
     size = np.abs(U).max(axis=0)
@@ -126,7 +161,9 @@ def lines_of(task: Task, P: int) -> Lines:
         size[-1] = 0.0
     lines = np.flatnonzero(size > _EXCITED * size.max())
     if not len(lines):
-        raise InvalidInput("the excitation has no line inside the period; excite with more than a constant")
+        raise InvalidInput(
+            "the excitation has no line inside the period; excite with more than a constant"
+        )
     each = np.empty((M, len(task.y), len(lines)), complex)
     for i in range(len(task.y)):
         each[:, i] = scipy.fft.rfft(task.measured(i, 0, M * P).reshape(M, P), axis=1)[:, lines]
@@ -138,20 +175,34 @@ def lines_of(task: Task, P: int) -> Lines:
         waves = [task.synchronous.waves(m * P, (m + 1) * P) for m in range(M)]
         turning = np.array([scipy.fft.rfft(wave, axis=1)[:, lines] for wave in waves])
         moved = turning[-len(later) :] - turning[-len(later) :].mean(axis=0)
-        columns, rows = (_real(x.transpose(0, 2, 1).reshape(-1, x.shape[1])) for x in (moved, scatter))
+        columns, rows = (
+            _real(x.transpose(0, 2, 1).reshape(-1, x.shape[1])) for x in (moved, scatter)
+        )
         found = np.linalg.lstsq(columns, rows)[0].T
         scatter = scatter - found @ moved
-    return Lines(np.exp(2j * np.pi * lines / P), U[:, lines], Y, scatter, turning.mean(axis=0), M, P, task)
+    return Lines(
+        np.exp(2j * np.pi * lines / P), U[:, lines], Y, scatter, turning.mean(axis=0), M, P, task
+    )
 
 
-def line_equations(loop: StateSpace, directions: Sequence[SystemDerivative], lines: Lines) -> LineFit:
-    """r'r, J'J and J'r at the lines, scaled as in time domain; ``loop`` from all excitations to outputs over their weights."""
-    A, B, C, z, task = loop.A, loop.B @ lines.task.mix, loop.C, lines.z, lines.task
+def line_equations(
+    loop: StateSpace, directions: Sequence[SystemDerivative], lines: Lines
+) -> LineFit:
+    """r'r, J'J and J'r at the lines, scaled as in time domain; ``loop`` from all excitations to
+    outputs over their weights.
+    """
+    A = loop.A
+    B = loop.B @ lines.task.mix
+    C = loop.C
+    z = lines.z
+    task = lines.task
     T, Z = sla.schur(A, output="complex")
     L, X = _rows(T, Z, C, z), _columns(T, Z, B @ lines.U, z)
     R = lines.Y - C @ X
     root = np.sqrt(lines.weight)
-    N, d, b = np.zeros((2 * R.size, 0)), np.zeros(len(A)), np.zeros((len(C), len(lines.W)))
+    N = np.zeros((2 * R.size, 0))
+    d = np.zeros(len(A))
+    b = np.zeros((len(C), len(lines.W)))
     if task.initial_state or b.size:
         N, best = _nuisances(L if task.initial_state else np.zeros_like(L), R, lines)
         d, b = best[: len(A)], best[len(A) :].reshape(b.shape)
@@ -160,7 +211,9 @@ def line_equations(loop: StateSpace, directions: Sequence[SystemDerivative], lin
         R = lines.Y - C @ X - b @ lines.W
     J = np.zeros((len(z), len(C), 0), complex)
     if directions:
-        rows = np.flatnonzero(np.any([d.A.any(axis=1) | d.B.any(axis=1) for d in directions], axis=0))
+        rows = np.flatnonzero(
+            np.any([d.A.any(axis=1) | d.B.any(axis=1) for d in directions], axis=0)
+        )
         dA = np.stack([d.A[rows] for d in directions]).reshape(-1, len(A))
         dB = np.stack([(d.B @ task.mix)[rows] for d in directions]).reshape(-1, B.shape[1])
         Q = dA @ X.real + 1j * (dA @ X.imag) + dB @ lines.U
@@ -174,13 +227,17 @@ def line_equations(loop: StateSpace, directions: Sequence[SystemDerivative], lin
 
 
 def told_below(fits: Sequence[LineFit], all_lines: Sequence[Lines]) -> float:
-    """The angle of z below which the lines hold nearly all that is told of every combination of the parameters."""
+    """The angle of z below which the lines hold nearly all that is told of every combination of the
+    parameters.
+    """
     H = np.sum([fit.equations.H for fit in fits], axis=0)
     size = np.sqrt(np.diag(H))
     whitened = np.linalg.cholesky(H / size / size[:, None])
     worst = 0.0
     for fit, lines in zip(fits, all_lines, strict=True):
-        parts = np.linalg.solve(whitened, (fit.J.reshape(-1, len(H)) / size).T).reshape(len(H), len(lines.z), -1)
+        parts = np.linalg.solve(whitened, (fit.J.reshape(-1, len(H)) / size).T).reshape(
+            len(H), len(lines.z), -1
+        )
         told = np.cumsum(np.sum(np.abs(parts) ** 2, axis=2), axis=1)
         enough = np.array([np.searchsorted(row, (1 - _UNTOLD) * row[-1]) for row in told]).max()
         worst = max(worst, float(np.angle(lines.z[min(int(enough) + 1, len(lines.z) - 1)])))
@@ -204,9 +261,12 @@ def _complex(values: np.ndarray) -> np.ndarray:
 
 
 def _rows(T: np.ndarray, Z: np.ndarray, C: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """C (z I - A)^-1 (l, p, n) for A = Z T Z' in complex Schur form, by substitution at all lines at once; no eigenvectors,
-    which equal poles and pure delays do not have."""
-    n, poles, rows = len(T), 1.0 / (z - np.diag(T)[:, None]), C @ Z
+    """C (z I - A)^-1 (l, p, n) for A = Z T Z' in complex Schur form, by substitution at all lines
+    at once; no eigenvectors, which equal poles and pure delays do not have.
+    """
+    n = len(T)
+    poles = 1.0 / (z - np.diag(T)[:, None])
+    rows = C @ Z
     left = np.empty((n, len(C), len(z)), complex)
     for i in range(n):
         known = np.tensordot(T[:i, i], left[:i], 1) if i else 0.0
@@ -224,8 +284,9 @@ def _columns(T: np.ndarray, Z: np.ndarray, driven: np.ndarray, z: np.ndarray) ->
 
 
 def _nuisances(L: np.ndarray, R: np.ndarray, lines: Lines) -> tuple[np.ndarray, np.ndarray]:
-    """Orthonormal columns (2 p l, r) of all that transient and waves can explain, and the d (n,) and b (p waves,) that explain
-    the residual best."""
+    """Orthonormal columns (2 p l, r) of all that transient and waves can explain, and the d (n,)
+    and b (p waves,) that explain the residual best.
+    """
     p = len(R)
     waves = np.einsum("wl,ij->lijw", lines.W, np.eye(p)).reshape(R.size, -1)
     N = np.hstack([_real((L * lines.z[:, None, None]).reshape(-1, L.shape[2])), _real(waves)])
@@ -240,22 +301,29 @@ def _nuisances(L: np.ndarray, R: np.ndarray, lines: Lines) -> tuple[np.ndarray, 
 
 
 def line_middle(fit: LineFit, lines: Lines) -> np.ndarray:
-    """The covariance (q, q) of J'r: from the scatter of the periods, or from the residual where there is only one."""
+    """The covariance (q, q) of J'r: from the scatter of the periods, or from the residual where
+    there is only one.
+    """
     M = len(lines.scatter)
     if M >= 2:
         deviations, count = lines.scatter, lines.periods * (M - 1)
     else:
         deviations, count = fit.R[None], 1
-    s = np.einsum("lpq,mpl->mlq", fit.J.conj(), deviations, optimize=True).reshape(-1, fit.J.shape[2])
+    s = np.einsum("lpq,mpl->mlq", fit.J.conj(), deviations, optimize=True).reshape(
+        -1, fit.J.shape[2]
+    )
     return lines.weight**2 / 2 * np.real(s.T @ s.conj()) / count
 
 
-def line_scores(R: np.ndarray, lines: Lines, signals: Sequence[str], excitation: str) -> tuple[list[float], list[ResidualTest]]:
-    """Fit [%] of each signal's mean period at the excited lines, and whether the residual R (p, l) is more than the scatter of
-    the periods.
+def line_scores(
+    R: np.ndarray, lines: Lines, signals: Sequence[str], excitation: str
+) -> tuple[list[float], list[ResidualTest]]:
+    """Fit [%] of each signal's mean period at the excited lines, and whether the residual R (p, l)
+    is more than the scatter of the periods.
 
-    The correlation is that between residual and excitation which leaves so much in the mean of the periods; its limit that of
-    noise alone. One period, or two of which the first may hold the transient, tell nothing: no test.
+    The correlation is that between residual and excitation which leaves so much in the mean of the
+    periods; its limit that of noise alone. One period, or two of which the first may hold the
+    transient, tell nothing: no test.
     """
     percent, tests = [], []
     M = len(lines.scatter)
@@ -264,12 +332,14 @@ def line_scores(R: np.ndarray, lines: Lines, signals: Sequence[str], excitation:
         percent.append(100.0 * (1.0 - float(np.sqrt(left / whole))))
         if lines.periods < 3:
             continue
-        each = np.sum(np.abs(lines.scatter[:, i]) ** 2, axis=0) / (M - 1)  # variance of one period, per line
+        # variance of one period, per line
+        each = np.sum(np.abs(lines.scatter[:, i]) ** 2, axis=0) / (M - 1)
         noise = float(each.sum())
         if left <= 1e-14 * whole or noise == 0:
             tests.append(ResidualTest(signal, excitation, 0.0, 1.0, 0, True))
             continue
-        lines_alike = noise**2 / float(np.sum(each**2)) * (1 + 1 / (M - 1))  # as many as would be equally noisy
+        # as many as would be equally noisy
+        lines_alike = noise**2 / float(np.sum(each**2)) * (1 + 1 / (M - 1))
         spread = _SURE * np.sqrt((1 + 1 / (M - 1)) / lines_alike) * noise / lines.periods
         total = noise + left
         correlation = float(np.sqrt(max(left - noise / lines.periods, 0.0) / total))

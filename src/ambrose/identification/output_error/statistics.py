@@ -1,4 +1,6 @@
-"""What a least-squares fit is worth: covariance under coloured noise, correlations, what residuals hold, warnings, verdict."""
+"""What a least-squares fit is worth: covariance under coloured noise, correlations, what residuals
+hold, warnings, verdict.
+"""
 
 from __future__ import annotations
 
@@ -13,21 +15,26 @@ from ambrose.identification.findings import WARNING, Code, Finding
 from ambrose.identification.output_error.levenberg_marquardt import Minimum
 from ambrose.machine.parameters import TIMING
 
-_VISIBLE = 1e-12  # of the strongest parameter's effect; and the least eigenvalue of J'J with a unit diagonal
+# of the strongest parameter's effect; and the least eigenvalue of J'J with a unit diagonal
+_VISIBLE = 1e-12
 _CONFIDENCE = 0.99
-_UNSURE, _ALIKE = 0.3, 0.98  # standard deviation over value, and correlation, that are worth a warning
-_TOLD = 0.02  # standard deviation over value below which parameters are told apart all the same; assumed, as suspects.py's
+# standard deviation over value, and correlation, that are worth a warning
+_UNSURE, _ALIKE = 0.3, 0.98
+# standard deviation over value below which parameters are told apart all the same; assumed, as
+# suspects.py's
+_TOLD = 0.02
 _BLIND = 0.1  # share of the excited response below which one that is missing must show; assumed
 _LONGEST = 4096  # samples of the noise's memory that are looked at
 
 
 @dataclass(frozen=True, slots=True)
 class ResidualTest:
-    """Whether the residual of ``signal`` still follows an ``excitation``: correlation (-1..1) at its worst lag [samples]
-    against its limit; ``passed`` where it stays within.
+    """Whether the residual of ``signal`` still follows an ``excitation``: correlation (-1..1) at
+    its worst lag [samples] against its limit; ``passed`` where it stays within.
 
-    visible [-]: the test's power: a response that the model lacks fails it from this share on of what the excitation makes of
-    the signal, if it has the same course (NaN: not known; inf: the signal does not follow this excitation).
+    visible [-]: the test's power: a response that the model lacks fails it from this share on of
+    what the excitation makes of the signal, if it has the same course (NaN: not known; inf: the
+    signal does not follow this excitation).
     """
 
     signal: str
@@ -41,11 +48,12 @@ class ResidualTest:
 
 @dataclass(frozen=True, slots=True)
 class TurningWave:
-    """What a fitted ``signal`` of a record holds at ``order`` times its speed, or of a tone (order 0), beside all that follows
-    the excitation: amplitude cos(order angle + phase [rad]), zero angle at the first sample; SI, frequency [Hz] as a mean.
+    """What a fitted ``signal`` of a record holds at ``order`` times its speed, or of a tone (order
+    0), beside all that follows the excitation: amplitude cos(order angle + phase [rad]), zero angle
+    at the first sample; SI, frequency [Hz] as a mean.
 
-    Motion that unbalance makes and run-out of a sensor's surface are one number here; amplitude's standard deviation is that
-    of noise.
+    Motion that unbalance makes and run-out of a sensor's surface are one number here; amplitude's
+    standard deviation is that of noise.
     """
 
     record: int
@@ -66,8 +74,9 @@ def turning_waves(
     samples: int,
     dt: float,
 ) -> Iterator[TurningWave]:
-    """From the amplitudes b (p, 2 f) of cos and sin at the frequencies (f,) [Hz], the first ones of these orders, and the
-    residuals' autocovariance noise (p, p, span + 1)."""
+    """From the amplitudes b (p, 2 f) of cos and sin at the frequencies (f,) [Hz], the first ones of
+    these orders, and the residuals' autocovariance noise (p, p, span + 1).
+    """
     hertz, orders = frequencies
     lags = np.arange(noise.shape[2])
     for j, frequency in enumerate(hertz.tolist()):
@@ -76,24 +85,34 @@ def turning_waves(
             z = complex(b[i, 2 * j], -b[i, 2 * j + 1])
             deviation = float(np.sqrt(max(2 * float(noise[i, i] @ seen), 0.0) / samples))
             order = orders[j] if j < len(orders) else 0
-            yield TurningWave(record, signal, order, frequency, abs(z), deviation, float(np.angle(z)))
+            yield TurningWave(
+                record, signal, order, frequency, abs(z), deviation, float(np.angle(z))
+            )
 
 
 def check_visible(names: Sequence[str], H: np.ndarray, scale: np.ndarray) -> None:
-    """Refuse parameters of which the outputs say nothing, alone or together, before a step is made of rounding errors.
+    """Refuse parameters of which the outputs say nothing, alone or together, before a step is made
+    of rounding errors.
 
     H (q, q) = J'J, scale (q,): the sizes of the parameters. Raises InvalidInput naming them.
     """
     effect = np.sqrt(np.maximum(np.diag(H), 0.0)) * scale
     for name, value in zip(names, effect, strict=True):
         if not value > _VISIBLE * effect.max():
-            remedy = "give the delay as it is (--delay-samples)" if name in TIMING else "excite its axis"
-            raise InvalidInput(f"these records say nothing about {name}; {remedy}, or take it as known")
+            remedy = (
+                "give the delay as it is (--delay-samples)" if name in TIMING else "excite its axis"
+            )
+            raise InvalidInput(
+                f"these records say nothing about {name}; {remedy}, or take it as known"
+            )
     values, vectors = np.linalg.eigh(H * scale * scale[:, None] / effect / effect[:, None])
     if values[0] < _VISIBLE:
-        together = [name for name, part in zip(names, vectors[:, 0], strict=True) if abs(part) > 0.1]
+        together = [
+            name for name, part in zip(names, vectors[:, 0], strict=True) if abs(part) > 0.1
+        ]
         raise InvalidInput(
-            f"these records cannot tell {' from '.join(together)}; excite where they differ, or take all but one as known"
+            f"these records cannot tell {' from '.join(together)}; excite where they differ, or "
+            "take all but one as known"
         )
 
 
@@ -103,7 +122,9 @@ def memory(samples: int) -> int:
 
 
 def tapered(products: np.ndarray, samples: int) -> np.ndarray:
-    """The autocovariance (..., span + 1) under Parzen's window from sums of products at the lags 0 to span."""
+    """The autocovariance (..., span + 1) under Parzen's window from sums of products at the lags 0
+    to span.
+    """
     span = products.shape[-1] - 1
     return products / samples * _parzen(np.arange(span + 1) / span)
 
@@ -113,7 +134,9 @@ def _parzen(x: np.ndarray) -> np.ndarray:
 
 
 def sandwich_covariance(H: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """H^-1 middle H^-1 (q, q), symmetric, with H = J'J (q, q); both scaled by H's diagonal first."""
+    """H^-1 middle H^-1 (q, q), symmetric, with H = J'J (q, q); both scaled by H's diagonal
+    first.
+    """
     size = np.sqrt(np.diag(H))
     inverse = np.linalg.inv(H / size / size[:, None])
     covariance = inverse @ (middle / size / size[:, None]) @ inverse / size / size[:, None]
@@ -121,39 +144,56 @@ def sandwich_covariance(H: np.ndarray, middle: np.ndarray) -> np.ndarray:
 
 
 def column_cosine(H: np.ndarray) -> np.ndarray:
-    """The cosines (q, q) of the angles between the columns of J, from H = J'J: NOT a correlation, mostly of the other sign."""
+    """The cosines (q, q) of the angles between the columns of J, from H = J'J: NOT a correlation,
+    mostly of the other sign.
+    """
     size = np.sqrt(np.diag(H))
     return H / size / size[:, None]
 
 
 def parameter_correlation(H: np.ndarray) -> np.ndarray:
-    """The parameters' correlation (q, q), (J'J)^-1 scaled to a unit diagonal, as white noise would make it."""
+    """The parameters' correlation (q, q), (J'J)^-1 scaled to a unit diagonal, as white noise would
+    make it.
+    """
     return column_cosine(np.linalg.inv(column_cosine(H)))
 
 
 def input_test(
-    crossed: np.ndarray, own_r: np.ndarray, own_e: np.ndarray, k: int, signal: str, name: str, tests: int,
-    quiet: bool = False, response: float = math.nan,
-) -> ResidualTest:  # fmt: skip
-    """Does the residual r (k,) still follow the excitation e (k,), 0 to some lags later? 99 % over all ``tests`` of a run.
+    crossed: np.ndarray,
+    own_r: np.ndarray,
+    own_e: np.ndarray,
+    k: int,
+    signal: str,
+    name: str,
+    tests: int,
+    quiet: bool = False,
+    response: float = math.nan,
+) -> ResidualTest:
+    """Does the residual r (k,) still follow the excitation e (k,), 0 to some lags later? 99 % over
+    all ``tests`` of a run.
 
-    From the sums over k samples of r(t) e(t - lag) (lags,), r(t) r(t - lag) and e(t) e(t - lag) (both of the same length),
-    means taken off; quiet: the residual is only rounding. The limit is the normal one with the variance sum_l R_r(l) R_e(l)/k,
-    which allows for the colour of both; Ljung (1999), section 16.6. response: the largest of the sums ``crossed`` with the
-    signal itself in the place of its residual.
+    From the sums over k samples of r(t) e(t - lag) (lags,), r(t) r(t - lag) and e(t) e(t - lag)
+    (both of the same length), means taken off; quiet: the residual is only rounding. The limit is
+    the normal one with the variance sum_l R_r(l) R_e(l)/k, which allows for the colour of both;
+    Ljung (1999), section 16.6. response: the largest of the sums ``crossed`` with the signal itself
+    in the place of its residual.
     """
     from scipy.special import ndtri
 
     energy = float(np.sqrt(max(own_r[0], 0.0) * max(own_e[0], 0.0)))
     if quiet or energy == 0:
         return ResidualTest(signal, name, 0.0, 1.0, 0, True)
-    lags, span, rho = len(crossed) - 1, len(own_r) - 1, crossed / energy
+    lags = len(crossed) - 1
+    span = len(own_r) - 1
+    rho = crossed / energy
     product = own_r / own_r[0] * own_e / own_e[0] * _parzen(np.arange(span + 1) / span)
     variance = max(float(product[0] + 2 * product[1:].sum()), 0.1) / k
     limit = float(-ndtri((1 - _CONFIDENCE) / 2 / (tests * (lags + 1)))) * variance**0.5
     worst = int(np.argmax(np.abs(rho)))
     visible = limit * energy / response if response else math.inf
-    return ResidualTest(signal, name, float(rho[worst]), limit, worst, bool(abs(rho[worst]) <= limit), visible)
+    return ResidualTest(
+        signal, name, float(rho[worst]), limit, worst, bool(abs(rho[worst]) <= limit), visible
+    )
 
 
 def warnings_of(
@@ -164,17 +204,26 @@ def warnings_of(
     tests: Sequence[ResidualTest],
     verdict: str,
 ) -> Iterator[Finding]:
-    """What makes the result doubtful: not converged, hardly visible, hardly told apart, residuals that follow an excitation."""
+    """What makes the result doubtful: not converged, hardly visible, hardly told apart, residuals
+    that follow an excitation.
+    """
     if not minimum.converged:
         what = f"not converged after {minimum.iterations} steps"
-        yield Finding(Code.NOT_CONVERGED, WARNING, what, remedy="begin elsewhere, or leave a parameter out")
+        yield Finding(
+            Code.NOT_CONVERGED, WARNING, what, remedy="begin elsewhere, or leave a parameter out"
+        )
     for path, value, deviation in zip(paths, minimum.x, np.sqrt(np.diag(covariance)), strict=True):
         if value != 0 and deviation > _UNSURE * abs(value):
             what = f"{path} = {value:.4g} has the standard deviation {deviation:.2g}"
             remedy = "excite its axis more, record longer, or take it as known"
             if path.startswith("rotor."):
-                remedy = "it may stand for a peak of the noise: take the mode as known, its frequency too, or excite it more"
-            yield Finding(Code.HARDLY_VISIBLE, WARNING, what, "hardly visible in these records", remedy)
+                remedy = (
+                    "it may stand for a peak of the noise: take the mode as known, its frequency "
+                    "too, or excite it more"
+                )
+            yield Finding(
+                Code.HARDLY_VISIBLE, WARNING, what, "hardly visible in these records", remedy
+            )
     known = np.sqrt(np.diag(covariance)) <= _TOLD * np.abs(minimum.x)
     for i, j in zip(*np.nonzero(np.triu(np.abs(correlation) > _ALIKE, 1)), strict=True):
         if known[i] and known[j]:
@@ -185,13 +234,22 @@ def warnings_of(
     if not all(test.passed for test in tests):
         yield Finding(Code.RESIDUALS, WARNING, verdict)
     elif (seen := power_of(tests)) and min(seen.values()) > _BLIND:
-        what = f"the residual tests see what the model lacks only from {min(seen.values()):.0%} of the excited response on"
-        remedy = "excite more, record longer, tell the record's speed if the rotor turns, or a --tone"
-        yield Finding(Code.BLIND, WARNING, what, "noise, or motion that nothing excited, hides it", remedy)
+        what = (
+            f"the residual tests see what the model lacks only from {min(seen.values()):.0%} of "
+            "the excited response on"
+        )
+        remedy = (
+            "excite more, record longer, tell the record's speed if the rotor turns, or a --tone"
+        )
+        yield Finding(
+            Code.BLIND, WARNING, what, "noise, or motion that nothing excited, hides it", remedy
+        )
 
 
 def power_of(tests: Sequence[ResidualTest]) -> dict[str, float]:
-    """From which share of the excited response on one that the model lacks would show, by its best test: {signal: share}."""
+    """From which share of the excited response on one that the model lacks would show, by its best
+    test: {signal: share}.
+    """
     found: dict[str, float] = {}
     for test in tests:
         if math.isfinite(test.visible):
@@ -200,7 +258,8 @@ def power_of(tests: Sequence[ResidualTest]) -> dict[str, float]:
 
 
 def verdict_of(tests: Sequence[ResidualTest], converged: bool = True, lacking: str = "") -> str:
-    """One sentence: did the fit converge, do the residuals still follow an excitation, and what to look for if so.
+    """One sentence: did the fit converge, do the residuals still follow an excitation, and what to
+    look for if so.
 
     lacking: what the model was found to lack, as half a sentence.
     """
@@ -209,12 +268,15 @@ def verdict_of(tests: Sequence[ResidualTest], converged: bool = True, lacking: s
     if failed:
         worst = max(failed, key=lambda test: abs(test.correlation) / test.limit)
         parts.append(
-            f"the residual of {worst.signal} still follows {worst.excitation} (correlation {worst.correlation:.3f}, "
-            f"{abs(worst.correlation) / worst.limit:.1f} times the 99 % limit, {worst.lag} samples later), and so do "
+            f"the residual of {worst.signal} still follows {worst.excitation} (correlation "
+            f"{worst.correlation:.3f}, "
+            f"{abs(worst.correlation) / worst.limit:.1f} times the 99 % limit, {worst.lag} "
+            "samples later), and so do "
             f"{len(failed) - 1} of {len(tests) - 1} other pairs"
         )
         lacking = lacking or (
-            "the model lacks something: look for a delay, a different controller, a missing bending mode, magnets beyond their "
+            "the model lacks something: look for a delay, a different controller, a missing "
+            "bending mode, magnets beyond their "
             "linear range, or a parameter that is not as known"
         )
     elif lacking:
@@ -222,9 +284,13 @@ def verdict_of(tests: Sequence[ResidualTest], converged: bool = True, lacking: s
     else:
         seen = sorted(power_of(tests).values())
         share = (
-            f"; what it lacks would show from {100 * seen[0]:.2g} to {100 * seen[-1]:.2g} % of a response on" if seen else ""
+            f"; what it lacks would show from {100 * seen[0]:.2g} to {100 * seen[-1]:.2g} % of a "
+            "response on"
+            if seen
+            else ""
         )
         parts.append(
-            f"the residuals hold no trace of the excitation: the model explains all that the records tell (99 %{share})"
+            "the residuals hold no trace of the excitation: the model explains all that the "
+            f"records tell (99 %{share})"
         )
     return "; ".join([*parts, lacking] if lacking else parts)

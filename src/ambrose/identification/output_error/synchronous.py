@@ -1,9 +1,11 @@
-"""What turns with the rotor, and other tones: cos and sin of 1 to 3 times the angle, which a fit takes out of every signal.
+"""What turns with the rotor, and other tones: cos and sin of 1 to 3 times the angle, which a fit
+takes out of every signal.
 
-Unbalance, run-out and mains enter every signal linearly, with an amplitude and a phase of their own in each. So they are
-nuisances like offsets (output_error/normal_equations.py): eliminated at every theta, neither filtered nor modelled, and what
-they hide of the excitation is missing in J'J, hence in the standard deviations. Only the angle is not linear: where the speed
-is known nearly, the angle is the one under which most of the residual turns with the rotor.
+Unbalance, run-out and mains enter every signal linearly, with an amplitude and a phase of their own
+in each. So they are nuisances like offsets (output_error/normal_equations.py): eliminated at every
+theta, neither filtered nor modelled, and what they hide of the excitation is missing in J'J, hence
+in the standard deviations. Only the angle is not linear: where the speed is known nearly, the angle
+is the one under which most of the residual turns with the rotor.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ import numpy as np
 import scipy.fft
 
 from ambrose.core.checks import check_positive, invalid
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 _NEARLY = 0.02  # of the stated speed, within which the true one is looked for; assumed
 _CLEAR = 20.0  # power of the lines over what noise makes of it, from which they tell the speed
@@ -23,14 +25,17 @@ _BLOCKS, _PAD = (64, 8192), 16
 _PIECE = 65_536  # samples at a time
 _TOLD = 1e-3  # rad: a smaller change of the angle is none
 _TOLD_APART = 0.1  # of a cycle over the record: by less, two waves are one
-_LINE, _SHARE = 30.0, 1e-3  # power of an excitation's line over that beside it, and of the excitation's own
+# power of an excitation's line over that beside it, and of the excitation's own
+_LINE, _SHARE = 30.0, 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Synchronous:
-    """The waves of a record: cos and sin of ``orders`` times the angle, which is rate base + drift base^2 [rad], and of
-    ``tones`` [rad/sample]. base (k,): the integral of the recorded speed over its mean (None: the number of the sample);
-    first: number of the record's sample that is the first one here."""
+    """The waves of a record: cos and sin of ``orders`` times the angle, which is rate base + drift
+    base^2 [rad], and of ``tones`` [rad/sample]. base (k,): the integral of the recorded speed over
+    its mean (None: the number of the sample); first: number of the record's sample that is the
+    first one here.
+    """
 
     rate: float
     orders: tuple[int, ...]
@@ -46,7 +51,11 @@ class Synchronous:
 
     def _base(self, start: int, stop: int) -> np.ndarray:
         inside = slice(self.first + start, self.first + stop)
-        return np.arange(inside.start, inside.stop, dtype=float) if self.base is None else self.base[inside]
+        return (
+            np.arange(inside.start, inside.stop, dtype=float)
+            if self.base is None
+            else self.base[inside]
+        )
 
     def _angle(self, base: np.ndarray) -> np.ndarray:
         return np.asarray(self.rate * base + self.drift * base**2)
@@ -62,7 +71,9 @@ class Synchronous:
             turns += [one**n for n in self.orders]
         samples = np.arange(self.first + start, self.first + stop)
         turns += [np.exp(1j * tone * samples) for tone in self.tones]
-        return np.array([part for turn in turns for part in (turn.real, turn.imag)]).reshape(self.count, stop - start)
+        return np.array([part for turn in turns for part in (turn.real, turn.imag)]).reshape(
+            self.count, stop - start
+        )
 
     def frequencies(self, samples: int) -> np.ndarray:
         """Of the orders, as means over the ``samples``, and of the tones [rad/sample]."""
@@ -77,8 +88,10 @@ class Synchronous:
         return float(np.ptp(change)) > _TOLD
 
     def refined(self, pieces: Iterable[np.ndarray], samples: int) -> Synchronous | None:
-        """The same with the angle, quadratic about the one that was stated, under which most power of the signals (p, length),
-        piece by piece, turns with the rotor; None where that is no more than noise has."""
+        """The same with the angle, quadratic about the one that was stated, under which most power
+        of the signals (p, length), piece by piece, turns with the rotor; None where that is no more
+        than noise has.
+        """
         from scipy.optimize import minimize
 
         if not self.orders or samples < 2 * _BLOCKS[0]:
@@ -95,7 +108,14 @@ class Synchronous:
             return None
 
         def lost(x: np.ndarray) -> float:
-            return -float(np.sum(np.abs(np.sum(z * np.exp(-1j * n * (x[0] * s + x[1] * s**2)), axis=2)) ** 2)) / noise
+            return (
+                -float(
+                    np.sum(
+                        np.abs(np.sum(z * np.exp(-1j * n * (x[0] * s + x[1] * s**2)), axis=2)) ** 2
+                    )
+                )
+                / noise
+            )
 
         power = np.sum(np.abs(scipy.fft.fft(z, _PAD * M, axis=2)) ** 2, axis=1)
         reach = max(int(np.ceil(_NEARLY * abs(self.rate) * half * _PAD / np.pi)), 1)
@@ -103,25 +123,41 @@ class Synchronous:
         total = sum(power[j, (order * trials) % (_PAD * M)] for j, order in enumerate(self.orders))
         begin = np.array([np.pi / _PAD * trials[int(np.argmax(total))], 0.0])
         simplex = begin + np.array([[0.0, 0.0], [np.pi / _PAD, 0.0], [0.0, np.pi / _PAD]])
-        found = minimize(lost, begin, method="Nelder-Mead", options={"initial_simplex": simplex, "xatol": 1e-5, "fatol": 1e-9})
+        found = minimize(
+            lost,
+            begin,
+            method="Nelder-Mead",
+            options={"initial_simplex": simplex, "xatol": 1e-5, "fatol": 1e-9},
+        )
         return None if -found.fun < _CLEAR else self.turned(found.x, samples)
 
     def turned(self, change: np.ndarray, samples: int) -> Synchronous:
-        """The angle gains a s + c s^2, s from -1 to 1 over the record; but for a constant, which is none."""
+        """The angle gains a s + c s^2, s from -1 to 1 over the record; but for a constant, which is
+        none.
+        """
         low, high = self._base(0, samples)[[0, -1]]
-        half, middle, (a, c) = (high - low) / 2, (low + high) / 2, change
+        half = (high - low) / 2
+        middle = (low + high) / 2
+        a, c = change
         rate, drift = self.rate + a / half - 2 * c * middle / half**2, self.drift + c / half**2
         return replace(self, rate=float(rate), drift=float(drift))
 
     def slopes(self, start: int, stop: int, b: np.ndarray, samples: int) -> np.ndarray:
-        """By how much signals of the amplitudes b (p, count) follow the two coefficients of ``turned`` (2, p, length)."""
+        """By how much signals of the amplitudes b (p, count) follow the two coefficients of
+        ``turned`` (2, p, length).
+        """
         low, high = self._base(0, samples)[[0, -1]]
         n = np.repeat([*self.orders, *(0 for _ in self.tones)], 2)
-        slope = (n * b).reshape(len(b), -1, 2)[:, :, ::-1] * [1.0, -1.0]  # of a cos + b sin: b cos - a sin
+        # of a cos + b sin: b cos - a sin
+        slope = (n * b).reshape(len(b), -1, 2)[:, :, ::-1] * [1.0, -1.0]
         s = (self._base(start, stop) - low) * 2 / (high - low) - 1
-        return np.asarray((slope.reshape(b.shape) @ self.waves(start, stop)) * np.stack([s, s**2])[:, None])
+        return np.asarray(
+            (slope.reshape(b.shape) @ self.waves(start, stop)) * np.stack([s, s**2])[:, None]
+        )
 
-    def _demodulated(self, pieces: Iterable[np.ndarray], low: float, high: float, M: int) -> np.ndarray:
+    def _demodulated(
+        self, pieces: Iterable[np.ndarray], low: float, high: float, M: int
+    ) -> np.ndarray:
         """Sums (orders, p, M) over M blocks of the signals turned back by every order."""
         z, start = np.zeros((0, 0, 0), complex), 0
         for piece in pieces:
@@ -149,15 +185,30 @@ class Synchronous:
         return tuple(order for order, found in zip(self.orders, seen, strict=True) if found)
 
 
-def synchronous_of(record: Record, harmonics: int = 3, tones: Sequence[float] | float = ()) -> Synchronous | None:
-    """What may turn with the rotor in a record: 1 to ``harmonics`` times the angle, by its channel speed [rad/s] or the speed
-    of its point, and the tones [Hz]; None: nothing. Raises InvalidInput."""
-    if isinstance(harmonics, bool) or not isinstance(harmonics, int | np.integer) or not 0 <= harmonics <= 20:
+def synchronous_of(
+    record: Record, harmonics: int = 3, tones: Sequence[float] | float = ()
+) -> Synchronous | None:
+    """What may turn with the rotor in a record: 1 to ``harmonics`` times the angle, by its channel
+    speed [rad/s] or the speed of its point, and the tones [Hz]; None: nothing. Raises InvalidInput.
+    """
+    if (
+        isinstance(harmonics, bool)
+        or not isinstance(harmonics, int | np.integer)
+        or not 0 <= harmonics <= 20
+    ):
         raise invalid("harmonics", repr(harmonics), "a whole number, 0 to 20", "3 is usual")
     tones = (tones,) if isinstance(tones, int | float) else tones
-    ways = tuple(2 * np.pi * check_positive(tone, "a tone", "give its frequency in Hz") * record.dt for tone in tones)
+    ways = tuple(
+        2 * np.pi * check_positive(tone, "a tone", "give its frequency in Hz") * record.dt
+        for tone in tones
+    )
     if any(way >= np.pi for way in ways):
-        raise invalid("a tone", f"{max(tones):g} Hz", f"below half the sample rate, {0.5 / record.dt:g} Hz", "give its alias")
+        raise invalid(
+            "a tone",
+            f"{max(tones):g} Hz",
+            f"below half the sample rate, {0.5 / record.dt:g} Hz",
+            "give its alias",
+        )
     rate, base = abs(record.point.speed) * record.dt, None
     if "speed" in record.signals and record["speed"].any():
         speed = np.abs(record["speed"])
@@ -167,31 +218,52 @@ def synchronous_of(record: Record, harmonics: int = 3, tones: Sequence[float] | 
     known = [order * rate for order in orders]
     for number, way in enumerate(ways):
         if any(abs(way - other) < near for other in (*known, *ways[:number])):
-            required = "neither another tone nor a multiple of the speed, to a tenth of a cycle over the record"
+            required = (
+                "neither another tone nor a multiple of the speed, to a tenth of a cycle over the "
+                "record"
+            )
             raise invalid(
-                "a tone", f"{tones[number]:g} Hz", required, "leave it out: what turns with the rotor is taken out anyway"
+                "a tone",
+                f"{tones[number]:g} Hz",
+                required,
+                "leave it out: what turns with the rotor is taken out anyway",
             )
     return Synchronous(rate, orders, ways, base=base) if orders or ways else None
 
 
-def without_synchronous(record: Record, harmonics: int = 3, names: Collection[str] | None = None) -> Record:
-    """The record less what turns with the rotor, in every signal and its excitations: responses to the excitation stay as they
-    are, but where an excitation's line is a multiple of the speed. names: signals that are enough (None: all); a record in
-    which nothing turns is given back as it is."""
+def without_synchronous(
+    record: Record, harmonics: int = 3, names: Collection[str] | None = None
+) -> Record:
+    """The record less what turns with the rotor, in every signal and its excitations: responses to
+    the excitation stay as they are, but where an excitation's line is a multiple of the speed.
+    names: signals that are enough (None: all); a record in which nothing turns is given back as it
+    is.
+    """
     turning = synchronous_of(record, harmonics)
     if turning is None:
         return record
     k = record.values.shape[1]
     parts = [slice(start, min(start + _PIECE, k)) for start in range(0, k, _PIECE)]
-    shown = [row for name, row in zip(record.signals, record.values, strict=True) if name[:2] in {"y_", "ep"} and np.ptp(row)]
+    shown = [
+        row
+        for name, row in zip(record.signals, record.values, strict=True)
+        if name[:2] in {"y_", "ep"} and np.ptp(row)
+    ]
     if shown:
         sizes = [(row, row.mean(), row.std()) for row in shown]
         y = (np.array([(row[part] - mean) / size for row, mean, size in sizes]) for part in parts)
         turning = turning.refined(y, k) or turning
     kept = [i for i, name in enumerate(record.signals) if names is None or name in names]
     values = record.values[kept]
-    moving = [j for j, i in enumerate(kept) if record.signals[i][:2] in {"y_", "u_", "i_", "e_", "v_", "f_", "ep", "al"}]
-    square, product = np.zeros((1 + turning.count, 1 + turning.count)), np.zeros((1 + turning.count, len(moving)))
+    moving = [
+        j
+        for j, i in enumerate(kept)
+        if record.signals[i][:2] in {"y_", "u_", "i_", "e_", "v_", "f_", "ep", "al"}
+    ]
+    square, product = (
+        np.zeros((1 + turning.count, 1 + turning.count)),
+        np.zeros((1 + turning.count, len(moving))),
+    )
     for part in parts:
         W = np.vstack([np.ones(part.stop - part.start), turning.waves(part.start, part.stop)])
         square, product = square + W @ W.T, product + W @ values[moving, part].T

@@ -1,4 +1,6 @@
-"""A straight line through points with known uncertainties: where the line is, and where the next point will be."""
+"""A straight line through points with known uncertainties: where the line is, and where the next
+point will be.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +16,11 @@ from ambrose.core.checks import check_shape, invalid
 class Line:
     """y = intercept + slope x, weighted least squares through n points.
 
-    covariance (2, 2) of (intercept, slope). scatter: sd of a point of unit weight about the line, over what its own sd says
-    (1: as stated; larger: the points scatter more than they claim, and every band is widened by it). point_deviation: sd of a
-    further point, its own noise included. freedom: n - 2, or n - 1 for a line through the origin. r_squared [-]. apart (n,):
-    how far each point is from the line through all others, in stated standard deviations of that difference.
+    covariance (2, 2) of (intercept, slope). scatter: sd of a point of unit weight about the line,
+    over what its own sd says (1: as stated; larger: the points scatter more than they claim, and
+    every band is widened by it). point_deviation: sd of a further point, its own noise included.
+    freedom: n - 2, or n - 1 for a line through the origin. r_squared [-]. apart (n,): how far each
+    point is from the line through all others, in stated standard deviations of that difference.
     """
 
     intercept: float
@@ -45,34 +48,56 @@ class Line:
 
     def prediction(self, x: ArrayLike, level: float = 0.95) -> np.ndarray:
         """Half-width of the band that holds the next measured point at x."""
-        return _student(self.freedom, level) * np.sqrt(self.deviation(x) ** 2 + self.point_deviation**2)
+        return _student(self.freedom, level) * np.sqrt(
+            self.deviation(x) ** 2 + self.point_deviation**2
+        )
 
     @property
     def slope_probability(self) -> float:
-        """Probability of a slope at least as large, either sign, where there is none (small: the slope is real)."""
+        """Probability of a slope at least as large, either sign, where there is none (small: the
+        slope is real).
+        """
         from scipy.special import stdtr
 
         deviation = float(np.sqrt(self.covariance[1, 1]))
-        return 2 * float(stdtr(self.freedom, -abs(self.slope) / deviation)) if deviation > 0 else 0.0
+        return (
+            2 * float(stdtr(self.freedom, -abs(self.slope) / deviation)) if deviation > 0 else 0.0
+        )
 
 
-def fit_line(x: ArrayLike, y: ArrayLike, deviations: ArrayLike | None = None, *, through_origin: bool = False) -> Line:
+def fit_line(
+    x: ArrayLike, y: ArrayLike, deviations: ArrayLike | None = None, *, through_origin: bool = False
+) -> Line:
     """The line through points x (n,), y (n,) with standard deviations (n,) (None: equal, unknown).
 
-    Where deviations are given, bands follow them, and are widened (never narrowed) when the points scatter more: the square
-    root of chi squared over freedom, Birge (1932). Raises InvalidInput for fewer points than a line with a scatter needs.
-    Draper & Smith (1998), ch. 1-3.
+    Where deviations are given, bands follow them, and are widened (never narrowed) when the points
+    scatter more: the square root of chi squared over freedom, Birge (1932). Raises InvalidInput for
+    fewer points than a line with a scatter needs. Draper & Smith (1998), ch. 1-3.
     """
     x = check_shape(x, "x", "(n)").astype(float)
     n = len(x)
     y = check_shape(y, "y", "(n)", n=n).astype(float)
     least = 2 if through_origin else 3
     if n < least or np.ptp(x) == 0:
-        raise invalid("the points of a line", f"{n} at {len(np.unique(x))} places", f"at least {least}, apart", "measure more")
+        raise invalid(
+            "the points of a line",
+            f"{n} at {len(np.unique(x))} places",
+            f"at least {least}, apart",
+            "measure more",
+        )
     known = deviations is not None
-    sd = check_shape(deviations, "deviations", "(n)", n=n).astype(float) if deviations is not None else np.ones(n)
+    sd = (
+        check_shape(deviations, "deviations", "(n)", n=n).astype(float)
+        if deviations is not None
+        else np.ones(n)
+    )
     if not (sd > 0).all():
-        raise invalid("the smallest standard deviation of a point", sd.min(), "positive", "leave deviations out, or correct it")
+        raise invalid(
+            "the smallest standard deviation of a point",
+            sd.min(),
+            "positive",
+            "leave deviations out, or correct it",
+        )
     size = np.array([1.0, float(np.abs(x).max())])
     X = np.column_stack([np.ones(n), x / size[1]])[:, 1 if through_origin else 0 :] / sd[:, None]
     inverse = np.linalg.inv(X.T @ X)
@@ -88,13 +113,20 @@ def fit_line(x: ArrayLike, y: ArrayLike, deviations: ArrayLike | None = None, *,
     spread = float(weight @ (y - weight @ y / weight.sum()) ** 2)
     share = 1 - float(rest @ rest) / spread if spread > 0 else 0.0
     typical = float(1 / np.sqrt(weight.mean()))
-    free = 1 - np.einsum("ij,jk,ik->i", X, inverse, X)  # what of a point's own deviation is left beside the line
+    # what of a point's own deviation is left beside the line
+    free = 1 - np.einsum("ij,jk,ik->i", X, inverse, X)
     apart = rest / np.sqrt(np.maximum(free, 1e-300)) / (1.0 if known or not birge else birge)
     apart[free < 1e-9] = 0.0  # the others leave the line open there
     return Line(
-        float(coefficients[0]), float(coefficients[1]), whole / size / size[:, None], scatter, scatter * typical, freedom,
-        share, apart,
-    )  # fmt: skip
+        float(coefficients[0]),
+        float(coefficients[1]),
+        whole / size / size[:, None],
+        scatter,
+        scatter * typical,
+        freedom,
+        share,
+        apart,
+    )
 
 
 def _student(freedom: int, level: float) -> float:

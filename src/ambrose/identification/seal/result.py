@@ -1,4 +1,6 @@
-"""Seal coefficients found at several pressures and frequencies, their averages and lines over pressure."""
+"""Seal coefficients found at several pressures and frequencies, their averages and lines over
+pressure.
+"""
 
 from __future__ import annotations
 
@@ -13,20 +15,30 @@ from ambrose.identification.seal.regression import Line, fit_line
 COEFFICIENTS = ("K", "k", "C", "c")
 ENTRIES = ("K_xx", "k_xy", "k_yx", "K_yy", "C_xx", "c_xy", "c_yx", "C_yy")
 _PER_ROW = (
-    "pressure", "frequency", "values", "deviations", "entries", "entry_deviations", "cosine", "correlation", "systematic",
-)  # fmt: skip
+    "pressure",
+    "frequency",
+    "values",
+    "deviations",
+    "entries",
+    "entry_deviations",
+    "cosine",
+    "correlation",
+    "systematic",
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SealFit:
     """Coefficients of one seal, a row per pressure and frequency.
 
-    pressure (n,) [Pa]; frequency (n,) [rad/s], NaN where all frequencies of a record were fitted at once. values (n, 4): K, k
-    [N/m], C, c [N s/m] of the symmetric model; deviations (n, 4): their standard deviations. entries (n, 8): K_xx, k_xy, k_yx,
-    K_yy, C_xx, c_xy, c_yx, C_yy of [[K_xx, k_xy], [-k_yx, K_yy]] and likewise C, NaN where the excitation had one direction;
-    entry_deviations (n, 8). cosine (n, 4, 4): between the columns of the Jacobian for K, k, C, c (no correlation);
-    correlation (n, 4, 4): of the parameters, from (J'J)^-1. systematic (n, 4): what was found without pressure beyond the
-    machine's own and has been taken off; zero without a reference. method: in words. warnings: what makes a row doubtful.
+    pressure (n,) [Pa]; frequency (n,) [rad/s], NaN where all frequencies of a record were fitted at
+    once. values (n, 4): K, k [N/m], C, c [N s/m] of the symmetric model; deviations (n, 4): their
+    standard deviations. entries (n, 8): K_xx, k_xy, k_yx, K_yy, C_xx, c_xy, c_yx, C_yy of [[K_xx,
+    k_xy], [-k_yx, K_yy]] and likewise C, NaN where the excitation had one direction;
+    entry_deviations (n, 8). cosine (n, 4, 4): between the columns of the Jacobian for K, k, C, c
+    (no correlation); correlation (n, 4, 4): of the parameters, from (J'J)^-1. systematic (n, 4):
+    what was found without pressure beyond the machine's own and has been taken off; zero without a
+    reference. method: in words. warnings: what makes a row doubtful.
     """
 
     machine: str
@@ -57,7 +69,10 @@ class SealFit:
 
     def joined(self, *others: SealFit) -> SealFit:
         """The rows of all, by pressure, then frequency."""
-        parts = {name: np.concatenate([getattr(one, name) for one in (self, *others)]) for name in _PER_ROW}
+        parts = {
+            name: np.concatenate([getattr(one, name) for one in (self, *others)])
+            for name in _PER_ROW
+        }
         order = np.lexsort((parts["frequency"], parts["pressure"]))
         return replace(self, **{name: part[order] for name, part in parts.items()})  # type: ignore[arg-type]
 
@@ -66,11 +81,18 @@ class SealFit:
         kept = np.isclose(self.pressure, pressure, rtol=1e-6, atol=1.0)
         if not kept.any():
             known = ", ".join(f"{p:g}" for p in self.pressures)
-            raise invalid("the pressure", f"{pressure:g} Pa", f"one of {known}", "choose one that was measured")
+            raise invalid(
+                "the pressure",
+                f"{pressure:g} Pa",
+                f"one of {known}",
+                "choose one that was measured",
+            )
         return self.rows(kept)
 
     def column(self, coefficient: str) -> tuple[np.ndarray, np.ndarray]:
-        """Values and standard deviations (n,) of "K", "k", "C", "c" or of one entry such as "K_xx". Raises InvalidInput."""
+        """Values and standard deviations (n,) of "K", "k", "C", "c" or of one entry such as "K_xx".
+        Raises InvalidInput.
+        """
         if coefficient in COEFFICIENTS:
             i = COEFFICIENTS.index(coefficient)
             return self.values[:, i], self.deviations[:, i]
@@ -84,12 +106,14 @@ class SealFit:
 def averaged(fit: SealFit, up_to: float = np.inf) -> SealFit:
     """One row per pressure: means over the frequencies up to ``up_to`` [rad/s], weighted by 1/sd^2.
 
-    The deviations allow for scatter beyond the single ones, so a coefficient that depends on frequency gets a wide one.
-    Raises InvalidInput where no row is left.
+    The deviations allow for scatter beyond the single ones, so a coefficient that depends on
+    frequency gets a wide one. Raises InvalidInput where no row is left.
     """
     kept = fit.rows(np.isnan(fit.frequency) | (fit.frequency <= up_to * (1 + 1e-9)))
     if not len(kept):
-        raise invalid("up_to", f"{up_to:g} rad/s", f"at least {np.nanmin(fit.frequency):g}", "raise it")
+        raise invalid(
+            "up_to", f"{up_to:g} rad/s", f"at least {np.nanmin(fit.frequency):g}", "raise it"
+        )
     parts = [_mean(kept.at(pressure)) for pressure in kept.pressures]
     stacked = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _PER_ROW}
     return replace(fit, **stacked, method=f"{fit.method}, mean over frequency")  # type: ignore[arg-type]
@@ -98,11 +122,20 @@ def averaged(fit: SealFit, up_to: float = np.inf) -> SealFit:
 def _mean(fit: SealFit) -> SealFit:
     values, deviations = _weighted(fit.values, fit.deviations)
     entries, entry_deviations = _weighted(fit.entries, fit.entry_deviations)
-    whole = {name: getattr(fit, name).mean(axis=0, keepdims=True) for name in ("cosine", "correlation", "systematic")}
+    whole = {
+        name: getattr(fit, name).mean(axis=0, keepdims=True)
+        for name in ("cosine", "correlation", "systematic")
+    }
     return replace(
-        fit, pressure=fit.pressure[:1], frequency=np.array([np.nan]), values=values, deviations=deviations,
-        entries=entries, entry_deviations=entry_deviations, **whole,
-    )  # fmt: skip
+        fit,
+        pressure=fit.pressure[:1],
+        frequency=np.array([np.nan]),
+        values=values,
+        deviations=deviations,
+        entries=entries,
+        entry_deviations=entry_deviations,
+        **whole,
+    )
 
 
 def _weighted(values: np.ndarray, deviations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -115,12 +148,16 @@ def _weighted(values: np.ndarray, deviations: np.ndarray) -> tuple[np.ndarray, n
 
 
 def line(fit: SealFit, coefficient: str) -> Line:
-    """The regression line of a coefficient over pressure [Pa]; a row per measurement, so repeats count. P5, Fig. 7.
+    """The regression line of a coefficient over pressure [Pa]; a row per measurement, so repeats
+    count. P5, Fig. 7.
 
     Frequencies are averaged first. Raises InvalidInput for fewer than three pressures.
     """
     rows = fit if np.isnan(fit.frequency).all() else averaged(fit)
     values, deviations = rows.column(coefficient)
     if np.isnan(values).any():
-        raise InvalidInput(f"{coefficient} was not identified; excite along both axes for single entries of the matrices")
+        raise InvalidInput(
+            f"{coefficient} was not identified; excite along both axes for single entries of the "
+            "matrices"
+        )
     return fit_line(rows.pressure, values, np.maximum(deviations, 1e-300))

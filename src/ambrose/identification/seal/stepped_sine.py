@@ -1,9 +1,11 @@
-"""Seal coefficients frequency by frequency from stepped sines in closed loop: no controller, no noise model, no iteration.
+"""Seal coefficients frequency by frequency from stepped sines in closed loop: no controller, no
+noise model, no iteration.
 
-At a frequency the measured displacements and the magnets' forces are phasors. The rotor with bearings and couplings, but
-without the seal, says which force at the seal is missing, f = H_ys^-1 (y - H_yb F_b), and how the rotor moves there; the
-dynamic stiffness Z = K + j w C of the seal is what turns one into the other, f = -Z q. Whatever acts on both (controller,
-pressure, noise that does not repeat) drops out. What the model lacks shows as a Z without pressure, and is taken off
+At a frequency the measured displacements and the magnets' forces are phasors. The rotor with
+bearings and couplings, but without the seal, says which force at the seal is missing, f = H_ys^-1
+(y - H_yb F_b), and how the rotor moves there; the dynamic stiffness Z = K + j w C of the seal is
+what turns one into the other, f = -Z q. Whatever acts on both (controller, pressure, noise that
+does not repeat) drops out. What the model lacks shows as a Z without pressure, and is taken off
 (P4, Fig. 12).
 """
 
@@ -23,15 +25,17 @@ from ambrose.identification.frf.phasors import Step, find_steps, phasors
 from ambrose.identification.output_error.problem import operating_points
 from ambrose.identification.seal.broadband import Driven, at_lines
 from ambrose.identification.seal.result import SealFit
-from ambrose.machine.description import OperatingPoint, Seal
+from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
-from ambrose.physics import amplifier, sensor
-from ambrose.plant.assemble import assemble, seal_coefficients
-from ambrose.plant.static_load import magnet_coefficients
+from ambrose.machine.seals import Seal
+from ambrose.model.assemble import assemble, seal_coefficients
+from ambrose.model.effects import amplifier, sensor
+from ambrose.model.static_load import magnet_coefficients
+from ambrose.record.record import Record
 
 CURRENTS = ("measured", "commanded")
-_ONE_DIRECTION = 1e-3  # of the larger singular value: below, the motions at the seal do not span the plane
+# of the larger singular value: below, the motions at the seal do not span the plane
+_ONE_DIRECTION = 1e-3
 _NEAR_SPEED = 1.0  # [Hz]
 _UNSURE = 0.3  # standard deviation over value that is worth a warning
 _UNDECIDABLE = 1e-6  # eigenvalue of the scaled normal matrix of K, k, C, c
@@ -51,14 +55,16 @@ def identify(
 ) -> SealFit:
     """The coefficients of a seal at every pressure and frequency of the records.
 
-    records: closed-loop records with y_<axis> [m] and i_<axis> [A] or u_<axis> and e_<axis> [A], one or several per pressure
-    (record.point.seal_pressure); several directions of excitation give all eight entries. seal: its name, where there are
-    several. steps: the schedule of all records (None: found in each). settle [s]: left out at the begin of each step. currents:
-    "measured" coil currents or "commanded" ones through the amplifier's model (None: measured where recorded). reference: the
-    records at zero pressure tell what the model lacks, which is taken off all others and reported as ``systematic``; without,
-    the machine must be exact. lines (f,) [rad/s]: instead of stepped sines the records hold chirps, binary sequences or
-    noise along both directions, whose responses are taken at these frequencies (broadband.py), harmonics: multiples of the
-    speed taken out of them. Raises InvalidInput.
+    records: closed-loop records with y_<axis> [m] and i_<axis> [A] or u_<axis> and e_<axis> [A],
+    one or several per pressure (record.point.seal_pressure); several directions of excitation give
+    all eight entries. seal: its name, where there are several. steps: the schedule of all records
+    (None: found in each). settle [s]: left out at the begin of each step. currents: "measured" coil
+    currents or "commanded" ones through the amplifier's model (None: measured where recorded).
+    reference: the records at zero pressure tell what the model lacks, which is taken off all others
+    and reported as ``systematic``; without, the machine must be exact. lines (f,) [rad/s]: instead
+    of stepped sines the records hold chirps, binary sequences or noise along both directions, whose
+    responses are taken at these frequencies (broadband.py), harmonics: multiples of the speed taken
+    out of them. Raises InvalidInput.
     """
     name = seal_name(machine, seal)
     operating_points(machine, records, one_rate=False)
@@ -66,43 +72,63 @@ def identify(
     for record in records:
         groups.setdefault(record.point.seal_pressure, []).append(record)
     if reference and 0.0 not in groups:
-        raise InvalidInput("no record was taken without pressure; add one, or pass reference=False and trust the model")
+        raise InvalidInput(
+            "no record was taken without pressure; add one, or pass reference=False and trust the "
+            "model"
+        )
     if currents not in (None, *CURRENTS):
         raise invalid("currents", repr(currents), " or ".join(CURRENTS), "correct it")
 
     def driven(group: list[Record]) -> dict[float, list[Driven]]:
         if lines is None:
             return _steps(machine, group, steps, settle, currents)
-        return at_lines(group, _signals(machine, group, currents), [_key(w) for w in lines], harmonics)
+        return at_lines(
+            group, _signals(machine, group, currents), [_key(w) for w in lines], harmonics
+        )
 
-    stiffness = {pressure: _at_pressure(machine, name, groups[pressure], driven) for pressure in sorted(groups)}
+    stiffness = {
+        pressure: _at_pressure(machine, name, groups[pressure], driven)
+        for pressure in sorted(groups)
+    }
     lacking = _lacking(machine, name, stiffness[0.0], groups[0.0][0].point) if reference else {}
     rows = [
         (pressure, _corrected(item, lacking, stiffness[0.0] if reference else []))
-        for pressure, items in stiffness.items() for item in items
+        for pressure, items in stiffness.items()
+        for item in items
         if not lacking or (pressure and _key(item.frequency) in lacking)
-    ]  # fmt: skip
+    ]
     if not rows:
         raise InvalidInput(
-            "no frequency was driven both with and without pressure; add records under pressure, with the same frequencies"
+            "no frequency was driven both with and without pressure; add records under pressure, "
+            "with the same frequencies"
         )
     fit = _result(machine, name, rows)
     how = "stepped sine" if lines is None else "responses to broadband excitation"
     method = how + (", less the reference without pressure" if lacking else "")
-    return replace(fit, method=method, warnings=tuple(_warnings(records if lines is None else (), rows)))
+    return replace(
+        fit, method=method, warnings=tuple(_warnings(records if lines is None else (), rows))
+    )
 
 
-def _warnings(records: Sequence[Record], rows: Sequence[tuple[float, _Stiffness]]) -> Iterator[Finding]:
+def _warnings(
+    records: Sequence[Record], rows: Sequence[tuple[float, _Stiffness]]
+) -> Iterator[Finding]:
     """What makes rows doubtful: unbalance at the same frequency, and k lost in noise."""
     speeds = {abs(record.point.speed) for record in records if record.point.speed}
     for w in dict.fromkeys(item.frequency for _, item in rows):
         for speed in speeds:
             if abs(w - speed) < _NEAR_SPEED * 2 * np.pi:
-                what = f"the step at {w / 2 / np.pi:g} Hz lies at the speed of {speed / 2 / np.pi:g} Hz"
+                what = (
+                    f"the step at {w / 2 / np.pi:g} Hz lies at the speed of {speed / 2 / np.pi:g} "
+                    "Hz"
+                )
                 remedy = "leave it out, or take records with and without excitation"
                 yield Finding(Code.AT_SPEED, WARNING, what, "unbalance answers too", remedy)
     for pressure, item in rows:
-        k, deviation = item.pair[1].real, float(np.std(item.pairs[:, 1].real, ddof=1)) / len(item.pairs) ** 0.5
+        k, deviation = (
+            item.pair[1].real,
+            float(np.std(item.pairs[:, 1].real, ddof=1)) / len(item.pairs) ** 0.5,
+        )
         if pressure and deviation > _UNSURE * abs(k):
             where = f"at {pressure:g} Pa and {item.frequency / 2 / np.pi:g} Hz"
             what = f"{where} k = {k:.3g} has the standard deviation {deviation:.2g}"
@@ -112,7 +138,9 @@ def _warnings(records: Sequence[Record], rows: Sequence[tuple[float, _Stiffness]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Stiffness:
-    """Z at one pressure and frequency: symmetric (direct, cross) complex and, or NaN, the matrix (2, 2); per block too."""
+    """Z at one pressure and frequency: symmetric (direct, cross) complex and, or NaN, the matrix
+    (2, 2); per block too.
+    """
 
     frequency: float
     pair: np.ndarray  # (2,)
@@ -124,7 +152,10 @@ class _Stiffness:
 
 
 def _at_pressure(
-    machine: Machine, name: str, records: list[Record], driven: Callable[[list[Record]], dict[float, list[Driven]]]
+    machine: Machine,
+    name: str,
+    records: list[Record],
+    driven: Callable[[list[Record]], dict[float, list[Driven]]],
 ) -> list[_Stiffness]:
     experiments = driven(records)
     model = _Model(machine, name, records[0].point, np.array(list(experiments)), records[0].dt)
@@ -133,16 +164,27 @@ def _at_pressure(
 
 
 def _steps(
-    machine: Machine, records: list[Record], steps: Sequence[Step] | None, settle: float, currents: str | None
+    machine: Machine,
+    records: list[Record],
+    steps: Sequence[Step] | None,
+    settle: float,
+    currents: str | None,
 ) -> dict[float, list[Driven]]:
     """The phasors of all steps at every frequency."""
     schedules = [find_steps(record) if steps is None else tuple(steps) for record in records]
     keys = [key for key in dict.fromkeys(_key(s.frequency) for plan in schedules for s in plan)]
     result: dict[float, list[Driven]] = {}
     for key in keys:
-        pairs = [(r, s) for r, plan in zip(records, schedules, strict=True) for s in plan if _key(s.frequency) == key]
+        pairs = [
+            (r, s)
+            for r, plan in zip(records, schedules, strict=True)
+            for s in plan
+            if _key(s.frequency) == key
+        ]
         told = [(_signals(machine, [r], currents), r, s) for r, s in pairs]
-        result[key] = [(phasors(r, s, names, settle), names[-1].startswith("i_")) for names, r, s in told]
+        result[key] = [
+            (phasors(r, s, names, settle), names[-1].startswith("i_")) for names, r, s in told
+        ]
     return result
 
 
@@ -156,14 +198,22 @@ def _signals(machine: Machine, records: Sequence[Record], currents: str | None) 
     axes = machine.axes
     there = all(f"i_{a}" in record.signals for record in records for a in axes)
     measured = currents == "measured" or (currents is None and there)
-    return [f"y_{a}" for a in axes] + [f"{kind}_{a}" for kind in ("i" if measured else "ue") for a in axes]
+    return [f"y_{a}" for a in axes] + [
+        f"{kind}_{a}" for kind in ("i" if measured else "ue") for a in axes
+    ]
 
 
 class _Model:
-    """The rotor on bearings and couplings without the seal, at the frequencies (f,) [rad/s] of the steps."""
+    """The rotor on bearings and couplings without the seal, at the frequencies (f,) [rad/s] of the
+    steps.
+    """
 
-    def __init__(self, machine: Machine, name: str, point: OperatingPoint, omega: np.ndarray, dt: float) -> None:
-        seals = tuple(Seal(item.name, item.position) if item.name == name else item for item in machine.seals)
+    def __init__(
+        self, machine: Machine, name: str, point: OperatingPoint, omega: np.ndarray, dt: float
+    ) -> None:
+        seals = tuple(
+            Seal(item.name, item.position) if item.name == name else item for item in machine.seals
+        )
         bare = replace(machine, seals=seals, tolerances=())
         plant = assemble(bare, point)
         b, s = [f"f_{a}" for a in machine.axes], [f"f_{name}_x", f"f_{name}_y"]
@@ -181,8 +231,12 @@ class _Model:
         drive: StateSpace = amplifier.linearised(machine.amplifier, machine.axes)
         self.current_by_command = frequency_response(drive, omega).values * hold[:, None, None]
 
-    def seal_force(self, i: int, driven: Driven, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Force on the rotor and displacement at the seal, (2,) each, from the signals' phasors (s,) at frequency i."""
+    def seal_force(
+        self, i: int, driven: Driven, values: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Force on the rotor and displacement at the seal, (2,) each, from the signals' phasors
+        (s,) at frequency i.
+        """
         item, measured = driven
         at = dict(zip(item.signals, values, strict=True))
         y = np.array([at[f"y_{a}"] for a in self.axes])
@@ -192,7 +246,9 @@ class _Model:
             command = np.array([at[f"u_{a}"] + at[f"e_{a}"] for a in self.axes])
             current = self.current_by_command[i] @ command
         force = self.k_i * current
-        f, *_ = np.linalg.lstsq(self.measured_by_seal[i], y - self.measured_by_force[i] @ force, rcond=None)
+        f, *_ = np.linalg.lstsq(
+            self.measured_by_seal[i], y - self.measured_by_force[i] @ force, rcond=None
+        )
         return f, self.moved_by_force[i] @ force + self.moved_by_seal[i] @ f
 
 
@@ -201,8 +257,12 @@ def _stiffness(model: _Model, i: int, driven: list[Driven]) -> _Stiffness:
     omega = float(model.omega[i])
 
     def solve(values: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        f, q = (np.stack(part, axis=1) for part in zip(*map(model.seal_force, [i] * len(driven), driven, values), strict=True))
-        A = np.concatenate([np.stack([q[0], q[1]], axis=1), np.stack([q[1], -q[0]], axis=1)])  # f = -Z q, row by row
+        f, q = (
+            np.stack(part, axis=1)
+            for part in zip(*map(model.seal_force, [i] * len(driven), driven, values), strict=True)
+        )
+        # f = -Z q, row by row
+        A = np.concatenate([np.stack([q[0], q[1]], axis=1), np.stack([q[1], -q[0]], axis=1)])
         pair, *_ = np.linalg.lstsq(A, -np.concatenate([f[0], f[1]]), rcond=None)
         size = np.linalg.svd(q, compute_uv=False)
         whole = len(size) == 2 and q.shape[1] > 1 and size[1] > _ONE_DIRECTION * size[0]
@@ -214,27 +274,39 @@ def _stiffness(model: _Model, i: int, driven: list[Driven]) -> _Stiffness:
     size = np.sqrt(np.diag(normal))
     if np.linalg.eigvalsh(normal / size / size[:, None])[0] < _UNDECIDABLE:
         raise NumericalFailure(
-            f"at {omega / 2 / np.pi:g} Hz the rotor whirls in a circle at the seal, where direct and cross-coupled "
+            f"at {omega / 2 / np.pi:g} Hz the rotor whirls in a circle at the seal, where direct "
+            "and cross-coupled "
             "coefficients cannot be told apart; excite along both axes, in records of their own"
         )
     count = min(len(item.blocks) for item, _ in driven)
     parts = [solve([item.blocks[b] for item, _ in driven]) for b in range(count)]
     return _Stiffness(
-        omega, pair, matrix, np.array([p[0] for p in parts]), np.array([p[1] for p in parts]), normal, np.zeros(2, complex)
+        omega,
+        pair,
+        matrix,
+        np.array([p[0] for p in parts]),
+        np.array([p[1] for p in parts]),
+        normal,
+        np.zeros(2, complex),
     )
 
 
 def _lacking(
     machine: Machine, name: str, items: list[_Stiffness], point: OperatingPoint
 ) -> dict[float, tuple[np.ndarray, np.ndarray]]:
-    """Per frequency, pair (2,) and matrix (2, 2) found at zero pressure beyond what the machine states there."""
+    """Per frequency, pair (2,) and matrix (2, 2) found at zero pressure beyond what the machine
+    states there.
+    """
     item = next(one for one in machine.seals if one.name == name)
     result = {}
     for reference in items:
         w = reference.frequency
         own = seal_coefficients(item, replace(point, whirl_frequency=w))
         a, b = own.K + 1j * w * own.C, own.k + 1j * w * own.c
-        result[_key(w)] = (reference.pair - np.array([a, b]), reference.matrix - np.array([[a, b], [-b, a]]))
+        result[_key(w)] = (
+            reference.pair - np.array([a, b]),
+            reference.matrix - np.array([[a, b], [-b, a]]),
+        )
     return result
 
 
@@ -247,9 +319,12 @@ def _corrected(item: _Stiffness, lacking: dict[float, Any], zero: list[_Stiffnes
     other = next((one for one in zero if _key(one.frequency) == _key(item.frequency)), None)
     if other is None:
         return shifted
-    count = min(len(item.pairs), len(other.pairs))  # the blocks' means then scatter as the difference does
+    # the blocks' means then scatter as the difference does
+    count = min(len(item.pairs), len(other.pairs))
     return replace(
-        shifted, pairs=item.pairs[:count] - other.pairs[:count], matrices=item.matrices[:count] - other.matrices[:count]
+        shifted,
+        pairs=item.pairs[:count] - other.pairs[:count],
+        matrices=item.matrices[:count] - other.matrices[:count],
     )
 
 
@@ -263,13 +338,29 @@ def _result(machine: Machine, name: str, rows: list[tuple[float, _Stiffness]]) -
     scale = np.sqrt(np.einsum("nii->ni", inverse))
     taken = np.array([item.taken_off for item in items])
     return SealFit(
-        machine.name, name, np.array([pressure for pressure, _ in rows]), omega,
+        machine.name,
+        name,
+        np.array([pressure for pressure, _ in rows]),
+        omega,
         _four(np.array([item.pair for item in items]), omega),
-        np.array([_deviation(_four(item.pairs, np.full(len(item.pairs), item.frequency))) for item in items]),
+        np.array(
+            [
+                _deviation(_four(item.pairs, np.full(len(item.pairs), item.frequency)))
+                for item in items
+            ]
+        ),
         _eight(np.array([item.matrix for item in items]), omega),
-        np.array([_deviation(_eight(item.matrices, np.full(len(item.matrices), item.frequency))) for item in items]),
-        cosine, inverse / scale[:, :, None] / scale[:, None, :], _four(taken, omega), "",
-    )  # fmt: skip
+        np.array(
+            [
+                _deviation(_eight(item.matrices, np.full(len(item.matrices), item.frequency)))
+                for item in items
+            ]
+        ),
+        cosine,
+        inverse / scale[:, :, None] / scale[:, None, :],
+        _four(taken, omega),
+        "",
+    )
 
 
 def _four(pairs: np.ndarray, omega: np.ndarray) -> np.ndarray:
@@ -279,7 +370,9 @@ def _four(pairs: np.ndarray, omega: np.ndarray) -> np.ndarray:
 
 def _eight(matrices: np.ndarray, omega: np.ndarray) -> np.ndarray:
     """The eight entries (n, 8) of matrices (n, 2, 2)."""
-    signed = np.column_stack([matrices[:, 0, 0], matrices[:, 0, 1], -matrices[:, 1, 0], matrices[:, 1, 1]])
+    signed = np.column_stack(
+        [matrices[:, 0, 0], matrices[:, 0, 1], -matrices[:, 1, 0], matrices[:, 1, 1]]
+    )
     stiffness, damping = signed.real, signed.imag / omega[:, None]
     return np.column_stack([stiffness, damping[:, 0], damping[:, 1], damping[:, 2], damping[:, 3]])
 
@@ -296,5 +389,10 @@ def seal_name(machine: Machine, seal: str | None) -> str:
         return names[0]
     if seal not in names:
         known = ", ".join(names) or "none"
-        raise invalid("seal", repr(seal), f"one of the machine's seals: {known}", "name the one that is identified")
+        raise invalid(
+            "seal",
+            repr(seal),
+            f"one of the machine's seals: {known}",
+            "name the one that is identified",
+        )
     return str(seal)

@@ -1,4 +1,6 @@
-"""Seal coefficients from any excitation, pressure by pressure: the time-domain fit with all else known (P5)."""
+"""Seal coefficients from any excitation, pressure by pressure: the time-domain fit with all else
+known (P5).
+"""
 
 from __future__ import annotations
 
@@ -15,18 +17,24 @@ from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.output_error.problem import FitOptions, build_experiment
 from ambrose.identification.seal.result import COEFFICIENTS, ENTRIES, SealFit
 from ambrose.identification.seal.stepped_sine import seal_name
+from ambrose.law.law import LawLike
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
-from ambrose.plant.assemble import seal_coefficients
+from ambrose.model.assemble import seal_coefficients
+from ambrose.record.record import Record
 
 # Which entries make a coefficient of the symmetric model: their mean.
-_MEMBERS = {"K": ("K_xx", "K_yy"), "k": ("k_xy", "k_yx"), "C": ("C_xx", "C_yy"), "c": ("c_xy", "c_yx")}
+_MEMBERS = {
+    "K": ("K_xx", "K_yy"),
+    "k": ("k_xy", "k_yx"),
+    "C": ("C_xx", "C_yy"),
+    "c": ("c_xy", "c_yx"),
+}
 
 
 def identify(
     machine: Machine,
     records: Sequence[Record],
-    controller: Any,
+    controller: LawLike,
     *,
     seal: str | None = None,
     coefficients: Sequence[str] = COEFFICIENTS,
@@ -36,52 +44,75 @@ def identify(
     progress: Callable[[str], None] = lambda stage: None,
     **options: Any,
 ) -> SealFit:
-    """The coefficients of a seal at every pressure of the records (record.point.seal_pressure): impulses, PRBS, chirps, sines.
+    """The coefficients of a seal at every pressure of the records (record.point.seal_pressure):
+    impulses, PRBS, chirps, sines.
 
-    machine: with everything else known, its bearings identified without pressure first. controller, start and options: as
-    closed_loop.identify. coefficients: those sought, the others stay the machine's. entries: all eight of the matrices (excite
-    along both axes). together: one row per pressure from all its records; False: a row per record, so that repeats show how
-    far they scatter. Without pressure a coefficient may well be zero, so that it is hardly visible is no warning there. Raises
-    InvalidInput, and NumericalFailure where a fit does not converge.
+    machine: with everything else known, its bearings identified without pressure first. controller,
+    start and options: as closed_loop.identify. coefficients: those sought, the others stay the
+    machine's. entries: all eight of the matrices (excite along both axes). together: one row per
+    pressure from all its records; False: a row per record, so that repeats show how far they
+    scatter. Without pressure a coefficient may well be zero, so that it is hardly visible is no
+    warning there. Raises InvalidInput, and NumericalFailure where a fit does not converge.
     """
     name = seal_name(machine, seal)
     unknown = [c for c in coefficients if c not in COEFFICIENTS]
     if unknown or not coefficients:
-        raise invalid("coefficients", list(coefficients), f"some of {', '.join(COEFFICIENTS)}", "correct them")
+        raise invalid(
+            "coefficients", list(coefficients), f"some of {', '.join(COEFFICIENTS)}", "correct them"
+        )
     if not records:
         raise InvalidInput("no record was given; give at least one per pressure")
     paths = [f"seal.{name}.{part}" for part in (ENTRIES if entries else coefficients)]
     groups: dict[Any, list[Record]] = {}
     for number, record in enumerate(records):
-        groups.setdefault((record.point.seal_pressure, 0 if together else number), []).append(record)
+        groups.setdefault((record.point.seal_pressure, 0 if together else number), []).append(
+            record
+        )
     rows, warnings = [], []
     estimate: ParameterEstimate | None = None
     for (pressure, _), group in sorted(groups.items(), key=lambda item: item[0]):
         progress(f"seal {name} at {pressure:g} Pa, {len(group)} record{'s' * (len(group) > 1)}")
-        estimate = _fit_at(machine, group, controller, paths, FitOptions(**options), start, estimate)
+        estimate = _fit_at(
+            machine, group, controller, paths, FitOptions(**options), start, estimate
+        )
         rows.append(_row(machine, name, estimate, entries))
         kept = [item for item in estimate.warnings if pressure or item.code != Code.HARDLY_VISIBLE]
         warnings += [replace(item, what=f"at {pressure:g} Pa: {item.what}") for item in kept]
-    values, deviations, eight, eight_deviations, cosine, correlation = (np.array(part) for part in zip(*rows, strict=True))
+    values, deviations, eight, eight_deviations, cosine, correlation = (
+        np.array(part) for part in zip(*rows, strict=True)
+    )
     pressure = np.array([pressure for pressure, _ in sorted(groups)])
     return SealFit(
-        machine.name, name, pressure, np.full(len(rows), np.nan), values, deviations, eight, eight_deviations, cosine,
-        correlation, np.zeros((len(rows), 4)), "records in the time domain", tuple(warnings),
-    )  # fmt: skip
+        machine.name,
+        name,
+        pressure,
+        np.full(len(rows), np.nan),
+        values,
+        deviations,
+        eight,
+        eight_deviations,
+        cosine,
+        correlation,
+        np.zeros((len(rows), 4)),
+        "records in the time domain",
+        tuple(warnings),
+    )
 
 
 def _fit_at(
     machine: Machine,
     records: list[Record],
-    controller: Any,
+    controller: LawLike,
     paths: list[str],
     options: FitOptions,
     start: Mapping[str, float] | None,
     below: ParameterEstimate | None,
 ) -> ParameterEstimate:
-    """The fit from the start asked for, else from the estimate at the pressure below, else from the machine's values.
+    """The fit from the start asked for, else from the estimate at the pressure below, else from the
+    machine's values.
 
-    Near the stability limit a response rings so long that a start far off leads nowhere. Raises NumericalFailure.
+    Near the stability limit a response rings so long that a start far off leads nowhere. Raises
+    NumericalFailure.
     """
     experiment = build_experiment(machine, records, controller, paths, options)
     starts = [start]
@@ -101,12 +132,15 @@ def _fit_at(
     if len(refused) == len(starts):
         raise refused[0]
     raise NumericalFailure(
-        f"the fit at {records[0].point.seal_pressure:g} Pa did not converge from {len(starts)} starts; pass start= nearer "
+        f"the fit at {records[0].point.seal_pressure:g} Pa did not converge from {len(starts)} "
+        "starts; pass start= nearer "
         "to the truth, excite more, or leave out pressures at which the loop hardly is stable"
     )
 
 
-def _row(machine: Machine, name: str, estimate: ParameterEstimate, entries: bool) -> tuple[np.ndarray, ...]:
+def _row(
+    machine: Machine, name: str, estimate: ParameterEstimate, entries: bool
+) -> tuple[np.ndarray, ...]:
     """Values, deviations (4,), entries, their deviations (8,), cosine, correlation (4, 4)."""
     item = next(one for one in machine.seals if one.name == name)
     own = seal_coefficients(item, estimate.point)
@@ -118,7 +152,9 @@ def _row(machine: Machine, name: str, estimate: ParameterEstimate, entries: bool
             if member in letters:
                 mix[i, letters.index(member)] = 1 / len(members)
     sought = mix.any(axis=1)
-    values = np.where(sought, mix @ estimate.values, [getattr(own, letter) for letter in COEFFICIENTS])
+    values = np.where(
+        sought, mix @ estimate.values, [getattr(own, letter) for letter in COEFFICIENTS]
+    )
     deviations = np.sqrt(np.einsum("ij,jk,ik->i", mix, estimate.covariance, mix))
     eight, eight_deviations = np.full((2, 8), np.nan)
     cosine, correlation = np.full((2, 4, 4), np.nan)

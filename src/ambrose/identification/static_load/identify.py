@@ -1,12 +1,15 @@
-"""K_i from static loads: known forces on the levitated rotor, held by the controller's integrator; slope of force over current.
+"""K_i from static loads: known forces on the levitated rotor, held by the controller's integrator;
+slope of force over current.
 
-The bearing forces follow from statics alone: with the displacement at the sensors known, the balance of forces and moments of
-the (flexible) rotor on its couplings and seals leaves exactly one force per control axis,
+The bearing forces follow from statics alone: with the displacement at the sensors known, the
+balance of forces and moments of the (flexible) rotor on its couplings and seals leaves exactly one
+force per control axis,
 
     K q = N_f' F + N_b' f_b,   S q = y,      K: rotor, couplings and seals without the magnets,
 
-and k_i is the slope of f_b - k_s q_b over the control current; the second term is zero in paper P2 (section 5), whose A x = b
-this is. A chord over the loads: it parts from the tangent that small motion shows where the iron saturates (``local``).
+and k_i is the slope of f_b - k_s q_b over the control current; the second term is zero in paper P2
+(section 5), whose A x = b this is. A chord over the loads: it parts from the tangent that small
+motion shows where the iron saturates (``local``).
 """
 
 from __future__ import annotations
@@ -23,16 +26,17 @@ from ambrose.identification.output_error.problem import as_records
 from ambrose.identification.static_load.levels import Levels, steady_levels
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
-from ambrose.physics import sensor
-from ambrose.physics.rotor import finite_element_rotor
-from ambrose.plant.assemble import attached_rotor
-from ambrose.plant.basis import bending_modes_of
-from ambrose.plant.ports import sensor_ports
-from ambrose.plant.static_load import magnet_coefficients
+from ambrose.model.assemble import attached_rotor
+from ambrose.model.basis import bending_modes_of
+from ambrose.model.effects import sensor
+from ambrose.model.effects.rotor import finite_element_rotor
+from ambrose.model.ports import sensor_ports
+from ambrose.model.static_load import magnet_coefficients
+from ambrose.record.record import Record
 
 _BENDING = 20  # modes per plane that make the rotor's static flexibility; more change nothing
-_MOVED = 0.05  # share of the magnet's force that comes from displacement, above which K_s must be well known
+# share of the magnet's force that comes from displacement, above which K_s must be well known
+_MOVED = 0.05
 _LINEAR = 0.01  # probability below which the straight line is rejected
 _SIDED = 0.1  # of the largest load: less on one side of the working point is none
 _LIMIT, _NEAR = 0.98, 0.9  # of the current limit; of the touchdown gap
@@ -40,8 +44,10 @@ _LIMIT, _NEAR = 0.98, 0.9  # of the current limit; of the touchdown gap
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalSlopes:
-    """Slope (n,) [N/A] between neighbouring levels of one axis: at current (n,) [A] and magnet force (n,) [N], both at the
-    middle of the step and relative to the unloaded rotor; deviation (n,) [N/A]."""
+    """Slope (n,) [N/A] between neighbouring levels of one axis: at current (n,) [A] and magnet
+    force (n,) [N], both at the middle of the step and relative to the unloaded rotor; deviation
+    (n,) [N/A].
+    """
 
     current: np.ndarray
     force: np.ndarray
@@ -51,14 +57,16 @@ class LocalSlopes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StaticLoad:
-    """K_i by static loads at an operating point; one entry per control axis, in the order of ``axes``.
+    """K_i by static loads at an operating point; one entry per control axis, in the order of
+    ``axes``.
 
-    start (a,) [N/A]: the machine's own. values (a,) [N/A]: slope of the straight line, with standard_deviations. at_rest (a,)
-    [N/A]: slope of a cubic through the same levels at the unloaded working point - the tangent that small motion sees - with
-    at_rest_deviations. linearity (a,): probability that the cubic's improvement is chance. stiffness_share (a,) [-]: part of
-    the magnet's force that displacement makes; stiffness_effect (a,) [N/A per N/m]: dK_i/dK_s. forces (m, a) [N]: of the
-    magnets, relative to the unloaded rotor. local: slopes between neighbouring levels. warnings: what makes the result
-    doubtful; verdict: one sentence.
+    start (a,) [N/A]: the machine's own. values (a,) [N/A]: slope of the straight line, with
+    standard_deviations. at_rest (a,) [N/A]: slope of a cubic through the same levels at the
+    unloaded working point - the tangent that small motion sees - with at_rest_deviations. linearity
+    (a,): probability that the cubic's improvement is chance. stiffness_share (a,) [-]: part of the
+    magnet's force that displacement makes; stiffness_effect (a,) [N/A per N/m]: dK_i/dK_s. forces
+    (m, a) [N]: of the magnets, relative to the unloaded rotor. local: slopes between neighbouring
+    levels. warnings: what makes the result doubtful; verdict: one sentence.
     """
 
     machine: str
@@ -81,7 +89,10 @@ class StaticLoad:
     @property
     def paths(self) -> tuple[str, ...]:
         """The parameters' paths in the machine: "bearing.A.force_per_current.zeta"."""
-        return tuple(f"bearing.{bearing}.force_per_current.{way}" for bearing, way in (a.rsplit("_", 1) for a in self.axes))
+        return tuple(
+            f"bearing.{bearing}.force_per_current.{way}"
+            for bearing, way in (a.rsplit("_", 1) for a in self.axes)
+        )
 
     def widened(self, least: np.ndarray) -> StaticLoad:
         """The same with standard deviations of at least ``least`` (a,)."""
@@ -96,13 +107,15 @@ def identify(
     average: float = 0.5,
     drift: float = 0.01,
 ) -> StaticLoad:
-    """K_i of every axis from records of static loads f_<port> [N] with y_<axis> [m] and i_<axis> (or u_<axis>) [A].
+    """K_i of every axis from records of static loads f_<port> [N] with y_<axis> [m] and i_<axis>
+    (or u_<axis>) [A].
 
-    negative_stiffness (a,) [N/m]: K_s, which weights what is left of the displacement (None: the machine's at the records'
-    operating point). average [s]: the end of every level that is averaged; drift: how much of the levels' range a signal may
-    still change in that time. Each axis must be loaded; loads on both sides of the working point are wanted (P2: four
-    directions). Raises InvalidInput for levels that are not steady, an axis without load, a rotor that touches, currents at
-    their limit, and records that do not belong to this machine.
+    negative_stiffness (a,) [N/m]: K_s, which weights what is left of the displacement (None: the
+    machine's at the records' operating point). average [s]: the end of every level that is
+    averaged; drift: how much of the levels' range a signal may still change in that time. Each axis
+    must be loaded; loads on both sides of the working point are wanted (P2: four directions).
+    Raises InvalidInput for levels that are not steady, an axis without load, a rotor that touches,
+    currents at their limit, and records that do not belong to this machine.
     """
     levels = steady_levels(machine, records, average=average, drift=drift)
     records = as_records(records)
@@ -116,21 +129,42 @@ def identify(
     rows = [_regressed(axis, levels.current[:, i], force[:, i]) for i, axis in enumerate(axes)]
     effect = np.array([_slope(levels.current[:, i], -places[:, i]) for i in range(len(axes))])
     share = np.ptp(k_s * places, axis=0) / np.ptp(force, axis=0)
-    local = tuple(_local(levels, i, force[:, i] - _unloaded(levels, force[:, i])) for i in range(len(axes)))
-    values, deviations, at_rest, rest_deviations, linearity = (np.array(column) for column in zip(*rows, strict=True))
+    local = tuple(
+        _local(levels, i, force[:, i] - _unloaded(levels, force[:, i])) for i in range(len(axes))
+    )
+    values, deviations, at_rest, rest_deviations, linearity = (
+        np.array(column) for column in zip(*rows, strict=True)
+    )
     warnings = tuple(_warnings(axes, relative, share, linearity, values, at_rest))
     own = magnet_coefficients(machine, point)[0]
     return StaticLoad(
-        machine.name, point, axes, own, values, deviations, at_rest, rest_deviations, linearity, share, effect, levels,
-        relative, local, warnings, _verdict(axes, linearity, values, at_rest),
-    )  # fmt: skip
+        machine.name,
+        point,
+        axes,
+        own,
+        values,
+        deviations,
+        at_rest,
+        rest_deviations,
+        linearity,
+        share,
+        effect,
+        levels,
+        relative,
+        local,
+        warnings,
+        _verdict(axes, linearity, values, at_rest),
+    )
 
 
-def bearing_forces(machine: Machine, point: OperatingPoint, levels: Levels) -> tuple[np.ndarray, np.ndarray]:
-    """Force of the magnets on the rotor (m, a) [N] and displacement at the magnets (m, a) [m] at every level.
+def bearing_forces(
+    machine: Machine, point: OperatingPoint, levels: Levels
+) -> tuple[np.ndarray, np.ndarray]:
+    """Force of the magnets on the rotor (m, a) [N] and displacement at the magnets (m, a) [m] at
+    every level.
 
-    From the balance of forces and moments of the flexible rotor; weight is left out, a constant. Raises InvalidInput for a load
-    at a port that the machine has not.
+    From the balance of forces and moments of the flexible rotor; weight is left out, a constant.
+    Raises InvalidInput for a load at a port that the machine has not.
     """
     rotor = finite_element_rotor(machine)
     system = attached_rotor(machine, point, rotor, min(_BENDING, bending_modes_of(rotor)))
@@ -139,18 +173,35 @@ def bearing_forces(machine: Machine, point: OperatingPoint, levels: Levels) -> t
     for port in levels.ports:
         if f"f_{port}" not in system.inputs:
             known = ", ".join(name.removeprefix("f_") for name in system.inputs)
-            raise invalid("a load's port", repr(port), f"one of {known}", "name the signal f_<port>, or add a disc there")
-    outside = [f"o_{port}" if f"o_{port}" in system.inputs else f"f_{port}" for port in levels.ports]  # on the rotor alone
+            raise invalid(
+                "a load's port",
+                repr(port),
+                f"one of {known}",
+                "name the signal f_<port>, or add a disc there",
+            )
+    # on the rotor alone
+    outside = [
+        f"o_{port}" if f"o_{port}" in system.inputs else f"f_{port}" for port in levels.ports
+    ]
     N_b, N_f = system.B[:, at], system.B[:, [system.inputs.index(name) for name in outside]]
     seen = [system.outputs.index(f"s_{port.name}") for port in sensor_ports(machine)]
     S = sensor.means(machine.sensor_pairs, axes) @ system.C[seen]
-    K = system.stiffness + N_b @ np.diag(_stiffness(machine, point, None)) @ N_b.T  # takes the magnets out again
-    size = np.sqrt(np.maximum(np.abs(np.diag(K)), np.abs(N_b).max() ** 2 * 1e6))  # of the rows: rigid modes have no stiffness
-    matrix = np.block([[K / size / size[:, None], -N_b / size[:, None]], [S / size, np.zeros((len(axes), len(axes)))]])
+    # takes the magnets out again
+    K = system.stiffness + N_b @ np.diag(_stiffness(machine, point, None)) @ N_b.T
+    # of the rows: rigid modes have no stiffness
+    size = np.sqrt(np.maximum(np.abs(np.diag(K)), np.abs(N_b).max() ** 2 * 1e6))
+    matrix = np.block(
+        [
+            [K / size / size[:, None], -N_b / size[:, None]],
+            [S / size, np.zeros((len(axes), len(axes)))],
+        ]
+    )
     right = np.vstack([N_f @ levels.loads.T / size[:, None], levels.displacement.T])
     columns = np.abs(matrix).max(axis=0)
     rows = np.abs(matrix / columns).max(axis=1)
-    solution = np.linalg.solve(matrix / columns / rows[:, None], right / rows[:, None]) / columns[:, None]
+    solution = (
+        np.linalg.solve(matrix / columns / rows[:, None], right / rows[:, None]) / columns[:, None]
+    )
     q, f = solution[:n] / size[:, None], solution[n:]
     return f.T, (N_b.T @ q).T
 
@@ -168,16 +219,22 @@ def _check_range(machine: Machine, levels: Levels, places: np.ndarray) -> None:
         reach = float(np.hypot(*places[:, both].T).max())
         if gap is not None and reach > _NEAR * gap:
             raise invalid(
-                f"the rotor's displacement at bearing {bearing.name}", f"{reach * 1e6:.0f} um",
-                f"below {_NEAR:.0%} of the touchdown gap of {gap * 1e6:.0f} um, as it must not touch",
+                f"the rotor's displacement at bearing {bearing.name}",
+                f"{reach * 1e6:.0f} um",
+                f"below {_NEAR:.0%} of the touchdown gap of {gap * 1e6:.0f} um, as it must not "
+                "touch",
                 "lower the loads, or let the controller hold the position",
-            )  # fmt: skip
-        for axis, most in zip(machine.axes[both], np.abs(levels.current[:, both]).max(axis=0), strict=True):
+            )
+        for axis, most in zip(
+            machine.axes[both], np.abs(levels.current[:, both]).max(axis=0), strict=True
+        ):
             if bearing.max_current is not None and most > _LIMIT * bearing.max_current:
                 raise invalid(
-                    f"the current of {axis}", f"{most:.3g} A", f"below its limit of {bearing.max_current:g} A",
+                    f"the current of {axis}",
+                    f"{most:.3g} A",
+                    f"below its limit of {bearing.max_current:g} A",
                     "lower the loads: at the limit the current no longer answers them",
-                )  # fmt: skip
+                )
 
 
 def _check_loaded(axes: tuple[str, ...], forces: np.ndarray) -> None:
@@ -185,32 +242,48 @@ def _check_loaded(axes: tuple[str, ...], forces: np.ndarray) -> None:
     for axis, own in zip(axes, most, strict=True):
         if own < _SIDED * most.max():
             raise InvalidInput(
-                f"axis {axis} carries no load ({own:.3g} N of {most.max():.3g} N); its K_i cannot be told: "
+                f"axis {axis} carries no load ({own:.3g} N of {most.max():.3g} N); its K_i cannot "
+                "be told: "
                 "load the rotor along every actuator axis, in both directions"
             )
 
 
-def _regressed(axis: str, current: np.ndarray, force: np.ndarray) -> tuple[float, float, float, float, float]:
-    """Slope and its deviation, slope of a cubic at the middle level's current and its deviation, probability of the line."""
+def _regressed(
+    axis: str, current: np.ndarray, force: np.ndarray
+) -> tuple[float, float, float, float, float]:
+    """Slope and its deviation, slope of a cubic at the middle level's current and its deviation,
+    probability of the line.
+    """
     from scipy.special import betainc
 
     spread = float(np.ptp(current))
     m = len(current)
     if m < 3:
-        raise invalid(f"the number of load levels of {axis}", m, "at least 3", "apply more levels, the unloaded rotor included")
+        raise invalid(
+            f"the number of load levels of {axis}",
+            m,
+            "at least 3",
+            "apply more levels, the unloaded rotor included",
+        )
     slope, deviation, line = _least_squares(current[:, None], force)
     if m < 6 or len(np.unique(np.round(current / spread, 3))) < 5:
         return slope[0], deviation[0], slope[0], deviation[0], 1.0
     t = current - current[np.argmin(np.abs(force - np.median(force)))]
-    cubic, errors, curve = _least_squares(np.column_stack([t, t**2 / spread, t**3 / spread**2]), force)
+    cubic, errors, curve = _least_squares(
+        np.column_stack([t, t**2 / spread, t**3 / spread**2]), force
+    )
     free = m - 4
     gained, left = max(line - curve, 0.0) / 2, curve / free
-    probability = 0.0 if left == 0 else float(betainc(free / 2, 1.0, free / (free + 2 * gained / left)))
+    probability = (
+        0.0 if left == 0 else float(betainc(free / 2, 1.0, free / (free + 2 * gained / left)))
+    )
     return slope[0], deviation[0], cubic[0], errors[0], probability
 
 
 def _least_squares(columns: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Coefficients (c,) of the columns (m, c) beside a constant, their standard deviations (c,), the sum of squares left."""
+    """Coefficients (c,) of the columns (m, c) beside a constant, their standard deviations (c,),
+    the sum of squares left.
+    """
     A = np.column_stack([np.ones(len(y)), columns])
     size = np.linalg.norm(A, axis=0)
     coefficients, *_ = np.linalg.lstsq(A / size, y, rcond=None)
@@ -232,20 +305,29 @@ def _unloaded(levels: Levels, values: np.ndarray) -> np.ndarray:
 
 
 def _local(levels: Levels, i: int, force: np.ndarray) -> LocalSlopes:
-    """Between neighbouring levels of an axis, sorted by force; levels of nearly the same force are one."""
+    """Between neighbouring levels of an axis, sorted by force; levels of nearly the same force are
+    one.
+    """
     current = levels.current[:, i] - float(_unloaded(levels, levels.current[:, i]))
     order = np.argsort(force)
     breaks = np.flatnonzero(np.diff(force[order]) > 0.02 * np.ptp(force)) + 1
     groups = np.split(order, breaks)
     f, x = (np.array([values[group].mean() for group in groups]) for values in (force, current))
-    error = np.array([np.sqrt((levels.current_deviation[group, i] ** 2).sum()) / len(group) for group in groups])
+    error = np.array(
+        [np.sqrt((levels.current_deviation[group, i] ** 2).sum()) / len(group) for group in groups]
+    )
     slope = np.diff(f) / np.diff(x)
     deviation = np.abs(slope / np.diff(x)) * np.hypot(error[1:], error[:-1])
     return LocalSlopes((x[1:] + x[:-1]) / 2, (f[1:] + f[:-1]) / 2, slope, deviation)
 
 
 def _warnings(
-    axes: tuple[str, ...], forces: np.ndarray, share: np.ndarray, linearity: np.ndarray, values: np.ndarray, at_rest: np.ndarray
+    axes: tuple[str, ...],
+    forces: np.ndarray,
+    share: np.ndarray,
+    linearity: np.ndarray,
+    values: np.ndarray,
+    at_rest: np.ndarray,
 ) -> Iterator[Finding]:
     for i, axis in enumerate(axes):
         low, high = -forces[:, i].min(), forces[:, i].max()
@@ -256,19 +338,37 @@ def _warnings(
         if share[i] > _MOVED:
             what = f"at {axis} {share[i]:.0%} of the magnet's force comes from displacement"
             evidence = "the position is not held (a controller without integrator?)"
-            yield Finding(Code.NOT_HELD, WARNING, what, evidence, "K_i is as uncertain as the K_s taken for it")
+            yield Finding(
+                Code.NOT_HELD,
+                WARNING,
+                what,
+                evidence,
+                "K_i is as uncertain as the K_s taken for it",
+            )
         if linearity[i] < _LINEAR and abs(values[i] / at_rest[i] - 1) > 0.01:
             what = f"force over current of {axis} is curved"
-            both = f"{at_rest[i]:.4g} N/A at the working point, {values[i]:.4g} N/A as a line over these loads"
-            yield Finding(Code.CURVED, WARNING, what, f"{both} (the iron saturates)", "small motion finds the first")
+            both = (
+                f"{at_rest[i]:.4g} N/A at the working point, {values[i]:.4g} N/A as a line over "
+                "these loads"
+            )
+            yield Finding(
+                Code.CURVED,
+                WARNING,
+                what,
+                f"{both} (the iron saturates)",
+                "small motion finds the first",
+            )
 
 
-def _verdict(axes: tuple[str, ...], linearity: np.ndarray, values: np.ndarray, at_rest: np.ndarray) -> str:
+def _verdict(
+    axes: tuple[str, ...], linearity: np.ndarray, values: np.ndarray, at_rest: np.ndarray
+) -> str:
     bent = [i for i in range(len(axes)) if linearity[i] < _LINEAR]
     if not bent:
         return "force over current is a straight line on every axis (99 %)"
     worst = max(bent, key=lambda i: abs(values[i] / at_rest[i] - 1))
     return (
-        f"force over current is curved on {', '.join(axes[i] for i in bent)}: at {axes[worst]} the line over these loads is "
+        f"force over current is curved on {', '.join(axes[i] for i in bent)}: at {axes[worst]} "
+        "the line over these loads is "
         f"{100 * (values[worst] / at_rest[worst] - 1):+.1f} % from the slope at the working point"
     )

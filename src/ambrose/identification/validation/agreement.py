@@ -1,4 +1,6 @@
-"""An estimate against what another identification wrote into its machine file: do two methods agree?"""
+"""An estimate against what another identification wrote into its machine file: do two methods
+agree?
+"""
 
 from __future__ import annotations
 
@@ -10,12 +12,14 @@ from ambrose.core.checks import InvalidInput, invalid
 from ambrose.identification.parameters import COVERAGE, Estimate, half_width, nominal_values
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import TIMING, parse_parameter
-from ambrose.plant.assemble import assemble
+from ambrose.model.assemble import assemble
 
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """A parameter found twice, SI: value with the half-width of its 95 % interval, and the other's (0: it states none)."""
+    """A parameter found twice, SI: value with the half-width of its 95 % interval, and the other's
+    (0: it states none).
+    """
 
     path: str
     value: float
@@ -44,13 +48,18 @@ class Agreement:
     def to_dict(self) -> dict[str, float | str | bool | None]:
         """JSON-ready data, SI and percent."""
         return {
-            "path": self.path, "value": self.value, "other": self.other, "other_half_width_95": self.other_half_width,
-            "difference_percent": self.difference if self.other else None, "agree": self.agree,
-        }  # fmt: skip
+            "path": self.path,
+            "value": self.value,
+            "other": self.other,
+            "other_half_width_95": self.other_half_width,
+            "difference_percent": self.difference if self.other else None,
+            "agree": self.agree,
+        }
 
 
 def compare(result: Estimate, other: Machine) -> tuple[Agreement, ...]:
-    """Every estimated parameter, at its operating point, with its value and tolerance in another machine file.
+    """Every estimated parameter, at its operating point, with its value and tolerance in another
+    machine file.
 
     Raises InvalidInput for another machine's file.
     """
@@ -59,16 +68,26 @@ def compare(result: Estimate, other: Machine) -> tuple[Agreement, ...]:
         raise invalid("the machine to compare with", repr(other.name), repr(result.machine), remedy)
     plant = assemble(other, result.point)
     rows = []
-    for path, value, deviation in zip(result.paths, result.values.tolist(), result.standard_deviations.tolist(), strict=True):
+    for path, value, deviation in zip(
+        result.paths, result.values.tolist(), result.standard_deviations.tolist(), strict=True
+    ):
         if path not in TIMING:
             there = float(nominal_values(plant, [path])[0])
-            rows.append(Agreement(path, value, COVERAGE * deviation, there, _half_width(other, path, there)))
+            rows.append(
+                Agreement(path, value, COVERAGE * deviation, there, _half_width(other, path, there))
+            )
     if not rows:
-        raise InvalidInput("only delays were identified; a machine file holds nothing to compare them with")
+        raise InvalidInput(
+            "only delays were identified; a machine file holds nothing to compare them with"
+        )
     return tuple(rows)
 
 
 def _half_width(machine: Machine, path: str, value: float) -> float:
     parameter = parse_parameter(path)
-    widths = [half_width(item, value) for item in machine.tolerances if parse_parameter(item.parameter).overlaps(parameter)]
+    widths = [
+        half_width(item, value)
+        for item in machine.tolerances
+        if parse_parameter(item.parameter).overlaps(parameter)
+    ]
     return widths[0] if widths else 0.0

@@ -1,4 +1,6 @@
-"""What the load in a record makes of the magnets' coefficients, beside the load that the machine file lets them carry."""
+"""What the load in a record makes of the magnets' coefficients, beside the load that the machine
+file lets them carry.
+"""
 
 from __future__ import annotations
 
@@ -8,20 +10,22 @@ from dataclasses import replace
 import numpy as np
 
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
-from ambrose.physics.loaded_magnet import LoadedMagnet, slopes, with_coefficients
-from ambrose.physics.magnet import MagnetCoefficients
-from ambrose.plant.static_load import operating_magnets, static_sag
+from ambrose.model.effects.loaded_magnet import LoadedMagnet, slopes, with_coefficients
+from ambrose.model.effects.magnet import MagnetCoefficients
+from ambrose.model.static_load import operating_magnets, static_sag
+from ambrose.record.record import Record
 
 _TOLD = 0.01  # relative change of a coefficient that is worth a sentence
-_DOUBTED = 0.1  # relative difference of the static currents from which on the machine file is doubted
+# relative difference of the static currents from which on the machine file is doubted
+_DOUBTED = 0.1
 _CARRIED = 0.1  # of the current that the weight needs, below which a record's mean is not the load
 
 
 def machine_at_load(machine: Machine, records: Sequence[Record]) -> Machine:
-    """The machine with the coefficients of its magnets at the mean currents, u_ or i_ of the first record that has them, and as
-    far off the magnets' centre as the rotor hangs through there; as it is, where the records hold no currents, or hold them
-    without their mean."""
+    """The machine with the coefficients of its magnets at the mean currents, u_ or i_ of the first
+    record that has them, and as far off the magnets' centre as the rotor hangs through there; as it
+    is, where the records hold no currents, or hold them without their mean.
+    """
     means = _means(records)
     if not means or _without_mean(machine, means, _bias(records)):
         return machine
@@ -32,22 +36,37 @@ def machine_at_load(machine: Machine, records: Sequence[Record]) -> Machine:
     return replace(machine, bearings=tuple(bearings))
 
 
-def load_remarks(machine: Machine, records: Sequence[Record], loads: Mapping[str, float] | None = None) -> tuple[str, ...]:
-    """A sentence for each axis whose mean current changes k_i or k_s by over 1 % against the load of the machine file: u_ or i_
-    of the first record that has it, else the one of ``loads`` {axis: [A]}."""
+def load_remarks(
+    machine: Machine, records: Sequence[Record], loads: Mapping[str, float] | None = None
+) -> tuple[str, ...]:
+    """A sentence for each axis whose mean current changes k_i or k_s by over 1 % against the load
+    of the machine file: u_ or i_ of the first record that has it, else the one of ``loads`` {axis:
+    [A]}.
+    """
     means = _means(records)
     if _without_mean(machine, means, _bias(records)):
         means = {}
     means = {**(loads or {}), **means}
     found = zip(machine.bearings, _at_currents(machine, means, _bias(records)), strict=True)
-    return tuple(text for bearing, (item, here) in found for text in _of_bearing(bearing.name, item, here, means))
+    return tuple(
+        text
+        for bearing, (item, here) in found
+        for text in _of_bearing(bearing.name, item, here, means)
+    )
 
 
 def load_doubt(machine: Machine, records: Sequence[Record]) -> str:
-    """Why a machine file whose magnets need other currents for the weight than were recorded is not to be relied on; "" where
-    they agree within a tenth, or there is nothing to compare."""
+    """Why a machine file whose magnets need other currents for the weight than were recorded is not
+    to be relied on; "" where they agree within a tenth, or there is nothing to compare.
+    """
     means, bias = _means(records), _bias(records)
-    needed = dict(zip(machine.axes, (i for item in operating_magnets(machine, bias) for i in item.currents), strict=True))
+    needed = dict(
+        zip(
+            machine.axes,
+            (i for item in operating_magnets(machine, bias) for i in item.currents),
+            strict=True,
+        )
+    )
     known = [axis for axis in means if axis in needed]
     size = float(np.linalg.norm([needed[axis] for axis in known]))
     if size == 0.0 or _without_mean(machine, means, bias):
@@ -56,7 +75,8 @@ def load_doubt(machine: Machine, records: Sequence[Record]) -> str:
     if abs(share - 1) <= _DOUBTED:
         return ""
     return (
-        f"the magnets carry the rotor with {share:.3g} times the current that the machine file says: k_i, bias or weight are "
+        f"the magnets carry the rotor with {share:.3g} times the current that the machine file "
+        "says: k_i, bias or weight are "
         "others, and what the model says is as wrong; identify the machine first"
     )
 
@@ -77,28 +97,43 @@ def _means(records: Iterable[Record]) -> dict[str, float]:
 
 
 def _without_mean(machine: Machine, means: Mapping[str, float], bias: float | None) -> bool:
-    """Whether recorded currents hold next to nothing of what the weight needs: a logger or a linear loop left it out."""
-    needed = dict(zip(machine.axes, (i for item in operating_magnets(machine, bias) for i in item.currents), strict=True))
+    """Whether recorded currents hold next to nothing of what the weight needs: a logger or a linear
+    loop left it out.
+    """
+    needed = dict(
+        zip(
+            machine.axes,
+            (i for item in operating_magnets(machine, bias) for i in item.currents),
+            strict=True,
+        )
+    )
     known = [axis for axis in means if axis in needed]
-    return float(np.linalg.norm([means[a] for a in known])) < _CARRIED * float(np.linalg.norm([needed[a] for a in known]))
+    return float(np.linalg.norm([means[a] for a in known])) < _CARRIED * float(
+        np.linalg.norm([needed[a] for a in known])
+    )
 
 
 def _at_currents(
     machine: Machine, means: Mapping[str, float], bias: float | None
 ) -> Iterator[tuple[LoadedMagnet, MagnetCoefficients | None]]:
-    """Every bearing's magnets as the machine file lets them work, and their coefficients at mean currents; None where it has
-    none of them, or no magnet follows from the file."""
+    """Every bearing's magnets as the machine file lets them work, and their coefficients at mean
+    currents; None where it has none of them, or no magnet follows from the file.
+    """
     magnets = operating_magnets(machine, bias)
     for bearing, item, place in zip(machine.bearings, magnets, static_sag(machine)[0], strict=True):
         axes = [f"{bearing.name}_{way}" for way in ("zeta", "eta")]
         if item.parameters is None or not any(axis in means for axis in axes):
             yield item, None
             continue
-        zeta, eta = (means.get(axis, current) for axis, current in zip(axes, item.currents, strict=True))
+        zeta, eta = (
+            means.get(axis, current) for axis, current in zip(axes, item.currents, strict=True)
+        )
         yield item, slopes(item.parameters, (zeta, eta), (float(place[0]), float(place[1])))
 
 
-def _of_bearing(name: str, item: LoadedMagnet, here: MagnetCoefficients | None, means: Mapping[str, float]) -> Iterator[str]:
+def _of_bearing(
+    name: str, item: LoadedMagnet, here: MagnetCoefficients | None, means: Mapping[str, float]
+) -> Iterator[str]:
     if here is None:
         return
     k_i, k_s = (
@@ -109,6 +144,8 @@ def _of_bearing(name: str, item: LoadedMagnet, here: MagnetCoefficients | None, 
         axis = f"{name}_{way}"
         if axis in means and max(abs(of_k_i), abs(of_k_s)) > _TOLD:
             yield (
-                f"{axis} carries a mean current of {means[axis]:.3g} A, by the weight in the machine file {own:.3g} A: this "
-                f"makes {100 * of_k_i:+.2g} % of k_i and {100 * of_k_s:+.2g} % of k_s, which the values found contain"
+                f"{axis} carries a mean current of {means[axis]:.3g} A, by the weight in the "
+                f"machine file {own:.3g} A: this "
+                f"makes {100 * of_k_i:+.2g} % of k_i and {100 * of_k_s:+.2g} % of k_s, which the "
+                "values found contain"
             )

@@ -1,4 +1,6 @@
-"""Can what was identified be true? Findings after the fit: signs, sizes, what the model misses, where it stops to follow."""
+"""Can what was identified be true? Findings after the fit: signs, sizes, what the model misses,
+where it stops to follow.
+"""
 
 from __future__ import annotations
 
@@ -14,25 +16,50 @@ from ambrose.identification.validation.simulated_output import SimulatedOutput
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
 
-_MISSED, _FAR, _ALIKE, _MOVED = 0.3, 2.0, 0.02, 0.05
-_CLEARLY = 0.7  # of what is left unexplained, or of what still follows the excitation: another delay must leave less
+_MISSED = 0.3
+_FAR = 2.0
+_ALIKE = 0.02
+_MOVED = 0.05
+# of what is left unexplained, or of what still follows the excitation: another delay must leave
+# less
+_CLEARLY = 0.7
 _DELAYED, _SURE = 0.1, 5.0  # samples, and standard deviations, by which a delay must differ
-_MOST, _PEAK = 0.5, 5.0  # share of what is left at one frequency, from which it is told; an excitation's line over all about it
+# share of what is left at one frequency, from which it is told; an excitation's line over all about
+# it
+_MOST, _PEAK = 0.5, 5.0
 _BURST, _APART = 15.0, 500  # over the median size of the residual; samples from one to the next
-_SETTLING, _UNSETTLED = 100, 3.0  # samples at a record's beginning, a tenth of them beyond so many median sizes: not settled
+# samples at a record's beginning, a tenth of them beyond so many median sizes: not settled
+_SETTLING, _UNSETTLED = 100, 3.0
 
 
-def diagnose_result(machine: Machine, result: ParameterEstimate, outputs: Sequence[SimulatedOutput]) -> tuple[Finding, ...]:
-    """What is impossible (errors) or doubtful (warnings) about an estimate; outputs: of the model, for every record."""
-    findings = [*_signs(result), *_sizes(machine, result), *_common_factor(result), *diagnose_outputs(machine, outputs)]
+def diagnose_result(
+    machine: Machine, result: ParameterEstimate, outputs: Sequence[SimulatedOutput]
+) -> tuple[Finding, ...]:
+    """What is impossible (errors) or doubtful (warnings) about an estimate; outputs: of the model,
+    for every record.
+    """
+    findings = [
+        *_signs(result),
+        *_sizes(machine, result),
+        *_common_factor(result),
+        *diagnose_outputs(machine, outputs),
+    ]
     return tuple(sorted(findings, key=lambda finding: finding.severity != ERROR))
 
 
-def diagnose_outputs(machine: Machine, outputs: Sequence[SimulatedOutput], numbers: Sequence[int] = ()) -> tuple[Finding, ...]:
-    """What a model misses in its records: responses (errors), short bursts (warnings). numbers: of the records (1, 2, ...)."""
+def diagnose_outputs(
+    machine: Machine, outputs: Sequence[SimulatedOutput], numbers: Sequence[int] = ()
+) -> tuple[Finding, ...]:
+    """What a model misses in its records: responses (errors), short bursts (warnings). numbers: of
+    the records (1, 2, ...).
+    """
     findings: list[Finding] = []
     for number, output in zip(numbers or range(1, len(outputs) + 1), outputs, strict=True):
-        findings += [*_missed(machine, output, number), *_bursts(output, number), *_tone(output, number)]
+        findings += [
+            *_missed(machine, output, number),
+            *_bursts(output, number),
+            *_tone(output, number),
+        ]
     return tuple(findings)
 
 
@@ -42,21 +69,31 @@ def _signs(result: ParameterEstimate) -> Iterator[Finding]:
         if path in TIMING:
             continue
         parameter = parse_parameter(path)
-        positive = parameter.table in {"amplifier", "rotor"} or parameter.quantity == "force_per_current"
+        positive = (
+            parameter.table in {"amplifier", "rotor"} or parameter.quantity == "force_per_current"
+        )
         if positive and value <= 0:
             what = f"{path} = {value:.4g} cannot be"
             evidence = "it must be positive"
-            remedy = "look for an inverted channel, another machine or another controller; or take it as known"
+            remedy = (
+                "look for an inverted channel, another machine or another controller; or take it "
+                "as known"
+            )
             yield Finding(Code.IMPOSSIBLE_VALUE, ERROR, what, evidence, remedy)
         elif parameter.quantity == "negative_stiffness" and value <= 0:
             what = f"{path} = {value:.4g} N/m is not destabilising"
             evidence = "a biased magnet always is"
-            remedy = "look for another controller or gain, a stiffness that is missing in the model, or too little excitation"
+            remedy = (
+                "look for another controller or gain, a stiffness that is missing in the model, or "
+                "too little excitation"
+            )
             yield Finding(Code.NOT_DESTABILISING, WARNING, what, evidence, remedy)
 
 
 def _sizes(machine: Machine, result: ParameterEstimate) -> list[Finding]:
-    """Values far from where they began, of parameters that designers know or whose tolerance the machine states."""
+    """Values far from where they began, of parameters that designers know or whose tolerance the
+    machine states.
+    """
     far = []
     for path, value, start in zip(result.paths, result.values, result.start, strict=True):
         known = path not in TIMING and parse_parameter(path).table in {"bearing", "amplifier"}
@@ -65,29 +102,58 @@ def _sizes(machine: Machine, result: ParameterEstimate) -> list[Finding]:
     found = zip(result.paths, result.values, result.start, result.standard_deviations, strict=True)
     for path, value, start, deviation in found:
         width = _stated(machine, result, path, float(start))
-        if abs(value - start) > width + COVERAGE * deviation and not any(path in text for text in far):
+        if abs(value - start) > width + COVERAGE * deviation and not any(
+            path in text for text in far
+        ):
             share = 100 * width / abs(start) if start else 0.0
-            far.append(f"{path} is {value / start:.3g} times its start, beyond its tolerance of {share:.3g} %")
+            far.append(
+                f"{path} is {value / start:.3g} times its start, beyond its tolerance of "
+                f"{share:.3g} %"
+            )
     if not far:
         return []
-    remedy = "compare with the data sheet or a static load; a wrong scale of a channel, mass, bias or seal pressure does this"
-    return [Finding(Code.FAR_FROM_FILE, WARNING, "values are far from the machine file's", ", ".join(far), remedy)]
+    remedy = (
+        "compare with the data sheet or a static load; a wrong scale of a channel, mass, bias or "
+        "seal pressure does this"
+    )
+    return [
+        Finding(
+            Code.FAR_FROM_FILE,
+            WARNING,
+            "values are far from the machine file's",
+            ", ".join(far),
+            remedy,
+        )
+    ]
 
 
 def _stated(machine: Machine, result: ParameterEstimate, path: str, start: float) -> float:
-    """The widest tolerance that the machine states of a parameter, itself or by its seal's pressure; none: infinite."""
+    """The widest tolerance that the machine states of a parameter, itself or by its seal's
+    pressure; none: infinite.
+    """
     widths = []
     for item in () if path in TIMING or not start else machine.tolerances:
         own, other = parse_parameter(path), parse_parameter(item.parameter)
         if own.overlaps(other):
             widths.append(half_width(item, start))
-        elif other.quantity == "pressure" and own.name == other.name and own.table == "seal" and result.point.seal_pressure:
-            widths.append(half_width(item, result.point.seal_pressure) / abs(result.point.seal_pressure) * abs(start))
+        elif (
+            other.quantity == "pressure"
+            and own.name == other.name
+            and own.table == "seal"
+            and result.point.seal_pressure
+        ):
+            widths.append(
+                half_width(item, result.point.seal_pressure)
+                / abs(result.point.seal_pressure)
+                * abs(start)
+            )
     return max(widths, default=float("inf"))
 
 
 def _common_factor(result: ParameterEstimate) -> list[Finding]:
-    """All K_i and K_s moved by one factor: that is what a wrong mass does, and the fit cannot tell."""
+    """All K_i and K_s moved by one factor: that is what a wrong mass does, and the fit cannot
+    tell.
+    """
     ratios = [
         value / start
         for path, value, start in zip(result.paths, result.values, result.start, strict=True)
@@ -100,13 +166,20 @@ def _common_factor(result: ParameterEstimate) -> list[Finding]:
     if abs(mean - 1) <= _MOVED or float(np.ptp(ratios)) > 2 * _ALIKE * mean:
         return []
     what = "every force_per_current and negative_stiffness moved by the same factor"
-    evidence = f"{mean:.4g} times the start, all within {100 * float(np.ptp(ratios)) / 2 / mean:.2g} %"
-    remedy = "a rotor mass that is wrong by this factor does exactly that, and no closed-loop record can tell: weigh the rotor"
+    evidence = (
+        f"{mean:.4g} times the start, all within {100 * float(np.ptp(ratios)) / 2 / mean:.2g} %"
+    )
+    remedy = (
+        "a rotor mass that is wrong by this factor does exactly that, and no closed-loop record "
+        "can tell: weigh the rotor"
+    )
     return [Finding(Code.COMMON_FACTOR, WARNING, what, evidence, remedy)]
 
 
 def _missed(machine: Machine, output: SimulatedOutput, number: int) -> list[Finding]:
-    """What follows the excitation in the record but not in the model, over what follows it at all."""
+    """What follows the excitation in the record but not in the model, over what follows it at
+    all.
+    """
     axes = machine.axes
     if any(f"y_{axis}" not in output.signals for axis in axes):
         return []
@@ -126,11 +199,17 @@ def _missed(machine: Machine, output: SimulatedOutput, number: int) -> list[Find
     worst = int(np.argmax(share))
     if share[worst] <= _MISSED:
         return []
-    what = f"record {number}: no values of these parameters make the model respond as the machine did"
-    evidence = (
-        f"{100 * share[worst]:.2g} % of what follows the excitation in {names[worst]} is missing in the model (amplitude)"
+    what = (
+        f"record {number}: no values of these parameters make the model respond as the machine did"
     )
-    remedy = "another machine, operating point, controller or delay; or a parameter that is taken as known is not"
+    evidence = (
+        f"{100 * share[worst]:.2g} % of what follows the excitation in {names[worst]} is missing "
+        "in the model (amplitude)"
+    )
+    remedy = (
+        "another machine, operating point, controller or delay; or a parameter that is taken as "
+        "known is not"
+    )
     return [Finding(Code.MISSING_RESPONSE, ERROR, what, evidence, remedy)]
 
 
@@ -143,25 +222,40 @@ def _bursts(output: SimulatedOutput, number: int) -> Iterator[Finding]:
         large = np.flatnonzero(size > max(_BURST * quiet, 1e-2 * spread))
         starts = [int(at) for j, at in enumerate(large) if j == 0 or at - large[j - 1] > _APART]
         if starts and starts[0] < _APART and np.mean(size[:_SETTLING] > _UNSETTLED * quiet) > 0.1:
-            starts = starts[1:]  # the machine had not settled yet, at amplitudes where the magnets are another machine
+            # the machine had not settled yet, at amplitudes where the magnets are another machine
+            starts = starts[1:]
         if quiet > 0 and 0 < len(starts) <= 20:
             at = ", ".join(f"{output.record.time[i]:.4g} s" for i in starts[:4])
             what = f"record {number}: {name} leaves the model for a short time"
-            evidence = f"at t = {at}{' and later' if len(starts) > 4 else ''} by up to {size.max() / quiet:.0f} times the usual"
+            evidence = (
+                f"at t = {at}{' and later' if len(starts) > 4 else ''} by up to "
+                f"{size.max() / quiet:.0f} times the usual"
+            )
             remedy = "a knock, contact or lost samples: cut the record there and identify again"
             yield Finding(Code.BURST, WARNING, what, evidence, remedy)
 
 
 def _tone(output: SimulatedOutput, number: int) -> Iterator[Finding]:
-    """A frequency that holds most of what is left of a signal, and no line of the excitation: it hides all else."""
-    named = zip(output.record.signals, output.record.values, strict=True)  # f_magnet_ is measured, and turns as all else does
-    excited = [row for name, row in named if name[:2] in {"e_", "f_"} and not name.startswith("f_magnet_")]
+    """A frequency that holds most of what is left of a signal, and no line of the excitation: it
+    hides all else.
+    """
+    # f_magnet_ is measured, and turns as all else does
+    named = zip(output.record.signals, output.record.values, strict=True)
+    excited = [
+        row for name, row in named if name[:2] in {"e_", "f_"} and not name.startswith("f_magnet_")
+    ]
     for name, row in output.rows():
         share, frequency = _strongest(row)
         if share > _MOST and not any(_has_line(e, frequency) for e in excited):
-            what = f"record {number}: a tone at {frequency * output.record.sample_rate_hz:.4g} Hz hides what the model lacks"
+            what = (
+                f"record {number}: a tone at {frequency * output.record.sample_rate_hz:.4g} Hz "
+                "hides what the model lacks"
+            )
             evidence = f"it is {100 * share:.0f} % of the power that is left of {name}"
-            remedy = "give the record's speed (speed_rad_s or a channel speed) if the rotor turns so, else the tone (--tone)"
+            remedy = (
+                "give the record's speed (speed_rad_s or a channel speed) if the rotor turns so, "
+                "else the tone (--tone)"
+            )
             yield Finding(Code.TONE, WARNING, what, evidence, remedy)
             return
 
@@ -180,7 +274,9 @@ def _has_line(row: np.ndarray, frequency: float) -> bool:
 
 
 def _lines(row: np.ndarray) -> np.ndarray:
-    """The power of a signal about each frequency (k // 2 + 1,), over as many bins as a window makes of a line."""
+    """The power of a signal about each frequency (k // 2 + 1,), over as many bins as a window makes
+    of a line.
+    """
     power = np.abs(np.fft.rfft((row - row.mean()) * np.hanning(len(row)))) ** 2
     power[:3] = 0.0  # slow drift is no tone
     return np.convolve(power, [0.5, 1.0, 1.0, 1.0, 0.5], "same")
@@ -193,10 +289,12 @@ def delay_findings(
     free: Callable[[], ParameterEstimate],
     whole: Callable[[float], ParameterEstimate],
 ) -> tuple[Finding, ...]:
-    """Whether another computing delay explains the records clearly better than the ``delay`` [samples of dt, s] of ``given``.
+    """Whether another computing delay explains the records clearly better than the ``delay``
+    [samples of dt, s] of ``given``.
 
-    free: identifies with the delay as an unknown, too; whole: with another whole one, asked where the first is refused or leads
-    nowhere. Only asked where the residuals still follow the excitation.
+    free: identifies with the delay as an unknown, too; whole: with another whole one, asked where
+    the first is refused or leads nowhere. Only asked where the residuals still follow the
+    excitation.
     """
     if all(test.passed for test in given.tests) or CONTROLLER_DELAY in given.paths:
         return ()
@@ -207,7 +305,10 @@ def delay_findings(
     if estimate is None or not estimate.converged:
         return _whole_delays(given, delay, whole)
     place = estimate.paths.index(CONTROLLER_DELAY)
-    count, deviation = float(estimate.values[place]) / dt, float(estimate.standard_deviations[place]) / dt
+    count, deviation = (
+        float(estimate.values[place]) / dt,
+        float(estimate.standard_deviations[place]) / dt,
+    )
     left, follows = (_left(given), _left(estimate)), (_follows(given), _follows(estimate))
     sure = abs(count - delay) > max(_DELAYED, _SURE * deviation)
     if not sure or (left[1] > _CLEARLY * left[0] and follows[1] > _CLEARLY * follows[0]):
@@ -215,12 +316,15 @@ def delay_findings(
     number = _fixed(count, deviation)
     what = f"a computing delay of {number} instead of {delay:g} samples explains the records better"
     evidence = (
-        f"found as an unknown: {number} samples ({1e3 * count * dt:.4g} ms), standard deviation {deviation:.2g} samples; "
-        f"it leaves {left[1]:.3g} % of the signals instead of {left[0]:.3g} %, and the residuals follow the excitation by "
+        f"found as an unknown: {number} samples ({1e3 * count * dt:.4g} ms), standard deviation "
+        f"{deviation:.2g} samples; "
+        f"it leaves {left[1]:.3g} % of the signals instead of {left[0]:.3g} %, and the residuals "
+        "follow the excitation by "
         f"{follows[1]:.2g} times their limit instead of {follows[0]:.2g}"
     )
     remedy = (
-        'ask for it ("delay" among the unknowns), or give it if the controller may have it; a lag of amplifier or sensor '
+        'ask for it ("delay" among the unknowns), or give it if the controller may have it; a lag '
+        "of amplifier or sensor "
         "that the model lacks looks the same. One sample is 2 to 5 % in the stiffness"
     )
     return (Finding(Code.OTHER_DELAY, WARNING, what, evidence, remedy),)
@@ -242,7 +346,9 @@ def _fixed(value: float, deviation: float) -> str:
     return f"{round(value, digits):g}"
 
 
-def _whole_delays(given: ParameterEstimate, delay: float, whole: Callable[[float], ParameterEstimate]) -> tuple[Finding, ...]:
+def _whole_delays(
+    given: ParameterEstimate, delay: float, whole: Callable[[float], ParameterEstimate]
+) -> tuple[Finding, ...]:
     trials = {delay: _left(given)}
     for other in (delay - 1, delay + 1):
         if other >= 0:
@@ -256,5 +362,8 @@ def _whole_delays(given: ParameterEstimate, delay: float, whole: Callable[[float
     figures = ", ".join(f"{value:.2g} % with {count:g}" for count, value in sorted(trials.items()))
     what = f"a computing delay of {best:g} instead of {delay:g} samples explains the records better"
     evidence = f"left unexplained of the signals: {figures}"
-    remedy = f"give --delay-samples {best:g} if the controller may have it; one sample is 2 to 5 % in the stiffness"
+    remedy = (
+        f"give --delay-samples {best:g} if the controller may have it; one sample is 2 to 5 % in "
+        "the stiffness"
+    )
     return (Finding(Code.OTHER_DELAY, WARNING, what, evidence, remedy),)

@@ -1,9 +1,10 @@
 """Repeated experiments: mean, relative standard deviation, confidence intervals.
 
-A single identification states its own standard deviation (output_error/statistics.py, from the colour of the residuals).
-Repeats show the scatter itself, whatever causes it: noise, run-out, temperature, a model wrong in another way each time.
-Means have Student's t intervals (papers P2: five repeats, 95 %), scatters have chi-square ones: the standard deviation of five
-repeats is itself uncertain by a factor between 0.6 and 2.9.
+A single identification states its own standard deviation (output_error/statistics.py, from the
+colour of the residuals). Repeats show the scatter itself, whatever causes it: noise, run-out,
+temperature, a model wrong in another way each time. Means have Student's t intervals (papers P2:
+five repeats, 95 %), scatters have chi-square ones: the standard deviation of five repeats is itself
+uncertain by a factor between 0.6 and 2.9.
 """
 
 from __future__ import annotations
@@ -23,8 +24,9 @@ from ambrose.identification.parameters import Estimate
 class Repeats:
     """r repeats of q parameters, SI, in the order of ``paths``.
 
-    values (r, q); predicted (q,): root mean square of the standard deviations that the single experiments state (NaN where they
-    state none). level [-] of all intervals. mean (q,); deviation (q,): sample standard deviation of one repeat.
+    values (r, q); predicted (q,): root mean square of the standard deviations that the single
+    experiments state (NaN where they state none). level [-] of all intervals. mean (q,); deviation
+    (q,): sample standard deviation of one repeat.
     """
 
     paths: tuple[str, ...]
@@ -52,40 +54,66 @@ class Repeats:
 
     @property
     def half_width(self) -> np.ndarray:
-        """The mean lies within +- this (q,) with probability ``level``: t s/sqrt(r), Student's t with r - 1 degrees."""
+        """The mean lies within +- this (q,) with probability ``level``: t s/sqrt(r), Student's t
+        with r - 1 degrees.
+        """
         from scipy.special import stdtrit
 
-        return np.asarray(stdtrit(self.count - 1, (1 + self.level) / 2) * self.deviation / np.sqrt(self.count))
+        return np.asarray(
+            stdtrit(self.count - 1, (1 + self.level) / 2) * self.deviation / np.sqrt(self.count)
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready data, SI."""
         return {
-            "count": self.count, "values": self.values.tolist(), "mean": self.mean.tolist(),
-            "half_width_95": self.half_width.tolist(), "rsd_percent": self.rsd.tolist(),
-        }  # fmt: skip
+            "count": self.count,
+            "values": self.values.tolist(),
+            "mean": self.mean.tolist(),
+            "half_width_95": self.half_width.tolist(),
+            "rsd_percent": self.rsd.tolist(),
+        }
 
 
-def repeats(paths: Sequence[str], values: ArrayLike, predicted: ArrayLike | None = None, level: float = 0.95) -> Repeats:
-    """Repeats from values (r, q) and the standard deviations (r, q) that each experiment states. Raises InvalidInput."""
+def repeats(
+    paths: Sequence[str], values: ArrayLike, predicted: ArrayLike | None = None, level: float = 0.95
+) -> Repeats:
+    """Repeats from values (r, q) and the standard deviations (r, q) that each experiment states.
+    Raises InvalidInput.
+    """
     values = check_shape(values, "values", "(r, q)", q=len(paths))
     if len(values) < 2:
-        raise invalid("the number of repeats", len(values), "at least 2", "one experiment shows no scatter; repeat it")
+        raise invalid(
+            "the number of repeats",
+            len(values),
+            "at least 2",
+            "one experiment shows no scatter; repeat it",
+        )
     if not 0 < level < 1:
         raise invalid("level", level, "between 0 and 1", "0.95 is usual")
-    stated = np.full(values.shape, np.nan) if predicted is None else check_shape(predicted, "predicted", "(r, q)", q=len(paths))
+    stated = (
+        np.full(values.shape, np.nan)
+        if predicted is None
+        else check_shape(predicted, "predicted", "(r, q)", q=len(paths))
+    )
     return Repeats(tuple(paths), values, np.sqrt(np.mean(stated**2, axis=0)), float(level))
 
 
 def of_estimates(estimates: Sequence[Estimate], level: float = 0.95) -> Repeats:
-    """Repeats from identifications (or static loads) of the same parameters. Raises InvalidInput where those differ."""
+    """Repeats from identifications (or static loads) of the same parameters. Raises InvalidInput
+    where those differ.
+    """
     if not estimates:
         raise InvalidInput("no experiment was given; repeats need at least two")
     first = estimates[0].paths
     for number, item in enumerate(estimates, 1):
         if item.paths != first:
             raise invalid(
-                f"the parameters of experiment {number}", ", ".join(item.paths), f"{', '.join(first)}, as in the first",
+                f"the parameters of experiment {number}",
+                ", ".join(item.paths),
+                f"{', '.join(first)}, as in the first",
                 "identify the same parameters each time",
-            )  # fmt: skip
-    values, predicted = ([getattr(item, name) for item in estimates] for name in ("values", "standard_deviations"))
+            )
+    values, predicted = (
+        [getattr(item, name) for item in estimates] for name in ("values", "standard_deviations")
+    )
     return repeats(first, values, predicted, level)

@@ -1,4 +1,6 @@
-"""The identified model driven by every record's excitation: its signals beside the measured ones."""
+"""The identified model driven by every record's excitation: its signals beside the measured
+ones.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +13,14 @@ from ambrose.identification.output_error.delays import TimedLoop
 from ambrose.identification.output_error.loop_model import ParametricModel, over_weights
 from ambrose.identification.output_error.normal_equations import fit, synchronised
 from ambrose.identification.output_error.problem import Experiment
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedOutput:
-    """measured (p, k), as in the record, and model (p, k) of ``signals``, SI; the model with the estimated initial state and
-    offset, and what turns with the rotor."""
+    """measured (p, k), as in the record, and model (p, k) of ``signals``, SI; the model with the
+    estimated initial state and offset, and what turns with the rotor.
+    """
 
     record: Record
     signals: tuple[str, ...]
@@ -38,13 +41,22 @@ class SimulatedOutput:
                 yield name, self.record[name] - model
 
 
-def simulate_outputs(experiment: Experiment, records: Sequence[Record], theta: np.ndarray) -> tuple[SimulatedOutput, ...]:
-    """Every record of an experiment with the model's outputs at theta (q,); the signals are those of the experiment."""
-    signals, unit, outputs = experiment.signals, experiment.sizes, []
+def simulate_outputs(
+    experiment: Experiment, records: Sequence[Record], theta: np.ndarray
+) -> tuple[SimulatedOutput, ...]:
+    """Every record of an experiment with the model's outputs at theta (q,); the signals are those
+    of the experiment.
+    """
+    signals = experiment.signals
+    unit = experiment.sizes
+    outputs = []
     for record, task in zip(records, experiment.tasks, strict=True):
         model, free = experiment.models[task.place], replace(task, initial_state=True, offset=True)
         loop = over_weights(model, theta, experiment.sizes)[0]
-        part, made = _fitted_part(record, model, task.samples), fit(loop, synchronised(loop, free))[0]
+        part, made = (
+            _fitted_part(record, model, task.samples),
+            fit(loop, synchronised(loop, free))[0],
+        )
         for name, row, size in zip(signals, made, unit, strict=True):  # of the residual, the model
             row[:] = part[name] - row * size
         outputs.append(SimulatedOutput(part, signals, made))
@@ -52,7 +64,9 @@ def simulate_outputs(experiment: Experiment, records: Sequence[Record], theta: n
 
 
 def _fitted_part(record: Record, model: ParametricModel, samples: int) -> Record:
-    """The part of a record that was fitted: with an unknown delay of the excitation some samples at both ends are not."""
+    """The part of a record that was fitted: with an unknown delay of the excitation some samples at
+    both ends are not.
+    """
     skipped = model.skipped if isinstance(model, TimedLoop) else 0
     if samples == record.values.shape[1]:
         return record

@@ -1,18 +1,20 @@
-"""What a model may lack, and what that would do to its values: one more unknown at a time, by one step from the optimum.
+"""What a model may lack, and what that would do to its values: one more unknown at a time, by one
+step from the optimum.
 
-With a further parameter c the normal equations of a fit grow by a column; eliminating the others leaves
-S_c = H_cc - H_cp H_pp^-1 H_pc and g_c: the best step is d = g_c / S_c (Gauss-Newton), the cost falls by g_c^2 / S_c, and
-the fitted values would move by -H_pp^-1 H_pc d. The score, |g_c| over its standard deviation under the colour of the residuals,
-says how sure that is (a score test; Rao 1948): it sees what the correlation of residuals and excitation, spread over a hundred
-lags, does not. And residuals that follow the excitation say only that something is missing, the move how much it matters. What
-is missing need not be one of the suspects: the largest move is a measure of the effect, no bound.
+With a further parameter c the normal equations of a fit grow by a column; eliminating the others
+leaves S_c = H_cc - H_cp H_pp^-1 H_pc and g_c: the best step is d = g_c / S_c (Gauss-Newton), the
+cost falls by g_c^2 / S_c, and the fitted values would move by -H_pp^-1 H_pc d. The score, |g_c|
+over its standard deviation under the colour of the residuals, says how sure that is (a score test;
+Rao 1948): it sees what the correlation of residuals and excitation, spread over a hundred lags,
+does not. And residuals that follow the excitation say only that something is missing, the move how
+much it matters. What is missing need not be one of the suspects: the largest move is a measure of
+the effect, no bound.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -20,36 +22,47 @@ from ambrose.core.checks import AmbroseError
 from ambrose.identification.findings import WARNING, Code, Finding
 from ambrose.identification.output_error.closed_loop import LeastSquares, ParameterEstimate
 from ambrose.identification.output_error.lagged_products import coloured_products
-from ambrose.identification.output_error.normal_equations import jacobian_pieces, normal_equations, synchronised
+from ambrose.identification.output_error.normal_equations import (
+    jacobian_pieces,
+    normal_equations,
+    synchronised,
+)
 from ambrose.identification.output_error.problem import Experiment, FitOptions, build_experiment
 from ambrose.identification.output_error.residual_analysis import residual_scores
 from ambrose.identification.output_error.statistics import verdict_of
 from ambrose.identification.parameters import unit_of
+from ambrose.law.law import LawLike
 from ambrose.machine.description import AMPLIFIER_PARAMETERS
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import BENDING, TIMING, bending_modes_of_mesh, parse_parameter
-from ambrose.machine.record.record import Record
+from ambrose.record.record import Record
 
 _CERTAIN = 4.0  # standard deviations of a step, below which noise may make it
 _HARMLESS = 0.02  # of a value; assumed: less than a tolerance of a magnet's coefficients ever is
 _NOT_THESE = (  # what is left once every suspect was tried in vain
-    "the model lacks something that no one of delays, gains, stiffnesses, amplifier, seals and bending modes explains; "
+    "the model lacks something that no one of delays, gains, stiffnesses, amplifier, seals and "
+    "bending modes explains; "
     "likeliest first: magnets beyond their linear range, a different controller"
 )
 BENDING_MODES = "bending modes"
 _FURTHER = 3  # bending modes beyond those modelled, which are tried
 _SEEN = 0.3  # standard deviations of a value, below which the modes beyond are left alone
 _MODES = 2  # bending modes that may be wrong; assumed: those beyond hardly show
-_OWN, _SAMPLES = 0.5, 3.0  # of a parameter, of a delay in samples: a longer step is no correction, but another machine
+# of a parameter, of a delay in samples: a longer step is no correction, but another machine
+_OWN, _SAMPLES = 0.5, 3.0
 _DAMPED = (
-    3.0  # of a bending mode's damping, which nobody knows; where its frequency is far off, damping it away is the first step
+    # of a bending mode's damping, which nobody knows; where its frequency is far off, damping it
+    # away is the first step
+    3.0
 )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Suspect:
-    """One more unknown: by how much it would change (``step``, SI) and how surely (``score`` standard deviations), which part
-    of the residuals' energy that explains, and by how much the fitted values (q,) would move (``shift``, SI)."""
+    """One more unknown: by how much it would change (``step``, SI) and how surely (``score``
+    standard deviations), which part of the residuals' energy that explains, and by how much the
+    fitted values (q,) would move (``shift``, SI).
+    """
 
     path: str
     step: float
@@ -59,25 +72,45 @@ class Suspect:
 
 
 def suspects(
-    machine: Machine, records: Sequence[Record], controller: Any, result: ParameterEstimate, options: FitOptions
+    machine: Machine,
+    records: Sequence[Record],
+    controller: LawLike,
+    result: ParameterEstimate,
+    options: FitOptions,
 ) -> tuple[Suspect, ...]:
-    """The suspects that noise cannot make, the best explanation first; none where no further unknown can be tried.
+    """The suspects that noise cannot make, the best explanation first; none where no further
+    unknown can be tried.
 
-    Tried are the delays of controller and excitation, the amplifier's other parameters, gains and stiffnesses of bearings and
-    couplings, the seals' coefficients and the first two bending modes, as far as the fit took them as known.
+    Tried are the delays of controller and excitation, the amplifier's other parameters, gains and
+    stiffnesses of bearings and couplings, the seals' coefficients and the first two bending modes,
+    as far as the fit took them as known.
     """
     options = replace(options, period=None)
     more = min(options.bending_modes + _FURTHER, bending_modes_of_mesh(machine))
-    cut = None if more <= options.bending_modes else _truncation(machine, records, controller, result, options, more)
+    cut = (
+        None
+        if more <= options.bending_modes
+        else _truncation(machine, records, controller, result, options, more)
+    )
     options = replace(options, bending_modes=max(more, options.bending_modes))
-    paths = [path for path in (*TIMING, *_others(machine, options.bending_modes)) if not _known(path, result.paths)]
-    timing, rest = [path for path in paths if path in TIMING], [path for path in paths if path not in TIMING]
+    paths = [
+        path
+        for path in (*TIMING, *_others(machine, options.bending_modes))
+        if not _known(path, result.paths)
+    ]
+    timing, rest = (
+        [path for path in paths if path in TIMING],
+        [path for path in paths if path not in TIMING],
+    )
 
     def scored(extra: list[str]) -> list[Suspect]:
         if not extra:
             return []
         try:
-            return _scores(build_experiment(machine, records, controller, (*result.paths, *extra), options), result)
+            return _scores(
+                build_experiment(machine, records, controller, (*result.paths, *extra), options),
+                result,
+            )
         except AmbroseError:  # one of them cannot be an unknown here
             half = len(extra) // 2
             return [] if not half else scored(extra[:half]) + scored(extra[half:])
@@ -87,13 +120,22 @@ def suspects(
 
 
 def _truncation(
-    machine: Machine, records: Sequence[Record], controller: Any, result: ParameterEstimate, options: FitOptions, modes: int
+    machine: Machine,
+    records: Sequence[Record],
+    controller: LawLike,
+    result: ParameterEstimate,
+    options: FitOptions,
+    modes: int,
 ) -> Suspect | None:
-    """What ``modes`` bending modes would do to the values, by one step of Gauss and Newton; None where noise hides it."""
+    """What ``modes`` bending modes would do to the values, by one step of Gauss and Newton; None
+    where noise hides it.
+    """
     costs, step = [], np.zeros(0)
     for count in (options.bending_modes, modes):
         try:
-            experiment = build_experiment(machine, records, controller, result.paths, replace(options, bending_modes=count))
+            experiment = build_experiment(
+                machine, records, controller, result.paths, replace(options, bending_modes=count)
+            )
         except AmbroseError:
             return None
         H, g, cost = _equations(experiment, result.values)[:3]
@@ -106,27 +148,45 @@ def _truncation(
 
 
 def judged(result: ParameterEstimate, found: Sequence[Suspect], dt: float) -> ParameterEstimate:
-    """The result with intervals that hold the largest move that a suspect would make; the verdict names cause and effect.
+    """The result with intervals that hold the largest move that a suspect would make; the verdict
+    names cause and effect.
 
-    Where no value would move by more than 2 % (a delay: of a sample ``dt`` [s]) and more than its standard deviation, what the
-    residuals hold is no doubt about the values: the warning goes.
+    Where no value would move by more than 2 % (a delay: of a sample ``dt`` [s]) and more than its
+    standard deviation, what the residuals hold is no doubt about the values: the warning goes.
     """
     if not found:
         if all(test.passed for test in result.tests):
             return result
         verdict = verdict_of(result.tests, result.converged, _NOT_THESE)
-        told = [replace(item, what=verdict) if item.code == Code.RESIDUALS else item for item in result.warnings]
+        told = [
+            replace(item, what=verdict) if item.code == Code.RESIDUALS else item
+            for item in result.warnings
+        ]
         return replace(result, verdict=verdict, warnings=tuple(told))
     moves = np.abs([item.shift for item in found])
-    sizes = [dt if path in TIMING else abs(value) for path, value in zip(result.paths, result.values, strict=True)]
-    seen = moves > result.standard_deviations  # what noise hides is in the interval, whatever it is of a value near zero
+    sizes = [
+        dt if path in TIMING else abs(value)
+        for path, value in zip(result.paths, result.values, strict=True)
+    ]
+    # what noise hides is in the interval, whatever it is of a value near zero
+    seen = moves > result.standard_deviations
     relative = np.where(seen, moves / np.maximum(sizes, 1e-300), 0.0)
     k = int(relative.max(axis=0).argmax())
     effect = float(relative[:, k].max())
     named = causes(found)
-    moved = f"the values move by up to {100 * effect:.2g} % ({result.paths[k]}), which the intervals hold"
-    moved = moved if effect else "no value moves by more than its standard deviation, and the intervals hold that"
-    lacking = f"one more unknown would explain a part of what is left, the likeliest first: {named}; with it {moved}"
+    moved = (
+        f"the values move by up to {100 * effect:.2g} % ({result.paths[k]}), which the intervals "
+        "hold"
+    )
+    moved = (
+        moved
+        if effect
+        else "no value moves by more than its standard deviation, and the intervals hold that"
+    )
+    lacking = (
+        f"one more unknown would explain a part of what is left, the likeliest first: {named}; "
+        f"with it {moved}"
+    )
     verdict = verdict_of(result.tests, result.converged, lacking)
     warnings = [finding for finding in result.warnings if finding.code != Code.RESIDUALS]
     if effect > _HARMLESS:
@@ -136,21 +196,35 @@ def judged(result: ParameterEstimate, found: Sequence[Suspect], dt: float) -> Pa
 
 
 def explained(finding: Finding, found: Sequence[Suspect]) -> Finding:
-    """A finding that the model misses a response, with the suspects before the causes that no single unknown stands for."""
+    """A finding that the model misses a response, with the suspects before the causes that no
+    single unknown stands for.
+    """
     if finding.code != Code.MISSING_RESPONSE or not found:
         return finding
-    return replace(finding, remedy=f"likeliest first, with the part each would explain: {causes(found)}; else {finding.remedy}")
+    return replace(
+        finding,
+        remedy=f"likeliest first, with the part each would explain: {causes(found)}; else "
+        f"{finding.remedy}",
+    )
 
 
 def causes(found: Sequence[Suspect]) -> str:
-    """The three suspects that explain most, the likeliest first, each with its step and the share of the energy it explains."""
-    return ", ".join(f"{item.path} {_sized(item)} ({100 * item.explains:.2g} %)" for item in found[:3])
+    """The three suspects that explain most, the likeliest first, each with its step and the share
+    of the energy it explains.
+    """
+    return ", ".join(
+        f"{item.path} {_sized(item)} ({100 * item.explains:.2g} %)" for item in found[:3]
+    )
 
 
 def _sized(item: Suspect) -> str:
     if item.path.endswith(BENDING_MODES):
         return f"instead of {int(item.path.split()[0]) - _FURTHER}"
-    return f"{1e6 * item.step:+.3g} us" if item.path in TIMING else f"{item.step:+.3g} {unit_of(item.path)}"
+    return (
+        f"{1e6 * item.step:+.3g} us"
+        if item.path in TIMING
+        else f"{item.step:+.3g} {unit_of(item.path)}"
+    )
 
 
 def _others(machine: Machine, bending_modes: int) -> list[str]:
@@ -161,16 +235,25 @@ def _others(machine: Machine, bending_modes: int) -> list[str]:
         for item in machine.bearings
         for axis in ("zeta", "eta")
     ]
-    paths += [f"coupling.{item.name}.stiffness.{axis}" for item in machine.couplings for axis in ("zeta", "eta")]
+    paths += [
+        f"coupling.{item.name}.stiffness.{axis}"
+        for item in machine.couplings
+        for axis in ("zeta", "eta")
+    ]
     plain = [item for item in machine.seals if item.geometry is None and item.table is None]
     paths += [f"seal.{item.name}.{letter}" for item in plain for letter in "kKC"]
     modes = range(1, 1 + min(_MODES, bending_modes, bending_modes_of_mesh(machine)))
-    return paths + [f"rotor.{BENDING}{k}.{quantity}" for k in modes for quantity in ("frequency", "damping")]
+    return paths + [
+        f"rotor.{BENDING}{k}.{quantity}" for k in modes for quantity in ("frequency", "damping")
+    ]
 
 
 def _known(path: str, paths: Sequence[str]) -> bool:
     return path in paths or any(
-        path not in TIMING and other not in TIMING and parse_parameter(path).overlaps(parse_parameter(other)) for other in paths
+        path not in TIMING
+        and other not in TIMING
+        and parse_parameter(path).overlaps(parse_parameter(other))
+        for other in paths
     )
 
 
@@ -179,15 +262,22 @@ def _equations(
 ) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
     """J'J (q, q), J'r (q,), r'r at theta (q,), and, ``coloured``, the covariance of J'r (q, q)."""
     loops = LeastSquares(experiment, normal_equations).loops(theta)
-    H, middle, g, cost = np.zeros((len(theta), len(theta))), np.zeros((len(theta), len(theta))), np.zeros(len(theta)), 0.0
+    H = np.zeros((len(theta), len(theta)))
+    middle = np.zeros((len(theta), len(theta)))
+    g = np.zeros(len(theta))
+    cost = 0.0
     for task in experiment.tasks:
         loop, directions = loops[task.place]
         task = synchronised(loop, task)  # noqa: PLW2901
         part = normal_equations(loop, directions, task)
         if coloured:
-            covariance = residual_scores(loop, task, part, ["e"] * len(task.e), experiment.signals, 1).covariance
+            covariance = residual_scores(
+                loop, task, part, ["e"] * len(task.e), experiment.signals, 1
+            ).covariance
             middle += coloured_products(jacobian_pieces(loop, directions, task, part), covariance)
-        H, g, cost = H + part.equations.H, g + part.equations.g, cost + part.equations.cost
+        H = H + part.equations.H
+        g = g + part.equations.g
+        cost = cost + part.equations.cost
     return H, g, cost, middle
 
 
@@ -196,7 +286,9 @@ def _scores(experiment: Experiment, result: ParameterEstimate) -> list[Suspect]:
     theta[own] = result.values
     H, g, cost, middle = _equations(experiment, theta, coloured=True)
     size = np.sqrt(np.maximum(np.diag(H), 1e-300))
-    H, g, middle = H / size / size[:, None], g / size, middle / size / size[:, None]
+    H = H / size / size[:, None]
+    g = g / size
+    middle = middle / size / size[:, None]
     found = []
     for c in (i for i in range(len(theta)) if i not in own):
         x = np.linalg.solve(H[np.ix_(own, own)], H[own, c])
@@ -207,8 +299,18 @@ def _scores(experiment: Experiment, result: ParameterEstimate) -> list[Suspect]:
         spread = float(weights @ middle[np.ix_([*own, c], [*own, c])] @ weights)
         step, score = slope / left, abs(slope) / np.sqrt(max(spread, 1e-300))
         path = experiment.paths[c]
-        most = _SAMPLES if path in TIMING else _DAMPED if path.startswith("rotor.") and path.endswith("damping") else _OWN
-        if score > _CERTAIN and abs(step) / size[c] < most * max(experiment.scale[c], abs(theta[c])):
+        most = (
+            _SAMPLES
+            if path in TIMING
+            else _DAMPED
+            if path.startswith("rotor.") and path.endswith("damping")
+            else _OWN
+        )
+        if score > _CERTAIN and abs(step) / size[c] < most * max(
+            experiment.scale[c], abs(theta[c])
+        ):
             shift = -x * step / size[own]
-            found.append(Suspect(path, step / size[c], float(score), float(slope**2 / left / cost), shift))
+            found.append(
+                Suspect(path, step / size[c], float(score), float(slope**2 / left / cost), shift)
+            )
     return found

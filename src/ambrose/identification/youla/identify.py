@@ -1,9 +1,11 @@
-"""Closed-loop identification through the Youla residual: the record of an unstable machine becomes an open-loop experiment.
+"""Closed-loop identification through the Youla residual: the record of an unstable machine becomes
+an open-loop experiment.
 
-From a record of the loop v = K y + e two observers make alpha = V~ v - U~ y = V~ e, which no noise disturbs, and
-eps = M~ y - N~ v = S(theta) alpha + (M~ + S U~) d (core/realisation/coprime.py). S is stable and zero for the machine as
-modelled, so that eps shows directly by how much the machine differs. The parameters are fitted to it by the least squares of
-output_error/closed_loop.py, with the error weighted by M~ (I + G K): white measurement noise stays white, and least squares is
+From a record of the loop v = K y + e two observers make alpha = V~ v - U~ y = V~ e, which no noise
+disturbs, and eps = M~ y - N~ v = S(theta) alpha + (M~ + S U~) d (core/realisation/coprime.py). S is
+stable and zero for the machine as modelled, so that eps shows directly by how much the machine
+differs. The parameters are fitted to it by the least squares of output_error/closed_loop.py, with
+the error weighted by M~ (I + G K): white measurement noise stays white, and least squares is
 efficient near the machine modelled. Lauridsen's paper P1; Hansen, Franklin & Kosut (1989).
 """
 
@@ -37,23 +39,31 @@ from ambrose.identification.output_error.problem import (
 )
 from ambrose.identification.output_error.synchronous import synchronous_of
 from ambrose.identification.parameters import expand, nominal_values, reduced_plant
-from ambrose.identification.youla.residual_model import SampledResidual, held_residual, sampled_residual
+from ambrose.identification.youla.residual_model import (
+    SampledResidual,
+    held_residual,
+    sampled_residual,
+)
+from ambrose.law.law import LawLike
 from ambrose.machine.machine import Machine
-from ambrose.machine.record.record import Record
-from ambrose.plant.model import Plant
+from ambrose.model.plant import Plant
+from ambrose.record.record import Record
 
 _LOOKED_AT = 10_000  # samples on which the controller is compared with the one that ran
 _GROWTH = 10.0  # of the motion over a record, beyond that of its excitation
-_OTHER, _WRONG = 0.01, 0.5  # of the recorded currents, that the controller given does not explain: doubtful, and refused
+# of the recorded currents, that the controller given does not explain: doubtful, and refused
+_OTHER, _WRONG = 0.01, 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualIdentification:
-    """The estimate (values, covariance, tests) and how it was reached: the factors, S at its values, and its signals.
+    """The estimate (values, covariance, tests) and how it was reached: the factors, S at its
+    values, and its signals.
 
-    residual: S from alpha to eps, sampled. signals: per record alpha_u_<axis> [A] and eps_y_<axis> [m], for frf.h1 and
-    ``impulse_response.finite_response``. controller_error: share of the recorded currents, from 0, that the controller given
-    does not explain (the largest of all records; NaN where u was not recorded apart).
+    residual: S from alpha to eps, sampled. signals: per record alpha_u_<axis> [A] and eps_y_<axis>
+    [m], for frf.h1 and ``impulse_response.finite_response``. controller_error: share of the
+    recorded currents, from 0, that the controller given does not explain (the largest of all
+    records; NaN where u was not recorded apart).
     """
 
     estimate: ParameterEstimate
@@ -66,7 +76,7 @@ class ResidualIdentification:
 def identify(
     machine: Machine,
     records: Record | Sequence[Record],
-    controller: Any,
+    controller: LawLike,
     unknown: Sequence[str],
     *,
     start: Mapping[str, float] | None = None,
@@ -74,11 +84,13 @@ def identify(
     decay: float = 10.0,
     **options: Any,
 ) -> ResidualIdentification:
-    """The parameters at the paths ``unknown`` from records of the closed loop with e_<axis>, u_<axis> [A] and y_<axis> [m].
+    """The parameters at the paths ``unknown`` from records of the closed loop with e_<axis>,
+    u_<axis> [A] and y_<axis> [m].
 
-    controller, start: as in closed_loop.identify; the controller must stabilise the machine as modelled, too. noise: y_<axis>
-    -> standard deviation [m] (None: all alike). decay [1/s]: the slowest rate at which the observers forget. options: those of
-    FitOptions, but for signals, weights and period, of which the residual has its own. Raises InvalidInput, and UnstableSystem
+    controller, start: as in closed_loop.identify; the controller must stabilise the machine as
+    modelled, too. noise: y_<axis> -> standard deviation [m] (None: all alike). decay [1/s]: the
+    slowest rate at which the observers forget. options: those of FitOptions, but for signals,
+    weights and period, of which the residual has its own. Raises InvalidInput, and UnstableSystem
     where machine and controller are not stable together.
     """
     how = FitOptions(**options)
@@ -101,14 +113,18 @@ def identify(
     error = max(controller_error(factors, record) for record in records)
     if error > _WRONG:
         raise InvalidInput(
-            f"the controller given does not explain {100 * error:.0f} % of the recorded currents u_<axis>; it is not the one "
-            "that ran, or its output was limited: check sign, units, sample rate, computing_delay and the order of the axes"
+            f"the controller given does not explain {100 * error:.0f} % of the recorded currents "
+            "u_<axis>; it is not the one "
+            "that ran, or its output was limited: check sign, units, sample rate, computing_delay "
+            "and the order of the axes"
         )
     whitening = _whitening(covariance)
     model = sampled_residual(plant, factors, paths, nominal, whitening)
     estimate = _fit(plant, model, paths, nominal, begin, signals, how)
     if error > _OTHER:
-        what = f"the controller given leaves {100 * error:.1f} % of the recorded currents unexplained"
+        what = (
+            f"the controller given leaves {100 * error:.1f} % of the recorded currents unexplained"
+        )
         remedy = "the parameters found are biased by as much as it differs from the one that ran"
         warning = Finding(Code.OTHER_CONTROLLER, WARNING, what, remedy=remedy)
         estimate = replace(estimate, warnings=(*estimate.warnings, warning))
@@ -129,29 +145,41 @@ def identify_injected(
     initial_state: bool = False,
     offset: bool = False,
 ) -> ParameterEstimate:
-    """P1's experiment: alpha (m, k) [A] is fed into the controller, held over dt [s], and eps (p, k) [m] read out of it.
+    """P1's experiment: alpha (m, k) [A] is fed into the controller, held over dt [s], and eps (p,
+    k) [m] read out of it.
 
-    plant: reduced, without feedthrough; factors: of the continuous plant (inputs u_<axis>, outputs y_<axis>) and its controller
-    (``observer_controller``). unknown: paths; start: path -> value; initial_state, offset: estimated, else zero. Raises
-    InvalidInput.
+    plant: reduced, without feedthrough; factors: of the continuous plant (inputs u_<axis>, outputs
+    y_<axis>) and its controller (``observer_controller``). unknown: paths; start: path -> value;
+    initial_state, offset: estimated, else zero. Raises InvalidInput.
     """
     dt = check_positive(dt, "dt", "give the sample time in seconds")
     alpha = check_shape(alpha, "alpha", "(m, k)", m=len(factors.alpha))
     eps = check_shape(eps, "eps", "(p, k)", p=len(factors.eps), k=alpha.shape[1])
     if not np.ptp(alpha, axis=1).any():
         raise InvalidInput(
-            "alpha never changes: without excitation eps is noise; feed a random binary signal into the controller"
+            "alpha never changes: without excitation eps is noise; feed a random binary signal "
+            "into the controller"
         )
     paths = expand(plant.machine, unknown)
     nominal = nominal_values(plant, paths)
     begin = start_values(paths, nominal, start)
     model = held_residual(plant, factors, paths, nominal, dt)
     signals = Record(
-        plant.machine.name, 1 / dt, (*factors.alpha, *factors.eps), ("A",) * len(alpha) + ("m",) * len(eps),
-        np.vstack([alpha, eps]), plant.point,
-    )  # fmt: skip
+        plant.machine.name,
+        1 / dt,
+        (*factors.alpha, *factors.eps),
+        ("A",) * len(alpha) + ("m",) * len(eps),
+        np.vstack([alpha, eps]),
+        plant.point,
+    )
     return _fit(
-        plant, model, paths, nominal, begin, (signals,), FitOptions(initial_state=initial_state, offset=offset, harmonics=0)
+        plant,
+        model,
+        paths,
+        nominal,
+        begin,
+        (signals,),
+        FitOptions(initial_state=initial_state, offset=offset, harmonics=0),
     )
 
 
@@ -164,13 +192,18 @@ def _fit(
     signals: Sequence[Record],
     options: FitOptions,
 ) -> ParameterEstimate:
-    """The least squares of output_error/closed_loop.py on S, with eps whitened and scaled to the size 1."""
-    whitening = model.whitening if isinstance(model, SampledResidual) else np.eye(len(model.signals))
+    """The least squares of output_error/closed_loop.py on S, with eps whitened and scaled to the
+    size 1.
+    """
+    whitening = (
+        model.whitening if isinstance(model, SampledResidual) else np.eye(len(model.signals))
+    )
     measured = [whitening @ record.select(model.signals).values for record in signals]
     size = max(float(np.sqrt(np.mean(eps**2))) for eps in measured)
     if size == 0:
         raise InvalidInput(
-            "eps is zero: the machine shows no difference from its model at all; is this record a simulation of it?"
+            "eps is zero: the machine shows no difference from its model at all; is this record a "
+            "simulation of it?"
         )
     tasks = [
         Task(
@@ -185,34 +218,49 @@ def _fit(
     check_start([model], begin)
     scale, sizes = np.where(nominal == 0, 1.0, np.abs(nominal)), np.full(len(model.signals), size)
     experiment = Experiment(
-        plant.machine.name, signals[0].dt, options, paths, nominal, scale, plant.point, (model,), tuple(tasks), sizes,
+        plant.machine.name,
+        signals[0].dt,
+        options,
+        paths,
+        nominal,
+        scale,
+        plant.point,
+        (model,),
+        tuple(tasks),
+        sizes,
         model.signals,
-    )  # fmt: skip
+    )
     return fit_samples(experiment, begin)
 
 
 def sampled_factors(
     plant: Plant, law: StateSpace, noise: np.ndarray | None = None, decay: float = 10.0
 ) -> tuple[CoprimeFactors, np.ndarray]:
-    """The factors of the plant sampled at the controller's rate and the controller, and the covariance (p, p) of eps.
+    """The factors of the plant sampled at the controller's rate and the controller, and the
+    covariance (p, p) of eps.
 
-    law: sampled, from errors to currents u_<axis>, delay included; noise (p,) [m]: of the sensors (None: 1). The plant's
-    observer is the Kalman filter for that noise, unless a pole decays slower than ``decay`` [1/s] and grows slower, too; the
-    controller's forgets at ``decay``. The covariance is that of white noise passed through it.
+    law: sampled, from errors to currents u_<axis>, delay included; noise (p,) [m]: of the sensors
+    (None: 1). The plant's observer is the Kalman filter for that noise, unless a pole decays slower
+    than ``decay`` [1/s] and grows slower, too; the controller's forgets at ``decay``. The
+    covariance is that of white noise passed through it.
     """
     u, y = [f"u_{axis}" for axis in plant.axes], [f"y_{axis}" for axis in plant.axes]
     G = c2d(select(plant.system, u, y), law.dt or 0.0)
     K = StateSpace(law.A, -law.B, law.C, -law.D, y, u, law.dt)
     rates = np.log(np.maximum(np.abs(np.linalg.eigvals(G.A)), 1e-300)) / (law.dt or 1.0)
-    L, covariance = injection_gain(G.A, G.C, G.dt, decay if (np.abs(rates) < decay).any() else 0.0, noise)
+    L, covariance = injection_gain(
+        G.A, G.C, G.dt, decay if (np.abs(rates) < decay).any() else 0.0, noise
+    )
     L_K, _ = injection_gain(K.A, K.C, K.dt, decay)
     return coprime_factors(G, K, L, L_K), covariance
 
 
 def residual_signals(factors: CoprimeFactors, record: Record, offset: bool = False) -> Record:
-    """alpha = V~ e and eps = M~ y - N~ (u + e) of a record: an open-loop experiment on S. All filters start from zero states.
+    """alpha = V~ e and eps = M~ y - N~ (u + e) of a record: an open-loop experiment on S. All
+    filters start from zero states.
 
-    offset: the means of u + e and y, such as the currents that carry the rotor, are taken out before.
+    offset: the means of u + e and y, such as the currents that carry the rotor, are taken out
+    before.
     """
     v, y, e = _command(factors, record)
     if offset:
@@ -220,28 +268,42 @@ def residual_signals(factors: CoprimeFactors, record: Record, offset: bool = Fal
     alpha = simulate(factors.V_left, e)
     eps = simulate(select(factors.left, outputs=factors.eps), np.vstack([v, y]))
     return Record(
-        record.machine, record.sample_rate_hz, (*factors.alpha, *factors.eps), ("A",) * len(alpha) + ("m",) * len(eps),
-        np.vstack([alpha, eps]), record.point, record.start_time,
-    )  # fmt: skip
+        record.machine,
+        record.sample_rate_hz,
+        (*factors.alpha, *factors.eps),
+        ("A",) * len(alpha) + ("m",) * len(eps),
+        np.vstack([alpha, eps]),
+        record.point,
+        record.start_time,
+    )
 
 
 def controller_error(factors: CoprimeFactors, record: Record) -> float:
-    """The share (0: none) of the recorded currents that the controller does not explain: V~ v - U~ y against V~ e, rms.
+    """The share (0: none) of the recorded currents that the controller does not explain: V~ v - U~
+    y against V~ e, rms.
 
     The controller's initial state and offsets do not count.
     """
     v, y, e = (signals[:, :_LOOKED_AT] for signals in _command(factors, record))
     own = select(factors.left, outputs=factors.alpha)
     left = simulate(own, np.vstack([v, y])) - simulate(factors.V_left, e)
-    free = [simulate(own, np.zeros((len(own.inputs), v.shape[1])), x0=x0).ravel() for x0 in np.eye(own.n_states)]
+    free = [
+        simulate(own, np.zeros((len(own.inputs), v.shape[1])), x0=x0).ravel()
+        for x0 in np.eye(own.n_states)
+    ]
     nuisance = np.vstack([*free, np.kron(np.eye(len(v)), np.ones(v.shape[1]))]).T
     unexplained = left.ravel() - nuisance @ np.linalg.lstsq(nuisance, left.ravel())[0]
     whole = simulate(factors.V_left, v - e)
-    return float(np.linalg.norm(unexplained) / max(float(np.linalg.norm(whole - whole.mean(axis=1, keepdims=True))), 1e-300))
+    return float(
+        np.linalg.norm(unexplained)
+        / max(float(np.linalg.norm(whole - whole.mean(axis=1, keepdims=True))), 1e-300)
+    )
 
 
 def _command(factors: CoprimeFactors, record: Record) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What the amplifiers receive (m, k), what the sensors measure (p, k), and the excitation (m, k)."""
+    """What the amplifiers receive (m, k), what the sensors measure (p, k), and the excitation (m,
+    k).
+    """
     axes = [name.removeprefix("u_") for name in factors.plant.inputs]
     e = np.stack(signal_rows(record, [f"e_{axis}" for axis in axes]))
     u = np.stack([record[f"u_{axis}"] for axis in axes])
@@ -253,14 +315,18 @@ def _check_signals(plant: Plant, records: Sequence[Record]) -> None:
         for name in [f"{kind}_{axis}" for kind in "uy" for axis in plant.axes]:
             if name not in record.signals:
                 raise InvalidInput(
-                    f"record {number} has no signal {name}; the residual needs every command and displacement of the loop; "
-                    "record it, or take closed_loop.identify, which needs the excitation and one displacement only"
+                    f"record {number} has no signal {name}; the residual needs every command and "
+                    "displacement of the loop; "
+                    "record it, or take closed_loop.identify, which needs the excitation and one "
+                    "displacement only"
                 )
         for name in [*plant.named("f"), *[f"r_{axis}" for axis in plant.axes]]:
             if name in record.signals and record[name].any():
                 raise InvalidInput(
-                    f"record {number} holds the excitation {name}; the residual is driven by e_<axis> alone; "
-                    "take closed_loop.identify, which allows forces, or record with an excitation current"
+                    f"record {number} holds the excitation {name}; the residual is driven by "
+                    "e_<axis> alone; "
+                    "take closed_loop.identify, which allows forces, or record with an excitation "
+                    "current"
                 )
 
 
@@ -268,15 +334,23 @@ def _check_bounded(plant: Plant, records: Sequence[Record]) -> None:
     """Refuse a record whose motion grows while its excitation does not: S has no such response."""
     for number, record in enumerate(records, 1):
         y = record.select(plant.named("y")).values
-        e = np.stack([record[name] for name in [f"e_{axis}" for axis in plant.axes] if name in record.signals])
+        e = np.stack(
+            [
+                record[name]
+                for name in [f"e_{axis}" for axis in plant.axes]
+                if name in record.signals
+            ]
+        )
         k = y.shape[1]
         early, late = slice(0, k // 2), slice(4 * k // 5, k)
         growth = _swing(y[:, late]) / max(_swing(y[:, early]), 1e-300)
         driven = _swing(e[:, late]) / max(_swing(e[:, early]), 1e-300)
         if growth > _GROWTH * max(driven, 1.0):
             raise InvalidInput(
-                f"the motion in record {number} grows {growth:.3g} times towards its end, its excitation does not: the loop "
-                "was not stable, or something else shook it; cut the record before (Record.between), or use another controller"
+                f"the motion in record {number} grows {growth:.3g} times towards its end, its "
+                "excitation does not: the loop "
+                "was not stable, or something else shook it; cut the record before "
+                "(Record.between), or use another controller"
             )
 
 
@@ -288,12 +362,19 @@ def _sizes(plant: Plant, noise: Mapping[str, float] | None) -> np.ndarray:
     names = [f"y_{axis}" for axis in plant.axes]
     for name in noise or {}:
         if name not in names:
-            raise invalid("noise", repr(name), f"given for {', '.join(names)}", "name the measured displacements")
+            raise invalid(
+                "noise",
+                repr(name),
+                f"given for {', '.join(names)}",
+                "name the measured displacements",
+            )
     sizes = {name: np.nan if noise else 1.0 for name in names} | dict(noise or {})
     return np.array([check_positive(sizes[name], f"the noise of {name}", "in m") for name in names])
 
 
 def _whitening(covariance: np.ndarray) -> np.ndarray:
-    """The symmetric W (p, p) with W covariance W = I, times the noise's mean size, so that eps keeps its unit."""
+    """The symmetric W (p, p) with W covariance W = I, times the noise's mean size, so that eps
+    keeps its unit.
+    """
     values, V = np.linalg.eigh(covariance)
     return (V / np.sqrt(values)) @ V.T * float(np.exp(np.log(values).mean() / 2))

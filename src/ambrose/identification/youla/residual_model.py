@@ -1,8 +1,10 @@
-"""The residual system S(theta) of realisation/coprime.py as a function of the unknown parameters, with exact derivatives.
+"""The residual system S(theta) of realisation/coprime.py as a function of the unknown parameters,
+with exact derivatives.
 
-Sampled: the loop as it runs (identification/output_error/loop_model.py), driven by alpha in place of the excitation and watched
-by the nominal plant's observer. Held: the continuous loop of an observer-based controller into which alpha is fed, held between
-the samples (P1's experiment); there theta is a feedback around the nominal S, P1 (13).
+Sampled: the loop as it runs (identification/output_error/loop_model.py), driven by alpha in place
+of the excitation and watched by the nominal plant's observer. Held: the continuous loop of an
+observer-based controller into which alpha is fed, held between the samples (P1's experiment); there
+theta is a feedback around the nominal S, P1 (13).
 """
 
 from __future__ import annotations
@@ -19,15 +21,17 @@ from ambrose.core.response import SystemDerivative
 from ambrose.core.statespace import StateSpace, index_of
 from ambrose.identification.output_error.loop_model import LoopModel, directions_of, loop_model
 from ambrose.machine.description import Tolerance
-from ambrose.plant.model import Plant
-from ambrose.plant.uncertainty import uncertain
+from ambrose.model.plant import Plant
+from ambrose.model.uncertainty import uncertain
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledResidual:
-    """S(theta) from alpha (m) to eps (p) of a sampled loop; eps is weighted by ``whitening`` (p, p).
+    """S(theta) from alpha (m) to eps (p) of a sampled loop; eps is weighted by ``whitening`` (p,
+    p).
 
-    inner: the loop from e_<axis> to y_<axis>, u_<axis>; factors: those of the sampled nominal plant and controller.
+    inner: the loop from e_<axis> to y_<axis>, u_<axis>; factors: those of the sampled nominal plant
+    and controller.
     """
 
     inner: LoopModel
@@ -43,9 +47,13 @@ class SampledResidual:
         return self.factors.eps
 
     def loop(self, theta: np.ndarray) -> tuple[StateSpace, list[SystemDerivative]]:
-        """S at theta (q,), of the states (plant, controller, observer), and its derivative for each parameter."""
+        """S at theta (q,), of the states (plant, controller, observer), and its derivative for each
+        parameter.
+        """
         loop, changes = self.inner.loop(theta)
-        G, L, L_K = self.factors.plant, self.factors.plant_gain, self.factors.controller_gain
+        G = self.factors.plant
+        L = self.factors.plant_gain
+        L_K = self.factors.controller_gain
         p, n = len(G.outputs), G.n_states
         inside, k = loop.n_states, L_K.shape[0]
         C_y, C_u = loop.C[:p], loop.C[p:]
@@ -62,11 +70,17 @@ class SampledResidual:
 
 
 def sampled_residual(
-    plant: Plant, factors: CoprimeFactors, paths: Sequence[str], nominal: np.ndarray, whitening: np.ndarray
+    plant: Plant,
+    factors: CoprimeFactors,
+    paths: Sequence[str],
+    nominal: np.ndarray,
+    whitening: np.ndarray,
 ) -> SampledResidual:
-    """S(theta) of the sampled loop in the parameters at ``paths``; nominal (q,): their values in ``plant``, SI.
+    """S(theta) of the sampled loop in the parameters at ``paths``; nominal (q,): their values in
+    ``plant``, SI.
 
-    factors: of ``plant`` sampled with a zero-order hold and the controller as it runs (u = K y); whitening (p, p).
+    factors: of ``plant`` sampled with a zero-order hold and the controller as it runs (u = K y);
+    whitening (p, p).
     """
     K = factors.controller
     err = [f"err_{axis}" for axis in plant.axes]
@@ -76,30 +90,51 @@ def sampled_residual(
     return SampledResidual(inner, factors, whitening)
 
 
-def uncertain_residual(plant: Plant, factors: CoprimeFactors, paths: Sequence[str]) -> GeneralizedPlant:
-    """S with the changes of the parameters at ``paths`` pulled out: delta is the change in SI units, z and w as the plant's."""
+def uncertain_residual(
+    plant: Plant, factors: CoprimeFactors, paths: Sequence[str]
+) -> GeneralizedPlant:
+    """S with the changes of the parameters at ``paths`` pulled out: delta is the change in SI
+    units, z and w as the plant's.
+    """
     general = uncertain(plant, [Tolerance(path, absolute=1.0) for path in paths])
     count = general.n_w_blocks
     named = GeneralizedPlant(
-        general.system, general.w[:count], factors.plant.inputs, general.z[: general.n_z_blocks], factors.plant.outputs,
+        general.system,
+        general.w[:count],
+        factors.plant.inputs,
+        general.z[: general.n_z_blocks],
+        factors.plant.outputs,
         general.blocks,
-    )  # fmt: skip
+    )
     return residual_lft(factors, named)
 
 
-def held_residual(plant: Plant, factors: CoprimeFactors, paths: Sequence[str], nominal: np.ndarray, dt: float) -> LoopModel:
-    """S(theta) of the continuous loop of ``factors``, alpha held over dt [s]: a loop whose controller is in the plant.
+def held_residual(
+    plant: Plant, factors: CoprimeFactors, paths: Sequence[str], nominal: np.ndarray, dt: float
+) -> LoopModel:
+    """S(theta) of the continuous loop of ``factors``, alpha held over dt [s]: a loop whose
+    controller is in the plant.
 
     nominal (q,): the parameters' values, SI.
     """
     general = uncertain_residual(plant, factors, paths)
     system = general.system
-    u, y = index_of(general.u, system.inputs, "input"), index_of(general.y, system.outputs, "output")
+    u, y = (
+        index_of(general.u, system.inputs, "input"),
+        index_of(general.y, system.outputs, "output"),
+    )
     dA, dB = directions_of(general, u)
     count = general.n_w_blocks
-    if system.D[: general.n_z_blocks, :count].any() or system.D[np.ix_(y, [*range(count), *u])].any():
-        raise NumericalFailure("the plant has feedthrough at its ports; take one reduced without static correction")
+    if (
+        system.D[: general.n_z_blocks, :count].any()
+        or system.D[np.ix_(y, [*range(count), *u])].any()
+    ):
+        raise NumericalFailure(
+            "the plant has feedthrough at its ports; take one reduced without static correction"
+        )
     empty = np.zeros((0, 0))
     none = StateSpace(empty, empty, empty, empty, (), (), dt)
     B, C = system.B[:, u], system.C[y]
-    return LoopModel(nominal, system.A, B, C, dA, dB, none, factors.alpha, factors.eps, np.ones(len(nominal)))
+    return LoopModel(
+        nominal, system.A, B, C, dA, dB, none, factors.alpha, factors.eps, np.ones(len(nominal))
+    )

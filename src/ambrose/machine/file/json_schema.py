@@ -15,10 +15,13 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 
 def machine_schema() -> dict[str, Any]:
-    """JSON schema (draft 2020-12) of a machine file, for editors: every table and key with its meaning, form and default."""
-    from ambrose.machine.file.tables import MachineFile  # whoever reads a record needs no tables of machines
+    """JSON schema (draft 2020-12) of a machine file, for editors: every table and key with its
+    meaning, form and default.
+    """
+    # whoever reads a record needs no tables of machines
+    from ambrose.machine.file.tables import machine_file
 
-    made: dict[str, Any] = tidy_schema(MachineFile.model_json_schema(by_alias=True))
+    made: dict[str, Any] = tidy_schema(machine_file().model_json_schema(by_alias=True))
     tables: dict[str, Any] = made.pop("$defs")
     head = {
         "$schema": DIALECT,
@@ -29,7 +32,9 @@ def machine_schema() -> dict[str, Any]:
 
 
 def tidy_schema(node: Any) -> Any:
-    """Without pydantic's titles and null defaults, and with references to quantities in place of their placeholders."""
+    """Without pydantic's titles and null defaults, and with references to quantities in place of
+    their placeholders.
+    """
     if isinstance(node, list):
         return [tidy_schema(element) for element in node]
     if not isinstance(node, dict):

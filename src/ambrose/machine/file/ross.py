@@ -1,8 +1,9 @@
-"""Rotor models of ROSS (*.toml, *.json): read as a RotorModel, and a machine written so that ROSS loads it.
+"""Rotor models of ROSS (*.toml, *.json): read as a RotorModel, and a machine written so that ROSS
+loads it.
 
-A ROSS file holds a table per element, "Class_tag". Shaft elements at one node lie in layers: those without stiffness are
-laminations and sleeves, which a machine states by ``mass_diameter``. Bearings become places for magnets; seals, supports and
-forces are left out, and named.
+A ROSS file holds a table per element, "Class_tag". Shaft elements at one node lie in layers: those
+without stiffness are laminations and sleeves, which a machine states by ``mass_diameter``. Bearings
+become places for magnets; seals, supports and forces are left out, and named.
 """
 
 from __future__ import annotations
@@ -16,11 +17,10 @@ from itertools import groupby
 from typing import Any
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.machine.description import Disc, Material, ShaftSection
 from ambrose.machine.file.toml import parse_toml, written, written_key
 from ambrose.machine.limits import TOML_BYTES
 from ambrose.machine.machine import Machine
-from ambrose.machine.rotor_model import RotorModel
+from ambrose.machine.rotor_model import Disc, Material, RotorModel, ShaftSection
 
 _SOFT = 1e-3  # of the stiffest material at a node: a layer below carries mass only
 _GRADED = 1e-9  # relative difference of two diameters or lengths that is rounding
@@ -33,11 +33,15 @@ def parse_ross(text: str, name: str, suffix: str) -> dict[str, Any]:
     if suffix != ".json":
         return parse_toml(text, name)
     if len(text) > TOML_BYTES or text.count("[") + text.count("{") > TOML_BYTES // 10:
-        raise InvalidInput(f"{name}: it is larger, or has more brackets, than any rotor; is it the right file?")
+        raise InvalidInput(
+            f"{name}: it is larger, or has more brackets, than any rotor; is it the right file?"
+        )
     try:
         document = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise InvalidInput(f"{name}: not valid JSON: {error}; a cut-off file ends like this too") from None
+        raise InvalidInput(
+            f"{name}: not valid JSON: {error}; a cut-off file ends like this too"
+        ) from None
     return document if isinstance(document, dict) else {}
 
 
@@ -45,27 +49,41 @@ def is_ross(document: Mapping[str, Any]) -> bool:
     return any(str(key).startswith("ShaftElement") for key in document)
 
 
-GIVE = "a machine file is made of what Rotor.save of ROSS wrote (*.toml, *.json) or of a table of stations (*.csv)"
+GIVE = (
+    "a machine file is made of what Rotor.save of ROSS wrote (*.toml, *.json) or of a table of "
+    "stations (*.csv)"
+)
 
 
 def rotor_of_ross(document: Mapping[str, Any], name: str) -> RotorModel:
     """The rotor in a ROSS document; ``name`` stands in messages. Raises InvalidInput."""
-    rows = [(str(key), row) for key, row in document.items() if isinstance(row, Mapping) and key != "parameters"]
+    rows = [
+        (str(key), row)
+        for key, row in document.items()
+        if isinstance(row, Mapping) and key != "parameters"
+    ]
     layers = [_layer(name, key, row) for key, row in rows if key.startswith("ShaftElement")]
     if not layers:
-        raise InvalidInput(f"{name}: it has no ShaftElement, so that it is no rotor of ROSS; {GIVE}")
+        raise InvalidInput(
+            f"{name}: it has no ShaftElement, so that it is no rotor of ROSS; {GIVE}"
+        )
     layers.sort(key=lambda layer: layer["n"])
     assumed: dict[str, str] = {}
     sections: list[ShaftSection] = []
     nodes = {int(layers[0]["n"]): 0.0}
     for node, group in groupby(layers, key=lambda layer: int(layer["n"])):
         if node not in nodes:
-            raise InvalidInput(f"{name}: no shaft element ends at node {node}, where another begins; the shaft has a gap")
+            raise InvalidInput(
+                f"{name}: no shaft element ends at node {node}, where another begins; the shaft "
+                "has a gap"
+            )
         section = _section(name, list(group), nodes[node], assumed)
         sections.append(section)
         nodes[node + 1] = section.start + section.length
     sections = merged(sections)
-    discs, bearings, left = list[Disc](), list[float](), list[str]()
+    discs = list[Disc]()
+    bearings = list[float]()
+    left = list[str]()
     for key, row in rows:
         kind = key.partition("_")[0]
         if kind == "ShaftElement":
@@ -79,17 +97,33 @@ def rotor_of_ross(document: Mapping[str, Any], name: str) -> RotorModel:
             left.append(key)
     flags = [layers[0].get(flag, True) for flag in ("shear_effects", "rotary_inertia")]
     theory = "timoshenko" if flags[0] else "rayleigh" if flags[1] else "bernoulli-euler"
-    if any(str(layer.get("shear_method_calc", "cowper")) != "cowper" for layer in layers) and theory == "timoshenko":
-        assumed["beam_theory"] = "the shear coefficient is Cowper's here, Hutchinson's in the model of ROSS"
+    if (
+        any(str(layer.get("shear_method_calc", "cowper")) != "cowper" for layer in layers)
+        and theory == "timoshenko"
+    ):
+        assumed["beam_theory"] = (
+            "the shear coefficient is Cowper's here, Hutchinson's in the model of ROSS"
+        )
     if left:
         shown = ", ".join(left[:8]) + (f" and {len(left) - 8} more" if len(left) > 8 else "")
         assumed["seal"] = f"the model of ROSS also holds {shown}: left out"
     version = document.get("ross_version", "unknown")
-    speed = document.get("parameters", {}).get("rated_w") if isinstance(document.get("parameters"), Mapping) else None
+    speed = (
+        document.get("parameters", {}).get("rated_w")
+        if isinstance(document.get("parameters"), Mapping)
+        else None
+    )
     return RotorModel(
-        "rotor", tuple(sections), tuple(discs), tuple(sorted(set(bearings))), None if speed is None else float(speed), theory,
-        f"ROSS model (version {version})", assumed, tuple(left),
-    )  # fmt: skip
+        "rotor",
+        tuple(sections),
+        tuple(discs),
+        tuple(sorted(set(bearings))),
+        None if speed is None else float(speed),
+        theory,
+        f"ROSS model (version {version})",
+        assumed,
+        tuple(left),
+    )
 
 
 def merged(sections: Sequence[ShaftSection]) -> list[ShaftSection]:
@@ -98,7 +132,9 @@ def merged(sections: Sequence[ShaftSection]) -> list[ShaftSection]:
     for item in sections:
         last = found[-1] if found else None
         if last is not None and _alike(last, item):
-            found[-1] = replace(last, length=last.length + item.length, elements=last.elements + item.elements)
+            found[-1] = replace(
+                last, length=last.length + item.length, elements=last.elements + item.elements
+            )
         else:
             found.append(item if last is None else replace(item, start=last.start + last.length))
     return found
@@ -107,14 +143,25 @@ def merged(sections: Sequence[ShaftSection]) -> list[ShaftSection]:
 def _alike(one: ShaftSection, other: ShaftSection) -> bool:
     if one.conical:  # the next cone of the same ends begins anew
         return False
-    same = replace(other, start=one.start, length=one.length, elements=one.elements, label=one.label) == one
-    return same and abs(one.length / one.elements - other.length / other.elements) < _GRADED * one.length
+    same = (
+        replace(other, start=one.start, length=one.length, elements=one.elements, label=one.label)
+        == one
+    )
+    return (
+        same
+        and abs(one.length / one.elements - other.length / other.elements) < _GRADED * one.length
+    )
 
 
 def _number(name: str, key: str, row: _Row, entry: str) -> float:
     value = row.get(entry)
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise invalid(f"{name}: [{key}]: {entry}", repr(value), "a finite number", "save the rotor anew with ROSS")
+        raise invalid(
+            f"{name}: [{key}]: {entry}",
+            repr(value),
+            "a finite number",
+            "save the rotor anew with ROSS",
+        )
     return float(value)
 
 
@@ -129,48 +176,89 @@ def _layer(name: str, key: str, row: _Row) -> dict[str, Any]:
     rho, young = _number(name, key, material, "rho"), _number(name, key, material, "E")
     shear = _number(name, key, material, "G_s") if "G_s" in material else young / 2.6
     if min(rho, young, shear, numbers["L"]) <= 0:
-        raise InvalidInput(f"{name}: [{key}]: L, rho, E and G_s must be positive; correct the element")
-    made = Material(rho, young, min(max(young / (2 * shear) - 1, -0.99), 0.49), str(material.get("name", "")))
+        raise InvalidInput(
+            f"{name}: [{key}]: L, rho, E and G_s must be positive; correct the element"
+        )
+    made = Material(
+        rho, young, min(max(young / (2 * shear) - 1, -0.99), 0.49), str(material.get("name", ""))
+    )
     return {**row, **numbers, "stuff": made}
 
 
 def _conical(layer: Mapping[str, Any]) -> bool:
     ends = (("odl", "odr"), ("idl", "idr"))
-    return any(abs(layer[left] - layer[right]) > _GRADED * max(layer[left], layer[right]) for left, right in ends)
+    return any(
+        abs(layer[left] - layer[right]) > _GRADED * max(layer[left], layer[right])
+        for left, right in ends
+    )
 
 
-def _section(name: str, layers: Sequence[dict[str, Any]], start: float, assumed: dict[str, str]) -> ShaftSection:
-    """The layers between two nodes as one section: stiffness of the stiff ones, mass of all; a single one may be a cone."""
+def _section(
+    name: str, layers: Sequence[dict[str, Any]], start: float, assumed: dict[str, str]
+) -> ShaftSection:
+    """The layers between two nodes as one section: stiffness of the stiff ones, mass of all; a
+    single one may be a cone.
+    """
     if any(abs(layer["L"] - layers[0]["L"]) > _GRADED * layers[0]["L"] for layer in layers):
-        raise InvalidInput(f"{name}: the layers at node {layers[0]['n']:.0f} have different lengths; make them equal")
+        raise InvalidInput(
+            f"{name}: the layers at node {layers[0]['n']:.0f} have different lengths; make them "
+            "equal"
+        )
     if len(layers) == 1 and _conical(one := layers[0]):
         return ShaftSection(
-            start, one["L"], one["odl"], one["idl"], material=one["stuff"], label=str(one.get("tag") or ""),
-            end_outer_diameter=one["odr"], end_inner_diameter=one["idr"],
-        )  # fmt: skip
+            start,
+            one["L"],
+            one["odl"],
+            one["idl"],
+            material=one["stuff"],
+            label=str(one.get("tag") or ""),
+            end_outer_diameter=one["odr"],
+            end_inner_diameter=one["idr"],
+        )
     for layer in layers:
         for left, right in (("odl", "odr"), ("idl", "idr")):
             if abs(layer[left] - layer[right]) > _GRADED * max(layer[left], layer[right]):
-                assumed["shaft.outer_diameter"] = "conical elements in layers have their mean diameter"
+                assumed["shaft.outer_diameter"] = (
+                    "conical elements in layers have their mean diameter"
+                )
                 layer[left] = (layer[left] + layer[right]) / 2
     top = max(layer["stuff"].youngs_modulus for layer in layers)
     stiff = [layer for layer in layers if layer["stuff"].youngs_modulus > _SOFT * top]
     bore, outer = min(layer["idl"] for layer in stiff), max(layer["odl"] for layer in stiff)
     material = stiff[0]["stuff"]
     if len(stiff) > 1:
-        bending = sum(layer["stuff"].youngs_modulus * (layer["odl"] ** 4 - layer["idl"] ** 4) for layer in stiff)
-        material = Material(material.density, bending / (outer**4 - bore**4), material.poisson_ratio, material.name)
-        assumed["shaft.material"] = "stiff layers at one node are one section of the same bending stiffness and mass"
+        bending = sum(
+            layer["stuff"].youngs_modulus * (layer["odl"] ** 4 - layer["idl"] ** 4)
+            for layer in stiff
+        )
+        material = Material(
+            material.density, bending / (outer**4 - bore**4), material.poisson_ratio, material.name
+        )
+        assumed["shaft.material"] = (
+            "stiff layers at one node are one section of the same bending stiffness and mass"
+        )
     area = sum(layer["stuff"].density * (layer["odl"] ** 2 - layer["idl"] ** 2) for layer in layers)
     heavy = math.sqrt(area / material.density + bore**2)
     if len(layers) > len(stiff):
-        assumed["shaft.mass_diameter"] = "layers without stiffness of the model of ROSS: their mass, on the shaft's own density"
+        assumed["shaft.mass_diameter"] = (
+            "layers without stiffness of the model of ROSS: their mass, on the shaft's own density"
+        )
     mass = None if abs(heavy - outer) <= _GRADED * outer else heavy
-    return ShaftSection(start, layers[0]["L"], outer, bore, mass, material=material, label=str(stiff[0].get("tag") or ""))
+    return ShaftSection(
+        start,
+        layers[0]["L"],
+        outer,
+        bore,
+        mass,
+        material=material,
+        label=str(stiff[0].get("tag") or ""),
+    )
 
 
 def _disc(name: str, key: str, row: _Row, at: float, number: int) -> Disc:
-    mass = _number(name, key, row, "m") if row.get("m") is not None else _number(name, key, row, "mx")
+    mass = (
+        _number(name, key, row, "m") if row.get("m") is not None else _number(name, key, row, "mx")
+    )
     tag = re.sub(r"[^A-Za-z0-9_-]+", "-", key.partition("_")[2]).strip("-")
     label = tag if re.match(r"[A-Za-z]", tag) else f"disc-{number}"
     inertia = [_number(name, key, row, entry) if entry in row else 0.0 for entry in ("Ip", "Id")]
@@ -178,12 +266,17 @@ def _disc(name: str, key: str, row: _Row, at: float, number: int) -> Disc:
 
 
 def ross_text(machine: Machine, springs: Mapping[str, tuple[float, float]]) -> str:
-    """The machine as a TOML file that ROSS loads: an element per element of the mesh, discs, bearings as springs.
+    """The machine as a TOML file that ROSS loads: an element per element of the mesh, discs,
+    bearings as springs.
 
-    springs: stiffness [N/m] and damping [N s/m] of every bearing, by name. Attachments stand at the nearest node.
+    springs: stiffness [N/m] and damping [N s/m] of every bearing, by name. Attachments stand at the
+    nearest node.
     """
     nodes, lines = [0.0], ['ross_version = "2.0.0"', "", "[parameters]"]
-    flags = {"shear_effects": machine.beam_theory == "timoshenko", "rotary_inertia": machine.beam_theory != "bernoulli-euler"}
+    flags = {
+        "shear_effects": machine.beam_theory == "timoshenko",
+        "rotary_inertia": machine.beam_theory != "bernoulli-euler",
+    }
     for section in machine.shaft:
         material = section.material
         for number in range(section.elements):
@@ -195,14 +288,31 @@ def ross_text(machine: Machine, springs: Mapping[str, tuple[float, float]]) -> s
             for layer, (((idl, odl), (idr, odr)), share) in enumerate(rings):
                 young = material.youngs_modulus * share
                 row = {
-                    "L": length, "idl": idl, "odl": odl, "idr": idr, "odr": odr, "n": n, "axial_force": 0, "torque": 0,
-                    **flags, "gyroscopic": True, "shear_method_calc": "cowper", "tag": f"shaft {n}.{layer}",
-                }  # fmt: skip
+                    "L": length,
+                    "idl": idl,
+                    "odl": odl,
+                    "idr": idr,
+                    "odr": odr,
+                    "n": n,
+                    "axial_force": 0,
+                    "torque": 0,
+                    **flags,
+                    "gyroscopic": True,
+                    "shear_method_calc": "cowper",
+                    "tag": f"shaft {n}.{layer}",
+                }
                 lines += _element(f"ShaftElement_shaft {n}.{layer}", row)
-                lines += _element(f"ShaftElement_shaft {n}.{layer}", {
-                    "name": f"{material.name or 'steel'}{layer}", "rho": material.density, "E": young,
-                    "G_s": young / (2 * (1 + material.poisson_ratio)), "color": "#525252",
-                }, "material")  # fmt: skip
+                lines += _element(
+                    f"ShaftElement_shaft {n}.{layer}",
+                    {
+                        "name": f"{material.name or 'steel'}{layer}",
+                        "rho": material.density,
+                        "E": young,
+                        "G_s": young / (2 * (1 + material.poisson_ratio)),
+                        "color": "#525252",
+                    },
+                    "material",
+                )
             nodes.append(nodes[-1] + length)
 
     def nearest(position: float) -> int:
@@ -219,7 +329,14 @@ def ross_text(machine: Machine, springs: Mapping[str, tuple[float, float]]) -> s
         lines += _element(f"DiskElement_{disc.name}", row)
     for bearing in machine.bearings:
         k, c = springs[bearing.name]
-        row = {"n": nearest(bearing.position), "kxx": [k], "kyy": [k], "cxx": [c], "cyy": [c], "tag": bearing.name}
+        row = {
+            "n": nearest(bearing.position),
+            "kxx": [k],
+            "kyy": [k],
+            "cxx": [c],
+            "cyy": [c],
+            "tag": bearing.name,
+        }
         lines += _element(f"BearingElement_{bearing.name}", row)
     return "\n".join(lines) + "\n"
 

@@ -1,7 +1,8 @@
-"""The tables of a machine file as pydantic models, made from the fields of the parts that they become.
+"""The tables of a machine file as pydantic models, made from the fields of the parts that they
+become.
 
-A part's field says what its key takes and means, ``length: Annotated[float, Quantity("length"), "axial length"]``, and its
-default. Only what a file gives is passed on to the part.
+A part's field says what its key takes and means, ``length: Annotated[float, Quantity("length"),
+"axial length"]``, and its default. Only what a file gives is passed on to the part.
 """
 
 from __future__ import annotations
@@ -16,10 +17,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, create_model,
 from pydantic_core import PydanticCustomError
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.description import SCHEMA_VERSION, MachineDescription, Material, Tolerance
+from ambrose.machine.attachment import Attachment, attachments
+from ambrose.machine.description import SCHEMA_VERSION, MachineDescription, Tolerance
 from ambrose.machine.kinds import Choices, ListOf, NestedOf, Quantity, Ratio, Text, Texts, Version
 from ambrose.machine.parameters import parse_parameter
 from ambrose.machine.part import Part
+from ambrose.machine.rotor_model import Material
 from ambrose.machine.seals import SEAL_AXES, SEAL_COEFFICIENTS, SealTable
 
 
@@ -34,11 +37,17 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
     noun: ClassVar[type[Part] | None] = None
     apart: ClassVar[frozenset[str]] = frozenset()  # keys that ``given`` leaves to the reader
-    attributes: ClassVar[Mapping[str, str]] = {}  # the part's fields that are called differently, by their keys
+    # the part's fields that are called differently, by their keys
+    attributes: ClassVar[Mapping[str, str]] = {}
 
     def given(self) -> dict[str, Any]:
-        """The part's fields that the file gives, nested tables turned into parts and lists into tuples."""
-        return {self.attributes.get(key, key): _built(getattr(self, key)) for key in self.model_fields_set - self.apart}
+        """The part's fields that the file gives, nested tables turned into parts and lists into
+        tuples.
+        """
+        return {
+            self.attributes.get(key, key): _built(getattr(self, key))
+            for key in self.model_fields_set - self.apart
+        }
 
     def build(self) -> Any:
         """The part, with its own defaults for what the file leaves out."""
@@ -55,12 +64,22 @@ def _built(value: Any) -> Any:
 
 
 class SealTableTable(Table):
-    """Coefficients over any of pressure, speed and frequency; a coefficient listed here replaces the seal's constant."""
+    """Coefficients over any of pressure, speed and frequency; a coefficient listed here replaces
+    the seal's constant.
+    """
 
-    axes: Annotated[tuple[str, ...], Choices(SEAL_AXES)] = optional("order of nesting; default: pressure, speed, frequency")
-    pressure: Annotated[tuple[float, ...], ListOf("pressure")] = optional("pressure axis, ascending")
-    speed: Annotated[tuple[float, ...], ListOf("angular rate")] = optional("spin speed axis, ascending")
-    frequency: Annotated[tuple[float, ...], ListOf("angular rate")] = optional("whirl frequency axis, ascending")
+    axes: Annotated[tuple[str, ...], Choices(SEAL_AXES)] = optional(
+        "order of nesting; default: pressure, speed, frequency"
+    )
+    pressure: Annotated[tuple[float, ...], ListOf("pressure")] = optional(
+        "pressure axis, ascending"
+    )
+    speed: Annotated[tuple[float, ...], ListOf("angular rate")] = optional(
+        "spin speed axis, ascending"
+    )
+    frequency: Annotated[tuple[float, ...], ListOf("angular rate")] = optional(
+        "whirl frequency axis, ascending"
+    )
     K: Annotated[Any, NestedOf("stiffness")] = optional("direct stiffness")
     k: Annotated[Any, NestedOf("stiffness")] = optional("cross-coupled stiffness")
     C: Annotated[Any, NestedOf("damping")] = optional("direct damping")
@@ -71,7 +90,9 @@ class SealTableTable(Table):
         given = self.given()
         order = given.get("axes", SEAL_AXES)
         axes = tuple((axis, given[axis]) for axis in order if axis in given)
-        rest = tuple((axis, given[axis]) for axis in SEAL_AXES if axis in given and axis not in order)
+        rest = tuple(
+            (axis, given[axis]) for axis in SEAL_AXES if axis in given and axis not in order
+        )
         return SealTable(axes + rest, tuple((c, given[c]) for c in SEAL_COEFFICIENTS if c in given))
 
 
@@ -109,9 +130,13 @@ def table_of(noun: type) -> type[Table]:
     return make_table(noun.__name__, (noun.__doc__ or "").partition("\n\n")[0], keys_of(noun), noun)
 
 
-def make_table(name: str, doc: str, keys: Mapping[str, Any], noun: type[Part] | None = None) -> type[Table]:
+def make_table(
+    name: str, doc: str, keys: Mapping[str, Any], noun: type[Part] | None = None
+) -> type[Table]:
     """A table with these keys (``keys_of``); ``noun`` is the part that it becomes."""
-    made = cast(type[Table], create_model(name, __base__=Table, __doc__=" ".join(doc.split()), **keys))
+    made = cast(
+        type[Table], create_model(name, __base__=Table, __doc__=" ".join(doc.split()), **keys)
+    )
     if noun is not None:
         named = [item for item in fields(noun) if "key" in item.metadata]  # type: ignore[arg-type]  # every Part is a dataclass
         made.noun, made.attributes = noun, {item.metadata["key"]: item.name for item in named}
@@ -126,10 +151,21 @@ def keys_of(noun: type[Part]) -> dict[str, tuple[Any, Any]]:
         *kinds, doc = getattr(hints[item.name], "__metadata__", (None,))
         if doc is None:
             continue
-        simple = isinstance(item.default, (int, float, str)) or (bool(kinds) and item.default not in {MISSING, None, ()})
-        required = item.metadata.get("required", item.default is MISSING and item.default_factory is MISSING)
-        entry = Field(description=doc) if required else Field(default=item.default if simple else None, description=doc)
-        keys[item.metadata.get("key", item.name)] = (_type(hints[item.name].__origin__, kinds), entry)
+        simple = isinstance(item.default, (int, float, str)) or (
+            bool(kinds) and item.default not in {MISSING, None, ()}
+        )
+        required = item.metadata.get(
+            "required", item.default is MISSING and item.default_factory is MISSING
+        )
+        entry = (
+            Field(description=doc)
+            if required
+            else Field(default=item.default if simple else None, description=doc)
+        )
+        keys[item.metadata.get("key", item.name)] = (
+            _type(hints[item.name].__origin__, kinds),
+            entry,
+        )
     return keys
 
 
@@ -162,22 +198,46 @@ MachineTable = make_table(
     "MachineTable",
     "The machine as a whole.",
     {
-        "version": (Annotated[int, Version(SCHEMA_VERSION)], Field(alias="schema", description="version of the file format")),
+        "version": (
+            Annotated[int, Version(SCHEMA_VERSION)],
+            Field(alias="schema", description="version of the file format"),
+        ),
         **{key: entry for key, entry in _WHOLE.items() if not _table_in(entry[0])},
         "assumed": (
             dict[str, Any],
-            optional("key = reason, for every figure that was chosen and is neither measured nor published"),
+            optional(
+                "key = reason, for every figure that was chosen and is neither measured nor "
+                "published"
+            ),
         ),
     },
 )
-MachineFile = make_table(
-    "MachineFile",
-    "A rotor on magnetic bearings.",
-    {
-        "machine": (MachineTable, Field(description="the machine as a whole")),
-        "material": (GenericAlias(dict, (str, table_of(Material))), optional("materials by name")),
-        **{key: entry for key, entry in _WHOLE.items() if _table_in(entry[0])},
-    },
-    MachineDescription,
-)
-MachineFile.apart = frozenset({"machine", "material", "shaft"})
+
+
+def machine_file() -> type[Table]:
+    """The model of a whole machine file, with the tables of all registered effects."""
+    return _machine_file(tuple(attachments().values()))
+
+
+@lru_cache(maxsize=8)
+def _machine_file(effects: tuple[Attachment, ...]) -> type[Table]:
+    tables = {key: entry for key, entry in _WHOLE.items() if _table_in(entry[0])}
+    for item in effects:
+        part: type = item.part
+        below = table_of(part)
+        tables.setdefault(item.table, (GenericAlias(list, (below,)), optional(below.__doc__ or "")))
+    made = make_table(
+        "MachineFile",
+        "A rotor on magnetic bearings.",
+        {
+            "machine": (MachineTable, Field(description="the machine as a whole")),
+            "material": (
+                GenericAlias(dict, (str, table_of(Material))),
+                optional("materials by name"),
+            ),
+            **tables,
+        },
+        MachineDescription,
+    )
+    made.apart = frozenset({"machine", "material", "shaft"})
+    return made

@@ -1,4 +1,6 @@
-"""Machine files: TOML <-> Machine. The only place, with record/record.py, where units are converted; inside all is SI."""
+"""Machine files: TOML <-> Machine. The only place, with record/record.py, where units are
+converted; inside all is SI.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.messages import meant, shown
 from ambrose.machine.ordinary_file import read_text
 
-_QUOTED = re.compile(  # strings and comments; one that is never closed ends where the text or the line does
+# strings and comments; one that is never closed ends where the text or the line does
+_QUOTED = re.compile(
     r'"""(?:[^"\\]|\\.|"(?!""))*+"{0,5}'
     r"|'''(?:[^']|'(?!''))*+'{0,5}"
     r'|"(?:[^"\\\n]|\\.)*+"?'
@@ -37,11 +40,17 @@ def bundled_machines() -> dict[str, Path]:
 
 
 def load_machine(path: str | os.PathLike[str] | Machine) -> Machine:
-    """The machine in a TOML file, or the bundled machine of that name; a Machine is returned as it is.
+    """The machine in a TOML file, or the bundled machine of that name; a Machine is returned as it
+    is.
 
-    Raises InvalidInput, one message with a line for each problem, for a file that is missing, unreadable or wrong.
+    Raises InvalidInput, one message with a line for each problem, for a file that is missing,
+    unreadable or wrong.
     """
-    return path if isinstance(path, Machine) else loads_machine(read_machine_text(path), name=str(path))
+    return (
+        path
+        if isinstance(path, Machine)
+        else loads_machine(read_machine_text(path), name=str(path))
+    )
 
 
 def loads_machine(text: str, name: str = "machine file") -> Machine:
@@ -50,7 +59,8 @@ def loads_machine(text: str, name: str = "machine file") -> Machine:
 
     if not text.strip():
         raise InvalidInput(
-            f"{name}: the file is empty; it needs at least [machine], [[shaft]], [[bearing]], [[sensor]], [amplifier]"
+            f"{name}: the file is empty; it needs at least [machine], [[shaft]], [[bearing]], "
+            "[[sensor]], [amplifier]"
         )
     return machine_from_document(parse_toml(text, name), name, text)
 
@@ -64,25 +74,32 @@ def read_toml(path: Any, what: str) -> dict[str, Any]:
 
 
 def parse_toml(text: str, name: str) -> dict[str, Any]:
-    """TOML of any kind as plain data, after its size was looked at (machine/limits.py); ``name`` stands in messages.
+    """TOML of any kind as plain data, after its size was looked at (machine/limits.py); ``name``
+    stands in messages.
 
     Raises InvalidInput.
     """
     if len(text) > TOML_BYTES:
         raise InvalidInput(
-            f"{name}: it has {len(text)} characters, but at most {TOML_BYTES} are allowed; is it the right file?"
+            f"{name}: it has {len(text)} characters, but at most {TOML_BYTES} are allowed; is it "
+            "the right file?"
         )
-    bare = _QUOTED.sub("s", text)  # a parser of nested things takes long, and memory, before it can count
-    depth = max(accumulate({"[": 1, "{": 1}.get(mark, -1) for mark in _BRACKET.findall(bare)), default=0)
+    # a parser of nested things takes long, and memory, before it can count
+    bare = _QUOTED.sub("s", text)
+    depth = max(
+        accumulate({"[": 1, "{": 1}.get(mark, -1) for mark in _BRACKET.findall(bare)), default=0
+    )
     if depth > TOML_DEPTH or _DEEP_KEY.search(bare):
         what = "brackets are" if depth > TOML_DEPTH else "a key is"
         raise InvalidInput(
-            f"{name}: {what} nested too deeply, more than {TOML_DEPTH} times; lists nest at most three deep here"
+            f"{name}: {what} nested too deeply, more than {TOML_DEPTH} times; lists nest at most "
+            "three deep here"
         )
     entries = sum(map(bare.count, "=,["))
     if entries > TOML_ENTRIES:
         raise InvalidInput(
-            f"{name}: it has about {entries} entries, but at most {TOML_ENTRIES} are allowed; make tables coarser"
+            f"{name}: it has about {entries} entries, but at most {TOML_ENTRIES} are allowed; "
+            "make tables coarser"
         )
     try:
         document = tomllib.loads(text)
@@ -100,18 +117,24 @@ def dumps_machine(machine: Machine) -> str:
 
 
 def machine_hash(machine: Machine) -> str:
-    """SHA-256 (64 hexadecimal digits) of everything that is computed with; descriptions, sources and reasons do not count.
+    """SHA-256 (64 hexadecimal digits) of everything that is computed with; descriptions, sources
+    and reasons do not count.
 
-    It does not depend on how a file is formatted, on units or on keys written out with their default value.
+    It does not depend on how a file is formatted, on units or on keys written out with their
+    default value.
     """
     document = machine.to_dict()
     for key in ("description", "source", "assumed"):
         document["machine"].pop(key, None)
-    return hashlib.sha256(json.dumps(document, sort_keys=True, allow_nan=False).encode()).hexdigest()
+    return hashlib.sha256(
+        json.dumps(document, sort_keys=True, allow_nan=False).encode()
+    ).hexdigest()
 
 
 def read_machine_text(file: Any) -> str:
-    """The text of a machine file (its path), or of the bundled machine of that name. Raises InvalidInput."""
+    """The text of a machine file (its path), or of the bundled machine of that name. Raises
+    InvalidInput.
+    """
     if not isinstance(file, (str, os.PathLike)):
         remedy = f"give the path of a TOML file or one of {', '.join(bundled_machines())}"
         raise invalid("the machine", shown(file), "a file or the name of a bundled machine", remedy)
@@ -132,12 +155,18 @@ def _lines(table: Mapping[str, Any], path: str) -> Iterator[str]:
     """A table as lines of TOML: its values, then the tables in it."""
 
     def below(value: Any) -> bool:
-        return isinstance(value, dict) or (isinstance(value, list) and bool(value) and isinstance(value[0], dict))
+        return isinstance(value, dict) or (
+            isinstance(value, list) and bool(value) and isinstance(value[0], dict)
+        )
 
-    yield from (f"{written_key(key)} = {written(value)}" for key, value in table.items() if not below(value))
+    yield from (
+        f"{written_key(key)} = {written(value)}" for key, value in table.items() if not below(value)
+    )
     for key, value in table.items():
         inner = f"{path}{written_key(key)}"
-        for entry in value if isinstance(value, list) and below(value) else [value] if below(value) else []:
+        for entry in (
+            value if isinstance(value, list) and below(value) else [value] if below(value) else []
+        ):
             yield f"\n[[{inner}]]" if isinstance(value, list) else f"\n[{inner}]"
             yield from _lines(entry, f"{inner}.")
 

@@ -1,4 +1,6 @@
-"""A machine file brought up to date: what changed is written in the user's unit and place, all else stays as it stands."""
+"""A machine file brought up to date: what changed is written in the user's unit and place, all else
+stays as it stands.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +16,11 @@ from tomlkit.items import AoT, Array, InlineTable, Item, String, Table
 
 from ambrose.core.checks import invalid
 from ambrose.machine.atomic_write import write_text
+from ambrose.machine.attachment import attachments
 from ambrose.machine.file.annotated import in_everyday_unit
 from ambrose.machine.file.parse import named_materials
-from ambrose.machine.file.tables import MachineFile, ToleranceTable, table_below
 from ambrose.machine.file.tables import Table as Model
+from ambrose.machine.file.tables import ToleranceTable, machine_file, table_below
 from ambrose.machine.file.toml import dumps_machine, loads_machine, read_machine_text
 from ambrose.machine.kinds import Quantity
 from ambrose.machine.machine import Machine
@@ -27,8 +30,9 @@ from ambrose.machine.seals import SEAL_AXES
 from ambrose.machine.units import DIMENSIONS, rewrite_quantity
 
 _Plain = Mapping[str, Any]
-_IDENTITIES = {  # the key whose value tells the entries of a list apart; of other lists their order does
-    **dict.fromkeys(("disc", "bearing", "seal", "coupling"), "name"),
+# the key whose value tells the entries of a list apart; of other lists their order does
+_IDENTITIES = {
+    **dict.fromkeys(("disc", "bearing", "seal"), "name"),
     **dict.fromkeys(("sensor", "support"), "bearing"),
     "measured": "bias_current",
     "point": "label",
@@ -39,10 +43,11 @@ _IDENTITIES = {  # the key whose value tells the entries of a list apart; of oth
 def update_machine_file(text_or_path: str | os.PathLike[str], machine: Machine) -> str:
     """The text of a machine file with the values of ``machine``; reading it gives an equal machine.
 
-    text_or_path: the file's text, or its path (or the name of a bundled machine). Only entries whose value differs change, and
-    are written in the unit that stands there; comments, order and all other text stay, and what stands above a table goes
-    with it. New keys and tables follow those of their kind, with the units that ``annotated_machine`` writes. Raises
-    InvalidInput where the file is no machine.
+    text_or_path: the file's text, or its path (or the name of a bundled machine). Only entries
+    whose value differs change, and are written in the unit that stands there; comments, order and
+    all other text stay, and what stands above a table goes with it. New keys and tables follow
+    those of their kind, with the units that ``annotated_machine`` writes. Raises InvalidInput where
+    the file is no machine.
     """
     is_text = isinstance(text_or_path, str) and "\n" in text_or_path
     text = str(text_or_path if is_text else read_machine_text(text_or_path)).replace("\r\n", "\n")
@@ -60,17 +65,29 @@ def update_machine_file(text_or_path: str | os.PathLike[str], machine: Machine) 
 
 
 def machine_text(machine: Machine) -> str:
-    """A machine as TOML text: the file that it was read from brought up to date, or else anew in SI numbers."""
-    return update_machine_file(machine.file_text, machine) if machine.file_text else dumps_machine(machine)
+    """A machine as TOML text: the file that it was read from brought up to date, or else anew in SI
+    numbers.
+    """
+    return (
+        update_machine_file(machine.file_text, machine)
+        if machine.file_text
+        else dumps_machine(machine)
+    )
 
 
 def save_machine(machine: Machine, path: str | os.PathLike[str]) -> Path:
-    """Write a machine as TOML (``machine_text``), complete or not at all; reading it gives an equal machine. Returns the path.
+    """Write a machine as TOML (``machine_text``), complete or not at all; reading it gives an equal
+    machine. Returns the path.
 
     Raises InvalidInput for a path that cannot be written.
     """
     if not isinstance(machine, Machine):
-        raise invalid("the machine to save", shown(machine), "a Machine", "give what load_machine or identify returned")
+        raise invalid(
+            "the machine to save",
+            shown(machine),
+            "a Machine",
+            "give what load_machine or identify returned",
+        )
     return write_text(path, machine_text(machine), "machine file")
 
 
@@ -79,7 +96,9 @@ def _update_document(document: tomlkit.TOMLDocument, machine: Machine) -> None:
     whole.setdefault("material", {})  # those that no section names stay
     if "channel" in given.get("controller", {}) and "channel" not in document.get("controller", {}):
         # chains replace all else: of an earlier controller no default stays
-        whole["controller"] = {key: value for key, value in whole["controller"].items() if key in given["controller"]}
+        whole["controller"] = {
+            key: value for key, value in whole["controller"].items() if key in given["controller"]
+        }
     _update_assumed(document["machine"], machine.assumed)
     used = zip(machine.shaft, given["shaft"], strict=True)
     named = {table["material"]: section.material for section, table in used if "material" in table}
@@ -99,11 +118,13 @@ def _update_document(document: tomlkit.TOMLDocument, machine: Machine) -> None:
                 every.pop(key, None)  # what the table replaces leaves no zero behind
         if table.get("axes") == [axis for axis in SEAL_AXES if axis in table]:
             del table["axes"]
-    _update_table(document, MachineFile, whole, given)
+    _update_table(document, machine_file(), whole, given)
 
 
 def _update_table(table: Any, model: type[Model], whole: _Plain, given: _Plain) -> None:
-    """Bring a table to the values of ``whole``; keys that it lacks are added where they stand in ``given``."""
+    """Bring a table to the values of ``whole``; keys that it lacks are added where they stand in
+    ``given``.
+    """
     for name, field in model.model_fields.items():
         key, below = field.alias or name, table_below(model, name)
         if key == "assumed":
@@ -114,13 +135,20 @@ def _update_table(table: Any, model: type[Model], whole: _Plain, given: _Plain) 
         elif below is None:
             _update_value(table, key, _dimension(model, name, whole), whole[key], key in given)
         elif str(field.annotation).startswith("dict"):
-            dotted = any(item is not None and item.is_dotted() for item, _ in table.body if item == key)
+            dotted = any(
+                item is not None and item.is_dotted() for item, _ in table.body if item == key
+            )
             for entry, values in given.get(key, {}).items():
                 if entry in table.get(key, {}):
                     _update_table(table[key][entry], below, whole[key][entry], values)
                 else:
                     new = _in_units(below, values)
-                    _add(table.setdefault(key, tomlkit.table(is_super_table=True)), entry, new, inline=dotted)
+                    _add(
+                        table.setdefault(key, tomlkit.table(is_super_table=True)),
+                        entry,
+                        new,
+                        inline=dotted,
+                    )
         elif str(field.annotation).startswith("list"):
             _update_entries(table, key, below, whole[key], given.get(key, ()))
         elif key in table:
@@ -141,7 +169,8 @@ def _update_value(table: Any, key: str, dimension: str, value: Any, wanted: bool
         if wanted:
             table[key] = _worded(value, dimension, key)
         return
-    if value == [] and not (wanted and isinstance(table[key], Array)):  # there are none any more, which is the default
+    # there are none any more, which is the default
+    if value == [] and not (wanted and isinstance(table[key], Array)):
         table.remove(key)
         return
     updated = _rewritten(table[key], value, dimension)
@@ -158,14 +187,20 @@ def _in_units(model: type[Model], values: _Plain) -> dict[str, Any]:
             told[key] = _worded(told[key], _dimension(model, name, values), key)
         elif below is not None and key in told and not str(field.annotation).startswith("dict"):
             several = isinstance(told[key], list)
-            told[key] = [_in_units(below, item) for item in told[key]] if several else _in_units(below, told[key])
+            told[key] = (
+                [_in_units(below, item) for item in told[key]]
+                if several
+                else _in_units(below, told[key])
+            )
     return told
 
 
 def _worded(value: Any, dimension: str, key: str) -> Any:
     if isinstance(value, list):
         return [_worded(item, dimension, key) for item in value]
-    return in_everyday_unit(value, dimension, key) if dimension and isinstance(value, float) else value
+    return (
+        in_everyday_unit(value, dimension, key) if dimension and isinstance(value, float) else value
+    )
 
 
 def _rewritten(old: Any, value: Any, dimension: str) -> Any:
@@ -173,12 +208,24 @@ def _rewritten(old: Any, value: Any, dimension: str) -> Any:
     if isinstance(value, list):
         if not isinstance(old, Array):
             same = all(element == value[0] for element in value)  # one number stands for all
-            return _rewritten(old, value[0], dimension) if same else [_rewritten(old, x, dimension) for x in value]
+            return (
+                _rewritten(old, value[0], dimension)
+                if same
+                else [_rewritten(old, x, dimension) for x in value]
+            )
         if len(old) != len(value):
-            return [_rewritten(_first(old), x, dimension) if not isinstance(x, list) else x for x in value]
+            return [
+                _rewritten(_first(old), x, dimension) if not isinstance(x, list) else x
+                for x in value
+            ]
         for i, element in enumerate(value):
-            deeper = isinstance(element, list) and not isinstance(old[i], Array)  # a table gained an axis
-            updated = _spread(old[i], element, dimension) if deeper else _rewritten(old[i], element, dimension)
+            # a table gained an axis
+            deeper = isinstance(element, list) and not isinstance(old[i], Array)
+            updated = (
+                _spread(old[i], element, dimension)
+                if deeper
+                else _rewritten(old[i], element, dimension)
+            )
             if updated is not old[i]:
                 old[i] = updated
         return old
@@ -193,7 +240,11 @@ def _rewritten(old: Any, value: Any, dimension: str) -> Any:
 
 def _spread(old: Any, value: Any, dimension: str) -> Any:
     """Nested ``value``, every number in the form and unit of ``old``."""
-    return [_spread(old, x, dimension) for x in value] if isinstance(value, list) else _rewritten(old, value, dimension)
+    return (
+        [_spread(old, x, dimension) for x in value]
+        if isinstance(value, list)
+        else _rewritten(old, value, dimension)
+    )
 
 
 def _plain(value: Any) -> Any:
@@ -205,10 +256,14 @@ def _first(array: Any) -> Any:
     return _first(array[0]) if isinstance(array, Array) and len(array) else array
 
 
-def _update_entries(table: Any, key: str, model: type[Model], whole: Sequence[_Plain], given: Sequence[_Plain]) -> None:
-    """Bring the entries of a list of tables to those of ``whole``, each with the entry of its identity."""
+def _update_entries(
+    table: Any, key: str, model: type[Model], whole: Sequence[_Plain], given: Sequence[_Plain]
+) -> None:
+    """Bring the entries of a list of tables to those of ``whole``, each with the entry of its
+    identity.
+    """
     entries = list(table.get(key, ()))
-    identity_key = _IDENTITIES.get(key, "")
+    identity_key = "name" if key in attachments() else _IDENTITIES.get(key, "")
     known = dict(zip(_identities(entries, model, identity_key), range(len(entries)), strict=True))
     wanted = [known.get(identity) for identity in _identities(whole, model, identity_key)]
     for place, values, some in zip(wanted, whole, given or [{}] * len(whole), strict=True):
@@ -235,7 +290,9 @@ def _identities(entries: Sequence[Any], model: type[Model], key: str) -> Iterato
         yield value, occurrences[value]
 
 
-def _reorder(listed: Any, entries: Sequence[Any], wanted: Sequence[int | None], given: Sequence[_Plain]) -> None:
+def _reorder(
+    listed: Any, entries: Sequence[Any], wanted: Sequence[int | None], given: Sequence[_Plain]
+) -> None:
     """Put the entries in the order ``wanted``; None stands for a new one."""
     made = [
         tomlkit.item(values, _parent=listed) if place is None else entries[place]
@@ -269,7 +326,9 @@ def _add(table: Any, key: str, value: Any, *, inline: bool = False) -> None:
 
 
 def _update_assumed(head: Any, reasons: Sequence[tuple[str, str]]) -> None:
-    """Bring [machine.assumed] to these reasons; dotted keys without quotes stand in it as tables within tables."""
+    """Bring [machine.assumed] to these reasons; dotted keys without quotes stand in it as tables
+    within tables.
+    """
     wanted = dict(reasons)
     if not wanted:
         head.pop("assumed", None)
@@ -299,7 +358,8 @@ def _leaves(table: Any, above: str) -> Iterator[tuple[Any, str, str]]:
 
 
 def _attach_comments(document: Container) -> str:
-    """Blank lines and comments above a table's header belong to the table above when parsed: give each to its header.
+    """Blank lines and comments above a table's header belong to the table above when parsed: give
+    each to its header.
 
     Returns the text at the end of the file.
     """
@@ -313,7 +373,9 @@ def _attach_comments(document: Container) -> str:
 def _headers(container: Container) -> Iterator[Table]:
     """Tables with a line of their own, in the order of the text."""
     for key, item in container.body:
-        for table in item.body if isinstance(item, AoT) else [item] if isinstance(item, Table) else ():
+        for table in (
+            item.body if isinstance(item, AoT) else [item] if isinstance(item, Table) else ()
+        ):
             if not (table.is_super_table() or (key is not None and key.is_dotted())):
                 yield table
             yield from _headers(table.value)

@@ -1,10 +1,19 @@
-"""What a [controller] must fulfil: a PID for all axes, chains of filter sections for single channels, or both."""
+"""What a [controller] must fulfil: a PID for all axes, chains of filter sections for single
+channels, or both.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ambrose.machine.controller import CONTROLLER_COORDINATES, MODES, SECTIONS, PidSettings, Section, modal_channels
+from ambrose.machine.controller import (
+    CONTROLLER_COORDINATES,
+    MODES,
+    SECTIONS,
+    PidSettings,
+    Section,
+    modal_channels,
+)
 from ambrose.machine.description import MachineDescription
 from ambrose.machine.limits import DELAY_SAMPLES, SAMPLE_TIME
 from ambrose.machine.messages import complaint, number, shown, suggestion
@@ -19,67 +28,117 @@ def controller(machine: MachineDescription) -> Iterator[str]:
         return
     where = "[controller]"
     yield from not_positive(where, pid, "give K_p in A/m", "gain")
-    times, filters = ("integral_time", "derivative_time", "derivative_filter"), ("low_pass", "low_pass_damping", "lead")
-    yield from not_positive(where, pid, "leave it out where there is none", *times, *filters, "tilt_gain", "sample_time")
+    times, filters = (
+        ("integral_time", "derivative_time", "derivative_filter"),
+        ("low_pass", "low_pass_damping", "lead"),
+    )
+    yield from not_positive(
+        where, pid, "leave it out where there is none", *times, *filters, "tilt_gain", "sample_time"
+    )
     yield from not_positive(where, pid, "a controller cannot see ahead", "delay", zero=True)
     sample = pid.sample_time
     if sample is not None and 0 < sample < SAMPLE_TIME:
-        yield complaint(where, "sample_time", f"{sample:g} s", f"at least {SAMPLE_TIME:g} s", "1e-4 s is usual")
+        yield complaint(
+            where, "sample_time", f"{sample:g} s", f"at least {SAMPLE_TIME:g} s", "1e-4 s is usual"
+        )
     elif sample is not None and pid.delay is not None and pid.delay > DELAY_SAMPLES * sample > 0:
         most = f"at most {DELAY_SAMPLES} sample times, {DELAY_SAMPLES * sample:g} s"
         yield complaint(where, "delay", f"{pid.delay:g} s", most, "one sample time is usual")
     for i, notch in enumerate(pid.notches):
         inside = f"[[controller.notch]] {i + 1}"
-        yield from not_positive(inside, notch, "leave the notch out where there is none", "frequency", "pole_damping")
-        yield from not_positive(inside, notch, "zero is the deepest notch", "zero_damping", zero=True)
+        yield from not_positive(
+            inside, notch, "leave the notch out where there is none", "frequency", "pole_damping"
+        )
+        yield from not_positive(
+            inside, notch, "zero is the deepest notch", "zero_damping", zero=True
+        )
     if pid.coordinates not in CONTROLLER_COORDINATES:
         known = f"one of {', '.join(CONTROLLER_COORDINATES)}"
         yield complaint(where, "coordinates", shown(pid.coordinates), known, "choose one of them")
         return
     if pid.coordinates == "tilt-translate" and len(machine.bearings) == 1 and pid.tilt_gain != 1:
-        yield complaint(where, "tilt_gain", f"{pid.tilt_gain:g}", "left out", "one bearing cannot tilt the rotor, add a second")
-    if pid.to_dict().keys() - {"sample_time", "delay"}:  # which may stand alone: when controllers run, and no reference
+        yield complaint(
+            where,
+            "tilt_gain",
+            f"{pid.tilt_gain:g}",
+            "left out",
+            "one bearing cannot tilt the rotor, add a second",
+        )
+    # which may stand alone: when controllers run, and no reference
+    if pid.to_dict().keys() - {"sample_time", "delay"}:
         yield from channel_problems(pid, machine.axes)
 
 
 def channel_problems(pid: PidSettings, axes: tuple[str, ...]) -> Iterator[str]:
-    """Whether every channel has its chain, [controller]'s or one of its own, and what is wrong with the sections of these."""
+    """Whether every channel has its chain, [controller]'s or one of its own, and what is wrong with
+    the sections of these.
+    """
     where, modes = "[controller]", pid.coordinates == "tilt-translate"
     known, seen = modal_channels(len(axes) // 2) if modes else axes, dict[str, int]()
     for i, channel in enumerate(pid.channels):
         inside = f"[[controller.channel]] {i + 1}"
         yield from not_positive(inside, channel, "give K_p in A/m", "gain")
         if not channel.names:
-            yield complaint(inside, "names", "empty", "one channel at least", f"known: {', '.join(known)}")
+            yield complaint(
+                inside, "names", "empty", "one channel at least", f"known: {', '.join(known)}"
+            )
         for name in channel.names:
             if modes and name in MODES and name not in known:
-                yield f'{inside}: names holds "{name}", but one bearing cannot tilt the rotor; leave it out, or add a bearing'
+                yield (
+                    f'{inside}: names holds "{name}", but one bearing cannot tilt the rotor; leave '
+                    "it out, or add a bearing"
+                )
             elif name not in known:
-                yield f'{inside}: names holds "{name}", which is no channel of {pid.coordinates}; {suggestion(name, known)}'
+                yield (
+                    f'{inside}: names holds "{name}", which is no channel of {pid.coordinates}; '
+                    f"{suggestion(name, known)}"
+                )
             elif name in seen:
-                yield f'{inside}: "{name}" has its chain in entry {seen[name]} already; name every channel once'
+                yield (
+                    f'{inside}: "{name}" has its chain in entry {seen[name]} already; name every '
+                    "channel once"
+                )
             seen.setdefault(name, i + 1)
         for j, section in enumerate(channel.sections):
-            yield from section_problems(f"{inside}, [[controller.channel.section]] {j + 1}", section)
+            yield from section_problems(
+                f"{inside}, [[controller.channel.section]] {j + 1}", section
+            )
     left = [name for name in known if name not in seen and not (modes and name not in MODES)]
     if left and not pid.gain:
-        remedy = "give one value or one per axis" + (f", or a chain for {', '.join(left)}" if pid.channels else "")
+        remedy = "give one value or one per axis" + (
+            f", or a chain for {', '.join(left)}" if pid.channels else ""
+        )
         yield f"{where}: gain (K_p in A/m) is missing; {remedy}"
     if pid.gain and len(pid.gain) not in ({1} if modes and pid.channels else {1, len(axes)}):
-        wanted = "one value beside [[controller.channel]]" if modes and pid.channels else f"one value or {len(axes)}"
+        wanted = (
+            "one value beside [[controller.channel]]"
+            if modes and pid.channels
+            else f"one value or {len(axes)}"
+        )
         names = "" if modes and pid.channels else f", one per axis ({', '.join(axes)})"
         yield complaint(where, "gain", f"a list of {len(pid.gain)}", wanted + names, "K_p in A/m")
-    idle = [key.removesuffix("es") if key == "notches" else key for key in _COMMON if getattr(pid, key)]
+    idle = [
+        key.removesuffix("es") if key == "notches" else key for key in _COMMON if getattr(pid, key)
+    ]
     if idle and not left:
         keys = ", ".join(idle)
-        yield f"{where}: every channel has its own chain, so that {keys} serves none; move it into the chains, or leave it out"
+        yield (
+            f"{where}: every channel has its own chain, so that {keys} serves none; move it into "
+            "the chains, or leave it out"
+        )
 
 
 def section_problems(where: str, section: Section) -> Iterator[str]:
     """What is wrong with a section of a chain; its numbers are finite."""
     kind = section.kind
     if kind not in SECTIONS:
-        yield complaint(where, "kind", shown(kind), f"one of {', '.join(SECTIONS)}", suggestion(str(kind), SECTIONS))
+        yield complaint(
+            where,
+            "kind",
+            shown(kind),
+            f"one of {', '.join(SECTIONS)}",
+            suggestion(str(kind), SECTIONS),
+        )
         return
     own, inside = SECTIONS[kind], f"{where} ({kind})"
     given = [key for key in section.to_dict() if key != "kind"]
@@ -88,9 +147,23 @@ def section_problems(where: str, section: Section) -> Iterator[str]:
             yield f"{inside}: {key} is no key of this kind; leave it out, it takes {', '.join(own)}"
     if kind == "pid":
         if section.integral_time is None and section.derivative_time is None:
-            yield f"{inside}: neither integral_time nor derivative_time is given; give one, or leave the section out"
-        yield from not_positive(inside, section, "leave it out where there is no such part", "integral_time", "derivative_time")
-        yield from not_positive(inside, section, "0.1 is usual, a pure derivative cannot be realised", "derivative_filter")
+            yield (
+                f"{inside}: neither integral_time nor derivative_time is given; give one, or leave "
+                "the section out"
+            )
+        yield from not_positive(
+            inside,
+            section,
+            "leave it out where there is no such part",
+            "integral_time",
+            "derivative_time",
+        )
+        yield from not_positive(
+            inside,
+            section,
+            "0.1 is usual, a pure derivative cannot be realised",
+            "derivative_filter",
+        )
         return
     missing = [key for key in own if key not in given]
     if missing:
@@ -104,15 +177,35 @@ def section_problems(where: str, section: Section) -> Iterator[str]:
     sizes = [key for key in own if key not in {"phase", *zero}]
     yield from not_positive(inside, section, "leave the section out where it does nothing", *sizes)
     if kind == "phase-bump" and section.phase is not None and abs(section.phase) > 3:
-        yield complaint(inside, "phase", f"{section.phase:g} rad", "between -3 and 3 rad", 'write degrees as "30 deg"')
+        yield complaint(
+            inside,
+            "phase",
+            f"{section.phase:g} rad",
+            "between -3 and 3 rad",
+            'write degrees as "30 deg"',
+        )
 
 
-def _coefficients(where: str, numerator: tuple[float, ...], denominator: tuple[float, ...]) -> Iterator[str]:
+def _coefficients(
+    where: str, numerator: tuple[float, ...], denominator: tuple[float, ...]
+) -> Iterator[str]:
     for key, values in (("numerator", numerator), ("denominator", denominator)):
         if len(values) > 3:
-            yield complaint(where, key, number(len(values), "coefficients"), "three at most", "split it into sections")
-    degree = [max((len(v) - 1 - i for i, x in enumerate(v) if x), default=-1) for v in (numerator, denominator)]
+            yield complaint(
+                where,
+                key,
+                number(len(values), "coefficients"),
+                "three at most",
+                "split it into sections",
+            )
+    degree = [
+        max((len(v) - 1 - i for i, x in enumerate(v) if x), default=-1)
+        for v in (numerator, denominator)
+    ]
     if degree[1] < 0:
         yield complaint(where, "denominator", "zero", "a polynomial", "give [a2, a1, a0]")
     elif degree[0] > degree[1]:
-        yield f"{where}: the numerator's degree is above the denominator's, which cannot be realised; add a pole"
+        yield (
+            f"{where}: the numerator's degree is above the denominator's, which cannot be "
+            "realised; add a pole"
+        )

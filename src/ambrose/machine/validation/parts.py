@@ -1,23 +1,36 @@
-"""What the parts of a machine must fulfil: shaft, discs, bearings, sensors, amplifier, couplings, each on its own."""
+"""What the parts of a machine must fulfil: shaft, discs, bearings, sensors, amplifier, couplings,
+each on its own.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
 
-from ambrose.machine.description import AMPLIFIER_PARAMETERS, BiasPoint, MachineDescription, MagneticBearing, ShaftSection
+from ambrose.machine.attachment import attached
+from ambrose.machine.description import (
+    AMPLIFIER_PARAMETERS,
+    BiasPoint,
+    MachineDescription,
+    MagneticBearing,
+)
 from ambrose.machine.limits import ELEMENTS
 from ambrose.machine.messages import complaint, number, shown, suggestion
 from ambrose.machine.parameters import bending_modes_of_mesh
+from ambrose.machine.rotor_model import ShaftSection
 from ambrose.machine.stator import SENSORS_ON, CasingMode, Support
 from ambrose.machine.validation.signs import not_positive
 
-JOINT = 1e-9  # gap between shaft sections that counts as rounding, as a fraction of the rotor's length
+# gap between shaft sections that counts as rounding, as a fraction of the rotor's length
+JOINT = 1e-9
 
 
 def shaft(machine: MachineDescription) -> Iterator[str]:
     if not machine.shaft:
-        yield "[[shaft]]: there is no section; describe the rotor by at least one, from its left end to its right end"
+        yield (
+            "[[shaft]]: there is no section; describe the rotor by at least one, from its left end "
+            "to its right end"
+        )
         return
     rounding = JOINT * sum(abs(section.length) for section in machine.shaft)
     end = 0.0
@@ -26,7 +39,11 @@ def shaft(machine: MachineDescription) -> Iterator[str]:
         yield from _section(where, section)
         if abs(section.start - end) > rounding:
             kind = "a gap after" if section.start > end else "an overlap with"
-            what = f"{kind} the previous section, which ends" if i else "away from the rotor's left end, which is"
+            what = (
+                f"{kind} the previous section, which ends"
+                if i
+                else "away from the rotor's left end, which is"
+            )
             yield (
                 f"{where}: start is {section.start:g} m, {what} at {end:g} m; "
                 "leave start out, or make every section start where the previous one ends"
@@ -40,31 +57,62 @@ def shaft_place(index: int, section: ShaftSection) -> str:
 
 
 def _section(where: str, section: ShaftSection) -> Iterator[str]:
-    bore, outer, mass = section.inner_diameter, section.outer_diameter, section.mass_diameter
+    bore = section.inner_diameter
+    outer = section.outer_diameter
+    mass = section.mass_diameter
     yield from not_positive(where, section, "give its size", "length", "outer_diameter")
     yield from not_positive(where, section, "leave it out for a cylinder", "end_outer_diameter")
-    yield from not_positive(where, section, "leave it out for a solid shaft", "inner_diameter", zero=True)
-    yield from not_positive(where, section, "leave it out for the bore of the left end", "end_inner_diameter", zero=True)
+    yield from not_positive(
+        where, section, "leave it out for a solid shaft", "inner_diameter", zero=True
+    )
+    yield from not_positive(
+        where, section, "leave it out for the bore of the left end", "end_inner_diameter", zero=True
+    )
     if 0 < outer <= bore:
         below = f"below the outer_diameter, {outer:g} m"
-        yield complaint(where, "inner_diameter", number(bore, "m"), below, "swap or correct the diameters")
+        yield complaint(
+            where, "inner_diameter", number(bore, "m"), below, "swap or correct the diameters"
+        )
     elif 0 < section.diameters(1.0)[0] <= section.diameters(1.0)[1]:
         end_outer, end_bore, _ = section.diameters(1.0)
         below = f"below the outer diameter at the right end, {end_outer:g} m"
         key = "inner_diameter" if section.end_inner_diameter is None else "end_inner_diameter"
-        yield complaint(where, key, number(end_bore, "m"), below, "give end_inner_diameter, or correct the diameters")
+        yield complaint(
+            where,
+            key,
+            number(end_bore, "m"),
+            below,
+            "give end_inner_diameter, or correct the diameters",
+        )
     bore = max(bore, section.diameters(1.0)[1])
     if mass is not None and mass <= max(bore, 0):
-        remedy = "it is the outer diameter that carries the mass; leave it out where it is the outer_diameter"
-        yield complaint(where, "mass_diameter", number(mass, "m"), f"above the inner_diameter, {bore:g} m", remedy)
+        remedy = (
+            "it is the outer diameter that carries the mass; leave it out where it is the "
+            "outer_diameter"
+        )
+        yield complaint(
+            where,
+            "mass_diameter",
+            number(mass, "m"),
+            f"above the inner_diameter, {bore:g} m",
+            remedy,
+        )
     if not 1 <= section.elements <= ELEMENTS:
         remedy = "one element per diameter of length is a good start"
         yield complaint(where, "elements", section.elements, f"from 1 to {ELEMENTS}", remedy)
     material = section.material
     inside = f"{where}, material {material.name}".rstrip()
-    yield from not_positive(inside, material, "see the material's data sheet", "density", "youngs_modulus")
+    yield from not_positive(
+        inside, material, "see the material's data sheet", "density", "youngs_modulus"
+    )
     if not -1 < material.poisson_ratio < 0.5:
-        yield complaint(inside, "poisson_ratio", f"{material.poisson_ratio:g}", "between -1 and 0.5", "steel has 0.3")
+        yield complaint(
+            inside,
+            "poisson_ratio",
+            f"{material.poisson_ratio:g}",
+            "between -1 and 0.5",
+            "steel has 0.3",
+        )
 
 
 def discs(machine: MachineDescription) -> Iterator[str]:
@@ -73,7 +121,9 @@ def discs(machine: MachineDescription) -> Iterator[str]:
         polar, diametral = disc.polar_inertia, disc.diametral_inertia
         yield from not_positive(where, disc, "give its mass", "mass")
         remedy = "leave it out where it is negligible"
-        yield from not_positive(where, disc, remedy, "polar_inertia", "diametral_inertia", zero=True)
+        yield from not_positive(
+            where, disc, remedy, "polar_inertia", "diametral_inertia", zero=True
+        )
         if polar > 2 * diametral * (1 + 1e-6) and diametral > 0:
             most = f"at most twice the diametral_inertia, {diametral:g} kg m^2"
             remedy = "no body has more; a thin disc has exactly twice"
@@ -86,18 +136,39 @@ def bending_modes(machine: MachineDescription) -> Iterator[str]:
     for mode in machine.bending_modes if machine.shaft else ():
         where = f"[[bending_mode]] {mode.number}"
         if not 1 <= mode.number <= available:
-            yield complaint(where, "number", str(mode.number), f"from 1 to {available}, those of the mesh", "1 is the lowest")
+            yield complaint(
+                where,
+                "number",
+                str(mode.number),
+                f"from 1 to {available}, those of the mesh",
+                "1 is the lowest",
+            )
         if mode.number in seen:
-            yield f"{where}: number {mode.number} is taken by an earlier [[bending_mode]]; merge the two"
+            yield (
+                f"{where}: number {mode.number} is taken by an earlier [[bending_mode]]; merge the "
+                "two"
+            )
         if mode.frequency is None and mode.damping is None:
-            yield f"{where}: neither frequency nor damping is given; give what was measured, or leave the mode out"
-        yield from not_positive(where, mode, "give the natural frequency of the free rotor", "frequency")
+            yield (
+                f"{where}: neither frequency nor damping is given; give what was measured, or "
+                "leave the mode out"
+            )
+        yield from not_positive(
+            where, mode, "give the natural frequency of the free rotor", "frequency"
+        )
         if mode.damping is not None and not 0 <= mode.damping < 1:
             remedy = "0.005 is usual for a steel shaft"
-            yield complaint(where, "damping", f"{mode.damping:g}", "a ratio from 0 to below 1", remedy)
+            yield complaint(
+                where, "damping", f"{mode.damping:g}", "a ratio from 0 to below 1", remedy
+            )
         rate = mode.frequency or 0.0
-        if rate and any(other and (rate - other) * (mode.number - k) < 0 for k, other in seen.items()):
-            yield f"{where}: frequency {rate:g} rad/s is out of order; number the modes by ascending frequency"
+        if rate and any(
+            other and (rate - other) * (mode.number - k) < 0 for k, other in seen.items()
+        ):
+            yield (
+                f"{where}: frequency {rate:g} rad/s is out of order; number the modes by ascending "
+                "frequency"
+            )
         seen.setdefault(mode.number, rate)
 
 
@@ -115,7 +186,11 @@ def _bearing(where: str, bearing: MagneticBearing) -> Iterator[str]:
     if bearing.gap and bearing.touchdown_gap and bearing.touchdown_gap > bearing.gap:
         below = f"at most the magnet's gap, {bearing.gap:g} m"
         yield complaint(
-            where, "touchdown_gap", number(bearing.touchdown_gap, "m"), below, "the rotor must land before it meets the magnet"
+            where,
+            "touchdown_gap",
+            number(bearing.touchdown_gap, "m"),
+            below,
+            "the rotor must land before it meets the magnet",
         )
     yield from _iron_and_touchdown(where, bearing)
     if bearing.geometry is None:
@@ -124,29 +199,57 @@ def _bearing(where: str, bearing: MagneticBearing) -> Iterator[str]:
     yield from not_positive(inside, geometry, "give its size", "turns", "pole_area", "gap")
     if not 0 <= geometry.pole_half_angle < math.pi / 2:
         degrees = f"{math.degrees(geometry.pole_half_angle):g} deg"
-        yield complaint(inside, "pole_half_angle", degrees, "from 0 to below 90 deg", "eight poles have 22.5 deg")
+        yield complaint(
+            inside,
+            "pole_half_angle",
+            degrees,
+            "from 0 to below 90 deg",
+            "eight poles have 22.5 deg",
+        )
 
 
 def _iron_and_touchdown(where: str, bearing: MagneticBearing) -> Iterator[str]:
     if not -1 < bearing.cross_coupling < 1:
         remedy = "it is the small part of the other axis' current that acts on an axis"
-        yield complaint(where, "cross_coupling", f"{bearing.cross_coupling:g}", "between -1 and 1", remedy)
+        yield complaint(
+            where, "cross_coupling", f"{bearing.cross_coupling:g}", "between -1 and 1", remedy
+        )
     room = bearing.gap or bearing.touchdown_gap
     for axis, offset in zip(("zeta", "eta"), bearing.magnetic_offset, strict=True):
         if room and abs(offset) >= room:
             within = f"smaller than the gap, {room:g} m"
-            yield complaint(where, f"magnetic_offset ({axis})", number(offset, "m"), within, "give it in metres or with a unit")
+            yield complaint(
+                where,
+                f"magnetic_offset ({axis})",
+                number(offset, "m"),
+                within,
+                "give it in metres or with a unit",
+            )
     if bearing.iron is not None:
         iron = bearing.iron
-        inside, remedy = f"{where}, [bearing.iron]", "leave the table out for magnets without saturation"
+        inside, remedy = (
+            f"{where}, [bearing.iron]",
+            "leave the table out for magnets without saturation",
+        )
         yield from not_positive(inside, iron, remedy, "turns", "flux_density")
         yield from not_positive(inside, iron, "0.05 mm is usual", "equivalent_gap", zero=True)
-    if bearing.geometry is not None and bearing.iron is not None and bearing.geometry.turns != bearing.iron.turns:
-        yield f"{where}: turns differ in [bearing.geometry] and [bearing.iron]; give the turns of one horseshoe in both"
+    if (
+        bearing.geometry is not None
+        and bearing.iron is not None
+        and bearing.geometry.turns != bearing.iron.turns
+    ):
+        yield (
+            f"{where}: turns differ in [bearing.geometry] and [bearing.iron]; give the turns of "
+            "one horseshoe in both"
+        )
     if bearing.touchdown is not None:
         contact, inside = bearing.touchdown, f"{where}, [bearing.touchdown]"
-        yield from not_positive(inside, contact, "leave it out for its default", "stiffness", "radius", "sliding_speed")
-        yield from not_positive(inside, contact, "contact takes energy and gives none", "damping", "friction", zero=True)
+        yield from not_positive(
+            inside, contact, "leave it out for its default", "stiffness", "radius", "sliding_speed"
+        )
+        yield from not_positive(
+            inside, contact, "contact takes energy and gives none", "damping", "friction", zero=True
+        )
         if bearing.touchdown_gap is None:
             yield f"{where}: touchdown_gap is missing; [bearing.touchdown] needs the clearance"
 
@@ -155,9 +258,15 @@ def _coefficients(where: str, bearing: MagneticBearing) -> Iterator[str]:
     given = {key: getattr(bearing, key) for key in ("force_per_current", "negative_stiffness")}
     missing = [key for key, pair in given.items() if pair is None]
     if len(missing) == 1:
-        yield f"{where}: {missing[0]} is missing; give both force_per_current and negative_stiffness, or neither"
+        yield (
+            f"{where}: {missing[0]} is missing; give both force_per_current and "
+            "negative_stiffness, or neither"
+        )
     elif missing and bearing.geometry is None and not bearing.measured:
-        yield f"{where}: there are no coefficients; give force_per_current and negative_stiffness, or [bearing.geometry]"
+        yield (
+            f"{where}: there are no coefficients; give force_per_current and negative_stiffness, "
+            "or [bearing.geometry]"
+        )
     yield from _signs(where, bearing)
     currents = [row.bias_current for row in bearing.measured]
     for i, row in enumerate(bearing.measured):
@@ -165,11 +274,16 @@ def _coefficients(where: str, bearing: MagneticBearing) -> Iterator[str]:
         yield from not_positive(inside, row, "give the premagnetisation current", "bias_current")
         yield from _signs(inside, row)
         if row.bias_current in currents[:i]:
-            yield f"{inside}: bias_current {row.bias_current:g} A stands there twice; keep one row per bias current"
+            yield (
+                f"{inside}: bias_current {row.bias_current:g} A stands there twice; keep one row "
+                "per bias current"
+            )
 
 
 def _signs(where: str, coefficients: MagneticBearing | BiasPoint) -> Iterator[str]:
-    yield from not_positive(where, coefficients, "a positive current pulls along the axis", "force_per_current")
+    yield from not_positive(
+        where, coefficients, "a positive current pulls along the axis", "force_per_current"
+    )
     remedy = "it is the size of a destabilising stiffness; a spring to ground is a [[coupling]]"
     yield from not_positive(where, coefficients, remedy, "negative_stiffness", zero=True)
 
@@ -182,21 +296,43 @@ def sensors(machine: MachineDescription) -> Iterator[str]:
         if sensor.bearing not in names:
             remedy = suggestion(sensor.bearing, names, "there is no [[bearing]]")
             yield f'{where}: bearing "{sensor.bearing}" is unknown; {remedy}'
-        elif sensor.bearing not in served[:i] and sum(s.weight for s in machine.sensors if s.bearing == sensor.bearing) == 0:
-            yield complaint(where, "weight", 0, "positive for one pair of the bearing", "leave it out for equal shares")
+        elif (
+            sensor.bearing not in served[:i]
+            and sum(s.weight for s in machine.sensors if s.bearing == sensor.bearing) == 0
+        ):
+            yield complaint(
+                where,
+                "weight",
+                0,
+                "positive for one pair of the bearing",
+                "leave it out for equal shares",
+            )
         yield from not_positive(where, sensor, "leave it out for a sensor without lag", "bandwidth")
         for axis, gain in zip(("zeta", "eta"), sensor.gain, strict=True):
             if gain == 0:
-                yield complaint(where, f"gain ({axis})", 0, "different from zero", "1 is a calibrated sensor")
-        yield from not_positive(where, sensor, "leave it out for a sensor without", "noise", "resolution", zero=True)
-        yield from not_positive(where, sensor, "1 is an equal share in the mean", "weight", zero=True)
+                yield complaint(
+                    where, f"gain ({axis})", 0, "different from zero", "1 is a calibrated sensor"
+                )
+        yield from not_positive(
+            where, sensor, "leave it out for a sensor without", "noise", "resolution", zero=True
+        )
+        yield from not_positive(
+            where, sensor, "1 is an equal share in the mean", "weight", zero=True
+        )
         for k, harmonic in enumerate(sensor.runout):
             inside = f"{where}, [[sensor.runout]] {k + 1}"
-            yield from not_positive(inside, harmonic, "periods per revolution; an offset is the key offset", "order")
-            yield from not_positive(inside, harmonic, "turn the phase by 180 deg", "amplitude", zero=True)
+            yield from not_positive(
+                inside, harmonic, "periods per revolution; an offset is the key offset", "order"
+            )
+            yield from not_positive(
+                inside, harmonic, "turn the phase by 180 deg", "amplitude", zero=True
+            )
     for name in names:
         if name not in served:
-            yield f'[[bearing]] {name}: no [[sensor]] serves it; add one with bearing = "{name}" and its position'
+            yield (
+                f'[[bearing]] {name}: no [[sensor]] serves it; add one with bearing = "{name}" and '
+                "its position"
+            )
 
 
 def amplifier(machine: MachineDescription) -> Iterator[str]:
@@ -209,24 +345,48 @@ def amplifier(machine: MachineDescription) -> Iterator[str]:
     for key in ("bandwidth", "eddy_bandwidth", "natural_frequency", "damping"):
         value: float | None = getattr(amplifier, key)
         if key in used and value is None:
-            yield f'[amplifier]: {key} is missing; order "{amplifier.order}" needs it, in rad/s or such as "1.5 kHz"'
+            yield (
+                f'[amplifier]: {key} is missing; order "{amplifier.order}" needs it, in rad/s or '
+                'such as "1.5 kHz"'
+            )
         elif key not in used and value is not None:
             orders = [order for order, keys in AMPLIFIER_PARAMETERS.items() if key in keys]
             yield (
-                f'[amplifier]: {key} is {value:g} rad/s, but order "{amplifier.order}" does not use it; '
+                f'[amplifier]: {key} is {value:g} rad/s, but order "{amplifier.order}" does not '
+                "use it; "
                 f"remove it, or set order to {' or '.join(orders)}"
             )
-        yield from not_positive("[amplifier]", amplifier, "give its corner frequency or damping term", key)
-    yield from not_positive("[amplifier]", amplifier, "leave both out for no limit", "max_voltage", "inductance")
+        yield from not_positive(
+            "[amplifier]", amplifier, "give its corner frequency or damping term", key
+        )
+    yield from not_positive(
+        "[amplifier]", amplifier, "leave both out for no limit", "max_voltage", "inductance"
+    )
     if (amplifier.max_voltage is None) != (amplifier.inductance is None):
-        there, missing = ("max_voltage", "inductance") if amplifier.inductance is None else ("inductance", "max_voltage")
-        yield f"[amplifier]: {missing} is missing; {there} limits the slope of the current only together with it"
+        there, missing = (
+            ("max_voltage", "inductance")
+            if amplifier.inductance is None
+            else ("inductance", "max_voltage")
+        )
+        yield (
+            f"[amplifier]: {missing} is missing; {there} limits the slope of the current only "
+            "together with it"
+        )
     elif amplifier.max_voltage is not None and amplifier.order == "none":
-        yield '[amplifier]: max_voltage limits the slope of the current, which order "none" does not have; choose "first"'
+        yield (
+            '[amplifier]: max_voltage limits the slope of the current, which order "none" does not '
+            'have; choose "first"'
+        )
 
 
 def supports(machine: MachineDescription) -> Iterator[str]:
     bearings, seals = ([item.name for item in items] for items in (machine.bearings, machine.seals))
+    seals += [
+        station.name
+        for effect, part in attached(machine)
+        if effect.on_stator
+        for station in effect.stations(part)
+    ]
     seen: set[str] = set()
     for support in machine.supports:
         where = f"[[support]] {support.bearing}"
@@ -234,23 +394,39 @@ def supports(machine: MachineDescription) -> Iterator[str]:
         yield from _named(where, "seals", support.seals, seals)
         for name in (support.bearing, *support.seals):
             if name in seen:
-                yield f'{where}: "{name}" stands on an earlier [[support]] already; merge the two, or add a [[casing_mode]]'
+                yield (
+                    f'{where}: "{name}" stands on an earlier [[support]] already; merge the two, '
+                    "or add a [[casing_mode]]"
+                )
             seen.add(name)
-        yield from not_positive(where, support, "leave the support out for a rigid one", "mass", "stiffness")
-        yield from not_positive(where, support, "a support takes energy and gives none", "damping", zero=True)
+        yield from not_positive(
+            where, support, "leave the support out for a rigid one", "mass", "stiffness"
+        )
+        yield from not_positive(
+            where, support, "a support takes energy and gives none", "damping", zero=True
+        )
         yield from _sensor_on(where, support)
     for i, mode in enumerate(machine.casing_modes):
         where = f"[[casing_mode]] {i + 1}"
         yield from _named(where, "at", mode.at, [*bearings, *seals])
-        yield from not_positive(where, mode, "a mode of a casing that stands somewhere", "frequency", "mass")
-        yield from not_positive(where, mode, "a casing takes energy and gives none", "damping", zero=True)
+        yield from not_positive(
+            where, mode, "a mode of a casing that stands somewhere", "frequency", "mass"
+        )
+        yield from not_positive(
+            where, mode, "a casing takes energy and gives none", "damping", zero=True
+        )
         for key in ("x", "y"):
             given = getattr(mode, key)
             if given and len(given) != len(mode.at):
                 wanted = f"a list of {len(mode.at)}, one per name in at"
-                yield complaint(where, key, f"a list of {len(given)}", wanted, "0 where it does not move")
+                yield complaint(
+                    where, key, f"a list of {len(given)}", wanted, "0 where it does not move"
+                )
         if not any((*mode.x, *mode.y)):
-            yield f"{where}: x and y are zero or missing, so that it moves nothing; give the deflections, or leave the mode out"
+            yield (
+                f"{where}: x and y are zero or missing, so that it moves nothing; give the "
+                "deflections, or leave the mode out"
+            )
         yield from _sensor_on(where, mode)
 
 
@@ -264,10 +440,10 @@ def _named(where: str, key: str, names: tuple[str, ...], known: list[str]) -> It
 
 def _sensor_on(where: str, part: Support | CasingMode) -> Iterator[str]:
     if part.sensor not in SENSORS_ON:
-        yield complaint(where, "sensor", shown(part.sensor), f"one of {', '.join(SENSORS_ON)}", "choose one of them")
-
-
-def couplings(machine: MachineDescription) -> Iterator[str]:
-    for coupling in machine.couplings:
-        where = f"[[coupling]] {coupling.name}"
-        yield from not_positive(where, coupling, "a passive coupling holds back", "stiffness", "damping", zero=True)
+        yield complaint(
+            where,
+            "sensor",
+            shown(part.sensor),
+            f"one of {', '.join(SENSORS_ON)}",
+            "choose one of them",
+        )

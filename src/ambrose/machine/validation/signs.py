@@ -1,4 +1,6 @@
-"""Numbers of a part that must be positive: complaints with the unit that the part's field states."""
+"""Numbers of a part that must be positive: complaints with the unit that the part's field
+states.
+"""
 
 from __future__ import annotations
 
@@ -12,21 +14,29 @@ from ambrose.machine.part import Part
 from ambrose.machine.units import DIMENSIONS
 
 
-def not_positive(where: str, part: Part, remedy: str, *keys: str, zero: bool = False) -> Iterator[str]:
-    """Complaints about the numbers under these keys that are not above zero (or not at it); None passes."""
+def not_positive(
+    where: str, part: Part, remedy: str, *keys: str, zero: bool = False
+) -> Iterator[str]:
+    """Complaints about the numbers under these keys that are not above zero (or not at it); None
+    passes.
+    """
     requirement = "zero or positive" if zero else "positive"
     for key in keys:
-        unit, names = _unit_and_names(type(part), key)  # type: ignore[arg-type]  # a class is hashable
+        unit, names = unit_and_names(type(part), key)  # type: ignore[arg-type]  # a class is hashable
         value = getattr(part, key)
         values = value if isinstance(value, (tuple, list)) else (value,)
         for i, entry in enumerate(values):
             if entry is not None and (entry < 0 or (entry == 0 and not zero)):
-                name = f" ({names[i] if names else f'element {i + 1}'})" if isinstance(value, (tuple, list)) else ""
+                name = (
+                    f" ({names[i] if names else f'element {i + 1}'})"
+                    if isinstance(value, (tuple, list))
+                    else ""
+                )
                 yield complaint(where, f"{key}{name}", number(entry, unit), requirement, remedy)
 
 
 @lru_cache(maxsize=256)
-def _unit_and_names(part: type, key: str) -> tuple[str, list[str]]:
+def unit_and_names(part: type, key: str) -> tuple[str, list[str]]:
     """The unit of a field ("" for a ratio or a count), and the names of a pair's two values."""
     kind = next(_dimensional(get_type_hints(part, include_extras=True)[key]), None)
     unit = "" if kind is None else DIMENSIONS[kind.dimension].unit

@@ -1,8 +1,8 @@
-"""The decision about several controllers, and the map behind it: per controller and operating point the requirement that comes
-nearest to its limit, or exceeds it most.
+"""The decision about several controllers, and the map behind it: per controller and operating point
+the requirement that comes nearest to its limit, or exceeds it most.
 
-A share is the ratio of a value to its limit (``Check.ratio``): up to 1 the requirement is met. A second row of every operating
-point holds the worst over the tolerances around it.
+A share is the ratio of a value to its limit (``Check.ratio``): up to 1 the requirement is met. A
+second row of every operating point holds the worst over the tolerances around it.
 """
 
 from __future__ import annotations
@@ -11,19 +11,21 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ambrose.evaluation.candidate import Candidate, find
+from ambrose.judge.checks import Check, Checks
+from ambrose.judge.verification import box_label
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.report import units
 from ambrose.report.page import Cell, Row, Section, Table, Verdict
 from ambrose.report.tables import around, listed
-from ambrose.verification.checks import Check, Checks
-from ambrose.verification.verification import box_label
+from ambrose.rig.candidate import Candidate, find
 
 NOT_EVALUATED = "not evaluated"
 _MEETS, _FAILS = (0.6, 0.8, 1.0), (1.1, 1.5, 2.0)  # upper ends of the shades
-_GRID = 0.75  # panels of speed over pressure are drawn where this share of all pairs are operating points
-# The first entry that the check's name begins with says what binds; "robust." and "sampled." are cut off first.
+# panels of speed over pressure are drawn where this share of all pairs are operating points
+_GRID = 0.75
+# The first entry that the check's name begins with says what binds; "robust." and "sampled." are
+# cut off first.
 _SHORT = {
     "sensitivity.output": "output sensitivity",
     "sensitivity.input": "input sensitivity",
@@ -47,7 +49,8 @@ _SHORT = {
 
 @dataclass(frozen=True, slots=True)
 class Share:
-    """check: what binds, the one that exceeds its limit most or comes nearest to it; None without any that has a limit.
+    """check: what binds, the one that exceeds its limit most or comes nearest to it; None without
+    any that has a limit.
 
     stable: whether the loop is, over the whole box where it is one.
     """
@@ -81,7 +84,10 @@ def share(checks: Checks) -> Share:
 def binding(check: Check) -> str:
     """What binds, in two words: "output sensitivity"."""
     name = check.name.removeprefix("robust.").removeprefix("sampled.")
-    return next((words for start, words in _SHORT.items() if name.startswith(start)), units.prose(check.title))
+    return next(
+        (words for start, words in _SHORT.items() if name.startswith(start)),
+        units.prose(check.title),
+    )
 
 
 def ratio_text(ratio: float) -> str:
@@ -99,22 +105,44 @@ def nearest(candidates: Sequence[Candidate]) -> Candidate:
 
 
 def _labels(candidates: Sequence[Candidate]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(checks.label for candidate in candidates for checks in candidate.checks))
+    return tuple(
+        dict.fromkeys(checks.label for candidate in candidates for checks in candidate.checks)
+    )
 
 
 def decision(candidates: Sequence[Candidate]) -> Verdict:
-    """One sentence: which controller meets everything, or which comes nearest, and what binds it."""
+    """One sentence: which controller meets everything, or which comes nearest, and what binds
+    it.
+    """
     labels, best = _labels(candidates), nearest(candidates)
-    good = [candidate for candidate in candidates if candidate.passed and not _absent(candidate, labels)]
+    good = [
+        candidate for candidate in candidates if candidate.passed and not _absent(candidate, labels)
+    ]
     where, worst = _worst(best)
     if best in good:
         box = ", and over the tolerances around them," if best.boxes else ""
-        box += f" between them (found on grids of {listed([c.label for c in best.ranges])})," if best.ranges else ""
-        count = f"all {len(best.checks)} operating points" if len(best.checks) > 1 else "the operating point"
-        margin = f"; nearest to its limit: {_amount(worst)} {where}" if worst.check is not None else "; no limits were given"
+        box += (
+            f" between them (found on grids of {listed([c.label for c in best.ranges])}),"
+            if best.ranges
+            else ""
+        )
+        count = (
+            f"all {len(best.checks)} operating points"
+            if len(best.checks) > 1
+            else "the operating point"
+        )
+        margin = (
+            f"; nearest to its limit: {_amount(worst)} {where}"
+            if worst.check is not None
+            else "; no limits were given"
+        )
         others = [_quoted(candidate.name) for candidate in good if candidate is not best]
         also = f"; also by {listed(others)}" if others else ""
-        return Verdict("", True, f"Every requirement is met at {count}{box} by {_quoted(best.name)}{margin}{also}.")
+        return Verdict(
+            "",
+            True,
+            f"Every requirement is met at {count}{box} by {_quoted(best.name)}{margin}{also}.",
+        )
     lost = [checks.label for checks in best.checks if not checks.stable]
     if lost:
         why = f"it is unstable at {listed(lost)}"
@@ -125,7 +153,11 @@ def decision(candidates: Sequence[Candidate]) -> Verdict:
         why = f"it becomes unstable {where}"
     else:
         why = f"{_amount(worst)} {where}"
-    return Verdict("", False, f"No controller meets every requirement; nearest comes {_quoted(best.name)}: {why}.")
+    return Verdict(
+        "",
+        False,
+        f"No controller meets every requirement; nearest comes {_quoted(best.name)}: {why}.",
+    )
 
 
 def _quoted(name: str) -> str:
@@ -135,21 +167,34 @@ def _quoted(name: str) -> str:
 
 def _absent(candidate: Candidate, labels: Sequence[str]) -> list[str]:
     """The operating points at which it was not evaluated."""
-    return [label for label in dict.fromkeys((*labels, *candidate.left_out)) if candidate.at(label) is None]
+    return [
+        label
+        for label in dict.fromkeys((*labels, *candidate.left_out))
+        if candidate.at(label) is None
+    ]
 
 
 def _distance(candidate: Candidate, labels: Sequence[str]) -> tuple[int, int, float]:
-    """How far a controller is from meeting everything: points not held, boxes not held, the worst ratio."""
-    points, boxes = ([share(checks) for checks in part] for part in (candidate.checks, (*candidate.boxes, *candidate.ranges)))
+    """How far a controller is from meeting everything: points not held, boxes not held, the worst
+    ratio.
+    """
+    points, boxes = (
+        [share(checks) for checks in part]
+        for part in (candidate.checks, (*candidate.boxes, *candidate.ranges))
+    )
     missing = len(_absent(candidate, labels)) + sum(not own.stable for own in points)
     return missing, sum(not own.stable for own in boxes), _worst(candidate)[1].ratio
 
 
 def _worst(candidate: Candidate) -> tuple[str, Share]:
-    """Where and what binds of everything that was evaluated; an operating point goes before the box around it."""
+    """Where and what binds of everything that was evaluated; an operating point goes before the box
+    around it.
+    """
     known = [(f"at {checks.label}", share(checks)) for checks in candidate.checks]
     known += [(f"over the tolerances {around(box)}", share(box)) for box in candidate.boxes]
-    known += [(f"between the points of {checks.label}", share(checks)) for checks in candidate.ranges]
+    known += [
+        (f"between the points of {checks.label}", share(checks)) for checks in candidate.ranges
+    ]
     return max(known, key=lambda item: (not item[1].passed, item[1].ratio))
 
 
@@ -162,20 +207,36 @@ def _amount(own: Share) -> str:
     return f"{binding(check)} {value} (limit {limit}, share {ratio_text(own.ratio)})"
 
 
-def envelope_section(machine: Machine, candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
-    """The map: a panel of speed over pressure per controller where the operating points form a grid, else one table."""
+def envelope_section(
+    machine: Machine, candidates: Sequence[Candidate], points: Sequence[str]
+) -> Section:
+    """The map: a panel of speed over pressure per controller where the operating points form a
+    grid, else one table.
+    """
     known = {point.label: point for point in machine.operation.envelope}
     left_out = [label for candidate in candidates for label in candidate.left_out]
     places = sorted(
-        (known[label] for label in {*points, *left_out} if label in known), key=lambda p: (p.speed, p.seal_pressure)
+        (known[label] for label in {*points, *left_out} if label in known),
+        key=lambda p: (p.speed, p.seal_pressure),
     )
-    points = [place.label for place in places] + [label for label in dict.fromkeys((*points, *left_out)) if label not in known]
+    points = [place.label for place in places] + [
+        label for label in dict.fromkeys((*points, *left_out)) if label not in known
+    ]
     grid = len(places) == len(points) and _is_grid(places)
-    shown = [_panel(candidate, places) for candidate in candidates] if grid else [_table(known, candidates, points)]
-    words = "For every operating point the requirement that comes nearest to its limit, and its share of the limit: up to 1 it "
+    shown = (
+        [_panel(candidate, places) for candidate in candidates]
+        if grid
+        else [_table(known, candidates, points)]
+    )
+    words = (
+        "For every operating point the requirement that comes nearest to its limit, and its share "
+        "of the limit: up to 1 it "
+    )
     words += "is met."
     if any(candidate.boxes for candidate in candidates):
-        words += " Each second row (±): the worst that was found over the tolerances around the point."
+        words += (
+            " Each second row (±): the worst that was found over the tolerances around the point."
+        )
     return Section("The envelope", words, (), (*shown, _legend()))
 
 
@@ -188,31 +249,57 @@ def _is_grid(places: Sequence[OperatingPoint]) -> bool:
 
 def _panel(candidate: Candidate, places: Sequence[OperatingPoint]) -> Table:
     """One controller: speeds from left to right, pressures from the bottom up."""
-    speeds, pressures = (sorted(set(values)) for values in zip(*((p.speed, p.seal_pressure) for p in places), strict=True))
+    speeds, pressures = (
+        sorted(set(values))
+        for values in zip(*((p.speed, p.seal_pressure) for p in places), strict=True)
+    )
     at = {(place.speed, place.seal_pressure): place.label for place in places}
     rows: list[Row] = []
     for pressure in reversed(pressures):
         labels = [at.get((speed, pressure)) for speed in speeds]
-        rows.append((units.quantity(pressure, "Pa"), *(_cell(candidate, label) for label in labels)))
+        rows.append(
+            (units.quantity(pressure, "Pa"), *(_cell(candidate, label) for label in labels))
+        )
         if candidate.boxes:
-            rows.append((Cell("± tolerances", "muted"), *(_box_cell(candidate, label) for label in labels)))
+            rows.append(
+                (Cell("± tolerances", "muted"), *(_box_cell(candidate, label) for label in labels))
+            )
     columns = ("", *(_rpm(speed) for speed in speeds))
     widths = (22, *[78 // len(speeds)] * len(speeds))
     return Table(candidate.name, columns, tuple(rows), "", widths, (), True)
 
 
-def _table(known: dict[str, OperatingPoint], candidates: Sequence[Candidate], points: Sequence[str]) -> Table:
+def _table(
+    known: dict[str, OperatingPoint], candidates: Sequence[Candidate], points: Sequence[str]
+) -> Table:
     """Rows are operating points, columns controllers."""
     rows: list[Row] = []
     for label in points:
         place = known.get(label)
-        where = "" if place is None else f"{_rpm(place.speed)}, {units.quantity(place.seal_pressure, 'Pa')}"
-        rows.append((Cell(label, detail=where), *(_cell(candidate, label) for candidate in candidates)))
+        where = (
+            ""
+            if place is None
+            else f"{_rpm(place.speed)}, {units.quantity(place.seal_pressure, 'Pa')}"
+        )
+        rows.append(
+            (Cell(label, detail=where), *(_cell(candidate, label) for candidate in candidates))
+        )
         boxes = [_box_cell(candidate, label) for candidate in candidates]
-        if any(any(box.label == box_label(label) for box in candidate.boxes) for candidate in candidates):
+        if any(
+            any(box.label == box_label(label) for box in candidate.boxes)
+            for candidate in candidates
+        ):
             rows.append((Cell("± tolerances", "muted"), *boxes))
     widths = (16, *[84 // len(candidates)] * len(candidates))
-    return Table("", ("Operating point", *(candidate.name for candidate in candidates)), tuple(rows), "", widths, (), True)
+    return Table(
+        "",
+        ("Operating point", *(candidate.name for candidate in candidates)),
+        tuple(rows),
+        "",
+        widths,
+        (),
+        True,
+    )
 
 
 def _cell(candidate: Candidate, label: str | None) -> Cell:
@@ -227,24 +314,43 @@ def _cell(candidate: Candidate, label: str | None) -> Cell:
 
 
 def _box_cell(candidate: Candidate, label: str | None) -> Cell:
-    box = next((box for box in candidate.boxes if label is not None and box.label == box_label(label)), None)
+    box = next(
+        (box for box in candidate.boxes if label is not None and box.label == box_label(label)),
+        None,
+    )
     if box is None:
         return Cell("" if label is None else NOT_EVALUATED, shade="" if label is None else "absent")
     own = share(box)
-    margin = own.check if own.check is not None and own.check.name == "robust.stability.margin" else None
-    return _shaded(own, f"from {units.number(margin.value)} of them on" if margin is not None else "")
+    margin = (
+        own.check if own.check is not None and own.check.name == "robust.stability.margin" else None
+    )
+    return _shaded(
+        own, f"from {units.number(margin.value)} of them on" if margin is not None else ""
+    )
 
 
 def _shaded(own: Share, why: str) -> Cell:
     if not own.stable:
-        return Cell("unstable", "fail", detail=why or (binding(own.check) if own.check is not None else ""), shade="unstable")
+        return Cell(
+            "unstable",
+            "fail",
+            detail=why or (binding(own.check) if own.check is not None else ""),
+            shade="unstable",
+        )
     if own.check is None:
         return Cell("stable", "pass", detail="no limits", shade="free")
-    return Cell(ratio_text(own.ratio), "pass" if own.passed else "fail", detail=binding(own.check), shade=shade_of(own))
+    return Cell(
+        ratio_text(own.ratio),
+        "pass" if own.passed else "fail",
+        detail=binding(own.check),
+        shade=shade_of(own),
+    )
 
 
 def shade_of(own: Share) -> str:
-    """The shade of a stable loop: "meets-1" to "meets-3" up to the limit, "fails-1" to "fails-4" beyond it."""
+    """The shade of a stable loop: "meets-1" to "meets-3" up to the limit, "fails-1" to "fails-4"
+    beyond it.
+    """
     ends, name = (_MEETS[:-1], "meets") if own.passed else (_FAILS, "fails")
     return f"{name}-{1 + sum(own.ratio > end for end in ends)}"
 
@@ -257,7 +363,9 @@ def _legend() -> Table:
     cells += [Cell(text, shade=f"fails-{i}") for i, text in enumerate(fails, 1)]
     cells += [Cell("unstable", shade="unstable"), Cell(NOT_EVALUATED, shade="absent")]
     widths = (16, *[84 // len(cells)] * len(cells))
-    return Table("", ("",) * (1 + len(cells)), (("Share of the limit", *cells),), "", widths, (), True)
+    return Table(
+        "", ("",) * (1 + len(cells)), (("Share of the limit", *cells),), "", widths, (), True
+    )
 
 
 def _order(place: OperatingPoint | None) -> tuple[float, float]:

@@ -10,17 +10,17 @@ from typing import TypeVar
 import numpy as np
 
 from ambrose.core.frequency import frequency_response
-from ambrose.evaluation.candidate import Candidate, find
+from ambrose.judge.checks import Checks, Curve
 from ambrose.machine.machine import Machine
 from ambrose.report import theme, units
-from ambrose.report.captions import caption
 from ambrose.report.comparison.envelope import NOT_EVALUATED
 from ambrose.report.figures.filter_chains import filter_figure
 from ambrose.report.figures.panels import Panel, panel_figure
 from ambrose.report.page import Figure
-from ambrose.report.record.curves import thinned, trace_curves
-from ambrose.simulation.trace import Trace
-from ambrose.verification.checks import Checks, Curve
+from ambrose.report.record import thinned, trace_curves
+from ambrose.report.verification import caption
+from ambrose.rig.candidate import Candidate, find
+from ambrose.rig.trace import Trace
 
 T = TypeVar("T")
 
@@ -30,16 +30,26 @@ _LOOPS = (  # (curve, the check that holds its refined peak)
     ("unbalance", "unbalance.orbit"),
 )
 _COLUMNS = 4  # panels beside each other
-_INSIDE, _OUTSIDE, _OUTLINE = 150, 40, 120  # bins of a response in time inside and outside the view; points of an outline
-_LOWEST, _HIGHEST, _POINTS = 0.1 * units.TWO_PI, 2e3 * units.TWO_PI, 500  # rad/s, of the controller gains
+# bins of a response in time inside and outside the view; points of an outline
+_INSIDE = 150
+_OUTSIDE = 40
+_OUTLINE = 120
+# rad/s, of the controller gains
+_LOWEST = 0.1 * units.TWO_PI
+_HIGHEST = 2e3 * units.TWO_PI
+_POINTS = 500
 _NONE = 1e-9  # a gain this small beside the largest is one that the controller does not have
 _DELTA = re.compile(r"^(.*\S) ([+-]\d+(?:\.\d+)?)$")
-_ONSET, _SETTLED = 0.02, 0.05  # a time view goes from where the first response leaves this band (of its largest value) to where
-_BEFORE, _AFTER = 0.06, 0.25  # the last one has settled into that band, and so much of its length before and after
+# a time view goes from where the first response leaves this band (of its largest value) to where
+_ONSET, _SETTLED = 0.02, 0.05
+# the last one has settled into that band, and so much of its length before and after
+_BEFORE, _AFTER = 0.06, 0.25
 
 
 def loop_figures(candidates: Sequence[Candidate], points: Sequence[str]) -> tuple[Figure, ...]:
-    """Output sensitivity, compliance and unbalance orbit: one panel per candidate, the operating points overlaid."""
+    """Output sensitivity, compliance and unbalance orbit: one panel per candidate, the operating
+    points overlaid.
+    """
     style = theme.styles(points)
     figures = []
     for name, check in _LOOPS:
@@ -47,7 +57,10 @@ def loop_figures(candidates: Sequence[Candidate], points: Sequence[str]) -> tupl
         curves = [curve for panel in panels for _, curve in panel.curves]
         if curves:
             picture, hidden = panel_figure(wrapped(panels), style, mark_peaks=True)
-            words = f"{caption(curves[0])} Above each panel: its peaks, as in the tables, point by point."
+            words = (
+                f"{caption(curves[0])} Above each panel: its peaks, as in the tables, point by "
+                "point."
+            )
             figures.append(Figure(units.prose(curves[0].title), picture, _with(words, hidden)))
     return tuple(figures)
 
@@ -82,14 +95,24 @@ def _one_unit(notes: Sequence[tuple[str, str]]) -> tuple[tuple[str, str], ...]:
 
 
 def family_figures(machine: Machine, candidates: Sequence[Candidate]) -> tuple[Figure, ...]:
-    """Every curve of the robust verification: families in one panel per candidate, single lines overlaid."""
-    boxes = [(candidate, candidate.robust) for candidate in candidates if candidate.robust is not None]
+    """Every curve of the robust verification: families in one panel per candidate, single lines
+    overlaid.
+    """
+    boxes = [
+        (candidate, candidate.robust) for candidate in candidates if candidate.robust is not None
+    ]
     names = dict.fromkeys(curve.name for _, checks in boxes for curve in checks.curves)
     return tuple(_family_figure(machine, boxes, name) for name in names)
 
 
-def _family_figure(machine: Machine, boxes: Sequence[tuple[Candidate, Checks]], name: str) -> Figure:
-    families = [(candidate, checks, curve) for candidate, checks in boxes if (curve := _curve(checks, name)) is not None]
+def _family_figure(
+    machine: Machine, boxes: Sequence[tuple[Candidate, Checks]], name: str
+) -> Figure:
+    families = [
+        (candidate, checks, curve)
+        for candidate, checks in boxes
+        if (curve := _curve(checks, name)) is not None
+    ]
     first = families[0][2]
     if all(len(curve.labels) == 1 for _, _, curve in families):
         style = theme.candidate_styles([candidate.name for candidate, _ in boxes])
@@ -101,11 +124,16 @@ def _family_figure(machine: Machine, boxes: Sequence[tuple[Candidate, Checks]], 
     panels = []
     for candidate, checks, curve in families:
         lines = tuple((shown.get(label, label), _line(curve, label)) for label in curve.labels)
-        panels.append(Panel(candidate.name, lines, (("", _family_note(checks, name, longest, curve.labels)),)))
+        panels.append(
+            Panel(candidate.name, lines, (("", _family_note(checks, name, longest, curve.labels)),))
+        )
     others = theme.family_styles([name for panel in panels for name, _ in panel.curves])
     style = {**others, **theme.family_styles([shown[label] for label in longest])}
     picture, hidden = panel_figure(wrapped(panels), style, mark_peaks=True)
-    words = f"{caption(first)} Lines that are missing belong to unstable loops. Model: {families[0][1].label}."
+    words = (
+        f"{caption(first)} Lines that are missing belong to unstable loops. Model: "
+        f"{families[0][1].label}."
+    )
     return Figure(units.prose(first.title), picture, _with(words, hidden))
 
 
@@ -129,13 +157,21 @@ def _family_labels(machine: Machine, labels: Sequence[str]) -> dict[str, str]:
             continue
         parameter, delta = match[1], float(match[2])
         width = relative.get(parameter)
-        words = "nominal" if delta == 0 else f"{delta:+g} tolerance" if width is None else f"{100 * width * delta:+.3g}\u00a0%"
+        words = (
+            "nominal"
+            if delta == 0
+            else f"{delta:+g} tolerance"
+            if width is None
+            else f"{100 * width * delta:+.3g}\u00a0%"
+        )
         shown[label] = f"{parameter} {words}".replace("-", "−")
     return shown
 
 
 def gain_figures(machine: Machine, candidates: Sequence[Candidate]) -> tuple[Figure, ...]:
-    """Magnitude of the controllers' direct and cross-coupling gains, the candidates overlaid (Lauridsen 2017, P5, fig. 10)."""
+    """Magnitude of the controllers' direct and cross-coupling gains, the candidates overlaid
+    (Lauridsen 2017, P5, fig. 10).
+    """
     systems = [(candidate.name, candidate.synthesis.controller) for candidate in candidates]
     n = min(len(machine.axes), *(min(system.D.shape) for _, system in systems))
     omega = np.geomspace(_LOWEST, _HIGHEST, _POINTS)
@@ -146,11 +182,15 @@ def gain_figures(machine: Machine, candidates: Sequence[Candidate]) -> tuple[Fig
     direct = [_gain_panel(machine, gains, i, i) for i in range(n)]
     cross = [_gain_panel(machine, gains, 0, j) for j in range(1, n)]
     picture, hidden = panel_figure(
-        [*wrapped(direct), *wrapped(cross)], theme.candidate_styles([name for name, _ in systems]), height=190
+        [*wrapped(direct), *wrapped(cross)],
+        theme.candidate_styles([name for name, _ in systems]),
+        height=190,
     )
     words = (
-        "Current per displacement. First row: every axis from its own sensor. Second row: the first axis from the sensors of "
-        "the others, which is where the controllers differ: cross coupling works against the seal's."
+        "Current per displacement. First row: every axis from its own sensor. Second row: the "
+        "first axis from the sensors of "
+        "the others, which is where the controllers differ: cross coupling works against the "
+        "seal's."
     )
     return (Figure("Controller gains", picture, _with(words, hidden)),)
 
@@ -158,14 +198,25 @@ def gain_figures(machine: Machine, candidates: Sequence[Candidate]) -> tuple[Fig
 def chain_figures(machine: Machine, candidates: Sequence[Candidate]) -> tuple[Figure, ...]:
     """The filter banks among the controllers: per channel its sections, and their Bode diagram."""
     words = (
-        "Channels that are the same are drawn once: every section in series with its frequencies and dampings (○ zeros, × "
+        "Channels that are the same are drawn once: every section in series with its frequencies "
+        "and dampings (○ zeros, × "
         "poles), and the response of the whole chain."
     )
-    banks = [(candidate.name, candidate.synthesis.filters) for candidate in candidates if candidate.synthesis.scheduled is None]
-    return tuple(Figure(f"{name}: filters", filter_figure(bank, machine.axes), words) for name, bank in banks if bank)
+    banks = [
+        (candidate.name, candidate.synthesis.filters)
+        for candidate in candidates
+        if candidate.synthesis.scheduled is None
+    ]
+    return tuple(
+        Figure(f"{name}: filters", filter_figure(bank, machine.axes), words)
+        for name, bank in banks
+        if bank
+    )
 
 
-def _gain_panel(machine: Machine, gains: Mapping[str, tuple[np.ndarray, np.ndarray]], i: int, j: int) -> Panel:
+def _gain_panel(
+    machine: Machine, gains: Mapping[str, tuple[np.ndarray, np.ndarray]], i: int, j: int
+) -> Panel:
     axes = machine.axes
     curves, notes = [], []
     for name, (omega, gain) in gains.items():
@@ -174,16 +225,38 @@ def _gain_panel(machine: Machine, gains: Mapping[str, tuple[np.ndarray, np.ndarr
             notes.append((name, f"{name}: none"))
             continue
         curves.append(
-            (name, Curve("controller.gain", "Gain", "frequency", omega, row[None], (f"{i + 1},{j + 1}",), "rad/s", "A/m"))
+            (
+                name,
+                Curve(
+                    "controller.gain",
+                    "Gain",
+                    "frequency",
+                    omega,
+                    row[None],
+                    (f"{i + 1},{j + 1}",),
+                    "rad/s",
+                    "A/m",
+                ),
+            )
         )
     arrow = axes[i] if i == j else f"{axes[j]} → {axes[i]}"
     return Panel(f"({i + 1},{j + 1}) {units.prose(arrow)}", tuple(curves), tuple(notes))
 
 
-def time_figures(machine: Machine, candidates: Sequence[Candidate], points: Sequence[str]) -> tuple[Figure, ...]:
-    """Displacements and currents of every scenario: rows are axes, columns candidates, the operating points overlaid."""
-    traces = [(candidate, point, trace) for candidate in candidates for point, trace in candidate.traces]
-    curves = [(candidate, point, trace, curve) for candidate, point, trace in traces for curve in trace_curves(trace, machine)]
+def time_figures(
+    machine: Machine, candidates: Sequence[Candidate], points: Sequence[str]
+) -> tuple[Figure, ...]:
+    """Displacements and currents of every scenario: rows are axes, columns candidates, the
+    operating points overlaid.
+    """
+    traces = [
+        (candidate, point, trace) for candidate in candidates for point, trace in candidate.traces
+    ]
+    curves = [
+        (candidate, point, trace, curve)
+        for candidate, point, trace in traces
+        for curve in trace_curves(trace, machine)
+    ]
     return tuple(
         _time_figure(candidates, points, [row for row in curves if row[3].name == name])
         for name in dict.fromkeys(curve.name for *_, curve in curves)
@@ -191,7 +264,9 @@ def time_figures(machine: Machine, candidates: Sequence[Candidate], points: Sequ
 
 
 def _time_figure(
-    candidates: Sequence[Candidate], points: Sequence[str], responses: Sequence[tuple[Candidate, str, Trace, Curve]]
+    candidates: Sequence[Candidate],
+    points: Sequence[str],
+    responses: Sequence[tuple[Candidate, str, Trace, Curve]],
 ) -> Figure:
     first = responses[0][3]
     axes = tuple(dict.fromkeys(label for *_, curve in responses for label in curve.labels))
@@ -203,12 +278,28 @@ def _time_figure(
         for i, axis in enumerate(axes):
             row = []
             for candidate in block:
-                mine = sorted((item for item in responses if item[0] is candidate), key=lambda item: labels.index(item[1]))
-                lines = tuple((point, _drawable(curve, axis, trace, span)) for _, point, trace, curve in mine)
-                notes = [(point, _ending(trace)) for _, point, trace, _ in mine if not _is_calm(trace)]
-                notes += [(point, f"{point}: {NOT_EVALUATED}") for point in points if candidate.at(point) is None]
+                mine = sorted(
+                    (item for item in responses if item[0] is candidate),
+                    key=lambda item: labels.index(item[1]),
+                )
+                lines = tuple(
+                    (point, _drawable(curve, axis, trace, span)) for _, point, trace, curve in mine
+                )
+                notes = [
+                    (point, _ending(trace)) for _, point, trace, _ in mine if not _is_calm(trace)
+                ]
+                notes += [
+                    (point, f"{point}: {NOT_EVALUATED}")
+                    for point in points
+                    if candidate.at(point) is None
+                ]
                 row.append(
-                    Panel(candidate.name if i == 0 else "", lines, tuple(notes) if i == 0 else (), units.axis_name(axis))
+                    Panel(
+                        candidate.name if i == 0 else "",
+                        lines,
+                        tuple(notes) if i == 0 else (),
+                        units.axis_name(axis),
+                    )
                 )
             rows.append(row)
     picture, hidden = panel_figure(rows, theme.styles(labels), height=96, view=calm, span=span)
@@ -218,13 +309,18 @@ def _time_figure(
         words += " Of a run that is unstable or driven too far the outline of its growth is drawn."
     if span is not None and span[1] - span[0] < 0.99 * whole:
         shown = f"{units.quantity(span[0], 's')} to {units.quantity(span[1], 's')}"
-        words += f" Shown from {shown} of the {units.quantity(whole, 's')} computed; a double-click shows all."
+        words += (
+            f" Shown from {shown} of the {units.quantity(whole, 's')} computed; a double-click "
+            "shows all."
+        )
     return Figure(units.prose(first.title), picture, _with(words, hidden))
 
 
 def _drawable(curve: Curve, axis: str, trace: Trace, span: tuple[float, float] | None) -> Curve:
-    """One line as it is drawn: the lowest and the highest value of every bin, small ones inside the view; of a run that is
-    not calm, whose oscillation would fill its panel, the outline of its growth to either side."""
+    """One line as it is drawn: the lowest and the highest value of every bin, small ones inside the
+    view; of a run that is not calm, whose oscillation would fill its panel, the outline of its
+    growth to either side.
+    """
     i = curve.labels.index(axis)
     row = curve.y[i : i + 1]
     if not _is_calm(trace):
@@ -233,9 +329,14 @@ def _drawable(curve: Curve, axis: str, trace: Trace, span: tuple[float, float] |
         return replace(curve, x=curve.x[keep], y=both[:, keep], labels=(axis, axis))
     low, high = (0, row.shape[1]) if span is None else np.searchsorted(curve.x, span)
     pieces = [(slice(0, low), _OUTSIDE), (slice(low, high), _INSIDE), (slice(high, None), _OUTSIDE)]
-    parts = [thinned(curve.x[part], row[:, part], bins) for part, bins in pieces if curve.x[part].size]
+    parts = [
+        thinned(curve.x[part], row[:, part], bins) for part, bins in pieces if curve.x[part].size
+    ]
     return replace(
-        curve, x=np.concatenate([x for x, _ in parts]), y=np.concatenate([y for _, y in parts], axis=1), labels=(axis,)
+        curve,
+        x=np.concatenate([x for x, _ in parts]),
+        y=np.concatenate([y for _, y in parts], axis=1),
+        labels=(axis,),
     )
 
 
@@ -259,7 +360,9 @@ def _ending(trace: Trace) -> str:
 
 def _lively(curves: Sequence[tuple[str, Curve]]) -> tuple[float, float] | None:
     """From when to when these responses have something to show [s]; None without any that moves."""
-    starts, ends, last = [], [], 0.0
+    starts = []
+    ends = []
+    last = 0.0
     for _, curve in curves:
         size = np.abs(curve.y).max(axis=0)
         moving = np.flatnonzero(size > _ONSET * size.max())
@@ -281,7 +384,11 @@ def wrapped(items: Sequence[T]) -> list[Sequence[T]]:
 
 
 def _curve(checks: Checks | None, name: str) -> Curve | None:
-    return next((curve for curve in checks.curves if curve.name == name), None) if checks is not None else None
+    return (
+        next((curve for curve in checks.curves if curve.name == name), None)
+        if checks is not None
+        else None
+    )
 
 
 def _line(curve: Curve, label: str) -> Curve:

@@ -1,4 +1,6 @@
-"""Several controllers in tables: who passes where and why not, and the quantities that decide, side by side."""
+"""Several controllers in tables: who passes where and why not, and the quantities that decide, side
+by side.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +9,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ambrose.evaluation.candidate import Candidate, find
+from ambrose.judge.checks import Check, Checks
+from ambrose.judge.verification import WITH_MEAN_DELAY
 from ambrose.machine.description import Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.report import units
 from ambrose.report.page import Cell, Row, Table, Verdict
 from ambrose.report.tables import RELATION, around, listed, place, reason, verdict
-from ambrose.verification.checks import Check, Checks
-from ambrose.verification.verification import WITH_MEAN_DELAY
+from ambrose.rig.candidate import Candidate, find
 
 Better = Callable[..., Any]  # min or max
 
@@ -47,7 +49,10 @@ _IMPLIED = {
 
 def verdicts_of(candidates: Sequence[Candidate], points: Sequence[str]) -> tuple[Verdict, ...]:
     """One line per candidate: where it passes and where not."""
-    return tuple(Verdict(candidate.name, candidate.passed, _line(candidate, points)) for candidate in candidates)
+    return tuple(
+        Verdict(candidate.name, candidate.passed, _line(candidate, points))
+        for candidate in candidates
+    )
 
 
 def _line(candidate: Candidate, points: Sequence[str]) -> str:
@@ -55,7 +60,9 @@ def _line(candidate: Candidate, points: Sequence[str]) -> str:
     for point in points:
         checks = candidate.at(point)
         if checks is not None:
-            groups["unstable at" if not checks.stable else "passes at" if checks.passed else "fails at"].append(point)
+            groups[
+                "unstable at" if not checks.stable else "passes at" if checks.passed else "fails at"
+            ].append(point)
     words = [f"{what} {listed(labels)}" for what, labels in groups.items() if labels]
     if not groups["unstable at"] and not groups["fails at"]:
         words = [f"passes every check at {listed(groups['passes at'])}"]
@@ -63,10 +70,18 @@ def _line(candidate: Candidate, points: Sequence[str]) -> str:
         words.append(f"not covered by its schedule: {listed(candidate.left_out)}")
     if candidate.boxes:
         failed = [around(box) for box in candidate.boxes if not box.passed]
-        words.append(f"fails over the tolerances {listed(failed)}" if failed else "passes over the tolerances")
+        words.append(
+            f"fails over the tolerances {listed(failed)}"
+            if failed
+            else "passes over the tolerances"
+        )
     if candidate.ranges:
         failed = [checks.label for checks in candidate.ranges if not checks.passed]
-        words.append(f"fails between the points of {listed(failed)}" if failed else "passes between the points of its ranges")
+        words.append(
+            f"fails between the points of {listed(failed)}"
+            if failed
+            else "passes between the points of its ranges"
+        )
     return "; ".join(words)
 
 
@@ -79,12 +94,16 @@ def grouped(sentences: Sequence[str]) -> str:
         what.setdefault((label, why), []).append(name)
     where: dict[str, list[str]] = {}
     for (label, why), names in what.items():
-        where.setdefault(f"{', '.join(names)} ({why}" if why else ", ".join(names), []).append(label)
+        where.setdefault(f"{', '.join(names)} ({why}" if why else ", ".join(names), []).append(
+            label
+        )
     return "; ".join(f"{listed(labels)}: {words}" for words, labels in where.items())
 
 
 def verdict_table(candidates: Sequence[Candidate], points: Sequence[str]) -> Table:
-    """One row per candidate, one column per operating point and one for the tolerances around them: pass or fail, and why."""
+    """One row per candidate, one column per operating point and one for the tolerances around them:
+    pass or fail, and why.
+    """
     box = any(candidate.robust is not None for candidate in candidates)
     rows: list[Row] = []
     for candidate in candidates:
@@ -93,7 +112,15 @@ def verdict_table(candidates: Sequence[Candidate], points: Sequence[str]) -> Tab
         rows.append((candidate.name, *cells))
     columns = ("Controller", *points, *(["over the tolerances"] if box else []))
     rest = 86 // (len(columns) - 1)
-    return Table("Who passes where, and why not", columns, tuple(rows), "", (14, *[rest] * (len(columns) - 1)), (), True)
+    return Table(
+        "Who passes where, and why not",
+        columns,
+        tuple(rows),
+        "",
+        (14, *[rest] * (len(columns) - 1)),
+        (),
+        True,
+    )
 
 
 def _verdict_cell(checks: Checks | None) -> Cell:
@@ -102,16 +129,26 @@ def _verdict_cell(checks: Checks | None) -> Cell:
     judged = [check for check in checks.checks if check.passed is not None]
     failed = [check for check in judged if not check.passed]
     if not checks.stable:
-        return Cell("unstable", "fail", detail=", ".join(place(check) or reason(check) for check in failed))
+        return Cell(
+            "unstable", "fail", detail=", ".join(place(check) or reason(check) for check in failed)
+        )
     if not failed:
-        return Cell("passes", "pass", detail=f"all {len(judged)} checks" if judged else "no limits were given")
+        return Cell(
+            "passes",
+            "pass",
+            detail=f"all {len(judged)} checks" if judged else "no limits were given",
+        )
     reasons = "; ".join(reason(check) for check in failed[:_MOST_REASONS])
     rest = f"; and {len(failed) - _MOST_REASONS} more" if len(failed) > _MOST_REASONS else ""
-    return Cell(reasons + rest, "fail", detail=f"{len(judged) - len(failed)} of {len(judged)} checks pass")
+    return Cell(
+        reasons + rest, "fail", detail=f"{len(judged) - len(failed)} of {len(judged)} checks pass"
+    )
 
 
 def _boxes_cell(boxes: Sequence[Checks]) -> Cell:
-    """The first box that fails, or the first of all; and how many there are where there are several."""
+    """The first box that fails, or the first of all; and how many there are where there are
+    several.
+    """
     if not boxes:
         return Cell("not evaluated", "muted")
     failed = [box for box in boxes if not box.passed]
@@ -128,12 +165,24 @@ def _box_cell(checks: Checks) -> Cell:
     margin, worst, proved = (find(checks, name) for name in names)
     worst = find(checks, "sampled.sensitivity.box") or worst  # of the loop that runs
     if not checks.stable:
-        return Cell("unstable", "fail", detail="without any perturbation: " + verdict(checks).text.partition(":")[2].strip())
+        return Cell(
+            "unstable",
+            "fail",
+            detail="without any perturbation: " + verdict(checks).text.partition(":")[2].strip(),
+        )
     if margin is not None and margin.passed is False:
-        return Cell(f"unstable from {units.number(margin.value)} of the tolerances on", "fail", detail=_brief(place(margin)))
+        return Cell(
+            f"unstable from {units.number(margin.value)} of the tolerances on",
+            "fail",
+            detail=_brief(place(margin)),
+        )
     failed = [check for check in checks.checks if check.passed is False]
     if failed:
-        return Cell("; ".join(reason(check) for check in failed[:_MOST_REASONS]), "fail", detail=_proof(proved))
+        return Cell(
+            "; ".join(reason(check) for check in failed[:_MOST_REASONS]),
+            "fail",
+            detail=_proof(proved),
+        )
     size = "" if worst is None else f"worst output sensitivity {units.number(worst.value)}"
     return Cell("passes", "pass", detail="; ".join(part for part in (size, _proof(proved)) if part))
 
@@ -152,21 +201,38 @@ def _proof(check: Check | None) -> str:
 
 
 def glance_table(machine: Machine, candidates: Sequence[Candidate], points: Sequence[str]) -> Table:
-    """The quantities that decide, one column per candidate: worst of all operating points, whole box, the controller."""
-    rows: list[Row] = [_heading("Worst of all operating points", candidates), _stability_row(candidates, points)]
-    for known, better in _names([checks for candidate in candidates for checks in candidate.checks], _AT_A_POINT):
-        rows.append(_row(known, [_worst(candidate, points, known.name, better) for candidate in candidates], better))
+    """The quantities that decide, one column per candidate: worst of all operating points, whole
+    box, the controller.
+    """
+    rows: list[Row] = [
+        _heading("Worst of all operating points", candidates),
+        _stability_row(candidates, points),
+    ]
+    for known, better in _names(
+        [checks for candidate in candidates for checks in candidate.checks], _AT_A_POINT
+    ):
+        rows.append(
+            _row(
+                known,
+                [_worst(candidate, points, known.name, better) for candidate in candidates],
+                better,
+            )
+        )
     boxes = [candidate.robust for candidate in candidates]
     made = [checks for checks in boxes if checks is not None]
     if made:
         rows.append(_heading(f"Tolerances ({_box(machine)}) {around(made[0])}", candidates))
         for known, better in _names(made, _IN_THE_BOX):
-            rows.append(_row(known, [_entry(checks, known.name, detailed=True) for checks in boxes], better))
+            rows.append(
+                _row(known, [_entry(checks, known.name, detailed=True) for checks in boxes], better)
+            )
     rows += _mu_row(candidates)
     rows += [_heading("Controller", candidates), *_controller_rows(candidates)]
     note = (
-        "Shaded: the best of its row; an unstable loop has none. ✓ pass, ✗ fail, no sign: no limit. γ is "
-        "the norm that each method minimises on a design problem of its own: not to be compared between methods."
+        "Shaded: the best of its row; an unstable loop has none. ✓ pass, ✗ fail, no sign: no "
+        "limit. γ is "
+        "the norm that each method minimises on a design problem of its own: not to be compared "
+        "between methods."
     )
     width = 60 // max(len(candidates), 2)
     widths = (100 - 10 - width * len(candidates), 10, *[width] * len(candidates))
@@ -175,25 +241,49 @@ def glance_table(machine: Machine, candidates: Sequence[Candidate], points: Sequ
 
 
 def point_tables(candidates: Sequence[Candidate], points: Sequence[str]) -> tuple[Table, ...]:
-    """The same quantities at every operating point, the candidates side by side; cut into several tables to fit on paper."""
+    """The same quantities at every operating point, the candidates side by side; cut into several
+    tables to fit on paper.
+    """
     every = [checks for candidate in candidates for checks in candidate.checks]
     names = _names(every, _AT_A_POINT)
     size = max(1, _WIDEST // len(candidates))
-    return tuple(_point_table(candidates, points[i : i + size], names) for i in range(0, len(points), size))
+    return tuple(
+        _point_table(candidates, points[i : i + size], names) for i in range(0, len(points), size)
+    )
 
 
-def _point_table(candidates: Sequence[Candidate], points: Sequence[str], names: Sequence[tuple[Check, Better]]) -> Table:
+def _point_table(
+    candidates: Sequence[Candidate], points: Sequence[str], names: Sequence[tuple[Check, Better]]
+) -> Table:
     grouped = [[candidate.at(point) for candidate in candidates] for point in points]
-    rows: list[Row] = [("Stability", "", *(_stability_cell(checks) for group in grouped for checks in group))]
+    rows: list[Row] = [
+        ("Stability", "", *(_stability_cell(checks) for group in grouped for checks in group))
+    ]
     for known, better in names:
         groups = [[_entry(checks, known.name) for checks in group] for group in grouped]
-        rows.append(_row(known, [entry for group in groups for entry in group], better, group=len(candidates)))
+        rows.append(
+            _row(
+                known, [entry for group in groups for entry in group], better, group=len(candidates)
+            )
+        )
     title = "At every operating point" if len(points) > 1 else f"At {points[0]}"
     rest = 72 // max(len(points) * len(candidates), 6)
-    widths = (100 - 6 - rest * len(points) * len(candidates), 6, *[rest] * (len(points) * len(candidates)))
+    widths = (
+        100 - 6 - rest * len(points) * len(candidates),
+        6,
+        *[rest] * (len(points) * len(candidates)),
+    )
     columns = ("Quantity", "Limit", *[candidate.name for _ in points for candidate in candidates])
     groups_above = (("", 2), *((point, len(candidates)) for point in points))
-    return Table(title, columns, tuple(rows), "Shaded: the best at that operating point.", widths, groups_above, True)
+    return Table(
+        title,
+        columns,
+        tuple(rows),
+        "Shaded: the best at that operating point.",
+        widths,
+        groups_above,
+        True,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,26 +303,42 @@ def _entry(checks: Checks | None, name: str, *, detailed: bool = False) -> _Entr
     if check is None:
         return _Entry(None, "not evaluated")
     words = [f"zone\u00a0{check.zone}"] if check.zone and math.isfinite(check.value) else []
-    return _Entry(check, ", ".join(words + ([_brief(place(check))] if detailed and _brief(place(check)) else [])))
+    return _Entry(
+        check,
+        ", ".join(words + ([_brief(place(check))] if detailed and _brief(place(check)) else [])),
+    )
 
 
 def _worst(candidate: Candidate, points: Sequence[str], name: str, better: Better) -> _Entry:
-    """The check where it is worst, and at which operating point; none where one of them is unstable."""
+    """The check where it is worst, and at which operating point; none where one of them is
+    unstable.
+    """
     if not all(checks.stable for checks in candidate.checks):
         return _Entry(None, "unstable")
-    known = [(check, point) for point in points if (check := find(candidate.at(point), name)) is not None]
+    known = [
+        (check, point) for point in points if (check := find(candidate.at(point), name)) is not None
+    ]
     if not known:
         return _Entry(None, "not evaluated")
     check, point = (max if better is min else min)(known, key=lambda pair: pair[0].value)
-    return _Entry(check, ", ".join(([f"zone\u00a0{check.zone}"] if check.zone else []) + ([point] if len(points) > 1 else [])))
+    return _Entry(
+        check,
+        ", ".join(
+            ([f"zone\u00a0{check.zone}"] if check.zone else [])
+            + ([point] if len(points) > 1 else [])
+        ),
+    )
 
 
 def _row(sample: Check, entries: Sequence[_Entry], better: Better, *, group: int = 0) -> Row:
-    """Title, limit and cells; among every ``group`` of them (0: all) the best is marked. sample: what the row is about, as it
-    was evaluated anywhere."""
+    """Title, limit and cells; among every ``group`` of them (0: all) the best is marked. sample:
+    what the row is about, as it was evaluated anywhere.
+    """
     checks = [entry.check for entry in entries if entry.check is not None]
     first = checks[0] if checks else sample
-    known = [abs(x) for check in checks for x in (check.value, check.limit or 0.0) if math.isfinite(x)]
+    known = [
+        abs(x) for check in checks for x in (check.value, check.limit or 0.0) if math.isfinite(x)
+    ]
     factor, unit = units.scale(first.unit, max(known, default=0.0))
     limits = {_limit(check, factor) for check in checks or [sample]}
     size = group or len(entries)
@@ -240,20 +346,39 @@ def _row(sample: Check, entries: Sequence[_Entry], better: Better, *, group: int
     for start in range(0, len(entries), size):
         part = entries[start : start + size]
         shown = [_amount(entry.check, factor) if entry.check is not None else "" for entry in part]
-        best = _best([(e.check.value, text) for e, text in zip(part, shown, strict=True) if e.check is not None], better)
+        best = _best(
+            [
+                (e.check.value, text)
+                for e, text in zip(part, shown, strict=True)
+                if e.check is not None
+            ],
+            better,
+        )
         for entry, text in zip(part, shown, strict=True):
-            own = "" if entry.check is None or len(limits) == 1 else f"limit {_limit(entry.check, factor) or 'none'}"
+            own = (
+                ""
+                if entry.check is None or len(limits) == 1
+                else f"limit {_limit(entry.check, factor) or 'none'}"
+            )
             if entry.check is None:
                 cells.append(Cell(entry.words, "muted"))
                 continue
             mark = {None: "", True: "pass", False: "fail"}[entry.check.passed]
-            cells.append(Cell(text, mark, text == best, ", ".join(part for part in (entry.words, own) if part)))
+            cells.append(
+                Cell(
+                    text, mark, text == best, ", ".join(part for part in (entry.words, own) if part)
+                )
+            )
     title = units.prose(first.title) + (f" [{unit}]" if unit else "")
     return (title, limits.pop() if len(limits) == 1 else "", *cells)
 
 
 def _limit(check: Check, factor: float) -> str:
-    return "" if check.limit is None else f"{RELATION.get(check.relation, check.relation)} {units.number(check.limit * factor)}"
+    return (
+        ""
+        if check.limit is None
+        else f"{RELATION.get(check.relation, check.relation)} {units.number(check.limit * factor)}"
+    )
 
 
 def _amount(check: Check, factor: float) -> str:
@@ -269,10 +394,16 @@ def _best(known: Sequence[tuple[float, str]], better: Better) -> str | None:
 
 
 def _names(every: Sequence[Checks], chosen: Mapping[str, Better]) -> list[tuple[Check, Better]]:
-    """The chosen quantities that were evaluated, as found somewhere, then every other one that fails somewhere."""
+    """The chosen quantities that were evaluated, as found somewhere, then every other one that
+    fails somewhere.
+    """
     evaluated = {check.name: check for checks in every for check in checks.checks}
-    failed = {check.name: check for checks in every for check in checks.checks if check.passed is False}
-    result: list[tuple[Check, Better]] = [(evaluated[name], better) for name, better in chosen.items() if name in evaluated]
+    failed = {
+        check.name: check for checks in every for check in checks.checks if check.passed is False
+    }
+    result: list[tuple[Check, Better]] = [
+        (evaluated[name], better) for name, better in chosen.items() if name in evaluated
+    ]
     for name, check in failed.items():
         if name not in chosen and name not in _IMPLIED:
             result.append((check, max if check.relation in {">", ">="} else min))
@@ -286,9 +417,17 @@ def _heading(text: str, candidates: Sequence[Candidate]) -> Row:
 def _stability_row(candidates: Sequence[Candidate], points: Sequence[str]) -> Row:
     cells = []
     for candidate in candidates:
-        bad = [point for point in points if (checks := candidate.at(point)) is not None and not checks.stable]
+        bad = [
+            point
+            for point in points
+            if (checks := candidate.at(point)) is not None and not checks.stable
+        ]
         everywhere = "" if len(candidate.checks) == 1 else "everywhere"
-        cells.append(Cell("unstable", "fail", detail=f"at {listed(bad)}") if bad else Cell("stable", "pass", detail=everywhere))
+        cells.append(
+            Cell("unstable", "fail", detail=f"at {listed(bad)}")
+            if bad
+            else Cell("stable", "pass", detail=everywhere)
+        )
     return ("Stability", "", *cells)
 
 
@@ -299,7 +438,12 @@ def _stability_cell(checks: Checks | None) -> Cell:
 
 
 def _box(machine: Machine) -> str:
-    return ", ".join(f"{units.prose(item.parameter)} ±{_half_width(item)}" for item in machine.tolerances) or "all tolerances"
+    return (
+        ", ".join(
+            f"{units.prose(item.parameter)} ±{_half_width(item)}" for item in machine.tolerances
+        )
+        or "all tolerances"
+    )
 
 
 def _half_width(tolerance: Tolerance) -> str:
@@ -312,13 +456,17 @@ def _mu_row(candidates: Sequence[Candidate]) -> list[Row]:
     """Mixed mu of the weighted loop: as robust verification found it, else as the synthesis did."""
     checks = [find(candidate.robust, "robust.performance") for candidate in candidates]
     uppers = [check.value if check is not None else math.nan for check in checks]
-    details = [", ".join(place(check).split(",")[:2]) if check is not None else "" for check in checks]
+    details = [
+        ", ".join(place(check).split(",")[:2]) if check is not None else "" for check in checks
+    ]
     title = "Peak of mixed µ of the weighted loop, upper bound (below 1: robust performance)"
     if not any(check is not None for check in checks):
         margins = [candidate.synthesis.certificate.margins for candidate in candidates]
         uppers = [values.get("mu_mixed", math.nan) for values in margins]
         lowers = [values.get("mu_mixed_lower", math.nan) for values in margins]
-        details = [f"lower bound {units.number(lower)}" if math.isfinite(lower) else "" for lower in lowers]
+        details = [
+            f"lower bound {units.number(lower)}" if math.isfinite(lower) else "" for lower in lowers
+        ]
     if all(math.isnan(upper) for upper in uppers):
         return []
     return [(title, "", *_numbers(uppers, details, better=min, absent="not evaluated"))]
@@ -342,10 +490,14 @@ def _controller_rows(candidates: Sequence[Candidate]) -> list[Row]:
     ]
 
 
-def _numbers(values: Sequence[float], details: Sequence[str] = (), *, better: Better, absent: str = "none") -> list[Cell]:
+def _numbers(
+    values: Sequence[float], details: Sequence[str] = (), *, better: Better, absent: str = "none"
+) -> list[Cell]:
     """Plain numbers as cells, the best of them marked; NaN where there is none."""
     shown = [units.number(value) for value in values]
-    known = [(value, text) for value, text in zip(values, shown, strict=True) if not math.isnan(value)]
+    known = [
+        (value, text) for value, text in zip(values, shown, strict=True) if not math.isnan(value)
+    ]
     best = _best(known, better)
     details = details or [""] * len(values)
     return [

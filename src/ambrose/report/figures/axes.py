@@ -1,7 +1,10 @@
-"""Units, scales and visible ranges of the axes that a set of curves shares. Data are never changed, only the view is chosen."""
+"""Units, scales and visible ranges of the axes that a set of curves shares, and the limits drawn on
+them. Data are never changed, only the view is chosen.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -9,17 +12,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ambrose.judge.checks import Curve
 from ambrose.report import theme, units
-from ambrose.verification.checks import Curve
 
-_DECADES, _OVERLAY_DECADES = 4.0, 7.0  # of a logarithmic view below its top; models differ where they are small
-_BELOW_LIMITS = 2.0  # decades below the lowest limit: what is read against limits needs the room around them
-_RUNAWAY = 8.0  # a time response this much larger than all others (an unstable loop's) does not set the view
+# of a logarithmic view below its top; models differ where they are small
+_DECADES, _OVERLAY_DECADES = 4.0, 7.0
+# decades below the lowest limit: what is read against limits needs the room around them
+_BELOW_LIMITS = 2.0
+# a time response this much larger than all others (an unstable loop's) does not set the view
+_RUNAWAY = 8.0
 
 
 @dataclass(frozen=True, slots=True)
 class Axes:
-    """How x and y are shown: factors from SI, texts, logarithmic or not, and the visible ranges (shown units)."""
+    """How x and y are shown: factors from SI, texts, logarithmic or not, and the visible ranges
+    (shown units).
+    """
 
     x_factor: float
     x_text: str
@@ -33,7 +41,9 @@ class Axes:
 
 
 def drawn(values: ArrayLike) -> np.ndarray:
-    """Coordinates as the page carries them: every point, to seven digits (half the weight of sixteen)."""
+    """Coordinates as the page carries them: every point, to seven digits (half the weight of
+    sixteen).
+    """
     return np.asarray(values, dtype=np.float32)
 
 
@@ -42,8 +52,15 @@ def is_map(curve: Curve) -> bool:
     return curve.kind == "speed" and curve.y_unit == "rad/s"
 
 
-def axes_of(curves: Sequence[tuple[str, Curve]], *, overlay: bool = False, view: Sequence[tuple[str, Curve]] = ()) -> Axes:
-    """The common axes of curves of one kind and unit; ``view``: those that choose the range of y (default: all)."""
+def axes_of(
+    curves: Sequence[tuple[str, Curve]],
+    *,
+    overlay: bool = False,
+    view: Sequence[tuple[str, Curve]] = (),
+) -> Axes:
+    """The common axes of curves of one kind and unit; ``view``: those that choose the range of y
+    (default: all).
+    """
     first = curves[0][1]
     x = np.concatenate([curve.x for _, curve in curves])
     everything = _finite(curves)
@@ -66,8 +83,12 @@ def axes_of(curves: Sequence[tuple[str, Curve]], *, overlay: bool = False, view:
 
 def set_ranges(figure: Any, axes: Axes) -> None:
     """Show these ranges, logarithmic or not, in every panel."""
-    figure.update_xaxes(**(theme.decades(*axes.x_range) if axes.log_x else {"range": list(axes.x_range)}))
-    figure.update_yaxes(**(theme.decades(*axes.y_range) if axes.log_y else {"range": list(axes.y_range)}))
+    figure.update_xaxes(
+        **(theme.decades(*axes.x_range) if axes.log_x else {"range": list(axes.x_range)})
+    )
+    figure.update_yaxes(
+        **(theme.decades(*axes.y_range) if axes.log_y else {"range": list(axes.y_range)})
+    )
 
 
 def _finite(curves: Sequence[tuple[str, Curve]]) -> list[np.ndarray]:
@@ -116,3 +137,96 @@ def _without_runaways(rows: Sequence[np.ndarray]) -> np.ndarray:
     while len(ordered) > 1 and np.abs(ordered[-1]).max() > _RUNAWAY * np.abs(ordered[-2]).max() > 0:
         ordered.pop()
     return np.concatenate(ordered) if ordered else np.zeros(0)
+
+
+BEYOND = "beyond the view: "
+
+
+def limit_levels(curves: Sequence[tuple[str, Curve]], axes: Axes) -> list[tuple[float, str]]:
+    """Every level once (shown unit), with the names of all limits that lie there: "zone A/B,
+    required 3".
+    """
+    names: dict[float, list[str]] = {}
+    for text, value in dict.fromkeys(limit for _, curve in curves for limit in curve.limits):
+        names.setdefault(value * axes.y_factor, []).append(text)
+    return [
+        (level, f"{', '.join(texts)} {amount(level, axes)}")
+        for level, texts in sorted(names.items())
+    ]
+
+
+def amount(level: float, axes: Axes) -> str:
+    """A value of the y axis (shown unit) as text."""
+    return units.join(units.number(level), axes.y_unit)
+
+
+def draw_limits(
+    figure: Any,
+    place: dict[str, int],
+    levels: Sequence[tuple[float, str]],
+    axes: Axes,
+    *,
+    size: tuple[int, int],
+    named: bool,
+) -> None:
+    """Limits inside the view as thin lines with their names on them, side by side where they would
+    overprint.
+
+    place: {"row": ..., "col": ...} of the plot area; size: its approximate width and height [px].
+    """
+    low, high = (math.log10(v) for v in axes.y_range) if axes.log_y else axes.y_range
+    # height [px], left and right end (fractions of the width) of the names so far
+    taken: list[tuple[float, float, float]] = []
+    for level, words in levels:
+        if not axes.y_range[0] <= level <= axes.y_range[1]:
+            continue
+        theme.guide(
+            figure,
+            place,
+            list(axes.x_range),
+            [level, level],
+            color=theme.LIMIT,
+            width=1.2,
+            dash="1.5px,2px",
+        )
+        if not named:
+            continue
+        y = math.log10(level) if axes.log_y else level
+        at = (y - low) / (high - low) * size[1]
+        width, right = (len(words) * 6.5 + 12) / size[0], 1.0
+        for pixel, start, end in sorted(taken, key=lambda item: -item[2]):
+            if abs(pixel - at) < 15 and start < right and right - width < end:
+                right = start
+        taken.append((at, right - width, right))
+        # a line just above does not strike it through
+        clear = {"bgcolor": "rgba(255, 255, 255, 0.85)", "borderpad": 0}
+        where: dict[str, Any] = {"xref": "x domain", "yshift": -1, **clear}
+        theme.note(
+            figure,
+            place,
+            theme.plain(words),
+            right,
+            y,
+            "right",
+            "bottom",
+            colour=theme.LIMIT,
+            **where,
+        )
+
+
+def beyond(curves: Sequence[tuple[str, Curve]], axes: Axes) -> str:
+    """What lies outside the view, limits and parts of curves: "beyond the view: touchdown gap 250
+    µm"; empty when nothing.
+    """
+    outside = [
+        item
+        for item in limit_levels(curves, axes)
+        if not axes.y_range[0] <= item[0] <= axes.y_range[1]
+    ]
+    texts = [
+        words
+        for level, words in outside
+        if level >= 0 or -level not in {other for other, _ in outside}
+    ]
+    texts += ["some curves"] if axes.cut else []
+    return BEYOND + ", ".join(texts) if texts else ""

@@ -1,6 +1,8 @@
-"""Curves as plotly figures: operating points or models overlaid, one small panel per axis where there are several.
+"""Curves as plotly figures: operating points or models overlaid, one small panel per axis where
+there are several.
 
-Figures convert from SI to the units of the page; they are never downsampled, and a view that hides part of the data says so.
+Figures convert from SI to the units of the page; they are never downsampled, and a view that hides
+part of the data says so.
 """
 
 from __future__ import annotations
@@ -14,11 +16,20 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
+from ambrose.judge.checks import Curve
 from ambrose.report import theme, units
-from ambrose.report.figures.axes import Axes, axes_of, drawn, is_map, set_ranges
-from ambrose.report.figures.limits import amount, beyond, draw_limits, limit_levels
+from ambrose.report.figures.axes import (
+    Axes,
+    amount,
+    axes_of,
+    beyond,
+    draw_limits,
+    drawn,
+    is_map,
+    limit_levels,
+    set_ranges,
+)
 from ambrose.report.figures.poles import pole_figure
-from ambrose.verification.checks import Curve
 
 Labelled = Sequence[tuple[str, Curve]]
 
@@ -26,7 +37,11 @@ _ENVELOPE = re.compile(r"max|worst|sigma|σ|envelope|largest|all axes", re.IGNOR
 _KINDS = ("frequency", "speed", "time", "poles")
 _MOST_PANELS = 8
 _AGREEMENT = 0.05  # the legend says up to where an overlaid model stays this close to the reference
-_MAIN_HEIGHT, _ONLY_HEIGHT, _SMALL_HEIGHT, _GAP = 280, 320, 140, 68  # [px]
+# [px]
+_MAIN_HEIGHT = 280
+_ONLY_HEIGHT = 320
+_SMALL_HEIGHT = 140
+_GAP = 68
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,26 +54,40 @@ class Panel:
     main: bool
 
 
-def figure(curves: Sequence[tuple[str, Curve]], *, order: Sequence[str] = (), overlay: bool = False) -> Any:
+def figure(
+    curves: Sequence[tuple[str, Curve]], *, order: Sequence[str] = (), overlay: bool = False
+) -> Any:
     """One figure of the same curve at several operating points (or of several models).
 
-    curves: (label, Curve) pairs, all of one kind and one unit. order: the labels in the order that fixes their colours, the
-    same for every figure of a report (default: as they come). overlay: compare models, the first label is the reference drawn
-    broad and pale. Several lines per curve become small panels; a line named "max..." or "worst..." gets the large one. Returns
-    a plotly Figure. Raises InvalidInput.
+    curves: (label, Curve) pairs, all of one kind and one unit. order: the labels in the order that
+    fixes their colours, the same for every figure of a report (default: as they come). overlay:
+    compare models, the first label is the reference drawn broad and pale. Several lines per curve
+    become small panels; a line named "max..." or "worst..." gets the large one. Returns a plotly
+    Figure. Raises InvalidInput.
     """
     _check_curves(curves)
     labels = [*order, *(label for label, _ in curves)]
     style = theme.overlay_styles(labels) if overlay else theme.styles(labels)
-    return pole_figure(curves, style) if curves[0][1].kind == "poles" else line_figure(curves, style, overlay=overlay)
+    return (
+        pole_figure(curves, style)
+        if curves[0][1].kind == "poles"
+        else line_figure(curves, style, overlay=overlay)
+    )
 
 
 def _check_curves(curves: Sequence[tuple[str, Curve]]) -> None:
     if not curves:
-        raise InvalidInput("a figure was asked for without curves; give at least one (label, Curve)")
+        raise InvalidInput(
+            "a figure was asked for without curves; give at least one (label, Curve)"
+        )
     first = curves[0][1]
     if first.kind not in _KINDS:
-        raise invalid(f"the kind of curve {first.name}", repr(first.kind), f"one of {', '.join(_KINDS)}", "set Curve.kind")
+        raise invalid(
+            f"the kind of curve {first.name}",
+            repr(first.kind),
+            f"one of {', '.join(_KINDS)}",
+            "set Curve.kind",
+        )
     for label, curve in curves:
         here = f"curve {curve.name} at {label}"
         if (curve.kind, curve.x_unit, curve.y_unit) != (first.kind, first.x_unit, first.y_unit):
@@ -67,21 +96,34 @@ def _check_curves(curves: Sequence[tuple[str, Curve]]) -> None:
             raise invalid(here, given, wanted, "put different quantities into different figures")
         shape = (len(curve.labels), len(curve.x))
         if np.shape(curve.y) != shape or np.iscomplexobj(curve.y):
-            given = f"of shape {np.shape(curve.y)}{' and complex' if np.iscomplexobj(curve.y) else ''}"
+            given = (
+                f"of shape {np.shape(curve.y)}{' and complex' if np.iscomplexobj(curve.y) else ''}"
+            )
             raise invalid(
-                f"y of {here}", given, f"real, of shape {shape} (lines, points)", "give magnitudes, one row per label"
+                f"y of {here}",
+                given,
+                f"real, of shape {shape} (lines, points)",
+                "give magnitudes, one row per label",
             )
 
 
-def line_figure(curves: Labelled, style: Mapping[str, theme.Style], *, overlay: bool = False) -> Any:
-    """A figure of curves of kind "frequency", "speed" or "time"; all of one kind and unit (see figure)."""
+def line_figure(
+    curves: Labelled, style: Mapping[str, theme.Style], *, overlay: bool = False
+) -> Any:
+    """A figure of curves of kind "frequency", "speed" or "time"; all of one kind and unit (see
+    figure).
+    """
     panels, specs, heights = _arrange(curves)
     axes = axes_of(curves, overlay=overlay)
     total = sum(heights) + _GAP * (len(heights) - 1)
     figure = theme.subplots(
-        rows=len(heights), cols=len(specs[0]), specs=specs, row_heights=[h / sum(heights) for h in heights],
-        horizontal_spacing=0.042 if len(specs[0]) > 2 else 0.06, vertical_spacing=_GAP / total,
-    )  # fmt: skip
+        rows=len(heights),
+        cols=len(specs[0]),
+        specs=specs,
+        row_heights=[h / sum(heights) for h in heights],
+        horizontal_spacing=0.042 if len(specs[0]) > 2 else 0.06,
+        vertical_spacing=_GAP / total,
+    )
     legend = len(dict.fromkeys(label for label, _ in curves)) > 1 or _peaked(curves[0][1])
     for panel in panels:
         _draw(figure, panel, curves, axes, style, first=panel is panels[0], overlay=overlay)
@@ -91,7 +133,9 @@ def line_figure(curves: Labelled, style: Mapping[str, theme.Style], *, overlay: 
     for panel in panels:
         size = (860, _MAIN_HEIGHT) if panel.main else (410, _SMALL_HEIGHT)
         named = panel.main or not panels[0].main
-        draw_limits(figure, {"row": panel.row, "col": panel.column}, levels, axes, size=size, named=named)
+        draw_limits(
+            figure, {"row": panel.row, "col": panel.column}, levels, axes, size=size, named=named
+        )
         _panel_title(figure, panel, axes, many=len(panels) > 1)
     _beyond(figure, curves, axes)
     return figure
@@ -121,7 +165,14 @@ def _arrange(curves: Labelled) -> tuple[list[Panel], list[list[Any]], list[int]]
 
 
 def _draw(
-    figure: Any, panel: Panel, curves: Labelled, axes: Axes, style: Mapping[str, theme.Style], *, first: bool, overlay: bool
+    figure: Any,
+    panel: Panel,
+    curves: Labelled,
+    axes: Axes,
+    style: Mapping[str, theme.Style],
+    *,
+    first: bool,
+    overlay: bool,
 ) -> None:
     place = {"row": panel.row, "col": panel.column}
     shown: set[str] = set()
@@ -135,10 +186,20 @@ def _draw(
             words = f"{theme.plain(label)}<br>{theme.plain(units.axis_name(name))}"
             hover = f"{words}<br>%{{x:.4g}} · %{{y:.4g}} {axes.y_unit}<extra></extra>"
             theme.scatter(
-                figure, place, drawn(x), drawn(y), label, shown=first and label not in shown, hovertemplate=hover,
+                figure,
+                place,
+                drawn(x),
+                drawn(y),
+                label,
+                shown=first and label not in shown,
+                hovertemplate=hover,
                 name=theme.plain(label) + _legend_text(panel, label, curves, axes, overlay=overlay),
-                line={"color": look.colour, "dash": _dash(name, look, curve), "width": look.width if panel.main else 1.4},
-            )  # fmt: skip
+                line={
+                    "color": look.colour,
+                    "dash": _dash(name, look, curve),
+                    "width": look.width if panel.main else 1.4,
+                },
+            )
             shown.add(label)
             if panel.main and len(panel.names) == 1 and _peaked(curve) and not overlay:
                 mark_peak(figure, place, x, y, look)
@@ -147,7 +208,9 @@ def _draw(
 
 
 def _dash(name: str, look: theme.Style, curve: Curve) -> str:
-    """On a Campbell map the dash tells backward from forward whirl, elsewhere it tells operating points apart."""
+    """On a Campbell map the dash tells backward from forward whirl, elsewhere it tells operating
+    points apart.
+    """
     if is_map(curve):
         return "6px,3px" if "backward" in name.lower() else "solid"
     return look.dash
@@ -158,9 +221,15 @@ def _peaked(curve: Curve) -> bool:
 
 
 def _legend_text(panel: Panel, label: str, curves: Labelled, axes: Axes, *, overlay: bool) -> str:
-    """What the legend adds to the label: the peak, or how far an overlaid model agrees with the reference."""
+    """What the legend adds to the label: the peak, or how far an overlaid model agrees with the
+    reference.
+    """
     curve = next(curve for other, curve in curves if other == label)
-    rows = [row for name, row in zip(curve.labels, curve.y, strict=True) if name in panel.names or not panel.main]
+    rows = [
+        row
+        for name, row in zip(curve.labels, curve.y, strict=True)
+        if name in panel.names or not panel.main
+    ]
     if not overlay:
         return _peak_text(np.array(rows), curve, axes)
     reference = curves[0][1]
@@ -176,7 +245,9 @@ def _legend_text(panel: Panel, label: str, curves: Labelled, axes: Axes, *, over
 
 
 def _peak_text(rows: np.ndarray, curve: Curve, axes: Axes) -> str:
-    """For the legend: where and how high the peak of these lines (k, n) is; nothing where they start highest."""
+    """For the legend: where and how high the peak of these lines (k, n) is; nothing where they
+    start highest.
+    """
     if is_map(curve) or curve.y_unit == "rad" or not np.isfinite(rows).any():
         return ""
     size = np.where(np.isfinite(rows), np.abs(rows), -1.0).max(axis=0)
@@ -186,12 +257,19 @@ def _peak_text(rows: np.ndarray, curve: Curve, axes: Axes) -> str:
         return f" · largest {text}"
     if largest == 0 < len(size) - 1:
         return ""
-    where = units.join(units.number(float(curve.x[largest]) * axes.x_factor), "rpm" if curve.kind == "speed" else "Hz")
+    where = units.join(
+        units.number(float(curve.x[largest]) * axes.x_factor),
+        "rpm" if curve.kind == "speed" else "Hz",
+    )
     return f" · {'peak' if largest < len(size) - 1 else 'up to'} {text} at {where}"
 
 
-def mark_peak(figure: Any, place: dict[str, int], x: np.ndarray, y: np.ndarray, look: theme.Style) -> None:
-    """A circle at the maximum of a line, unless it lies at one of its ends; x, y (n,) in shown units."""
+def mark_peak(
+    figure: Any, place: dict[str, int], x: np.ndarray, y: np.ndarray, look: theme.Style
+) -> None:
+    """A circle at the maximum of a line, unless it lies at one of its ends; x, y (n,) in shown
+    units.
+    """
     if not np.isfinite(y).any():
         return
     i = int(np.nanargmax(y))
@@ -202,25 +280,51 @@ def mark_peak(figure: Any, place: dict[str, int], x: np.ndarray, y: np.ndarray, 
 
 
 def _map_furniture(figure: Any, panel: Panel, curves: Labelled, axes: Axes) -> None:
-    """On a map over speed: the synchronous line (frequency = speed) and the names of the lines at their right ends."""
+    """On a map over speed: the synchronous line (frequency = speed) and the names of the lines at
+    their right ends.
+    """
     place = {"row": panel.row, "col": panel.column}
     first = curves[0][1]
     high = min(axes.x_range[1] / 60, axes.y_range[1])
     low = min(axes.x_range[0] / 60, high)
-    theme.guide(figure, place, [low * 60, high * 60], [low, high], color=theme.MUTED, width=1, dash="2px,3px")
+    theme.guide(
+        figure,
+        place,
+        [low * 60, high * 60],
+        [low, high],
+        color=theme.MUTED,
+        width=1,
+        dash="2px,3px",
+    )
     theme.note(figure, place, "1× speed", high * 33, high * 0.55, "left", "top", xshift=5)
     if 1 < len(panel.names) <= 16:
-        ends = [(float(row[-1]) * axes.y_factor, n) for n, row in zip(first.labels, first.y, strict=True)]
+        ends = [
+            (float(row[-1]) * axes.y_factor, n)
+            for n, row in zip(first.labels, first.y, strict=True)
+        ]
         for level, name in _spread(ends, axes):
             text = theme.plain(units.axis_name(name))
-            theme.note(figure, place, text, 1.0, level, "left", "auto", colour=theme.INK, xref="x domain", xshift=5)
+            theme.note(
+                figure,
+                place,
+                text,
+                1.0,
+                level,
+                "left",
+                "auto",
+                colour=theme.INK,
+                xref="x domain",
+                xshift=5,
+            )
 
 
 def _spread(ends: Sequence[tuple[float, str]], axes: Axes) -> list[tuple[float, str]]:
     """Names near their lines' ends, pushed apart so that they do not overprint."""
     step = (axes.y_range[1] - axes.y_range[0]) * 14.5 / _ONLY_HEIGHT
     placed: list[tuple[float, str]] = []
-    for level, name in sorted(end for end in ends if math.isfinite(end[0]) and end[0] <= axes.y_range[1]):
+    for level, name in sorted(
+        end for end in ends if math.isfinite(end[0]) and end[0] <= axes.y_range[1]
+    ):
         placed.append((max(level, placed[-1][0] + step) if placed else level, name))
     return placed
 
@@ -231,7 +335,9 @@ def _scale_axes(figure: Any, panels: Sequence[Panel], axes: Axes, rows: int) -> 
         place = {"row": panel.row, "col": panel.column}
         bottom = panel.main or (not panels[0].main and panel.row == rows)
         figure.update_xaxes(
-            title_text=axes.x_text if bottom else None, matches="x" if panel is not panels[0] else None, **place
+            title_text=axes.x_text if bottom else None,
+            matches="x" if panel is not panels[0] else None,
+            **place,
         )
         if not panel.main:
             figure.update_yaxes(showticklabels=panel.column == 1, **place)
@@ -247,11 +353,15 @@ def _beyond(figure: Any, curves: Labelled, axes: Axes) -> None:
     """One line, upper right, that names what lies outside the view."""
     words = beyond(curves, axes)
     if words:
-        theme.note(figure, {}, theme.plain(words), 1, 1, "right", "bottom", xref="paper", yref="paper")
+        theme.note(
+            figure, {}, theme.plain(words), 1, 1, "right", "bottom", xref="paper", yref="paper"
+        )
 
 
 def _panel_title(figure: Any, panel: Panel, axes: Axes, *, many: bool) -> None:
-    """The unit (and the line's name where there are several panels) above the panel's upper left corner."""
+    """The unit (and the line's name where there are several panels) above the panel's upper left
+    corner.
+    """
     words = [theme.plain(units.axis_name(panel.names[0]))] if many else []
     if axes.y_unit:
         words.append(f"[{axes.y_unit}]")

@@ -1,4 +1,6 @@
-"""Small multiples: a grid of panels with common axes, so that the eye compares columns; the same look as every other figure."""
+"""Small multiples: a grid of panels with common axes, so that the eye compares columns; the same
+look as every other figure.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +11,18 @@ from typing import Any
 
 import numpy as np
 
+from ambrose.judge.checks import Curve
 from ambrose.report import theme, units
-from ambrose.report.figures.axes import Axes, axes_of, drawn, set_ranges
+from ambrose.report.figures.axes import (
+    Axes,
+    axes_of,
+    beyond,
+    draw_limits,
+    drawn,
+    limit_levels,
+    set_ranges,
+)
 from ambrose.report.figures.curves import mark_peak
-from ambrose.report.figures.limits import beyond, draw_limits, limit_levels
-from ambrose.verification.checks import Curve
 
 Labelled = tuple[tuple[str, Curve], ...]
 
@@ -26,8 +35,8 @@ _LINE, _CHARACTER = 16, 7.0  # [px] height of a line of notes; width of a charac
 class Panel:
     """One plot area: (label, Curve) pairs, every line drawn in its label's style.
 
-    title stands above its left corner, beneath it the notes, (label, text) pairs, each in its label's colour. side: what its
-    row shows, beside the axis of the first panel of the row.
+    title stands above its left corner, beneath it the notes, (label, text) pairs, each in its
+    label's colour. side: what its row shows, beside the axis of the first panel of the row.
     """
 
     title: str
@@ -45,11 +54,13 @@ def panel_figure(
     span: tuple[float, float] | None = None,
     mark_peaks: bool = False,
 ) -> tuple[Any, str]:
-    """The plotly figure of a grid of panels, and what lies beyond its view in words ("" when nothing).
+    """The plotly figure of a grid of panels, and what lies beyond its view in words ("" when
+    nothing).
 
-    rows: the panels, row by row, the curves all of one kind and unit; a row may end early. height [px] of a row. view: the
-    curves that choose the range of y where not all are to (default: all). span: the visible range of x (SI unit; default:
-    all). mark_peaks: a circle at every line's maximum.
+    rows: the panels, row by row, the curves all of one kind and unit; a row may end early. height
+    [px] of a row. view: the curves that choose the range of y where not all are to (default: all).
+    span: the visible range of x (SI unit; default: all). mark_peaks: a circle at every line's
+    maximum.
     """
     everything = tuple(pair for row in rows for panel in row for pair in panel.curves)
     axes = axes_of(everything, view=view)
@@ -61,9 +72,11 @@ def panel_figure(
     gaps = [_LEAST_GAP if lines == 0 else _TITLE_GAP + _LINE * (lines - 1) for lines in above[1:]]
     total = height * len(rows) + sum(gaps)
     figure = theme.subplots(
-        rows=len(rows), cols=columns, horizontal_spacing=0.028,
+        rows=len(rows),
+        cols=columns,
+        horizontal_spacing=0.028,
         specs=[[{} if j < len(row) else None for j in range(columns)] for row in rows],
-    )  # fmt: skip
+    )
     _set_heights(figure, rows, height / total, [gap / total for gap in gaps])
     levels = limit_levels(everything, axes)
     shown: set[str] = set()
@@ -93,10 +106,19 @@ def _draw(
         grid = _abscissae(curve.x * axes.x_factor)
         for name, row in zip(curve.labels, curve.y, strict=True):
             y = row * axes.y_factor
-            words = "<br>".join(theme.plain(units.axis_name(part)) for part in dict.fromkeys((label, name)))
+            words = "<br>".join(
+                theme.plain(units.axis_name(part)) for part in dict.fromkeys((label, name))
+            )
             hover = f"{words}<br>%{{x:.4g}} · %{{y:.4g}} {axes.y_unit}<extra></extra>"
             theme.scatter(
-                figure, place, y=drawn(y), label=label, shown=label not in shown, line=look.line, hovertemplate=hover, **grid
+                figure,
+                place,
+                y=drawn(y),
+                label=label,
+                shown=label not in shown,
+                line=look.line,
+                hovertemplate=hover,
+                **grid,
             )
             shown.add(label)
             if mark_peaks:
@@ -104,7 +126,9 @@ def _draw(
 
 
 def _abscissae(x: np.ndarray) -> dict[str, Any]:
-    """x as plotly takes it: start and step where the steps are equal, which halves the weight of a time response."""
+    """x as plotly takes it: start and step where the steps are equal, which halves the weight of a
+    time response.
+    """
     if len(x) > 2:
         step = (x[-1] - x[0]) / (len(x) - 1)
         if np.allclose(x, x[0] + step * np.arange(len(x)), rtol=0, atol=1e-6 * abs(step)):
@@ -112,7 +136,9 @@ def _abscissae(x: np.ndarray) -> dict[str, Any]:
     return {"x": drawn(x)}
 
 
-def _set_heights(figure: Any, rows: Sequence[Sequence[Panel]], height: float, gaps: Sequence[float]) -> None:
+def _set_heights(
+    figure: Any, rows: Sequence[Sequence[Panel]], height: float, gaps: Sequence[float]
+) -> None:
     """Rows of one height, each gap its own (fractions of the whole)."""
     top = 1.0
     for i, row in enumerate(rows):
@@ -138,12 +164,20 @@ def _lines_above(panel: Panel, width: int) -> int:
     return bool(panel.title) + len(_wrapped(panel, width))
 
 
-def _words(figure: Any, panel: Panel, place: dict[str, int], style: Mapping[str, theme.Style], width: int, above: int) -> None:
+def _words(
+    figure: Any,
+    panel: Panel,
+    place: dict[str, int],
+    style: Mapping[str, theme.Style],
+    width: int,
+    above: int,
+) -> None:
     """Title and notes above the panel; above: lines that the panels of its row have there."""
     lines: list[str] = []
     for line in _wrapped(panel, width):
         parts = [
-            f'<span style="color: {style[label].colour if label in style else theme.MUTED}">{theme.plain(text)}</span>'
+            '<span style="color: '
+            f'{style[label].colour if label in style else theme.MUTED}">{theme.plain(text)}</span>'
             for label, text in line
         ]
         lines.append(" · ".join(parts))

@@ -1,7 +1,9 @@
-"""The rotor to scale with its stations, and its free-free mode shapes beneath on the same axial axis.
+"""The rotor to scale with its stations, and its free-free mode shapes beneath on the same axial
+axis.
 
-Shaft sections, bores, lamination (mass) diameters and discs are to scale, a disc as the cylinder that has its mass and
-inertias. Bearings, sensors, seals and couplings are symbols at their true axial positions.
+Shaft sections, bores, lamination (mass) diameters and discs are to scale, a disc as the cylinder
+that has its mass and inertias. Bearings, sensors, seals and couplings are symbols at their true
+axial positions.
 """
 
 from __future__ import annotations
@@ -15,21 +17,32 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import check_shape
-from ambrose.machine.description import Disc
+from ambrose.machine.attachment import attached
 from ambrose.machine.machine import Machine
-from ambrose.physics.rotor import finite_element_rotor, free_modes
+from ambrose.machine.rotor_model import Disc
+from ambrose.model.effects.rotor import finite_element_rotor, free_modes
 from ambrose.report import theme, units
 
 _PIXELS = 800  # width of the plot area that the height is computed for [px]
 _ROW, _GAP = 74, 14  # height of one mode shape, space between two [px]
-_STEEL, _LAMINATION, _DISC = "#dfe4e8", "#b9c3cb", "#c9d0d6"
-_KINDS = {"bearing": "#0072b2", "sensor": "#1c2329", "seal": "#a3341f", "coupling": "#66717b", "disc": "#1c2329"}
+_STEEL = "#dfe4e8"
+_LAMINATION = "#b9c3cb"
+_DISC = "#c9d0d6"
+_KINDS = {
+    "bearing": "#0072b2",
+    "sensor": "#1c2329",
+    "seal": "#a3341f",
+    "disc": "#1c2329",
+}
+_EFFECT = "#66717b"
 _SEES = {"bearing": "square", "sensor": "circle-open", "seal": "diamond"}  # on a mode shape
 
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """A named place on the rotor [mm]: what, where, and how far its symbol reaches from the centre line."""
+    """A named place on the rotor [mm]: what, where, and how far its symbol reaches from the centre
+    line.
+    """
 
     kind: str
     name: str
@@ -38,19 +51,25 @@ class Station:
 
 
 def machine_drawing(machine: Machine, bending_modes: int = 2) -> Any:
-    """The rotor of a machine with its free-free modes, from its finite elements. Returns a plotly Figure."""
+    """The rotor of a machine with its free-free modes, from its finite elements. Returns a plotly
+    Figure.
+    """
     rotor = finite_element_rotor(machine)
     modes = free_modes(rotor, bending_modes)
     plane = slice(0, None, 2)  # the modes come in x/y pairs; the drawing shows x
-    return rotor_drawing(machine, rotor.positions, modes.shapes[0::4, plane], modes.frequencies[plane])
+    return rotor_drawing(
+        machine, rotor.positions, modes.shapes[0::4, plane], modes.frequencies[plane]
+    )
 
 
-def rotor_drawing(machine: Machine, node_positions: ArrayLike, shapes: ArrayLike, frequencies: ArrayLike) -> Any:
+def rotor_drawing(
+    machine: Machine, node_positions: ArrayLike, shapes: ArrayLike, frequencies: ArrayLike
+) -> Any:
     """The rotor with its stations and its mode shapes in one plane.
 
-    machine: the description. node_positions (n,) [m]: the finite-element nodes. shapes (n, k) [any]: lateral displacement
-    of the nodes, each mode scaled to its largest. frequencies (k,) [rad/s]: 0 for a rigid-body mode. Returns a plotly Figure.
-    Raises InvalidInput.
+    machine: the description. node_positions (n,) [m]: the finite-element nodes. shapes (n, k)
+    [any]: lateral displacement of the nodes, each mode scaled to its largest. frequencies (k,)
+    [rad/s]: 0 for a rigid-body mode. Returns a plotly Figure. Raises InvalidInput.
     """
     import plotly.graph_objects as go
 
@@ -81,7 +100,10 @@ def rotor_drawing(machine: Machine, node_positions: ArrayLike, shapes: ArrayLike
 def _shaft(figure: Any, machine: Machine) -> None:
     for section in machine.shaft:
         left, right = section.start * 1e3, (section.start + section.length) * 1e3
-        outer, bore, mass = (np.array(ends) * 500 for ends in zip(section.diameters(0), section.diameters(1), strict=True))
+        outer, bore, mass = (
+            np.array(ends) * 500
+            for ends in zip(section.diameters(0), section.diameters(1), strict=True)
+        )
         if (mass > outer).any():
             for sign in (1, -1):
                 _patch(figure, left, right, sign * outer, sign * mass, _LAMINATION, hatched=True)
@@ -91,15 +113,36 @@ def _shaft(figure: Any, machine: Machine) -> None:
 
 
 def _patch(
-    figure: Any, left: float, right: float, low: Any, high: Any, fill: str, *, hatched: bool = False, dash: str = "solid"
+    figure: Any,
+    left: float,
+    right: float,
+    low: Any,
+    high: Any,
+    fill: str,
+    *,
+    hatched: bool = False,
+    dash: str = "solid",
 ) -> None:
-    """From low to high at both ends: a number each, or one for the left and one for the right end."""
+    """From low to high at both ends: a number each, or one for the left and one for the right
+    end.
+    """
     low, high = np.broadcast_to(low, 2), np.broadcast_to(high, 2)
-    pattern = {"shape": "/", "fgcolor": theme.MUTED, "bgcolor": "white", "size": 5, "solidity": 0.25} if hatched else None
+    pattern = (
+        {"shape": "/", "fgcolor": theme.MUTED, "bgcolor": "white", "size": 5, "solidity": 0.25}
+        if hatched
+        else None
+    )
     theme.scatter(
-        figure, {}, [left, right, right, left, left], [low[0], low[1], high[1], high[0], low[0]], fill="toself", fillcolor=fill,
-        fillpattern=pattern, line={"color": theme.INK, "width": 0.9, "dash": dash}, hoverinfo="skip",
-    )  # fmt: skip
+        figure,
+        {},
+        [left, right, right, left, left],
+        [low[0], low[1], high[1], high[0], low[0]],
+        fill="toself",
+        fillcolor=fill,
+        fillpattern=pattern,
+        line={"color": theme.INK, "width": 0.9, "dash": dash},
+        hoverinfo="skip",
+    )
 
 
 def equivalent_cylinder(disc: Disc) -> tuple[float, float] | None:
@@ -122,78 +165,153 @@ def _radius_at(machine: Machine, position: float) -> float:
 
 
 def _stations(machine: Machine, pixel: float) -> list[Station]:
-    """All named places, bearings first; the reach of the symbols is chosen on the page, not on the machine."""
+    """All named places, bearings first; the reach of the symbols is chosen on the page, not on the
+    machine.
+    """
     known = [("bearing", b.name, b.position, 30.0) for b in machine.bearings]
     known += [("sensor", s.bearing, s.position, 17.0) for s in machine.sensors]
     known += [("seal", s.name, s.position, 18.0) for s in machine.seals]
-    known += [("coupling", c.name, c.position, 26.0) for c in machine.couplings]
-    stations = [Station(k, n, p * 1e3, _radius_at(machine, p * 1e3) + 4 * pixel + r * pixel) for k, n, p, r in known]
+    known += [
+        (effect.table, station.name, station.position, effect.reach)
+        for effect, part in attached(machine)
+        for station in effect.stations(part)
+    ]
+    stations = [
+        Station(k, n, p * 1e3, _radius_at(machine, p * 1e3) + 4 * pixel + r * pixel)
+        for k, n, p, r in known
+    ]
     for disc in machine.discs:
         size = equivalent_cylinder(disc)
-        reach = max(_radius_at(machine, disc.position * 1e3), size[0] * 1e3 if size else 0.0) + (0 if size else 10 * pixel)
+        reach = max(_radius_at(machine, disc.position * 1e3), size[0] * 1e3 if size else 0.0) + (
+            0 if size else 10 * pixel
+        )
         stations.append(Station("disc", disc.name, disc.position * 1e3, reach))
     return stations
 
 
 def _symbol(figure: Any, machine: Machine, station: Station, pixel: float) -> None:
     """One station's symbol, above and below the shaft."""
-    colour = _KINDS[station.kind]
+    colour = _KINDS.get(station.kind, _EFFECT)
     gap = _radius_at(machine, station.position) + 3 * pixel
     x, reach = station.position, station.reach
     outlines: list[tuple[list[float], list[float]]] = []
     if station.kind == "bearing":  # a horseshoe: two poles and a yoke
-        a, b, yoke = 16 * pixel, 6 * pixel, reach - 9 * pixel
+        a = 16 * pixel
+        b = 6 * pixel
+        yoke = reach - 9 * pixel
         sides = [x - a, x - a, x + a, x + a, x + b, x + b, x - b, x - b, x - a]
         outlines = [(sides, [gap, reach, reach, gap, gap, yoke, yoke, gap, gap])]
     elif station.kind == "sensor":  # a probe pointing at the shaft
         a = 5 * pixel
-        outlines = [([x, x - a, x - a, x + a, x + a, x], [gap, gap + a, reach, reach, gap + a, gap])]
+        outlines = [
+            ([x, x - a, x - a, x + a, x + a, x], [gap, gap + a, reach, reach, gap + a, gap])
+        ]
     elif station.kind == "seal":  # a comb
-        teeth = np.array([-12, -12, -10, -10, -4, -4, -1, -1, 1, 1, 4, 4, 10, 10, 12, 12, -12]) * pixel
+        teeth = (
+            np.array([-12, -12, -10, -10, -4, -4, -1, -1, 1, 1, 4, 4, 10, 10, 12, 12, -12]) * pixel
+        )
         tip, root = gap, gap + 6 * pixel
-        levels = [reach, tip, tip, root, root, tip, tip, root, root, tip, tip, root, root, tip, tip, reach, reach]
+        levels = [
+            reach,
+            tip,
+            tip,
+            root,
+            root,
+            tip,
+            tip,
+            root,
+            root,
+            tip,
+            tip,
+            root,
+            root,
+            tip,
+            tip,
+            reach,
+            reach,
+        ]
         outlines = [(list(x + teeth), [float(v) for v in levels])]
-    elif station.kind == "coupling":  # a spring to ground, below only
+    elif station.kind not in _KINDS:  # a registered effect: a spring to ground, below only
         turns = np.linspace(-gap, -reach, 9)
         side = np.array([0, 0, 5, -5, 5, -5, 5, 0, 0]) * pixel
         theme.guide(figure, {}, list(x + side), list(turns), color=colour, width=1.3)
-        theme.guide(figure, {}, [x - 9 * pixel, x + 9 * pixel], [-reach, -reach], color=colour, width=2.5)
+        theme.guide(
+            figure, {}, [x - 9 * pixel, x + 9 * pixel], [-reach, -reach], color=colour, width=2.5
+        )
         return
-    elif reach > _radius_at(machine, x) + pixel and not _has_size(machine, station.name):  # a disc of unknown size
+    elif reach > _radius_at(machine, x) + pixel and not _has_size(
+        machine, station.name
+    ):  # a disc of unknown size
         theme.guide(figure, {}, [x, x], [-reach, reach], color=colour, width=3)
         return
-    look: dict[str, Any] = {"fill": "toself", "fillcolor": colour, "line": {"color": colour, "width": 0.8}, "hoverinfo": "skip"}
+    look: dict[str, Any] = {
+        "fill": "toself",
+        "fillcolor": colour,
+        "line": {"color": colour, "width": 0.8},
+        "hoverinfo": "skip",
+    }
     for xs, ys in outlines:
         for sign in (1, -1):
             theme.scatter(figure, {}, xs, [sign * y for y in ys], **look)
 
 
 def _has_size(machine: Machine, name: str) -> bool:
-    return any(disc.name == name and equivalent_cylinder(disc) is not None for disc in machine.discs)
+    return any(
+        disc.name == name and equivalent_cylinder(disc) is not None for disc in machine.discs
+    )
 
 
-def _labels(figure: Any, stations: Sequence[Station], machine: Machine, pixel: float) -> tuple[float, float]:
-    """Names above the rotor (sensors and couplings below), staggered where they would overlap. Returns the y range [mm]."""
+def _labels(
+    figure: Any, stations: Sequence[Station], machine: Machine, pixel: float
+) -> tuple[float, float]:
+    """Names above the rotor (sensors and registered effects below), staggered where they would
+    overlap. Returns the y range [mm].
+    """
     high = (
-        max([s.reach for s in stations] + [max(_radius_at(machine, s.start * 1e3 + 1e-3) for s in machine.shaft)]) + 4 * pixel
+        max(
+            [s.reach for s in stations]
+            + [max(_radius_at(machine, s.start * 1e3 + 1e-3) for s in machine.shaft)]
+        )
+        + 4 * pixel
     )
     extent = [high, -high]
-    for sign, kinds in ((1, ("bearing", "seal", "disc")), (-1, ("sensor", "coupling"))):
+    for sign in (1, -1):
         taken: list[float] = []  # right end of the text on each level
-        for station in sorted((s for s in stations if s.kind in kinds), key=lambda s: s.position):
-            text = f"{station.kind} {units.axis_name(station.name)}" if station.name.lower() != station.kind else station.kind
+        here = (s for s in stations if (s.kind in {"bearing", "seal", "disc"}) == (sign > 0))
+        for station in sorted(here, key=lambda s: s.position):
+            text = (
+                f"{station.kind.replace('_', ' ')} {units.axis_name(station.name)}"
+                if station.name.lower() != station.kind
+                else station.kind
+            )
             text = text if station.kind != "disc" else units.axis_name(station.name)
             half = (3.2 * len(text) + 7) * pixel
-            level = next((i for i, end in enumerate(taken) if station.position - half > end), len(taken))
+            level = next(
+                (i for i, end in enumerate(taken) if station.position - half > end), len(taken)
+            )
             taken[level : level + 1] = [station.position + half]
             y = sign * (high + (4 + 16 * level) * pixel)
-            colour = _KINDS[station.kind]
-            theme.guide(figure, {}, [station.position] * 2, [sign * station.reach, y], color=colour, width=0.7)
+            colour = _KINDS.get(station.kind, _EFFECT)
+            theme.guide(
+                figure,
+                {},
+                [station.position] * 2,
+                [sign * station.reach, y],
+                color=colour,
+                width=0.7,
+            )
             figure.add_annotation(
-                x=station.position, y=y, text=theme.plain(text), showarrow=False, yanchor="bottom" if sign > 0 else "top",
-                xanchor="center", font={"size": 12.5, "color": colour},
-            )  # fmt: skip
-            extent[0 if sign > 0 else 1] = max(extent[0], y + 18 * pixel) if sign > 0 else min(extent[1], y - 18 * pixel)
+                x=station.position,
+                y=y,
+                text=theme.plain(text),
+                showarrow=False,
+                yanchor="bottom" if sign > 0 else "top",
+                xanchor="center",
+                font={"size": 12.5, "color": colour},
+            )
+            extent[0 if sign > 0 else 1] = (
+                max(extent[0], y + 18 * pixel) if sign > 0 else min(extent[1], y - 18 * pixel)
+            )
     return extent[0], extent[1]
 
 
@@ -202,64 +320,131 @@ def _centre_line(figure: Any, nodes: np.ndarray, length: float) -> None:
     ends = [-0.03 * length, 1.03 * length]
     theme.guide(figure, {}, ends, [0, 0], color=theme.MUTED, width=0.8, dash="12px,3px,2px,3px")
     theme.scatter(
-        figure, {}, nodes, np.zeros(nodes.size), mode="markers", marker={"size": 4, "color": theme.INK},
-        customdata=np.arange(1, nodes.size + 1), hovertemplate="node %{customdata} at %{x:.1f} mm<extra></extra>",
-    )  # fmt: skip
+        figure,
+        {},
+        nodes,
+        np.zeros(nodes.size),
+        mode="markers",
+        marker={"size": 4, "color": theme.INK},
+        customdata=np.arange(1, nodes.size + 1),
+        hovertemplate="node %{customdata} at %{x:.1f} mm<extra></extra>",
+    )
 
 
-def _layout(figure: Any, length: float, y_range: tuple[float, float], shares: tuple[float, float], rows: int) -> None:
-    """One axial axis for all rows; the drawing keeps its proportions (equal millimetres in both directions)."""
+def _layout(
+    figure: Any, length: float, y_range: tuple[float, float], shares: tuple[float, float], rows: int
+) -> None:
+    """One axial axis for all rows; the drawing keeps its proportions (equal millimetres in both
+    directions).
+    """
     figure.update_layout(margin={"l": 112, "r": 16, "t": 26, "b": 48})
     figure.update_xaxes(
-        title_text="Axial position from the left end [mm]", range=[-0.04 * length, 1.04 * length], showgrid=False,
-        anchor=f"y{rows + 1}" if rows else "y", constrain="domain",
-    )  # fmt: skip
+        title_text="Axial position from the left end [mm]",
+        range=[-0.04 * length, 1.04 * length],
+        showgrid=False,
+        anchor=f"y{rows + 1}" if rows else "y",
+        constrain="domain",
+    )
     bottom = 1 - shares[0]
     drawing = {"domain": [bottom, 1], "range": list(y_range), "visible": False}
-    # Room that the proportions leave over shrinks the drawing's place: ranges would grow at every change of the page's width.
-    figure.update_layout(yaxis={**drawing, "scaleanchor": "x", "scaleratio": 1, "constrain": "domain"})
+    # Room that the proportions leave over shrinks the drawing's place: ranges would grow at every
+    # change of the page's width.
+    figure.update_layout(
+        yaxis={**drawing, "scaleanchor": "x", "scaleratio": 1, "constrain": "domain"}
+    )
     below = bottom - shares[1]
     step = below / max(rows, 1)
     for i in range(rows):
         domain = [below - (i + 1) * step + shares[1], below - i * step]
-        axis = {"domain": domain, "range": [-1.15, 1.15], "anchor": "x", "visible": False, "fixedrange": True}
+        axis = {
+            "domain": domain,
+            "range": [-1.15, 1.15],
+            "anchor": "x",
+            "visible": False,
+            "fixedrange": True,
+        }
         figure.update_layout({f"yaxis{i + 2}": axis})
 
 
 def _shapes(
-    figure: Any, nodes: np.ndarray, modes: np.ndarray, omega: np.ndarray, stations: Sequence[Station], high: float
+    figure: Any,
+    nodes: np.ndarray,
+    modes: np.ndarray,
+    omega: np.ndarray,
+    stations: Sequence[Station],
+    high: float,
 ) -> None:
-    """Free-free shapes, one row each, with guides and dots where bearings, sensors and seals see them."""
+    """Free-free shapes, one row each, with guides and dots where bearings, sensors and seals see
+    them.
+    """
     order = np.argsort(nodes)
     sensed = [station for station in stations if station.kind in _SEES]
     for station in sensed if modes.size else []:
         line = {"color": theme.FAINT, "width": 1}
         at = station.position
-        figure.add_shape(type="line", xref="x", yref="paper", x0=at, x1=at, y0=0, y1=high, line=line, layer="below")
+        figure.add_shape(
+            type="line",
+            xref="x",
+            yref="paper",
+            x0=at,
+            x1=at,
+            y0=0,
+            y1=high,
+            line=line,
+            layer="below",
+        )
     counts = {"rigid": 0, "bending": 0}
     for i in range(modes.shape[1]):
         axis = f"y{i + 2}"
         peak = float(np.abs(modes[:, i]).max()) or 1.0
         shape = modes[order, i] / peak * (1.0 if modes[order[0], i] >= 0 else -1.0)
         zero = {"color": theme.MUTED, "width": 0.8}
-        theme.scatter(figure, {}, nodes[order[[0, -1]]], [0, 0], line=zero, yaxis=axis, hoverinfo="skip")
         theme.scatter(
-            figure, {}, nodes[order], shape, line={"color": theme.INK, "width": 1.8}, yaxis=axis, fill="tozeroy",
-            fillcolor="rgba(102,113,123,0.13)", hovertemplate="%{x:.0f} mm: %{y:.3f}<extra></extra>",
-        )  # fmt: skip
+            figure, {}, nodes[order[[0, -1]]], [0, 0], line=zero, yaxis=axis, hoverinfo="skip"
+        )
+        theme.scatter(
+            figure,
+            {},
+            nodes[order],
+            shape,
+            line={"color": theme.INK, "width": 1.8},
+            yaxis=axis,
+            fill="tozeroy",
+            fillcolor="rgba(102,113,123,0.13)",
+            hovertemplate="%{x:.0f} mm: %{y:.3f}<extra></extra>",
+        )
         for station in sensed:
             there = float(np.interp(station.position, nodes[order], shape))
             symbol, colour = _SEES[station.kind], _KINDS[station.kind]
             theme.scatter(
-                figure, {}, [station.position], [there], mode="markers", yaxis=axis,
-                marker={"symbol": symbol, "size": 7, "color": colour, "line": {"width": 1.5, "color": colour}},
-                hovertemplate=f"{station.kind} {theme.plain(station.name)}: %{{y:.3f}}<extra></extra>",
-            )  # fmt: skip
+                figure,
+                {},
+                [station.position],
+                [there],
+                mode="markers",
+                yaxis=axis,
+                marker={
+                    "symbol": symbol,
+                    "size": 7,
+                    "color": colour,
+                    "line": {"width": 1.5, "color": colour},
+                },
+                hovertemplate=f"{station.kind} {theme.plain(station.name)}: "
+                "%{y:.3f}<extra></extra>",
+            )
         kind = "rigid" if omega[i] < 1e-6 * float(omega.max(initial=1.0)) else "bending"
         counts[kind] += 1
         text = f"<b>{kind} {counts[kind]}</b>"
         text += f"<br>{units.quantity(float(omega[i]), 'rad/s')}" if kind == "bending" else ""
         figure.add_annotation(
-            x=0, xref="paper", y=0, yref=axis, text=text, showarrow=False, xanchor="right", align="right", xshift=-8,
+            x=0,
+            xref="paper",
+            y=0,
+            yref=axis,
+            text=text,
+            showarrow=False,
+            xanchor="right",
+            align="right",
+            xshift=-8,
             font={"size": 12.5},
-        )  # fmt: skip
+        )

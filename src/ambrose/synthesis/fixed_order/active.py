@@ -1,7 +1,9 @@
-"""Which models and frequencies count in the p-norm of the channels: the others are left out of an evaluation.
+"""Which models and frequencies count in the p-norm of the channels: the others are left out of an
+evaluation.
 
-Near a controller most pairs of model and frequency stay far below the largest ratio, and to the power p they add nothing. What
-counts is gathered once and holds for a few steps of a descent (Apkarian & Noll 2006 work with the active frequencies likewise).
+Near a controller most pairs of model and frequency stay far below the largest ratio, and to the
+power p they add nothing. What counts is gathered once and holds for a few steps of a descent
+(Apkarian & Noll 2006 work with the active frequencies likewise).
 """
 
 from __future__ import annotations
@@ -16,7 +18,9 @@ from ambrose.synthesis.fixed_order.channels import Channel, Settling
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ActivePart:
-    """A channel A - B Q C at its active pairs: pairs (k,) of all, A (k, r, c), B (k, r, a), C (k, a, c), and B*, C*."""
+    """A channel A - B Q C at its active pairs: pairs (k,) of all, A (k, r, c), B (k, r, a), C (k,
+    a, c), and B*, C*.
+    """
 
     pairs: np.ndarray
     A: np.ndarray
@@ -30,8 +34,9 @@ class ActivePart:
 class Active:
     """Pairs of model and frequency, ordered by frequency.
 
-    G (p, a, a): u -> y there. omega (p,): frequency index. distinct: the frequencies that occur, and starts: their first pairs.
-    slow (k,): models whose settling counts; timed (k, w): their pairs.
+    G (p, a, a): u -> y there. omega (p,): frequency index. distinct: the frequencies that occur,
+    and starts: their first pairs. slow (k,): models whose settling counts; timed (k, w): their
+    pairs.
     """
 
     G: np.ndarray
@@ -44,9 +49,15 @@ class Active:
 
 
 def active(
-    G: np.ndarray, channels: Sequence[Channel], masks: Sequence[np.ndarray], settling: Settling | None, slow: np.ndarray
+    G: np.ndarray,
+    channels: Sequence[Channel],
+    masks: Sequence[np.ndarray],
+    settling: Settling | None,
+    slow: np.ndarray,
 ) -> Active:
-    """What counts: G (m, w, a, a); masks (m, w of the channel) of every channel; slow (k,): models whose settling counts."""
+    """What counts: G (m, w, a, a); masks (m, w of the channel) of every channel; slow (k,): models
+    whose settling counts.
+    """
     used = np.zeros(G.shape[1::-1], bool)  # (w, m)
     for channel, mask in zip(channels, masks, strict=True):
         used[channel.at] |= mask.T
@@ -60,8 +71,13 @@ def active(
     for channel, mask in zip(channels, masks, strict=True):
         i, j = np.nonzero(mask)
         if len(i):
-            A, B, C = (np.broadcast_to(M, (*mask.shape, *M.shape[2:]))[i, j] for M in (channel.A, channel.B, channel.C))
+            A, B, C = (
+                np.broadcast_to(M, (*mask.shape, *M.shape[2:]))[i, j]
+                for M in (channel.A, channel.B, channel.C)
+            )
             B_h, C_h = (np.ascontiguousarray(M.conj().swapaxes(1, 2)) for M in (B, C))
             parts.append(ActivePart(place[channel.at[j], i], A, B, C, B_h, C_h))
-    timed = np.zeros((0, 0), int) if settling is None else place[settling.at[None, :], slow[:, None]]
+    timed = (
+        np.zeros((0, 0), int) if settling is None else place[settling.at[None, :], slow[:, None]]
+    )
     return Active(G[models, omega], omega, distinct, starts, tuple(parts), slow, timed)

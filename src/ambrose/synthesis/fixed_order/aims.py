@@ -1,8 +1,10 @@
-"""What tuning aims at: the requirements of the machine file and the standards' defaults, as limits of a loop's responses.
+"""What tuning aims at: the requirements of the machine file and the standards' defaults, as limits
+of a loop's responses.
 
-Limits that the file leaves out are those that verification judges by (machine/criteria.py). Three are guards of ours, without
-which a search exploits what nobody looks at: the controller's gain, the damping of modes above the running speed, and a
-sensitivity that falls towards zero frequency, so that an integral action is kept.
+Limits that the file leaves out are those that verification judges by (machine/criteria.py). Three
+are guards of ours, without which a search exploits what nobody looks at: the controller's gain, the
+damping of modes above the running speed, and a sensitivity that falls towards zero frequency, so
+that an integral action is kept.
 """
 
 from __future__ import annotations
@@ -13,13 +15,20 @@ import numpy as np
 
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import StateSpace
-from ambrose.machine.criteria import CLEARANCE, SENSITIVITY, SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, demand
+from ambrose.machine.criteria import (
+    CLEARANCE,
+    SENSITIVITY,
+    SENSITIVITY_RANGE,
+    SPEED_RANGE_FACTOR,
+    demand,
+)
 from ambrose.machine.machine import Machine
-from ambrose.physics.rotor import finite_element_rotor, free_modes
-from ambrose.plant.model import top_speed
-from ambrose.plant.unbalance import residual_unbalance
+from ambrose.model.effects.rotor import finite_element_rotor, free_modes
+from ambrose.model.plant import top_speed
+from ambrose.model.unbalance import residual_unbalance
 
-_BANDWIDTH, _STIFF = 2.0, 0.01  # assumed: sigma_max(S_o) below 2 rad/s falls to 0.01; with a settling time t_s below 1/t_s
+# assumed: sigma_max(S_o) below 2 rad/s falls to 0.01; with a settling time t_s below 1/t_s
+_BANDWIDTH, _STIFF = 2.0, 0.01
 _GAIN = 1.5  # assumed: times the largest gain of the controller that tuning starts from
 _GUARD = 0.3  # assumed: of the rotor's modal damping, for modes above the top speed
 _MARGIN = 1.05  # of the log decrement, which is judged on the full plant
@@ -31,11 +40,13 @@ _BEYOND = 2.4  # the grid reaches this many times past the range of ISO 14839-3
 class Aims:
     """Limits; None asks for nothing.
 
-    sensitivity M, bandwidth [rad/s], stiff: sigma_max(S_o) stays below |(s + w_B A)/(s/M + w_B)|. gain [A/m]: of K S_o, falling
-    above roll_off [rad/s]. unbalance U [kg m] up to ``unbalance_to`` [rad/s]: orbit [m], currents (a,) [A] and forces (a,) [N]
-    (nan: none), voltage: (largest [V], inductance [H]) of a coil. compliance [m/N]. settling [s] after the current pulse.
-    damping [-] of modes below ``damped_to`` [rad/s], guard [-] of those above. running [rad/s]: lowest and highest speed, near
-    which modes are damped as API 617's separation margin asks. highest [rad/s]: end of the grid.
+    sensitivity M, bandwidth [rad/s], stiff: sigma_max(S_o) stays below |(s + w_B A)/(s/M + w_B)|.
+    gain [A/m]: of K S_o, falling above roll_off [rad/s]. unbalance U [kg m] up to ``unbalance_to``
+    [rad/s]: orbit [m], currents (a,) [A] and forces (a,) [N] (nan: none), voltage: (largest [V],
+    inductance [H]) of a coil. compliance [m/N]. settling [s] after the current pulse. damping [-]
+    of modes below ``damped_to`` [rad/s], guard [-] of those above. running [rad/s]: lowest and
+    highest speed, near which modes are damped as API 617's separation margin asks. highest [rad/s]:
+    end of the grid.
     """
 
     sensitivity: float
@@ -64,13 +75,22 @@ class Aims:
 
     def gain_limit(self, omega: np.ndarray) -> np.ndarray:
         """The limit of sigma_max(K S_o) at omega (w,) [rad/s], (w,) [A/m]."""
-        return self.gain / (np.ones(len(omega)) if self.roll_off is None else np.hypot(1, omega / self.roll_off))
+        return self.gain / (
+            np.ones(len(omega)) if self.roll_off is None else np.hypot(1, omega / self.roll_off)
+        )
 
 
 def aims_of(machine: Machine, start: StateSpace) -> Aims:
-    """The aims of a machine; start: the controller that tuning starts from, for the guard of the gain. Raises InvalidInput."""
-    wanted, residual, top = machine.requirements, residual_unbalance(machine), top_speed(machine)
-    peak = demand("maximum singular value of a sensitivity", wanted).limit or SENSITIVITY.limits[0].value
+    """The aims of a machine; start: the controller that tuning starts from, for the guard of the
+    gain. Raises InvalidInput.
+    """
+    wanted = machine.requirements
+    residual = residual_unbalance(machine)
+    top = top_speed(machine)
+    peak = (
+        demand("maximum singular value of a sensitivity", wanted).limit
+        or SENSITIVITY.limits[0].value
+    )
     margins = [peak]
     if wanted.gain_margin is not None and wanted.gain_margin > 1:  # both follow from sigma_max(S_o)
         margins.append(wanted.gain_margin / (wanted.gain_margin - 1))
@@ -78,7 +98,9 @@ def aims_of(machine: Machine, start: StateSpace) -> Aims:
         margins.append(1 / (2 * np.sin(wanted.phase_margin / 2)))
     gaps = [gap for b in machine.bearings if (gap := b.touchdown_gap or b.gap) is not None]
     orbits = [
-        value for value in (wanted.unbalance_orbit, *(CLEARANCE.limits[0].value * gap for gap in gaps)) if value is not None
+        value
+        for value in (wanted.unbalance_orbit, *(CLEARANCE.limits[0].value * gap for gap in gaps))
+        if value is not None
     ]
     decrement = demand("log decrement", wanted).limit or 0.0
     damping = _MARGIN * decrement / np.hypot(2 * np.pi, decrement)
@@ -89,7 +111,8 @@ def aims_of(machine: Machine, start: StateSpace) -> Aims:
     bending = modes.frequencies[-1]
     return Aims(
         sensitivity=min(margins),
-        gain=wanted.control_gain or _GAIN * float(np.abs(frequency_response(start, np.geomspace(1, 1e6, 60)).values).max()),
+        gain=wanted.control_gain
+        or _GAIN * float(np.abs(frequency_response(start, np.geomspace(1, 1e6, 60)).values).max()),
         currents=tuple(np.nan if value is None else float(value) for value in allowed),
         forces=tuple(np.nan if b.max_force is None else float(b.max_force) for b in bearings),
         damping=damping,
@@ -101,10 +124,14 @@ def aims_of(machine: Machine, start: StateSpace) -> Aims:
         orbit=min(orbits, default=None),
         compliance=wanted.compliance_peak,
         settling=wanted.settling_time,
-        bandwidth=_BANDWIDTH if wanted.settling_time is None else max(_BANDWIDTH, 1 / wanted.settling_time),
+        bandwidth=_BANDWIDTH
+        if wanted.settling_time is None
+        else max(_BANDWIDTH, 1 / wanted.settling_time),
         roll_off=wanted.roll_off,
         running=wanted.running_speeds,
-        voltage=None if coil.max_voltage is None or coil.inductance is None else (coil.max_voltage, coil.inductance),
+        voltage=None
+        if coil.max_voltage is None or coil.inductance is None
+        else (coil.max_voltage, coil.inductance),
     )
 
 

@@ -1,6 +1,8 @@
-"""The responses that tuning holds below limits: closed-loop channels T = A - B Q C, and the settling of a pulse in time.
+"""The responses that tuning holds below limits: closed-loop channels T = A - B Q C, and the
+settling of a pulse in time.
 
-A channel's rows are divided by their limits, so that sigma_max(T) is a ratio; with Q = K (I + G K)^-1 both are affine in Q.
+A channel's rows are divided by their limits, so that sigma_max(T) is a ratio; with Q = K (I + G
+K)^-1 both are affine in Q.
 """
 
 from __future__ import annotations
@@ -17,14 +19,18 @@ from ambrose.synthesis.fixed_order.aims import Aims
 from ambrose.synthesis.fixed_order.loops import LoopModel
 
 _TIMED_TO = 2e4  # rad/s; what is faster than that does not matter for settling
-_SLOW_TO = 2000.0  # rad/s; below it a step of the quadrature turns the latest time by this phase, above it 4 pulse durations:
+# rad/s; below it a step of the quadrature turns the latest time by this phase, above it 4 pulse
+# durations:
+_SLOW_TO = 2000.0
 _PHASE = 0.15  # rad
 SETTLING_POWER = 0.4  # of the settling ratio: an exponential decay enters about as a rate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Channel:
-    """A (m, w, r, c), B (m, w, r, a), C (m, w, a, c), rows divided by their limits; at: which frequencies of the grid."""
+    """A (m, w, r, c), B (m, w, r, a), C (m, w, a, c), rows divided by their limits; at: which
+    frequencies of the grid.
+    """
 
     name: str
     A: np.ndarray
@@ -33,20 +39,35 @@ class Channel:
     at: np.ndarray
 
 
-def channels_of(P: np.ndarray, a: int, omega: np.ndarray, aims: Aims, models: Sequence[LoopModel]) -> list[Channel]:
-    """Sensitivity, gain, compliance, and under unbalance orbit, currents and forces, each over its limit."""
+def channels_of(
+    P: np.ndarray, a: int, omega: np.ndarray, aims: Aims, models: Sequence[LoopModel]
+) -> list[Channel]:
+    """Sensitivity, gain, compliance, and under unbalance orbit, currents and forces, each over its
+    limit.
+    """
     u, f = slice(0, a), slice(a, 2 * a)
     G, G_yf = P[:, :, u, u], P[:, :, u, f]
     q, i = slice(a, 2 * a), slice(2 * a, None)
-    G_qu, G_qf, G_iu, G_if = P[:, :, q, u], P[:, :, q, f], P[:, :, i, u], P[:, :, i, f]
+    G_qu = P[:, :, q, u]
+    G_qf = P[:, :, q, f]
+    G_iu = P[:, :, i, u]
+    G_if = P[:, :, i, f]
     every, eye = np.arange(len(omega)), np.eye(a)[None, None]
     limit = 1 / aims.sensitivity_limit(omega)[None, :, None, None]
     found = [
         Channel("sensitivity", np.broadcast_to(eye * limit, G.shape), G * limit, eye, every),
-        Channel("gain", np.zeros((1, 1, a, a)), -eye / aims.gain_limit(omega)[None, :, None, None], eye, every),
+        Channel(
+            "gain",
+            np.zeros((1, 1, a, a)),
+            -eye / aims.gain_limit(omega)[None, :, None, None],
+            eye,
+            every,
+        ),
     ]
     if aims.compliance is not None:
-        found.append(Channel("compliance", G_qf / aims.compliance, G_qu / aims.compliance, G_yf, every))
+        found.append(
+            Channel("compliance", G_qf / aims.compliance, G_qu / aims.compliance, G_yf, every)
+        )
     at = np.flatnonzero(omega <= aims.unbalance_to * (1 + 1e-9))
     if not aims.unbalance or not len(at):
         return found
@@ -56,7 +77,9 @@ def channels_of(P: np.ndarray, a: int, omega: np.ndarray, aims: Aims, models: Se
         rows = np.isfinite(limits)
         if rows.any():
             by = force / limits[rows][:, None]
-            found.append(Channel(name, A[:, at][:, :, rows] * by, B[:, at][:, :, rows] * by, G_yf[:, at], at))
+            found.append(
+                Channel(name, A[:, at][:, :, rows] * by, B[:, at][:, :, rows] * by, G_yf[:, at], at)
+            )
 
     if aims.orbit is not None:
         under_unbalance("orbit", G_qf, G_qu, np.full(a, aims.orbit))
@@ -65,13 +88,20 @@ def channels_of(P: np.ndarray, a: int, omega: np.ndarray, aims: Aims, models: Se
         most, inductance = aims.voltage
         swing = (inductance * omega)[:, None, None]
         under_unbalance("voltage", swing * G_if, swing * G_iu, np.full(a, most))
-    k_i, k_s = (np.stack(values)[:, None, :, None] for values in zip(*(model.magnet for model in models), strict=True))
-    under_unbalance("force", k_i * G_if + k_s * G_qf, k_i * G_iu + k_s * G_qu, np.array(aims.forces))
+    k_i, k_s = (
+        np.stack(values)[:, None, :, None]
+        for values in zip(*(model.magnet for model in models), strict=True)
+    )
+    under_unbalance(
+        "force", k_i * G_if + k_s * G_qf, k_i * G_iu + k_s * G_qu, np.array(aims.forces)
+    )
     return found
 
 
 class Settling:
-    """|y(t)| after the pulse over the band around zero, from frequency responses by quadrature of a cubic spline."""
+    """|y(t)| after the pulse over the band around zero, from frequency responses by quadrature
+    of a cubic spline.
+    """
 
     __slots__ = ("at", "early", "late")
 
@@ -80,17 +110,25 @@ class Settling:
         w = omega[self.at]
         last = PULSE.duration + 8 * settling
         slow = np.linspace(0, _SLOW_TO, int(np.ceil(_SLOW_TO * last / _PHASE)) + 1)
-        fast = np.linspace(_SLOW_TO, max(w[-1], _SLOW_TO + 1), int(np.ceil(w[-1] * 4 * PULSE.duration / _PHASE)) + 2)
+        fast = np.linspace(
+            _SLOW_TO,
+            max(w[-1], _SLOW_TO + 1),
+            int(np.ceil(w[-1] * 4 * PULSE.duration / _PHASE)) + 2,
+        )
         fine = np.unique(np.concatenate([slow, fast]))
         fine = fine[fine <= w[-1]]
         step = np.gradient(fine)
         step[[0, -1]] /= 2
         edge = 0.8 * w[-1]
-        taper = np.where(fine > edge, 0.5 + 0.5 * np.cos(np.pi * (fine - edge) / (w[-1] - edge)), 1.0)
+        taper = np.where(
+            fine > edge, 0.5 + 0.5 * np.cos(np.pi * (fine - edge) / (w[-1] - edge)), 1.0
+        )
         jw = 1j * np.maximum(fine, 1e-6)
 
         def weights(time: np.ndarray) -> np.ndarray:
-            rise = np.exp(jw * time[:, None]) - np.exp(jw * (time - np.minimum(PULSE.duration, time))[:, None])
+            rise = np.exp(jw * time[:, None]) - np.exp(
+                jw * (time - np.minimum(PULSE.duration, time))[:, None]
+            )
             return _by_samples(rise / jw * step * taper / np.pi, fine, w)
 
         after = settling * np.concatenate([np.linspace(1, 2.2, 16), np.geomspace(2.4, 8, 8)])
@@ -100,29 +138,41 @@ class Settling:
     def ratios(
         self, G: np.ndarray, Q: np.ndarray, peak: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """|y| over its band (m, t, axis, pulsed axis), y itself, the band (m, pulsed axis), and the peaks it is taken of.
+        """|y| over its band (m, t, axis, pulsed axis), y itself, the band (m, pulsed axis), and the
+        peaks it is taken of.
 
-        G, Q (m, w, a, a): at the frequencies ``at``. peak (m, pulsed axis): None takes those of the response itself.
+        G, Q (m, w, a, a): at the frequencies ``at``. peak (m, pulsed axis): None takes those of the
+        response itself.
         """
         H = G - G @ Q @ G
         if peak is None:
-            peak = np.abs(np.einsum("tw,mwab->mtab", self.early, H, optimize=True).real).max(axis=(1, 2))
+            peak = np.abs(np.einsum("tw,mwab->mtab", self.early, H, optimize=True).real).max(
+                axis=(1, 2)
+            )
         y = np.einsum("tw,mwab->mtab", self.late, H, optimize=True).real
         band = PULSE.band * peak
         return np.abs(y) / band[:, None, None, :], y, band, peak
 
-    def slope(self, G: np.ndarray, timed: tuple[np.ndarray, ...], top: float, power: float) -> tuple[float, np.ndarray]:
-        """The part of the p-norm's sum, and its slope by Q (m, w, a, a); timed: what ``ratios`` returned for G."""
+    def slope(
+        self, G: np.ndarray, timed: tuple[np.ndarray, ...], top: float, power: float
+    ) -> tuple[float, np.ndarray]:
+        """The part of the p-norm's sum, and its slope by Q (m, w, a, a); timed: what ``ratios``
+        returned for G.
+        """
         ratio, y, band, _ = timed
         share = (ratio**SETTLING_POWER / top) ** power
-        weight = share * SETTLING_POWER / np.maximum(ratio, 1e-300) * np.sign(y) / band[:, None, None, :]
+        weight = (
+            share * SETTLING_POWER / np.maximum(ratio, 1e-300) * np.sign(y) / band[:, None, None, :]
+        )
         slope = np.einsum("tw,mtab->mwab", self.late.conj(), weight, optimize=True)
         back = G.conj().swapaxes(2, 3)
         return float(share.sum()), -(back @ slope @ back)
 
 
 def _by_samples(weights: np.ndarray, fine: np.ndarray, w: np.ndarray) -> np.ndarray:
-    """The weights (t, n) at the knots w (n,) of a quadrature (t, f) at fine (f,) of their natural cubic spline."""
+    """The weights (t, n) at the knots w (n,) of a quadrature (t, f) at fine (f,) of their natural
+    cubic spline.
+    """
     i = np.clip(np.searchsorted(w, fine, side="right") - 1, 0, len(w) - 2)
     h, at = np.diff(w), np.maximum(fine, w[0])
     left, right = (w[i + 1] - at) / h[i], (at - w[i]) / h[i]
@@ -130,12 +180,15 @@ def _by_samples(weights: np.ndarray, fine: np.ndarray, w: np.ndarray) -> np.ndar
 
     def spread(on_left: np.ndarray, on_right: np.ndarray) -> np.ndarray:
         places = np.concatenate([rows, rows]), np.concatenate([i, i + 1])
-        return np.asarray((csr_array((np.concatenate([on_left, on_right]), places), size).T @ weights.T).T)
+        return np.asarray(
+            (csr_array((np.concatenate([on_left, on_right]), places), size).T @ weights.T).T
+        )
 
     by_values = spread(left, right)
     bend = h[i] ** 2 / 6
     by_bends = spread(bend * (left**3 - left), bend * (right**3 - right))[:, 1:-1]
-    banded = np.array([np.append(0, h[1:-1]), 2 * (h[1:] + h[:-1]), np.append(h[1:-1], 0)])  # bends (n-2,) from values
+    # bends (n-2,) from values
+    banded = np.array([np.append(0, h[1:-1]), 2 * (h[1:] + h[:-1]), np.append(h[1:-1], 0)])
     inner = solve_banded((1, 1), banded, by_bends.T).T * 6
     by_values[:, :-2] += inner / h[:-1]
     by_values[:, 1:-1] -= inner * (1 / h[:-1] + 1 / h[1:])

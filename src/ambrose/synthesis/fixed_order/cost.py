@@ -1,12 +1,14 @@
-"""What polishing minimises: the p-norm, over frequencies and models of the plant, of the closed loop's singular values.
+"""What polishing minimises: the p-norm, over frequencies and models of the plant, of the closed
+loop's singular values.
 
-For M = P11 + P12 K (I - P22 K)^-1 P21 and f = ln(sum sigma_i^p)/p, the derivative is exact: dM = L dK R with
-L = P12 (I - K P22)^-1, R = (I - P22 K)^-1 P21, and dK follows from the matrices of K (Apkarian & Noll 2006 work with the
-subgradients of the largest singular value; the p-norm is smooth).
+For M = P11 + P12 K (I - P22 K)^-1 P21 and f = ln(sum sigma_i^p)/p, the derivative is exact: dM = L
+dK R with L = P12 (I - K P22)^-1, R = (I - P22 K)^-1 P21, and dK follows from the matrices of K
+(Apkarian & Noll 2006 work with the subgradients of the largest singular value; the p-norm is
+smooth).
 
-The controller is block-diagonal, 2 x 2 blocks (one 1 x 1 for an odd order): A_ij = sqrt(w_i w_j) a_ij, B_i = sqrt(w_i) b_i,
-C_j = sqrt(w_j) c_j with the modulus w of the block's first poles, and inputs and outputs scaled to comparable gains, so that
-all unknowns are numbers of similar size.
+The controller is block-diagonal, 2 x 2 blocks (one 1 x 1 for an odd order): A_ij = sqrt(w_i w_j)
+a_ij, B_i = sqrt(w_i) b_i, C_j = sqrt(w_j) c_j with the modulus w of the block's first poles, and
+inputs and outputs scaled to comparable gains, so that all unknowns are numbers of similar size.
 """
 
 from __future__ import annotations
@@ -27,7 +29,9 @@ _PARALLEL = 1e8  # condition of the eigenvectors above which they give no form
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Form:
-    """The structure of the controller: mask (n, n) of A's free entries, rate (n,) [rad/s], u_scale (m,), y_scale (p,)."""
+    """The structure of the controller: mask (n, n) of A's free entries, rate (n,) [rad/s], u_scale
+    (m,), y_scale (p,).
+    """
 
     mask: np.ndarray
     rate: np.ndarray
@@ -41,7 +45,9 @@ class Form:
         return StateSpace(*self.matrices(x), self.inputs, self.outputs)
 
     def matrices(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        n, m, p = len(self.rate), len(self.u_scale), len(self.y_scale)
+        n = len(self.rate)
+        m = len(self.u_scale)
+        p = len(self.y_scale)
         count = int(self.mask.sum())
         a, b, c, d = np.split(x, np.cumsum([count, n * p, m * n]))
         root = np.sqrt(self.rate)
@@ -55,27 +61,42 @@ class Form:
     def unknowns(self, A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> np.ndarray:
         """x (k,) of matrices in this form."""
         root = np.sqrt(self.rate)
-        return np.concatenate([
-            (A / root[:, None] / root)[self.mask], (B / root[:, None] * self.y_scale).ravel(),
-            (C / self.u_scale[:, None] / root).ravel(), (D / self.u_scale[:, None] * self.y_scale).ravel(),
-        ])  # fmt: skip
+        return np.concatenate(
+            [
+                (A / root[:, None] / root)[self.mask],
+                (B / root[:, None] * self.y_scale).ravel(),
+                (C / self.u_scale[:, None] / root).ravel(),
+                (D / self.u_scale[:, None] * self.y_scale).ravel(),
+            ]
+        )
 
-    def gradient(self, dA: np.ndarray, dB: np.ndarray, dC: np.ndarray, dD: np.ndarray) -> np.ndarray:
+    def gradient(
+        self, dA: np.ndarray, dB: np.ndarray, dC: np.ndarray, dD: np.ndarray
+    ) -> np.ndarray:
         """df/dx from df/dA .. df/dD."""
         root = np.sqrt(self.rate)
-        return np.concatenate([
-            (dA * root[:, None] * root)[self.mask], (dB * root[:, None] / self.y_scale).ravel(),
-            (dC * self.u_scale[:, None] * root).ravel(), (dD * self.u_scale[:, None] / self.y_scale).ravel(),
-        ])  # fmt: skip
+        return np.concatenate(
+            [
+                (dA * root[:, None] * root)[self.mask],
+                (dB * root[:, None] / self.y_scale).ravel(),
+                (dC * self.u_scale[:, None] * root).ravel(),
+                (dD * self.u_scale[:, None] / self.y_scale).ravel(),
+            ]
+        )
 
 
 def block_form(controller: StateSpace) -> tuple[Form, np.ndarray]:
-    """The form of a controller and its unknowns: poles in complex pairs, real ones paired by size; each block balanced."""
+    """The form of a controller and its unknowns: poles in complex pairs, real ones paired by size;
+    each block balanced.
+    """
     n = controller.n_states
     values, V = np.linalg.eig(controller.A) if n else (np.zeros(0, complex), np.zeros((0, 0)))
     pairs = [i for i in np.argsort(np.abs(values)) if values[i].imag > 0]
     real = [i for i in np.argsort(np.abs(values)) if values[i].imag == 0]
-    T, mask, rate, k = np.zeros((n, n)), np.zeros((n, n), bool), np.zeros(n), 0
+    T = np.zeros((n, n))
+    mask = np.zeros((n, n), bool)
+    rate = np.zeros(n)
+    k = 0
     for i in pairs:
         T[:, k], T[:, k + 1] = V[:, i].real, V[:, i].imag
         mask[k : k + 2, k : k + 2], rate[k : k + 2] = True, abs(values[i])
@@ -84,33 +105,54 @@ def block_form(controller: StateSpace) -> tuple[Form, np.ndarray]:
         size = len(group)
         T[:, k : k + size] = V[:, group].real
         mask[k : k + size, k : k + size] = True
-        rate[k : k + size] = np.maximum(np.abs(values[group]), 1e-9 * max(np.abs(values).max(initial=0.0), 1e-300))
+        rate[k : k + size] = np.maximum(
+            np.abs(values[group]), 1e-9 * max(np.abs(values).max(initial=0.0), 1e-300)
+        )
         k += size
-    if n and np.linalg.cond(T) > _PARALLEL:  # equal poles in series: as 2 x 2 blocks they would be another controller
+    # equal poles in series: as 2 x 2 blocks they would be another controller
+    if n and np.linalg.cond(T) > _PARALLEL:
         A, B, C, mask, rate = _merged(controller)
     else:
-        A, B, C = np.linalg.solve(T, controller.A @ T), np.linalg.solve(T, controller.B), controller.C @ T
+        A = np.linalg.solve(T, controller.A @ T)
+        B = np.linalg.solve(T, controller.B)
+        C = controller.C @ T
     omega = np.geomspace(max(rate.min(initial=1.0), 1e-6), max(rate.max(initial=1.0), 1.0), 40)
     gain = np.abs(frequency_response(controller, omega).values).max(axis=0)
-    u_scale = np.sqrt(np.maximum(gain.max(axis=1), 1e-30) / np.maximum(gain.max(), 1e-30)) * np.sqrt(max(gain.max(), 1e-30))
+    u_scale = np.sqrt(
+        np.maximum(gain.max(axis=1), 1e-30) / np.maximum(gain.max(), 1e-30)
+    ) * np.sqrt(max(gain.max(), 1e-30))
     y_scale = u_scale.max() / np.maximum(gain.max(axis=0), 1e-30)
     # every state: the same size of input and output in scaled units
     into = np.linalg.norm(B / np.sqrt(rate)[:, None] * y_scale, axis=1)
     out = np.linalg.norm(C / u_scale[:, None] / np.sqrt(rate), axis=0)
     into, out = (np.array([np.linalg.norm(v[mask[i]]) for i in range(n)]) for v in (into, out))
     s = np.sqrt(np.maximum(into, 1e-30) / np.maximum(out, 1e-30))  # the same within a block
-    A, B, C = A * s / s[:, None], B / s[:, None], C * s
+    A = A * s / s[:, None]
+    B = B / s[:, None]
+    C = C * s
     form = Form(mask, rate, u_scale, y_scale, controller.inputs, controller.outputs)
     return form, form.unknowns(np.where(mask, A, 0.0), B, C, controller.D)
 
 
-def _merged(controller: StateSpace) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """A, B, C, mask and rate, poles that cannot be separated in larger blocks (core/realisation/modal_form)."""
+def _merged(
+    controller: StateSpace,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """A, B, C, mask and rate, poles that cannot be separated in larger blocks
+    (core/realisation/modal_form).
+    """
     parts = decoupled_blocks(controller, np.arange(controller.n_states))
-    A, B, C = sla.block_diag(*[p[0] for p in parts]), np.vstack([p[1] for p in parts]), np.hstack([p[2] for p in parts])
+    A = sla.block_diag(*[p[0] for p in parts])
+    B = np.vstack([p[1] for p in parts])
+    C = np.hstack([p[2] for p in parts])
     mask = sla.block_diag(*[np.ones_like(p[0], bool) for p in parts])
     moduli = [np.abs(np.linalg.eigvals(p[0])) for p in parts]
-    return A, B, C, mask, np.maximum(np.concatenate(moduli), 1e-9 * max(size.max() for size in moduli))
+    return (
+        A,
+        B,
+        C,
+        mask,
+        np.maximum(np.concatenate(moduli), 1e-9 * max(size.max() for size in moduli)),
+    )
 
 
 class Cost:
@@ -127,7 +169,7 @@ class Cost:
         self.P21, self.P22 = values[..., nz:, :nw], values[..., nz:, nw:]
         self.systems = [
             (m.system.A, m.system.B[:, nw:], m.system.C[nz:], m.system.D[nz:, nw:]) for m in models
-        ]  # fmt: skip
+        ]
 
     def _response(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """K (w, m, p), X = (sI - A)^-1 B (w, n, p), Y = C (sI - A)^-1 (w, m, n)."""
@@ -157,8 +199,11 @@ class Cost:
         used = size >= max(0.35 * size.max(), largest * 1e-17 ** (1 / power))
         N = M[used]
         wide = N.shape[1] < N.shape[2]
-        squares, V = np.linalg.eigh(N @ N.conj().swapaxes(1, 2) if wide else N.conj().swapaxes(1, 2) @ N)
-        s = np.sqrt(np.maximum(squares, 1e-300))  # what squaring loses lies far below the largest, and does not count
+        squares, V = np.linalg.eigh(
+            N @ N.conj().swapaxes(1, 2) if wide else N.conj().swapaxes(1, 2) @ N
+        )
+        # what squaring loses lies far below the largest, and does not count
+        s = np.sqrt(np.maximum(squares, 1e-300))
         logs = power * np.log(s)
         top = logs.max()
         share = np.exp(logs - top)

@@ -1,4 +1,6 @@
-"""L-BFGS whose line search never leaves the set of stabilising controllers (Nocedal & Wright 2006, alg. 7.4, 3.1)."""
+"""L-BFGS whose line search never leaves the set of stabilising controllers (Nocedal & Wright 2006,
+alg. 7.4, 3.1).
+"""
 
 from __future__ import annotations
 
@@ -23,8 +25,9 @@ def descend(
 ) -> tuple[np.ndarray, int]:
     """x (k,) with a lower cost, reached through allowed points only, and the iterations used.
 
-    x (k,): allowed. Ends after ``iterations``, when ten of them gain less than ``tolerance``, when the cost is below ``least``,
-    or when ``proceed`` says no. renew: called with x at the start and every ten steps, it may change what the cost leaves out.
+    x (k,): allowed. Ends after ``iterations``, when ten of them gain less than ``tolerance``, when
+    the cost is below ``least``, or when ``proceed`` says no. renew: called with x at the start and
+    every ten steps, it may change what the cost leaves out.
     """
     if renew is not None:
         renew(x)
@@ -46,7 +49,14 @@ def descend(
         if slope >= 0:
             pairs.clear()
             direction, slope = -g, -float(g @ g)
-        step = 1.0 if pairs else min(1.0, 1e-2 * max(1.0, float(np.linalg.norm(x))) / max(float(np.linalg.norm(g)), 1e-300))
+        step = (
+            1.0
+            if pairs
+            else min(
+                1.0,
+                1e-2 * max(1.0, float(np.linalg.norm(x))) / max(float(np.linalg.norm(g)), 1e-300),
+            )
+        )
         for _ in range(_HALVINGS):
             trial = x + step * direction
             new, g_new = cost(trial)
@@ -61,7 +71,9 @@ def descend(
         s, y = trial - x, g_new - g
         if s @ y > 1e-10 * np.linalg.norm(s) * np.linalg.norm(y):
             pairs = [*pairs[-_MEMORY + 1 :], (s, y)]
-        x, value, g = trial, new, g_new
+        x = trial
+        value = new
+        g = g_new
         values.append(value)
         if value < least or (len(values) > 10 and values[-11] - value < tolerance):
             break

@@ -1,4 +1,6 @@
-"""The task of tuning: models of all operating points, what is asked of them, and the controller that it starts from."""
+"""The task of tuning: models of all operating points, what is asked of them, and the controller
+that it starts from.
+"""
 
 from __future__ import annotations
 
@@ -11,21 +13,21 @@ import scipy.linalg as sla
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.frequency import frequency_response, largest_gain
 from ambrose.core.statespace import StateSpace
+from ambrose.core.time_limit import TimeLimit
+from ambrose.judge.certificate import fastest_pole
+from ambrose.law.timing import Timing
 from ambrose.machine.controller import PidSettings
 from ambrose.machine.limits import STATES
 from ambrose.machine.machine import Machine
-from ambrose.physics.rotor import free_modes
-from ambrose.plant.basis import bending_modes_of
-from ambrose.plant.model import Plant
-from ambrose.plant.reduce import reduce, reduce_from
-from ambrose.plant.timing import Timing
-from ambrose.synthesis.certificate import fastest_pole
+from ambrose.model.basis import bending_modes_of
+from ambrose.model.effects.rotor import free_modes
+from ambrose.model.plant import Plant
+from ambrose.model.reduce import reduce, reduce_from
 from ambrose.synthesis.fixed_order.aims import Aims, aims_of, highest_verified
 from ambrose.synthesis.fixed_order.bank import BANKS, first_bank
 from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, warped
 from ambrose.synthesis.fixed_order.structure import Groups, axis_groups
 from ambrose.synthesis.pid import pid_controller
-from ambrose.synthesis.time_limit import TimeLimit
 
 _LAG = 2 * np.pi * 400  # rad/s; appended where the start is too fast for its sample rate
 _WEAK = 1e-3  # of the start's gain: states that are added to reach the order
@@ -33,7 +35,8 @@ _STATES_PER_AXIS, _MOST_PER_AXIS = 3, 6  # at first, and at most while requireme
 FASTEST = 3.0  # times the fastest pole of the start, or the grid's end
 _BELOW = 0.95  # of half the rate: the fastest pole of a filter bank
 _ABOVE = 1.2  # times the highest bending mode of the models: there the grid ends at least
-_HEARD, _LISTENED = 0.15, 12  # loop gain of a mode that is kept; modes above the others that are looked at
+# loop gain of a mode that is kept; modes above the others that are looked at
+_HEARD, _LISTENED = 0.15, 12
 Law = StateSpace | PidSettings  # what is tuned: matrices, or the chains of a filter bank
 
 
@@ -58,35 +61,81 @@ class Job:
 
 
 def prepare(
-    plants: Sequence[Plant], start: Law, timing: Timing | None, order: int | None, structure: str,
-    bending_modes: int | None, reference: StateSpace | None, time_limit: float, progress: Callable[[str], None] | None,
-) -> Job:  # fmt: skip
+    plants: Sequence[Plant],
+    start: Law,
+    timing: Timing | None,
+    order: int | None,
+    structure: str,
+    bending_modes: int | None,
+    reference: StateSpace | None,
+    time_limit: float,
+    progress: Callable[[str], None] | None,
+) -> Job:
     """What is tuned; arguments as of ``tune_controller``. Raises InvalidInput."""
     full = tuple(plants)
     if not full or any(plant.machine is not full[0].machine for plant in full):
-        raise InvalidInput("tuning needs plants of one machine at its operating points; assemble them from the same machine")
+        raise InvalidInput(
+            "tuning needs plants of one machine at its operating points; assemble them from the "
+            "same machine"
+        )
     if structure in BANKS and not isinstance(start, PidSettings):
-        raise invalid("start", type(start).__name__, f"PidSettings with structure {structure!r}", "give the [controller] table")
+        raise invalid(
+            "start",
+            type(start).__name__,
+            f"PidSettings with structure {structure!r}",
+            "give the [controller] table",
+        )
     machine = full[0].machine
     start = as_system(start, machine)
     if start.dt is not None:
-        raise invalid("the start's dt", start.dt, "None (continuous)", "give the continuous controller and the timing")
-    if order is not None and (isinstance(order, bool) or not isinstance(order, int | np.integer) or order < 1):
+        raise invalid(
+            "the start's dt",
+            start.dt,
+            "None (continuous)",
+            "give the continuous controller and the timing",
+        )
+    if order is not None and (
+        isinstance(order, bool) or not isinstance(order, int | np.integer) or order < 1
+    ):
         raise invalid("order", repr(order), "a whole number, at least 1", "leave the default")
     if order is not None and order > STATES:
-        raise invalid("order", order, f"at most {STATES}, as in a controller file", "three per axis are the default")
-    modes = max(bending_modes_for(plant, start, timing) for plant in full) if bending_modes is None else bending_modes
+        raise invalid(
+            "order",
+            order,
+            f"at most {STATES}, as in a controller file",
+            "three per axis are the default",
+        )
+    modes = (
+        max(bending_modes_for(plant, start, timing) for plant in full)
+        if bending_modes is None
+        else bending_modes
+    )
     reduced = reduce_from if bending_modes is None else reduce
     small = tuple(reduced(plant, modes) if plant.bending_modes is None else plant for plant in full)
     aims = aims_of(machine, start)
-    bending = free_modes(full[0].rotor_model, min(modes, bending_modes_of(full[0].rotor_model))).frequencies[4:]
+    bending = free_modes(
+        full[0].rotor_model, min(modes, bending_modes_of(full[0].rotor_model))
+    ).frequencies[4:]
     aims = replace(aims, highest=max(aims.highest, _ABOVE * float(bending.max(initial=0.0))))
-    fastest = FASTEST * max(fastest_pole(start), aims.highest) if timing is None else _BELOW * np.pi / timing.sample_time
+    fastest = (
+        FASTEST * max(fastest_pole(start), aims.highest)
+        if timing is None
+        else _BELOW * np.pi / timing.sample_time
+    )
     return Job(
-        full, small, timing, aims, axis_groups(machine, "plane" if structure == "free" else structure),
-        [loop_model(plant, timing) for plant in small], TimeLimit(time_limit), progress or (lambda _: None), reference, fastest,
-        structure, len(start.inputs) * _MOST_PER_AXIS if order is None and structure not in BANKS else None,
-    )  # fmt: skip
+        full,
+        small,
+        timing,
+        aims,
+        axis_groups(machine, "plane" if structure == "free" else structure),
+        [loop_model(plant, timing) for plant in small],
+        TimeLimit(time_limit),
+        progress or (lambda _: None),
+        reference,
+        fastest,
+        structure,
+        len(start.inputs) * _MOST_PER_AXIS if order is None and structure not in BANKS else None,
+    )
 
 
 def as_system(law: Law, machine: Machine) -> StateSpace:
@@ -94,10 +143,14 @@ def as_system(law: Law, machine: Machine) -> StateSpace:
     return pid_controller(law, machine) if isinstance(law, PidSettings) else law
 
 
-def bending_modes_for(plant: Plant, start: StateSpace | None = None, timing: Timing | None = None) -> int:
-    """How many bending modes per plane a model needs to be tuned on: all that the sensitivity is judged at, and one more.
+def bending_modes_for(
+    plant: Plant, start: StateSpace | None = None, timing: Timing | None = None
+) -> int:
+    """How many bending modes per plane a model needs to be tuned on: all that the sensitivity is
+    judged at, and one more.
 
-    With a controller to start from also all at whose resonances sigma_max(G K) reaches ``_HEARD``: what is left out is excited.
+    With a controller to start from also all at whose resonances sigma_max(G K) reaches ``_HEARD``:
+    what is left out is excited.
     """
     available = bending_modes_of(plant.rotor_model)
     frequencies = free_modes(plant.rotor_model, available).frequencies[4::2]
@@ -108,13 +161,17 @@ def bending_modes_for(plant: Plant, start: StateSpace | None = None, timing: Tim
         return judged
     near = (frequencies[judged:][above][:, None] * np.linspace(0.99, 1.01, 9)).ravel()
     G = loop_model(plant, timing).response(near)[:, : len(plant.axes), : len(plant.axes)]
-    gain = largest_gain(G @ frequency_response(start, warped(near, timing)).values).reshape(len(above), -1)
+    gain = largest_gain(G @ frequency_response(start, warped(near, timing)).values).reshape(
+        len(above), -1
+    )
     heard = np.flatnonzero(gain.max(axis=1) >= _HEARD)
     return judged + (int(above[heard[-1]]) + 1 if len(heard) else 0)
 
 
 def first_law(job: Job, start: Law, order: int | None, structure: str) -> Law:
-    """The start with a lag where its sample rate cannot show its poles, and with weak states, or filters, up to the order."""
+    """The start with a lag where its sample rate cannot show its poles, and with weak states, or
+    filters, up to the order.
+    """
     if structure in BANKS and isinstance(start, PidSettings):
         return first_bank(start, job.full[0].machine, structure, order, job.fastest)
     start = as_system(start, job.full[0].machine)
@@ -126,7 +183,12 @@ def first_law(job: Job, start: Law, order: int | None, structure: str) -> Law:
         start = StateSpace(A, B, C, np.zeros((m, m)), start.inputs, start.outputs)
     wanted = max(_STATES_PER_AXIS * len(start.inputs), start.n_states) if order is None else order
     if wanted < start.n_states:
-        raise invalid("order", wanted, f"{start.n_states} or more, as the start has", "simplify the [controller], or give more")
+        raise invalid(
+            "order",
+            wanted,
+            f"{start.n_states} or more, as the start has",
+            "simplify the [controller], or give more",
+        )
     return with_states(start, wanted - start.n_states, job.groups)
 
 
@@ -135,7 +197,9 @@ def with_states(K: StateSpace, extra: int, groups: Groups) -> StateSpace:
     rng = np.random.default_rng(0)
     m = K.D.shape[0]
     gain = float(np.abs(frequency_response(K, np.geomspace(1.0, 1e5, 30)).values).max())
-    A, B, C = [K.A], [K.B], [K.C]
+    A = [K.A]
+    B = [K.B]
+    C = [K.C]
     for k, axes in enumerate(groups):
         size = extra // len(groups) + (k < extra % len(groups))
         if not size:
@@ -144,8 +208,12 @@ def with_states(K: StateSpace, extra: int, groups: Groups) -> StateSpace:
         block = -np.diag(rates)
         for j in range(0, size - 1, 2):
             block[j : j + 2, j : j + 2] = rates[j] * np.array([[-0.5, 0.87], [-0.87, -0.5]])
-        root, into, out = np.sqrt(np.abs(np.diag(block))), np.zeros((size, m)), np.zeros((m, size))
+        root = np.sqrt(np.abs(np.diag(block)))
+        into = np.zeros((size, m))
+        out = np.zeros((m, size))
         into[:, list(axes)] = rng.normal(size=(size, len(axes))) * root[:, None]
         out[list(axes)] = _WEAK * gain * rng.normal(size=(len(axes), size)) * root
-        A, B, C = [*A, block], [*B, into], [*C, out]
+        A = [*A, block]
+        B = [*B, into]
+        C = [*C, out]
     return StateSpace(sla.block_diag(*A), np.vstack(B), np.hstack(C), K.D, K.inputs, K.outputs)

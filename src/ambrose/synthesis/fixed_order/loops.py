@@ -1,9 +1,11 @@
-"""The loop that is tuned: a plant at one operating point with the controller as it runs there, sampled and late.
+"""The loop that is tuned: a plant at one operating point with the controller as it runs there,
+sampled and late.
 
-The sampled loop is exact and yet rational in a continuous variable: with w = (2/T) (z - 1)/(z + 1) Tustin's map leaves the
-controller as it is, and the plant, sampled behind its hold and late by whole samples, becomes another continuous plant
-(Franklin, Powell & Workman 1998, sec. 7.3). Frequency responses are taken at true frequencies: the plant's times hold and
-delay, the controller's at (2/T) tan(w T/2); aliasing is left out, as in verification.
+The sampled loop is exact and yet rational in a continuous variable: with w = (2/T) (z - 1)/(z + 1)
+Tustin's map leaves the controller as it is, and the plant, sampled behind its hold and late by
+whole samples, becomes another continuous plant (Franklin, Powell & Workman 1998, sec. 7.3).
+Frequency responses are taken at true frequencies: the plant's times hold and delay, the
+controller's at (2/T) tan(w T/2); aliasing is left out, as in verification.
 """
 
 from __future__ import annotations
@@ -16,14 +18,15 @@ from ambrose.core.frequency import SchurForm, evaluate, schur_form
 from ambrose.core.realisation.balancing import balance_system
 from ambrose.core.sampling import c2d, delayed, hold
 from ambrose.core.statespace import select
-from ambrose.plant.model import Plant
-from ambrose.plant.static_load import magnet_coefficients
-from ambrose.plant.timing import Timing
+from ambrose.law.timing import Timing
+from ambrose.model.plant import Plant
+from ambrose.model.static_load import magnet_coefficients
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopModel:
-    """A, B, C, D: currents u to displacements y in the variable w; form: u, f at the bearings -> y, q at the bearings, i.
+    """A, B, C, D: currents u to displacements y in the variable w; form: u, f at the bearings -> y,
+    q at the bearings, i.
 
     magnet: k_i (a,) [N/A] and k_s (a,) [N/m]. speed [rad/s]: of the operating point.
     """
@@ -47,9 +50,14 @@ class LoopModel:
 
 
 def loop_model(plant: Plant, timing: Timing | None, label: str = "") -> LoopModel:
-    """The model of a plant, full or reduced, for a controller that runs with ``timing`` (None: continuous)."""
+    """The model of a plant, full or reduced, for a controller that runs with ``timing`` (None:
+    continuous).
+    """
     part = select(plant.system, plant.named("u"), plant.named("y"))
-    A, B, C, D = part.A, part.B, part.C, part.D
+    A = part.A
+    B = part.B
+    C = part.C
+    D = part.D
     if timing is not None:
         T = timing.sample_time
         late = delayed(c2d(part, T), timing.delay_samples)
@@ -64,7 +72,9 @@ def loop_model(plant: Plant, timing: Timing | None, label: str = "") -> LoopMode
     )
     form = schur_form(outer.A, outer.B, outer.C, outer.D, expand=True)
     magnet = magnet_coefficients(plant.machine, plant.point)
-    return LoopModel(label or plant.point.label, A, B, C, D, form, magnet, timing, plant.point.speed)
+    return LoopModel(
+        label or plant.point.label, A, B, C, D, form, magnet, timing, plant.point.speed
+    )
 
 
 def lateness(omega: np.ndarray, timing: Timing) -> np.ndarray:
@@ -74,7 +84,9 @@ def lateness(omega: np.ndarray, timing: Timing) -> np.ndarray:
 
 
 def warped(omega: np.ndarray, timing: Timing | None) -> np.ndarray:
-    """Where on the w axis a frequency [rad/s] of the sampled loop lies; continuous loops: unchanged."""
+    """Where on the w axis a frequency [rad/s] of the sampled loop lies; continuous loops:
+    unchanged.
+    """
     if timing is None:
         return omega
     T = timing.sample_time

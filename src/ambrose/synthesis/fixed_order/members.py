@@ -1,4 +1,6 @@
-"""The worst corner of the tolerances around a plant: the parameters' feedback is closed frequency by frequency."""
+"""The worst corner of the tolerances around a plant: the parameters' feedback is closed frequency
+by frequency.
+"""
 
 from __future__ import annotations
 
@@ -8,20 +10,23 @@ import numpy as np
 
 from ambrose.core.frequency import frequency_response, largest_gain
 from ambrose.core.statespace import StateSpace, select
-from ambrose.plant.model import Plant
-from ambrose.plant.timing import Timing
-from ambrose.plant.uncertainty import tolerances_around, uncertain
+from ambrose.law.timing import Timing
+from ambrose.model.plant import Plant
+from ambrose.model.uncertainty import tolerances_around, uncertain
 from ambrose.synthesis.fixed_order.aims import Aims
 from ambrose.synthesis.fixed_order.loops import lateness, warped
 
 _CORNERS = 512  # at most, of a box
 
 
-def worst_member(plant: Plant, controller: StateSpace, timing: Timing | None, aims: Aims) -> dict[str, float]:
-    """The corner of the tolerances around a plant with the largest sigma_max(S_o) over its limit; {} without tolerances.
+def worst_member(
+    plant: Plant, controller: StateSpace, timing: Timing | None, aims: Aims
+) -> dict[str, float]:
+    """The corner of the tolerances around a plant with the largest sigma_max(S_o) over its limit;
+    {} without tolerances.
 
-    By closing the parameters' feedback at frequencies where the nominal loop's ratio is above half its largest; all corners, at
-    most 512, drawn at random.
+    By closing the parameters' feedback at frequencies where the nominal loop's ratio is above half
+    its largest; all corners, at most 512, drawn at random.
     """
     held = tolerances_around(plant)
     if not held:
@@ -30,7 +35,9 @@ def worst_member(plant: Plant, controller: StateSpace, timing: Timing | None, ai
     n, names = model.n_w_blocks, [block.name for block in model.blocks]
     top = aims.highest if timing is None else min(aims.highest, 0.97 * np.pi / timing.sample_time)
     omega = np.geomspace(20.0, top, 120)
-    part = select(model.system, [*model.w[:n], *plant.named("u")], [*model.z[:n], *plant.named("y")])
+    part = select(
+        model.system, [*model.w[:n], *plant.named("u")], [*model.z[:n], *plant.named("y")]
+    )
     P = frequency_response(part, omega).values.copy()
     if timing is not None:
         P[:, :, n:] *= lateness(omega, timing)[:, None, None]
@@ -43,20 +50,27 @@ def worst_member(plant: Plant, controller: StateSpace, timing: Timing | None, ai
     limit = aims.sensitivity_limit(omega)
     ratio = largest_gain(S) / limit
     near = ratio >= 0.5 * ratio.max()
-    M, into, out, S, limit = M[near], into[near], out[near], S[near], limit[near]
+    M = M[near]
+    into = into[near]
+    out = out[near]
+    S = S[near]
+    limit = limit[near]
     tried = _corners(len(names))
     best, worst = -np.inf, tried[0]
     for delta in tried:
         spread = delta[owner]
         closed = S + out @ (spread[:, None] * np.linalg.solve(np.eye(n) - M * spread, into))
-        larger = np.linalg.norm(closed, axis=(1, 2)) > best * limit  # the norm is no smaller than the gain
+        # the norm is no smaller than the gain
+        larger = np.linalg.norm(closed, axis=(1, 2)) > best * limit
         if larger.any() and (gain := (largest_gain(closed[larger]) / limit[larger]).max()) > best:
             best, worst = gain, delta
     return dict(zip(names, map(float, worst), strict=True))
 
 
 def _corners(count: int) -> np.ndarray:
-    """All corners of a box, at most 512 of them at random; of one parameter some points in between as well."""
+    """All corners of a box, at most 512 of them at random; of one parameter some points in between
+    as well.
+    """
     if count == 1:
         return np.linspace(-1, 1, 9)[:, None]
     if 2**count <= _CORNERS:

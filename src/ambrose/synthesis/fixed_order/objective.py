@@ -1,10 +1,12 @@
-"""What tuning minimises: the p-norm of all ratios of a requirement to its limit, over channels, frequencies, models and poles.
+"""What tuning minimises: the p-norm of all ratios of a requirement to its limit, over channels,
+frequencies, models and poles.
 
-A channel is a closed-loop response T = A - B Q C with Q = K (I + G K)^-1, its rows divided by their limits. From
-dQ = S_i dK S_o follows dT = -B S_i dK S_o C, so that all channels' slopes are added up in one matrix per frequency before the
-controller's own derivative is taken (the p-norm is smooth; Apkarian & Noll 2006 work with the subgradients of its limit). The
-settling of a pulse is a channel in time, y(t) = sum over frequencies of weights (t, w) times G - G Q G. Poles enter by their
-damping ratios, with derivatives from left and right eigenvectors.
+A channel is a closed-loop response T = A - B Q C with Q = K (I + G K)^-1, its rows divided by their
+limits. From dQ = S_i dK S_o follows dT = -B S_i dK S_o C, so that all channels' slopes are added up
+in one matrix per frequency before the controller's own derivative is taken (the p-norm is smooth;
+Apkarian & Noll 2006 work with the subgradients of its limit). The settling of a pulse is a channel
+in time, y(t) = sum over frequencies of weights (t, w) times G - G Q G. Poles enter by their damping
+ratios, with derivatives from left and right eigenvectors.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ import numpy as np
 
 from ambrose.core.frequency import frequency_response, largest_gain
 from ambrose.core.statespace import StateSpace
-from ambrose.plant.separation import needed_damping, runs_within
+from ambrose.model.separation import needed_damping, runs_within
 from ambrose.synthesis.fixed_order.active import Active, active
 from ambrose.synthesis.fixed_order.aims import Aims
 from ambrose.synthesis.fixed_order.bank import FilterBank
@@ -36,7 +38,9 @@ _BARRIER = 0.02  # of the controller's own poles
 
 @dataclass(frozen=True, slots=True)
 class Ratio:
-    """The largest ratio of a requirement to its limit, where: the model's label, and the frequency [rad/s] (nan: a time)."""
+    """The largest ratio of a requirement to its limit, where: the model's label, and the frequency
+    [rad/s] (nan: a time).
+    """
 
     value: float
     label: str
@@ -45,11 +49,13 @@ class Ratio:
 
 @dataclass(slots=True, eq=False)
 class Objective:
-    """f(x) = ln of the p-norm and its gradient, for models with as many states or not, on one grid omega (w,) [rad/s].
+    """f(x) = ln of the p-norm and its gradient, for models with as many states or not, on one grid
+    omega (w,) [rad/s].
 
-    reference: a controller to stay near: the rms of ln|k/k_ref| over the direct gains below 200 Hz is held below ``match``.
-    fence: a modulus [rad/s] that the controller's own poles stay below; a search that ran into a limit of which its cost knows
-    nothing would end there, so that f has a logarithmic barrier, f - 0.02 sum ln(1 - |pole|^2/fence^2).
+    reference: a controller to stay near: the rms of ln|k/k_ref| over the direct gains below 200 Hz
+    is held below ``match``. fence: a modulus [rad/s] that the controller's own poles stay below; a
+    search that ran into a limit of which its cost knows nothing would end there, so that f has a
+    logarithmic barrier, f - 0.02 sum ln(1 - |pole|^2/fence^2).
     """
 
     structure: Structure | FilterBank
@@ -62,9 +68,11 @@ class Objective:
     _P: np.ndarray = field(init=False)
     _G: np.ndarray = field(init=False)
     _stacks: list[tuple[list[int], list[np.ndarray]]] = field(init=False)
-    _made: tuple[list[Channel], Settling | None] | None = field(init=False)  # on first use: stability needs neither
+    # on first use: stability needs neither
+    _made: tuple[list[Channel], Settling | None] | None = field(init=False)
     _active: Active | None = field(init=False)  # None: everything
-    _peak: np.ndarray | None = field(init=False)  # of the pulse responses, which the settling band is taken of
+    # of the pulse responses, which the settling band is taken of
+    _peak: np.ndarray | None = field(init=False)
     _wanted: np.ndarray = field(init=False)  # direct gains of the reference (w, a)
 
     def __post_init__(self) -> None:
@@ -81,23 +89,34 @@ class Objective:
         if self._made is None:
             timed = self.aims.settling is not None and len(self.omega) > 20
             settling = Settling(self.omega, self.aims.settling or 0.0) if timed else None
-            self._made = channels_of(self._P, self._G.shape[-1], self.omega, self.aims, self.models), settling
+            self._made = (
+                channels_of(self._P, self._G.shape[-1], self.omega, self.aims, self.models),
+                settling,
+            )
         return self._made
 
     def narrow(self, x: np.ndarray, power: float) -> None:
-        """From now on only what counts near x: models and frequencies whose share of the p-norm is above a millionth or so.
+        """From now on only what counts near x: models and frequencies whose share of the p-norm is
+        above a millionth or so.
 
         All poles still count. A descent calls this every few steps, so that what has grown joins.
         """
         channels, settling = self._parts()
         K, _, _ = self._controller(x)
         Q = K @ np.linalg.inv(np.eye(K.shape[-1]) + self._G @ K)
-        sizes = [frobenius(channel.A - channel.B @ Q[:, channel.at] @ channel.C) for channel in channels]
-        ratios = [size / np.sqrt(channel.C.shape[-1]) for size, channel in zip(sizes, channels, strict=True)]
+        sizes = [
+            frobenius(channel.A - channel.B @ Q[:, channel.at] @ channel.C) for channel in channels
+        ]
+        ratios = [
+            size / np.sqrt(channel.C.shape[-1])
+            for size, channel in zip(sizes, channels, strict=True)
+        ]
         top = max(float(ratio.max(initial=0.0)) for ratio in ratios)
         slow = np.zeros(0, int)
         if settling is not None:
-            late, _, _, self._peak = settling.ratios(self._G[:, settling.at], Q[:, settling.at], self._peak)
+            late, _, _, self._peak = settling.ratios(
+                self._G[:, settling.at], Q[:, settling.at], self._peak
+            )
             late = late.max(axis=(1, 2, 3)) ** SETTLING_POWER
             top = max(top, float(late.max()))
             slow = np.flatnonzero(late >= top * _IGNORED ** (1 / power))
@@ -105,9 +124,14 @@ class Objective:
         self._active = active(self._G, channels, masks, settling, slow)
 
     def __call__(self, x: np.ndarray, power: float) -> tuple[float, np.ndarray]:
-        """ln of the p-norm, for an even power, and its gradient (k,); inf where a model is unstable."""
+        """ln of the p-norm, for an even power, and its gradient (k,); inf where a model is
+        unstable.
+        """
         if power % 2:
-            raise ValueError(f"power is {power}, but must be even: powers of T* T stand for those of singular values")
+            raise ValueError(
+                f"power is {power}, but must be even: powers of T* T stand for those of singular "
+                "values"
+            )
         theta = self.structure.theta(x)
         closed = [_loops(theta, stack) for _, stack in self._stacks]
         poles = [loops.poles() for loops in closed]
@@ -116,14 +140,23 @@ class Objective:
         channels, settling = self._parts()
         if self._active is None:
             masks = [np.ones((len(self.models), len(channel.at)), bool) for channel in channels]
-            self._active = active(self._G, channels, masks, settling, np.arange(0 if settling is None else len(self.models)))
+            self._active = active(
+                self._G,
+                channels,
+                masks,
+                settling,
+                np.arange(0 if settling is None else len(self.models)),
+            )
         kept = self._active
         K, X, Y = self._controller(x)
         K = K[kept.omega]
         S = np.linalg.inv(np.eye(K.shape[-1]) + kept.G @ K)
         Q = K @ S
         loops = [part.A - part.B @ Q[part.pairs] @ part.C for part in kept.parts]
-        damping = [self._damping(values, places)[0] for values, (places, _) in zip(poles, self._stacks, strict=True)]
+        damping = [
+            self._damping(values, places)[0]
+            for values, (places, _) in zip(poles, self._stacks, strict=True)
+        ]
         top = max(
             [float(frobenius(T).max(initial=0.0)) / np.sqrt(T.shape[-1]) for T in loops]
             + [float(ratio.max()) for ratio in damping]
@@ -137,7 +170,8 @@ class Objective:
         total, Z = 0.0, np.zeros(Q.shape, complex)
         for part, T in zip(kept.parts, (T / top for T in loops), strict=True):
             gram = T.conj().swapaxes(1, 2) @ T
-            slope = np.linalg.matrix_power(gram, int(power) // 2 - 1)  # T slope is U diag(s^(p-1)) Vh
+            # T slope is U diag(s^(p-1)) Vh
+            slope = np.linalg.matrix_power(gram, int(power) // 2 - 1)
             total += float(np.einsum("pij,pji->", slope, gram).real)
             Z[part.pairs] -= part.B_h @ (T @ slope / top) @ part.C_h
         if timed is not None and settling is not None:
@@ -163,8 +197,12 @@ class Objective:
         gradient = self.structure.gradient(x, slope + slope_theta + extra)
         return float(np.log(top) + np.log(total) / power) + barrier, gradient / total
 
-    def unstable(self, x: np.ndarray, power: float = 20.0, scale: float = 100.0) -> tuple[float, np.ndarray]:
-        """A soft maximum of the poles' real parts [100 rad/s], with its gradient: for a start that does not hold all models."""
+    def unstable(
+        self, x: np.ndarray, power: float = 20.0, scale: float = 100.0
+    ) -> tuple[float, np.ndarray]:
+        """A soft maximum of the poles' real parts [100 rad/s], with its gradient: for a start that
+        does not hold all models.
+        """
         theta = self.structure.theta(x)
         parts = [_loops(theta, stack).eigen() for _, stack in self._stacks]
         top = max(part.values.real.max() for part in parts)
@@ -173,7 +211,9 @@ class Objective:
             share = np.exp((part.values.real - top) * power / scale)
             total += share.sum()
             slope += part.slope(share)
-        return float(top / scale + np.log(total) / power), self.structure.gradient(x, slope) / total / scale
+        return float(top / scale + np.log(total) / power), self.structure.gradient(
+            x, slope
+        ) / total / scale
 
     def abscissa(self, x: np.ndarray) -> float:
         """The largest real part of any model's closed-loop pole (in w) [rad/s]."""
@@ -195,19 +235,25 @@ class Objective:
             size = largest_gains(channel.A - channel.B @ Q[:, channel.at] @ channel.C)
             if size.size:
                 i, j = np.unravel_index(int(size.argmax()), size.shape)
-                found[channel.name] = Ratio(float(size[i, j]), self.models[int(i)].label, float(self.omega[channel.at[j]]))
+                found[channel.name] = Ratio(
+                    float(size[i, j]), self.models[int(i)].label, float(self.omega[channel.at[j]])
+                )
         if settling is not None:
             late, _, _, _ = settling.ratios(self._G[:, settling.at], Q[:, settling.at])
             worst = late.max(axis=(1, 2, 3))
             found["settling"] = Ratio(
-                float(worst.max()) ** SETTLING_POWER, self.models[int(worst.argmax())].label, float("nan")
+                float(worst.max()) ** SETTLING_POWER,
+                self.models[int(worst.argmax())].label,
+                float("nan"),
             )
         theta = self.structure.theta(x)
         for members, stack in self._stacks:
             values = _loops(theta, stack).poles()
             ratio, _ = self._damping(values, members)
             i, j = np.unravel_index(int(ratio.argmax()), ratio.shape)
-            here = Ratio(float(ratio[i, j]), self.models[members[i]].label, float(np.abs(values[i, j])))
+            here = Ratio(
+                float(ratio[i, j]), self.models[members[i]].label, float(np.abs(values[i, j]))
+            )
             found["damping"] = max(here, found.get("damping", here), key=lambda item: item.value)
         if self.reference is not None:
             found["match"] = Ratio(self._mismatch(x)[0], "", float("nan"))
@@ -227,7 +273,12 @@ class Objective:
         return C @ X + D, X, Y
 
     def _poles_slope(
-        self, theta: np.ndarray, closed: list[_Loops], damping: list[np.ndarray], top: float, power: float
+        self,
+        theta: np.ndarray,
+        closed: list[_Loops],
+        damping: list[np.ndarray],
+        top: float,
+        power: float,
     ) -> np.ndarray:
         """Of those models only of which a pole counts."""
         slope = np.zeros_like(theta)
@@ -243,9 +294,11 @@ class Objective:
         return slope
 
     def _damping(self, values: np.ndarray, places: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-        """damping asked for over damping (m, n), 0 where none is asked for, and its derivative by real + j imaginary part.
+        """damping asked for over damping (m, n), 0 where none is asked for, and its derivative by
+        real + j imaginary part.
 
-        values (m, n): the poles of the models at ``places``. Of those at a running speed the separation margin asks as well.
+        values (m, n): the poles of the models at ``places``. Of those at a running speed the
+        separation margin asks as well.
         """
         aims = self.aims
         size = np.maximum(np.abs(values), 1e-9)
@@ -255,12 +308,17 @@ class Objective:
             timing = self.models[0].timing
             more, slope = needed_damping(unwarped(size, timing), aims.running)
             slope = slope if timing is None else slope / (1 + (size * timing.sample_time / 2) ** 2)
-            here = np.array([runs_within(self.models[i].speed, aims.running) for i in places])[:, None] & (more > wanted)
+            here = np.array([runs_within(self.models[i].speed, aims.running) for i in places])[
+                :, None
+            ] & (more > wanted)
             wanted, steeper = np.where(here, more, wanted), np.where(here, slope, 0.0)
         zeta = np.maximum(-values.real / size, 1e-9)
         held = (np.abs(values.imag) > _RINGING * size) & (zeta < _WATCHED * wanted)
         ratio = np.where(held, wanted / zeta, 0.0)
-        by_real, by_imaginary = -1 / size + values.real**2 / size**3, values.real * values.imag / size**3
+        by_real, by_imaginary = (
+            -1 / size + values.real**2 / size**3,
+            values.real * values.imag / size**3,
+        )
         outward = np.where(held, steeper / zeta / size, 0.0)
         return ratio, -ratio / zeta * (by_real + 1j * by_imaginary) + outward * values
 
@@ -279,14 +337,18 @@ class Objective:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _LoopPoles:
-    """values (m, n) of closed loops; left (m, n, a+k), right (m, a+k, n): d value = left_i dTheta right_i."""
+    """values (m, n) of closed loops; left (m, n, a+k), right (m, a+k, n): d value = left_i dTheta
+    right_i.
+    """
 
     values: np.ndarray
     left: np.ndarray
     right: np.ndarray
 
     def slope(self, weight: np.ndarray) -> np.ndarray:
-        """sum of Re(weight_i conj(d value_i)) in Theta; weight (m, n): derivative by the real, plus j by the imaginary part."""
+        """sum of Re(weight_i conj(d value_i)) in Theta; weight (m, n): derivative by the real, plus
+        j by the imaginary part.
+        """
         i, j = np.nonzero(weight)
         if not len(i):
             return np.zeros((self.left.shape[2], self.right.shape[1]))
@@ -296,7 +358,9 @@ class _LoopPoles:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Loops:
-    """Closed loops A (m, N, N) of models with one controller; dA = into dTheta out, into (m, N, a+k), out (m, a+k, N)."""
+    """Closed loops A (m, N, N) of models with one controller; dA = into dTheta out, into (m, N,
+    a+k), out (m, a+k, N).
+    """
 
     A: np.ndarray
     into: np.ndarray
@@ -329,8 +393,12 @@ def _loops(theta: np.ndarray, stack: list[np.ndarray]) -> _Loops:
     return _Loops(loop, into @ inner, back @ out)
 
 
-def _resolvent(A: np.ndarray, B: np.ndarray, C: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """X = (sI - A)^-1 B (w, n, p) and Y = C (sI - A)^-1 (w, m, n) at s (w,), by the eigenvectors of A where they are apart."""
+def _resolvent(
+    A: np.ndarray, B: np.ndarray, C: np.ndarray, s: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """X = (sI - A)^-1 B (w, n, p) and Y = C (sI - A)^-1 (w, m, n) at s (w,), by the eigenvectors of
+    A where they are apart.
+    """
     values, V = np.linalg.eig(A)
     if len(A) and np.linalg.cond(V) < _APART:
         W = np.linalg.inv(V)
@@ -341,12 +409,19 @@ def _resolvent(A: np.ndarray, B: np.ndarray, C: np.ndarray, s: np.ndarray) -> tu
 
 
 def frobenius(T: np.ndarray) -> np.ndarray:
-    """The Frobenius norm of every matrix (..., r, c), between its largest singular value and sqrt(c) times that."""
-    return np.sqrt(np.einsum("...ij,...ij->...", T.real, T.real) + np.einsum("...ij,...ij->...", T.imag, T.imag))
+    """The Frobenius norm of every matrix (..., r, c), between its largest singular value and
+    sqrt(c) times that.
+    """
+    return np.sqrt(
+        np.einsum("...ij,...ij->...", T.real, T.real)
+        + np.einsum("...ij,...ij->...", T.imag, T.imag)
+    )
 
 
 def largest_gains(T: np.ndarray) -> np.ndarray:
-    """The largest singular value of every matrix (..., r, c) that can be the largest of all; of the others, a lower bound."""
+    """The largest singular value of every matrix (..., r, c) that can be the largest of all; of the
+    others, a lower bound.
+    """
     size = frobenius(T)
     bound = size / np.sqrt(min(T.shape[-2:]))
     held = size >= bound.max(initial=0.0)
@@ -359,7 +434,10 @@ def _stacks(models: Sequence[LoopModel]) -> list[tuple[list[int], list[np.ndarra
     groups: dict[int, list[int]] = {}
     for i, model in enumerate(models):
         groups.setdefault(len(model.A), []).append(i)
-    return [(places, [np.stack([getattr(models[i], k) for i in places]) for k in "ABCD"]) for places in groups.values()]
+    return [
+        (places, [np.stack([getattr(models[i], k) for i in places]) for k in "ABCD"])
+        for places in groups.values()
+    ]
 
 
 def _barrier(A: np.ndarray, fence: float) -> tuple[float, np.ndarray]:
@@ -376,7 +454,9 @@ def _barrier(A: np.ndarray, fence: float) -> tuple[float, np.ndarray]:
 def _theta_slope(psi: np.ndarray, X: np.ndarray, Y: np.ndarray) -> np.ndarray:
     """df/dTheta from df/dK (w, a, a), Theta = [[D, C], [B, A]]."""
     XH, YH = X.conj().swapaxes(1, 2), Y.conj().swapaxes(1, 2)
-    return np.block([
-        [psi.sum(axis=0).real, (psi @ XH).sum(axis=0).real],
-        [(YH @ psi).sum(axis=0).real, (YH @ psi @ XH).sum(axis=0).real],
-    ])  # fmt: skip
+    return np.block(
+        [
+            [psi.sum(axis=0).real, (psi @ XH).sum(axis=0).real],
+            [(YH @ psi).sum(axis=0).real, (YH @ psi @ XH).sum(axis=0).real],
+        ]
+    )

@@ -1,9 +1,11 @@
-"""A controller of lower order that behaves the same in its loop: balanced by the closed loop's Gramians, the rest residualised.
+"""A controller of lower order that behaves the same in its loop: balanced by the closed loop's
+Gramians, the rest residualised.
 
-What a state of the controller matters is decided in the loop, not in the controller alone (which may be unstable, and whose
-integrators open-loop balancing keeps or drops for the wrong reason). The Gramians of the whole loop, w to z, are averaged over
-the models of the plant; their blocks for the controller's states are balanced against each other (Wortelboer 1994, ch. 4), and
-the weak states are set to their steady state, which keeps the gain at zero frequency (singular perturbation).
+What a state of the controller matters is decided in the loop, not in the controller alone (which
+may be unstable, and whose integrators open-loop balancing keeps or drops for the wrong reason). The
+Gramians of the whole loop, w to z, are averaged over the models of the plant; their blocks for the
+controller's states are balanced against each other (Wortelboer 1994, ch. 4), and the weak states
+are set to their steady state, which keeps the gain at zero frequency (singular perturbation).
 """
 
 from __future__ import annotations
@@ -21,19 +23,29 @@ _PAIR = 0.9  # two values closer than this ratio are a pair, which is not cut
 
 
 @named_failure("the reduced controller")
-def reduce_controller(models: Sequence[GeneralizedPlant], controller: StateSpace, order: int) -> tuple[StateSpace, np.ndarray]:
-    """The controller with ``order`` states, or one less where the cut would part a pair; and the closed-loop values (n,).
+def reduce_controller(
+    models: Sequence[GeneralizedPlant], controller: StateSpace, order: int
+) -> tuple[StateSpace, np.ndarray]:
+    """The controller with ``order`` states, or one less where the cut would part a pair; and the
+    closed-loop values (n,).
 
-    models: plants without blocks, at least one of them stabilised by the controller. Raises InvalidInput for an impossible
-    order, NumericalFailure when no model is stable.
+    models: plants without blocks, at least one of them stabilised by the controller. Raises
+    InvalidInput for an impossible order, NumericalFailure when no model is stable.
     """
     n = controller.n_states
     if not isinstance(order, int | np.integer) or not 0 <= order <= n:
-        raise invalid("order", order, f"a whole number from 0 to {n}, the controller's order", "polish cannot raise it")
+        raise invalid(
+            "order",
+            order,
+            f"a whole number from 0 to {n}, the controller's order",
+            "polish cannot raise it",
+        )
     loops = [lft(model, controller) for model in models]
     loops = [loop for loop in loops if is_stable(loop)]
     if not loops:
-        raise NumericalFailure("the controller stabilises no model of the plant; start from one that does")
+        raise NumericalFailure(
+            "the controller stabilises no model of the plant; start from one that does"
+        )
     part = slice(loops[0].n_states - n, None)  # lft appends the controller's states to the plant's
     P, Q = np.zeros((n, n)), np.zeros((n, n))
     for loop in loops:
@@ -63,7 +75,7 @@ def _root(X: np.ndarray) -> np.ndarray:
 
 def _residualised(
     matrices: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], keep: int, names: StateSpace
-) -> StateSpace:  # fmt: skip
+) -> StateSpace:
     A, B, C, D = matrices
     a, b = slice(None, keep), slice(keep, None)
     if len(A) == keep:
@@ -73,5 +85,10 @@ def _residualised(
     X = np.linalg.solve(A[b, b], np.hstack([A[b, a], B[b]]))
     XA, XB = X[:, :keep], X[:, keep:]
     return StateSpace(
-        A[a, a] - A[a, b] @ XA, B[a] - A[a, b] @ XB, C[:, a] - C[:, b] @ XA, D - C[:, b] @ XB, names.inputs, names.outputs
-    )  # fmt: skip
+        A[a, a] - A[a, b] @ XA,
+        B[a] - A[a, b] @ XB,
+        C[:, a] - C[:, b] @ XA,
+        D - C[:, b] @ XB,
+        names.inputs,
+        names.outputs,
+    )

@@ -1,10 +1,12 @@
-"""The structure of a controller that is tuned: which entries of its matrices are free, and of what size they are.
+"""The structure of a controller that is tuned: which entries of its matrices are free, and of what
+size they are.
 
-All four matrices stand in one, Theta = [[D, C], [B, A]], so that u, x' = Theta (err, x). A is block-diagonal: a complex pair or
-two real poles share a block of 2 x 2, poles that cannot be separated without cancelling digits a larger one
-(core/realisation/modal_form.py). A_ij = sqrt(w_i w_j) a_ij, B_i = sqrt(w_i) b_i, C_j = sqrt(w_j) c_j with the poles' moduli w,
-and inputs and outputs scaled to comparable gains, so that all unknowns are numbers of similar size. Axes may be parted into
-groups that share nothing: two planes, or every axis alone.
+All four matrices stand in one, Theta = [[D, C], [B, A]], so that u, x' = Theta (err, x). A is
+block-diagonal: a complex pair or two real poles share a block of 2 x 2, poles that cannot be
+separated without cancelling digits a larger one (core/realisation/modal_form.py). A_ij = sqrt(w_i
+w_j) a_ij, B_i = sqrt(w_i) b_i, C_j = sqrt(w_j) c_j with the poles' moduli w, and inputs and outputs
+scaled to comparable gains, so that all unknowns are numbers of similar size. Axes may be parted
+into groups that share nothing: two planes, or every axis alone.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.realisation.modal_form import modal_form
 from ambrose.core.statespace import StateSpace
 from ambrose.machine.machine import Machine
-from ambrose.plant.ports import measured_ports
+from ambrose.model.ports import measured_ports
 
 _SLOWEST = 1.0  # rad/s; an integrator is a state of this rate, else descent could never move it
 _ZERO = 1e-9  # of the largest entry: couples nothing
@@ -30,7 +32,9 @@ Part = tuple[tuple[int, ...], tuple[int, ...]]  # outputs and inputs
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Structure:
-    """free (m+n, p+n) bool: the entries of Theta that are unknowns; scale (m+n, p+n): their sizes; the signals' names."""
+    """free (m+n, p+n) bool: the entries of Theta that are unknowns; scale (m+n, p+n): their sizes;
+    the signals' names.
+    """
 
     free: np.ndarray
     scale: np.ndarray
@@ -45,7 +49,9 @@ class Structure:
 
     def matrices(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """A, B, C and D of the unknowns."""
-        T, m, p = self.theta(x), len(self.outputs), len(self.inputs)
+        T = self.theta(x)
+        m = len(self.outputs)
+        p = len(self.inputs)
         return T[m:, p:], T[m:, :p], T[:m, p:], T[:m, :p]
 
     def controller(self, x: np.ndarray) -> StateSpace:
@@ -58,37 +64,53 @@ class Structure:
 
 
 def axis_groups(machine: Machine, kind: str) -> Groups:
-    """Which axes share a part of the controller: the planes where all stands at one angle, each axis alone, or all of them."""
+    """Which axes share a part of the controller: the planes where all stands at one angle, each
+    axis alone, or all of them.
+    """
     n = len(machine.axes)
     if kind == "axis":
         return tuple((i,) for i in range(n))
-    angles = np.array([*(b.angle for b in machine.bearings), *(port.direction for port in measured_ports(machine)[0::2])])
+    angles = np.array(
+        [
+            *(b.angle for b in machine.bearings),
+            *(port.direction for port in measured_ports(machine)[0::2]),
+        ]
+    )
     if kind == "plane" and np.abs(np.sin(angles - angles[0])).max() < 1e-6:
         return tuple(range(0, n, 2)), tuple(range(1, n, 2))
     return (tuple(range(n)),)
 
 
-def structured(controller: StateSpace, groups: Sequence[Sequence[int]] | None = None) -> tuple[Structure, np.ndarray]:
+def structured(
+    controller: StateSpace, groups: Sequence[Sequence[int]] | None = None
+) -> tuple[Structure, np.ndarray]:
     """The structure of a continuous controller and its unknowns.
 
-    groups: axes that share a part of the controller, which then has as many inputs as outputs (None: one part of everything).
-    Groups that the controller couples are joined.
+    groups: axes that share a part of the controller, which then has as many inputs as outputs
+    (None: one part of everything). Groups that the controller couples are joined.
     """
     whole: Part = tuple(range(len(controller.outputs))), tuple(range(len(controller.inputs)))
-    parts = [(np.arange(controller.n_states), whole)] if groups is None else _parts(controller, groups)
+    parts = (
+        [(np.arange(controller.n_states), whole)] if groups is None else _parts(controller, groups)
+    )
     blocks = [block for own, _ in parts for block in decoupled_blocks(controller, own)]
     return _scaled(controller, blocks, [part for _, part in parts])
 
 
 def _parts(K: StateSpace, groups: Sequence[Sequence[int]]) -> list[tuple[np.ndarray, Part]]:
-    """The states and the axes, out and in, of every group; axes that the controller couples across groups end up in one."""
+    """The states and the axes, out and in, of every group; axes that the controller couples across
+    groups end up in one.
+    """
     m, n = len(K.inputs), K.n_states
 
     def linked(X: np.ndarray) -> np.ndarray:
         return np.asarray(np.abs(X) > _ZERO * np.abs(X).max(initial=1e-300))
 
     graph = np.zeros((m + n, m + n), bool)
-    graph[:m, :m], graph[:m, m:], graph[m:, :m], graph[m:, m:] = linked(K.D), linked(K.C), linked(K.B), linked(K.A)
+    graph[:m, :m] = linked(K.D)
+    graph[:m, m:] = linked(K.C)
+    graph[m:, :m] = linked(K.B)
+    graph[m:, m:] = linked(K.A)
     for group in groups:
         graph[np.ix_(list(group), list(group))] = True
     count, label = connected_components(graph, directed=False)
@@ -101,12 +123,20 @@ def _parts(K: StateSpace, groups: Sequence[Sequence[int]]) -> list[tuple[np.ndar
     return parts
 
 
-def decoupled_blocks(K: StateSpace, own: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """A, B (k, p), C (m, k) of every block of a group's states; parts that are decoupled already are not mixed."""
+def decoupled_blocks(
+    K: StateSpace, own: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """A, B (k, p), C (m, k) of every block of a group's states; parts that are decoupled already
+    are not mixed.
+    """
     found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     single: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-    A, B, C = K.A[np.ix_(own, own)], K.B[own], K.C[:, own]
-    count, label = connected_components(np.abs(A) > 0, directed=False) if len(own) else (0, np.zeros(0, int))
+    A = K.A[np.ix_(own, own)]
+    B = K.B[own]
+    C = K.C[:, own]
+    count, label = (
+        connected_components(np.abs(A) > 0, directed=False) if len(own) else (0, np.zeros(0, int))
+    )
     for k in range(count):
         at = np.flatnonzero(label == k)
         form = modal_form(StateSpace(A[np.ix_(at, at)], B[at], C[:, at], K.D))
@@ -116,7 +146,13 @@ def decoupled_blocks(K: StateSpace, own: np.ndarray) -> list[tuple[np.ndarray, n
             (single if size == 1 else found).append((S.A[i, i], S.B[i], S.C[:, i]))
     single.sort(key=lambda block: abs(float(block[0][0, 0])))
     for pair in (single[j : j + 2] for j in range(0, len(single), 2)):
-        found.append((sla.block_diag(*[b[0] for b in pair]), np.vstack([b[1] for b in pair]), np.hstack([b[2] for b in pair])))
+        found.append(
+            (
+                sla.block_diag(*[b[0] for b in pair]),
+                np.vstack([b[1] for b in pair]),
+                np.hstack([b[2] for b in pair]),
+            )
+        )
     return found
 
 
@@ -132,22 +168,37 @@ def _scaled(
     free[m:, p:] = sla.block_diag(*[np.ones_like(b[0], bool) for b in blocks]) if blocks else False
     for part in groups:
         free[np.ix_(*part)] = True
-    start, rate, even = 0, np.ones(n), np.ones(n)
+    start = 0
+    rate = np.ones(n)
+    even = np.ones(n)
     omega = np.geomspace(1.0, 1e5, 40)
     gain = np.sqrt(np.abs(frequency_response(K, omega).values).max(initial=1e-30))
     for block in blocks:
         j = slice(start, start + len(block[0]))
-        out_axes, in_axes = next(g for g in groups if block[1][:, list(g[1])].any() or block[2][list(g[0])].any())
-        free[m + j.start : m + j.stop, list(in_axes)] = free[list(out_axes), p + j.start : p + j.stop] = True
-        poles = np.abs(np.linalg.eigvals(block[0]) if block[0][~np.eye(len(block[0]), dtype=bool)].any() else np.diag(block[0]))
+        out_axes, in_axes = next(
+            g for g in groups if block[1][:, list(g[1])].any() or block[2][list(g[0])].any()
+        )
+        free[m + j.start : m + j.stop, list(in_axes)] = free[
+            list(out_axes), p + j.start : p + j.stop
+        ] = True
+        poles = np.abs(
+            np.linalg.eigvals(block[0])
+            if block[0][~np.eye(len(block[0]), dtype=bool)].any()
+            else np.diag(block[0])
+        )
         rate[j] = np.maximum(poles, _SLOWEST)
         into = float(np.linalg.norm(block[1] / np.sqrt(rate[j])[:, None] / gain))
         out = float(np.linalg.norm(block[2] / gain / np.sqrt(rate[j])))
         even[j] = np.sqrt(max(into, 1e-30) / max(out, 1e-30)) if min(into, out) > 0 else 1.0
         start += len(poles)
-    A, B, C = A * even / even[:, None], B / even[:, None], C * even
+    A = A * even / even[:, None]
+    B = B / even[:, None]
+    C = C * even
     root = np.sqrt(rate)
-    rows, columns = np.concatenate([np.full(m, gain), root]), np.concatenate([np.full(p, gain), root])
+    rows, columns = (
+        np.concatenate([np.full(m, gain), root]),
+        np.concatenate([np.full(p, gain), root]),
+    )
     structure = Structure(free, rows[:, None] * columns, K.inputs, K.outputs)
     theta = np.block([[K.D, C], [B, A]])
     return structure, (theta / structure.scale)[free]

@@ -1,11 +1,12 @@
 """One controller of fixed order for the whole envelope, tuned to the requirements themselves.
 
-From a start that need not hold every point, a smooth maximum of all ratios of a requirement to its limit (objective.py) is
-moved downhill with exact gradients, over the models of all operating points at once, as the loop runs: sampled and late. Rounds
-raise the power of the p-norm; after each the frequency grid takes in the loops' resonances and true peaks, for what the grid
-does not see gets exploited, and the worst member of the tolerances around every point joins the models (Apkarian & Noll 2006;
-Apkarian, Gahinet & Buhr 2014 tune to requirements this way). All rounds are judged on the full plants and on all the members
-that were found by the end, and the best is returned.
+From a start that need not hold every point, a smooth maximum of all ratios of a requirement to its
+limit (objective.py) is moved downhill with exact gradients, over the models of all operating points
+at once, as the loop runs: sampled and late. Rounds raise the power of the p-norm; after each the
+frequency grid takes in the loops' resonances and true peaks, for what the grid does not see gets
+exploited, and the worst member of the tolerances around every point joins the models (Apkarian &
+Noll 2006; Apkarian, Gahinet & Buhr 2014 tune to requirements this way). All rounds are judged on
+the full plants and on all the members that were found by the end, and the best is returned.
 """
 
 from __future__ import annotations
@@ -17,27 +18,37 @@ import numpy as np
 
 from ambrose.core.checks import NumericalFailure, named_failure
 from ambrose.core.statespace import StateSpace
+from ambrose.judge.certificate import certify, fastest_pole
+from ambrose.judge.range_search import search
+from ambrose.judge.result import Certificate, Status, Synthesis
+from ambrose.law.timing import Timing
 from ambrose.machine.controller import PidSettings
-from ambrose.plant.assemble import assemble
-from ambrose.plant.model import Plant
-from ambrose.plant.reduce import reduce
-from ambrose.plant.timing import Timing
-from ambrose.plant.uncertainty import in_tolerances, perturbed, tolerances_around, with_offsets_of
-from ambrose.synthesis.certificate import certify, fastest_pole
-from ambrose.synthesis.envelope.between import search
+from ambrose.model.assemble import assemble
+from ambrose.model.plant import Plant
+from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import in_tolerances, perturbed, tolerances_around, with_offsets_of
 from ambrose.synthesis.fixed_order.bank import FilterBank, advice, at_limits, filter_bank
 from ambrose.synthesis.fixed_order.descent import descend
-from ambrose.synthesis.fixed_order.job import FASTEST, Job, Law, as_system, first_law, prepare, with_states
+from ambrose.synthesis.fixed_order.job import (
+    FASTEST,
+    Job,
+    Law,
+    as_system,
+    first_law,
+    prepare,
+    with_states,
+)
 from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, unwarped
 from ambrose.synthesis.fixed_order.members import worst_member
 from ambrose.synthesis.fixed_order.objective import Objective, Ratio
 from ambrose.synthesis.fixed_order.structure import Structure, axis_groups, structured
-from ambrose.synthesis.result import Certificate, Status, Synthesis
 
 _POWERS = (10, 24, 60, 120, 120)  # even
 INTERRUPTED = "interrupted"
-_SHARP, _ROOM = 60, 0.9  # no round follows one of this power after which all, new members too, meet all with this room
-_AGAIN, _GROWN = 2, 1  # the first of these rounds for a law that was tuned before, and for one with more states
+# no round follows one of this power after which all, new members too, meet all with this room
+_SHARP, _ROOM = 60, 0.9
+# the first of these rounds for a law that was tuned before, and for one with more states
+_AGAIN, _GROWN = 2, 1
 _ITERATIONS, _GAIN = 200, 1e-4  # steps of L-BFGS, a round, and what ten of them gain at least
 _HOLDING = 60  # of L-BFGS, towards a controller that holds all models; so many times at most:
 _TRIES = 20
@@ -45,7 +56,8 @@ _DECAY = 5.0  # rad/s; slowest pole asked for before the first round
 _LOWEST = 1.0  # rad/s, start of the grid
 _TUNED, _JUDGED = 22, 80  # points per decade
 _APART, _SAME = 2e-3, 2e-4  # relative distances of two points, and of two known peaks
-_AROUND, _HIGH = 15, 0.9  # points around a peak that is judged, which are those so high beside the model's highest
+# points around a peak that is judged, which are those so high beside the model's highest
+_AROUND, _HIGH = 15, 0.9
 _ROUNDING, _DRIFT = 1e-9, 0.1  # rad/s; of an integrator that is set back
 _BEYOND = 1.02  # of the fastest pole allowed: where its barrier is infinite
 
@@ -74,26 +86,33 @@ def tune_controller(
     time_limit: float = 120.0,
     progress: Callable[[str], None] | None = None,
 ) -> Synthesis:
-    """The controller that comes nearest to meeting every requirement at every one of ``plants``, or exceeds them all the most.
+    """The controller that comes nearest to meeting every requirement at every one of ``plants``, or
+    exceeds them all the most.
 
-    plants: the full plants of one machine at its operating points. start: a continuous controller err -> u, or the settings
-    of one ([controller]); it need not hold them all. order: its states (None: three per axis, or those of the
-    start). structure: "free", "plane" (bearings at one angle: what zeta and eta read is kept apart), "axis" (every axis alone),
-    or a filter bank: "pid" (every channel its own PID and low pass) or "filters" (and notches). bending_modes: per plane in the
-    models that are tuned on (None: all below the frequency up to which sensitivity is judged, and one more).
-    reference: a controller whose direct gains below 200 Hz are kept within 8 % rms (None: free). time_limit [s] of computing.
+    plants: the full plants of one machine at its operating points. start: a continuous controller
+    err -> u, or the settings of one ([controller]); it need not hold them all. order: its states
+    (None: three per axis, or those of the start). structure: "free", "plane" (bearings at one
+    angle: what zeta and eta read is kept apart), "axis" (every axis alone), or a filter bank: "pid"
+    (every channel its own PID and low pass) or "filters" (and notches). bending_modes: per plane in
+    the models that are tuned on (None: all below the frequency up to which sensitivity is judged,
+    and one more). reference: a controller whose direct gains below 200 Hz are kept within 8 % rms
+    (None: free). time_limit [s] of computing.
 
-    The tolerances around each point are those of the machine. ``gamma`` is the largest ratio of a requirement to its limit on
-    the full plants, and on the reduced models of the worst corners found: below 1 all are met there. ``stopped_early`` also
-    where a corner was found that nothing of this order holds. Raises InvalidInput, NumericalFailure where nothing holds every
-    point.
+    The tolerances around each point are those of the machine. ``gamma`` is the largest ratio of a
+    requirement to its limit on the full plants, and on the reduced models of the worst corners
+    found: below 1 all are met there. ``stopped_early`` also where a corner was found that nothing
+    of this order holds. Raises InvalidInput, NumericalFailure where nothing holds every point.
     """
-    job = prepare(plants, start, timing, order, structure, bending_modes, reference, time_limit, progress)
+    job = prepare(
+        plants, start, timing, order, structure, bending_modes, reference, time_limit, progress
+    )
     return tuned(job, first_law(job, start, order, structure), structure)
 
 
 def tuned(job: Job, law: Law, structure: str, *, again: bool = False) -> Synthesis:
-    """``tune_controller`` from a law on; again: it was tuned before with this job, only the last rounds are made."""
+    """``tune_controller`` from a law on; again: it was tuned before with this job, only the last
+    rounds are made.
+    """
     powers = _POWERS[_AGAIN:] if again else _POWERS
     reason: str | None = None
     rounds: list[_Round] = []
@@ -108,12 +127,16 @@ def tuned(job: Job, law: Law, structure: str, *, again: bool = False) -> Synthes
             best = _best(job, rounds)
             grown = None if reason else _grown(job, best, rounds)
             if grown is not None:
-                best, law, powers = None, _add_members(job, grown), _POWERS[_GROWN:]
+                best = None
+                law = _add_members(job, grown)
+                powers = _POWERS[_GROWN:]
     except KeyboardInterrupt:
         if not rounds:
             raise
         reason = INTERRUPTED
-    except NumericalFailure as error:  # of a member that nothing was found to hold: what the rounds gave is kept
+    except (
+        NumericalFailure
+    ) as error:  # of a member that nothing was found to hold: what the rounds gave is kept
         if not rounds:
             raise
         reason = str(error)
@@ -121,9 +144,16 @@ def tuned(job: Job, law: Law, structure: str, *, again: bool = False) -> Synthes
 
 
 def _improve(
-    job: Job, law: Law, structure: str, powers: Sequence[int], rounds: list[_Round], history: list[dict[str, float]]
+    job: Job,
+    law: Law,
+    structure: str,
+    powers: Sequence[int],
+    rounds: list[_Round],
+    history: list[dict[str, float]],
 ) -> str | None:
-    """Rounds of these powers from a law on, added to rounds and history; why they ended early, None where they did not."""
+    """Rounds of these powers from a law on, added to rounds and history; why they ended early, None
+    where they did not.
+    """
     for place, power in enumerate(powers):
         if rounds:  # fewer unknowns first
             job.groups = axis_groups(job.full[0].machine, structure)
@@ -131,7 +161,10 @@ def _improve(
         rounds.append(_judged(job, law, job.models))
         number = len(history) + 1
         history.append(_row(job, number, power, used, rounds[-1]))
-        job.say(f"round {number}: {used} steps at p = {power:g}, {len(job.models)} models; {_in_words(rounds[-1])}")
+        job.say(
+            f"round {number}: {used} steps at p = {power:g}, {len(job.models)} models; "
+            f"{_in_words(rounds[-1])}"
+        )
         if job.clock.left <= 0:
             return job.clock.reached
         if place == len(powers) - 1:
@@ -156,7 +189,9 @@ def _law(structure: Structure | FilterBank, x: np.ndarray) -> Law:
 
 
 def _holding(job: Job, law: Law) -> Law:
-    """A controller that holds all models, with some decay, by descent on the poles' real parts alone."""
+    """A controller that holds all models, with some decay, by descent on the poles' real parts
+    alone.
+    """
     before = np.inf
     for attempt in range(_TRIES + 1):
         structure, x = _unknowns(job, law)
@@ -164,24 +199,44 @@ def _holding(job: Job, law: Law) -> Law:
         abscissa = cost.abscissa(x)
         if abscissa < (-0.5 if attempt == 0 else -_DECAY):
             return law
-        if attempt == _TRIES or job.clock.left <= 0 or 1.1 * before < abscissa < 0:  # holds, and gains little more
+        # holds, and gains little more
+        if attempt == _TRIES or job.clock.left <= 0 or 1.1 * before < abscissa < 0:
             break
         before = abscissa
         if attempt == 0:
-            job.say(f"the start does not hold every model ({abscissa:+.3g} rad/s): looking for one that does")
-        x, _ = descend(cost.unstable, lambda trial: True, x, _HOLDING, 1e-6, lambda: job.clock.left > 0, least=-_DECAY / 100)
+            job.say(
+                f"the start does not hold every model ({abscissa:+.3g} rad/s): looking for one "
+                "that does"
+            )
+        x, _ = descend(
+            cost.unstable,
+            lambda trial: True,
+            x,
+            _HOLDING,
+            1e-6,
+            lambda: job.clock.left > 0,
+            least=-_DECAY / 100,
+        )
         law = _law(structure, x)
     if abscissa < 0:
         return law
     raise NumericalFailure(
-        f"no controller of order {structure.controller(x).n_states} that holds all {len(job.models)} models was found (a pole "
-        f"stays at {abscissa:+.3g} rad/s); {advice(job.structure)}, give another [controller] to start from, or drop a point"
+        f"no controller of order {structure.controller(x).n_states} that holds all "
+        f"{len(job.models)} models was found (a pole "
+        f"stays at {abscissa:+.3g} rad/s); {advice(job.structure)}, give another [controller] to "
+        "start from, or drop a point"
     )
 
 
 def _grid(job: Job, cost: Objective, x: np.ndarray, per_decade: int) -> np.ndarray:
-    """A logarithmic grid with the loops' resonances, half a bandwidth to either side of light ones, and known peaks."""
-    top = job.aims.highest if job.timing is None else min(job.aims.highest, 0.97 * np.pi / job.timing.sample_time)
+    """A logarithmic grid with the loops' resonances, half a bandwidth to either side of light ones,
+    and known peaks.
+    """
+    top = (
+        job.aims.highest
+        if job.timing is None
+        else min(job.aims.highest, 0.97 * np.pi / job.timing.sample_time)
+    )
     grid = np.geomspace(_LOWEST, top, int(per_decade * np.log10(top / _LOWEST)))
     poles = cost.poles(x)
     poles = poles[(poles.imag > 0) & (np.abs(poles.real) < 0.5 * np.abs(poles))]
@@ -204,10 +259,16 @@ def _grid(job: Job, cost: Objective, x: np.ndarray, per_decade: int) -> np.ndarr
 
 
 def _peaks(cost: Objective, x: np.ndarray) -> np.ndarray:
-    """Where any model's sigma_max(S_o) over its limit has a maximum near its highest: places in the grid (k,)."""
+    """Where any model's sigma_max(S_o) over its limit has a maximum near its highest: places in the
+    grid (k,).
+    """
     ratio = np.pad(cost.sensitivity(x), ((0, 0), (1, 1)))
     here = ratio[:, 1:-1]
-    found = (here >= ratio[:, :-2]) & (here >= ratio[:, 2:]) & (here >= _HIGH * here.max(axis=1, keepdims=True))
+    found = (
+        (here >= ratio[:, :-2])
+        & (here >= ratio[:, 2:])
+        & (here >= _HIGH * here.max(axis=1, keepdims=True))
+    )
     return np.flatnonzero(found.any(axis=0))
 
 
@@ -224,12 +285,21 @@ def _descended(job: Job, law: Law, power: int) -> tuple[Law, int]:
         fastest = min(fastest, max(np.pi / job.timing.sample_time, fastest_pole(controller)))
 
     def allowed(trial: np.ndarray) -> bool:
-        return float(np.abs(np.linalg.eigvals(structure.matrices(trial)[0])).max(initial=0.0)) <= fastest
+        return (
+            float(np.abs(np.linalg.eigvals(structure.matrices(trial)[0])).max(initial=0.0))
+            <= fastest
+        )
 
     if not isinstance(structure, FilterBank):
         cost.fence = _BEYOND * fastest
     x, used = descend(
-        lambda v: cost(v, power), allowed, x, _ITERATIONS, _GAIN, lambda: job.clock.left > 0, lambda v: cost.narrow(v, power)
+        lambda v: cost(v, power),
+        allowed,
+        x,
+        _ITERATIONS,
+        _GAIN,
+        lambda: job.clock.left > 0,
+        lambda v: cost.narrow(v, power),
     )
     law = _law(structure, x)
     if isinstance(law, StateSpace) and (settled := without_drift(law)) is not law:
@@ -243,23 +313,28 @@ def _descended(job: Job, law: Law, power: int) -> tuple[Law, int]:
 def _grown(job: Job, best: _Round, rounds: list[_Round]) -> StateSpace | None:
     """The best controller with one more weak state per axis, or None.
 
-    None where all is met, where more are not allowed, and where a round with more states was not better: they did not help.
+    None where all is met, where more are not allowed, and where a round with more states was not
+    better: they did not help.
     """
     if job.most_states is None or best.worst <= 1 or not isinstance(best.law, StateSpace):
         return None
     more = len(best.law.inputs)
     if best.law.n_states + more > job.most_states:
         return None
-    if any(item.law.n_states > best.law.n_states for item in rounds if isinstance(item.law, StateSpace)):
+    if any(
+        item.law.n_states > best.law.n_states for item in rounds if isinstance(item.law, StateSpace)
+    ):
         return None
     job.say(f"not met with {best.law.n_states} states ({best.worst:.3f}): {more} more")
     return with_states(best.law, more, job.groups)
 
 
 def without_drift(law: StateSpace) -> StateSpace:
-    """A - 2 a I where the controller's rightmost pole a is over the imaginary axis by at most ``_DRIFT``; else the same.
+    """A - 2 a I where the controller's rightmost pole a is over the imaginary axis by at most
+    ``_DRIFT``; else the same.
 
-    The loop holds so slow a pole and no requirement sees it, but the controller would run away when the loop is open.
+    The loop holds so slow a pole and no requirement sees it, but the controller would run away when
+    the loop is open.
     """
     drift = float(np.linalg.eigvals(law.A).real.max(initial=-np.inf))
     if not _ROUNDING < drift <= _DRIFT:
@@ -269,7 +344,9 @@ def without_drift(law: StateSpace) -> StateSpace:
 
 
 def _best(job: Job, rounds: list[_Round]) -> _Round:
-    """The round that does best on all models by the end, members included, and on the full plants."""
+    """The round that does best on all models by the end, members included, and on the full
+    plants.
+    """
     full = [loop_model(plant, job.timing) for plant in job.full]
     best = _Round(rounds[-1].law, {})
     for known in sorted(rounds, key=lambda item: item.worst):
@@ -280,37 +357,52 @@ def _best(job: Job, rounds: list[_Round]) -> _Round:
             best = min(best, _both(item, _judged(job, item.law, full)), key=lambda item: item.worst)
     if not np.isfinite(best.worst):
         raise NumericalFailure(
-            f"no controller of order {as_system(best.law, job.full[0].machine).n_states} that holds the full plant at all "
-            f"{len(job.full)} operating points was found; {advice(job.structure)}, allow more bending modes, or drop a point"
+            f"no controller of order {as_system(best.law, job.full[0].machine).n_states} that "
+            "holds the full plant at all "
+            f"{len(job.full)} operating points was found; {advice(job.structure)}, allow more "
+            "bending modes, or drop a point"
         )
     return best
 
 
 def _both(one: _Round, other: _Round) -> _Round:
-    """The larger ratio of each requirement; none where one of the two has none, for it is unstable there."""
+    """The larger ratio of each requirement; none where one of the two has none, for it is unstable
+    there.
+    """
     if not one.ratios or not other.ratios:
         return _Round(one.law, {})
-    return _Round(one.law, {
-        name: max(ratio, other.ratios[name], key=lambda item: item.value) for name, ratio in one.ratios.items()
-    })  # fmt: skip
+    return _Round(
+        one.law,
+        {
+            name: max(ratio, other.ratios[name], key=lambda item: item.value)
+            for name, ratio in one.ratios.items()
+        },
+    )
 
 
 def _judged(job: Job, law: Law, models: Sequence[LoopModel]) -> _Round:
-    """All ratios on models, on a dense grid that is denser still around every model's peak; none where one is unstable."""
+    """All ratios on models, on a dense grid that is denser still around every model's peak; none
+    where one is unstable.
+    """
     structure, x = _unknowns(job, law)
     rough = Objective(structure, models, np.array([100.0]), job.aims)
     if rough.abscissa(x) >= 0:
         return _Round(law, {}, len(models))
     grid = _grid(job, rough, x, _JUDGED)
     peaks = _peaks(Objective(structure, models, grid, job.aims), x)
-    near = [np.geomspace(grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)], _AROUND) for i in peaks]
-    cost = Objective(structure, models, np.unique(np.concatenate([grid, *near])), job.aims, job.reference)
+    near = [
+        np.geomspace(grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)], _AROUND) for i in peaks
+    ]
+    cost = Objective(
+        structure, models, np.unique(np.concatenate([grid, *near])), job.aims, job.reference
+    )
     return _Round(law, cost.ratios(x), len(models))
 
 
 def _add_members(job: Job, law: Law) -> Law:
-    """The worst corner of the tolerances around every point, and the worst point of every range, join the models; the
-    controller brought to hold them all."""
+    """The worst corner of the tolerances around every point, and the worst point of every range,
+    join the models; the controller brought to hold them all.
+    """
     controller = as_system(law, job.full[0].machine)
     for plant in job.small:
         found = worst_member(plant, controller, job.timing, job.aims)
@@ -318,7 +410,9 @@ def _add_members(job: Job, law: Law) -> Law:
         if found and key not in job.members:
             job.members.add(key)
             label = f"{plant.point.label}, {in_tolerances(found)}"
-            job.models.append(loop_model(perturbed(plant, found, tolerances_around(plant)), job.timing, label))
+            job.models.append(
+                loop_model(perturbed(plant, found, tolerances_around(plant)), job.timing, label)
+            )
     for area in job.full[0].machine.operation.ranges:
         point = search(job.full[0].machine, area, controller, job.timing).worst(area)
         if (point.label, ()) not in job.members and point not in area.corners:
@@ -332,7 +426,10 @@ def _add_members(job: Job, law: Law) -> Law:
 def _in_words(item: _Round) -> str:
     if not item.ratios:
         return "unstable"
-    parts = [f"{name} {ratio.value:.3f}" for name, ratio in sorted(item.ratios.items(), key=lambda pair: -pair[1].value)]
+    parts = [
+        f"{name} {ratio.value:.3f}"
+        for name, ratio in sorted(item.ratios.items(), key=lambda pair: -pair[1].value)
+    ]
     return f"of their limits: {', '.join(parts)}"
 
 
@@ -344,27 +441,40 @@ def _row(job: Job, number: int, power: float, used: int, item: _Round) -> dict[s
         "models": float(len(job.models)),
         "gamma": item.worst,
     }
-    return {**row, **{name: ratio.value for name, ratio in item.ratios.items()}, "seconds": job.clock.elapsed}
+    return {
+        **row,
+        **{name: ratio.value for name, ratio in item.ratios.items()},
+        "seconds": job.clock.elapsed,
+    }
 
 
-def _result(job: Job, best: _Round, history: tuple[dict[str, float], ...], reason: str | None) -> Synthesis:
-    """The synthesis, with stability and the norm of S_o of the loop as it runs recomputed on every full plant.
+def _result(
+    job: Job, best: _Round, history: tuple[dict[str, float], ...], reason: str | None
+) -> Synthesis:
+    """The synthesis, with stability and the norm of S_o of the loop as it runs recomputed on every
+    full plant.
 
-    Tuning leaves the sampled plant's aliases out of its frequency responses: where the norm says more, it is the ratio.
+    Tuning leaves the sampled plant's aliases out of its frequency responses: where the norm says
+    more, it is the ratio.
     """
     controller = as_system(best.law, job.full[0].machine)
     runs = controller if job.timing is None else job.timing.in_loop(controller)
     found = [certify(plant, runs, margins=False) for plant in job.full]
     worst = max(range(len(found)), key=lambda k: found[k].closed_loop_norm)
     machine, ratios = job.full[0].machine, dict(best.ratios)
-    exact = Ratio(found[worst].closed_loop_norm / job.aims.sensitivity, job.full[worst].point.label, np.nan)
+    exact = Ratio(
+        found[worst].closed_loop_norm / job.aims.sensitivity, job.full[worst].point.label, np.nan
+    )
     ratios["sensitivity"] = max(ratios["sensitivity"], exact, key=lambda ratio: ratio.value)
     certificate = Certificate(
-        all(item.stable for item in found), max(item.spectral_abscissa for item in found), found[worst].closed_loop_norm,
+        all(item.stable for item in found),
+        max(item.spectral_abscissa for item in found),
+        found[worst].closed_loop_norm,
         fastest_pole(controller),
-        {"bending_modes": float(job.small[0].bending_modes or 0)} | {f"ratio_{name}": r.value for name, r in ratios.items()},
+        {"bending_modes": float(job.small[0].bending_modes or 0)}
+        | {f"ratio_{name}": r.value for name, r in ratios.items()},
         f"{machine.name}, full plant at {len(found)} operating points",
-    )  # fmt: skip
+    )
     binding = max(ratios, key=lambda name: ratios[name].value)
     at = ratios[binding]
     where = f" at {at.frequency / (2 * np.pi):.4g} Hz" if np.isfinite(at.frequency) else ""
@@ -375,12 +485,20 @@ def _result(job: Job, best: _Round, history: tuple[dict[str, float], ...], reaso
         notes.append(f"not met with {controller.n_states} states: {', '.join(missed)}; {remedy}")
     if ratios["gain"].value > 1 and machine.requirements.control_gain is None:
         notes.append(
-            "the limit of the gain is a guard, 1.5 times the largest of the start: a control_gain of the file replaces it"
+            "the limit of the gain is a guard, 1.5 times the largest of the start: a control_gain "
+            "of the file replaces it"
         )
     if isinstance(best.law, PidSettings) and (ends := at_limits(best.law, machine, job.fastest)):
         notes.append(f"at a limit of the search: {'; '.join(ends)}")
     status = Status.VERIFIED if certificate.stable else Status.UNSTABLE
     return Synthesis(
-        controller, "tuned", at.value, status, certificate, history, tuple(notes), stopped_early=reason,
+        controller,
+        "tuned",
+        at.value,
+        status,
+        certificate,
+        history,
+        tuple(notes),
+        stopped_early=reason,
         filters=best.law if isinstance(best.law, PidSettings) else None,
-    )  # fmt: skip
+    )

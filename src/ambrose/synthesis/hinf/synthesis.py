@@ -1,4 +1,6 @@
-"""H-infinity synthesis: the controller that makes the largest gain from w to z (nearly) as small as any controller can."""
+"""H-infinity synthesis: the controller that makes the largest gain from w to z (nearly) as small as
+any controller can.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +12,16 @@ from typing import Literal
 
 import numpy as np
 
-from ambrose.core.checks import AmbroseError, NumericalFailure, UnstableSystem, check_positive, invalid, named_failure
-from ambrose.core.lft import GeneralizedPlant
-from ambrose.core.norms import hinf_norm
-from ambrose.core.statespace import StateSpace, is_stable, select
-from ambrose.synthesis.certificate import generalized_certificate
-from ambrose.synthesis.hinf.assumptions import Assumptions, check_assumptions, full_regularisation
-from ambrose.synthesis.hinf.riccati import (
+from ambrose.core.checks import (
+    AmbroseError,
+    NumericalFailure,
+    UnstableSystem,
+    check_positive,
+    invalid,
+    named_failure,
+)
+from ambrose.core.hinf.assumptions import Assumptions, check_assumptions, full_regularisation
+from ambrose.core.hinf.riccati import (
     GammaSearch,
     Level,
     balancing_states,
@@ -24,12 +29,24 @@ from ambrose.synthesis.hinf.riccati import (
     normal_form,
     search_gamma,
 )
-from ambrose.synthesis.hinf.scaling import ScaledPlant, check_plant, original_controller, scale_plant, unavoidable
-from ambrose.synthesis.result import Certificate, Status, Synthesis
-from ambrose.synthesis.time_limit import TimeLimit
+from ambrose.core.hinf.scaling import (
+    ScaledPlant,
+    check_plant,
+    original_controller,
+    scale_plant,
+    unavoidable,
+)
+from ambrose.core.lft import GeneralizedPlant
+from ambrose.core.norms import hinf_norm
+from ambrose.core.statespace import StateSpace, is_stable, select
+from ambrose.core.time_limit import TimeLimit
+from ambrose.judge.certificate import generalized_certificate
+from ambrose.judge.result import Certificate, Status, Synthesis
 
 _WIDEST = 2.0  # the back-off less 1 is doubled up to this before giving up
-_LARGEST_LMI = 50  # states up to which the matrix inequalities take over by themselves; their cost grows with the sixth power
+# states up to which the matrix inequalities take over by themselves; their cost grows with the
+# sixth power
+_LARGEST_LMI = 50
 _EPSILONS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)  # of the regularisation, in the scaled plant's units
 
 
@@ -43,31 +60,44 @@ def hinf_synthesis(
     time_limit: float = 60.0,
     progress: Callable[[str], None] | None = None,
 ) -> Synthesis:
-    """The central H-infinity controller u = K y at ``backoff`` times the optimal gamma, verified on ``plant`` itself.
+    """The central H-infinity controller u = K y at ``backoff`` times the optimal gamma, verified on
+    ``plant`` itself.
 
-    plant: continuous; any D11 and D22; the sign of the loop is inside it (core/lft.py). backoff [-] >= 1: how far above the
-    optimum to stay, for the optimal controller itself has arbitrarily fast poles; tolerance [-]: relative, of the optimal
-    gamma; method: "riccati" (two Riccati equations) or "lmi" (slower, needs no assumption on D12, D21 and axis zeros);
-    time_limit [s] of computing, and five times that on the wall; progress: called with one line of text per step.
+    plant: continuous; any D11 and D22; the sign of the loop is inside it (core/lft.py). backoff [-]
+    >= 1: how far above the optimum to stay, for the optimal controller itself has arbitrarily fast
+    poles; tolerance [-]: relative, of the optimal gamma; method: "riccati" (two Riccati equations)
+    or "lmi" (slower, needs no assumption on D12, D21 and axis zeros); time_limit [s] of computing,
+    and five times that on the wall; progress: called with one line of text per step.
 
-    Where an assumption of the Riccati equations fails, the plant is regularised with the smallest useful epsilon; where they
-    fail all the same, up to 50 states, the matrix inequalities take over if their solver is installed. The result's ``notes``
-    say so. ``gamma`` is the closed-loop norm recomputed on the original plant; certificate.margins hold "gamma_optimal"
-    (reachable, and at most ``tolerance`` above the optimum of the plant that was solved), "gamma_lower" (no controller comes
-    below it on the plant as given; without regularisation within ``tolerance`` of gamma_optimal, with it what no controller can
-    change at single frequencies), "gamma_designed" and "epsilon" (0 without regularisation); history has one row for each
-    gamma tried.
+    Where an assumption of the Riccati equations fails, the plant is regularised with the smallest
+    useful epsilon; where they fail all the same, up to 50 states, the matrix inequalities take over
+    if their solver is installed. The result's ``notes`` say so. ``gamma`` is the closed-loop norm
+    recomputed on the original plant; certificate.margins hold "gamma_optimal" (reachable, and at
+    most ``tolerance`` above the optimum of the plant that was solved), "gamma_lower" (no controller
+    comes below it on the plant as given; without regularisation within ``tolerance`` of
+    gamma_optimal, with it what no controller can change at single frequencies), "gamma_designed"
+    and "epsilon" (0 without regularisation); history has one row for each gamma tried.
 
-    Raises InvalidInput (no controller can stabilise the plant, with the mode; sampled plants; bad arguments) and
-    NumericalFailure (no verified controller, with the reason). Sources: see hinf/riccati.py, hinf/lmi.py.
+    Raises InvalidInput (no controller can stabilise the plant, with the mode; sampled plants; bad
+    arguments) and NumericalFailure (no verified controller, with the reason). Sources: see
+    hinf/riccati.py, hinf/lmi.py.
     """
     if not 1 <= check_positive(backoff, "backoff", "1.02 to 1.05 suits most uses") < 1 + _WIDEST:
-        raise invalid("backoff", backoff, f"at least 1 and below {1 + _WIDEST:g}", "1.02 to 1.05 suits most uses")
+        raise invalid(
+            "backoff",
+            backoff,
+            f"at least 1 and below {1 + _WIDEST:g}",
+            "1.02 to 1.05 suits most uses",
+        )
     if not 1e-10 <= check_positive(tolerance, "tolerance", "1e-3 suits most uses") < 1:
         raise invalid("tolerance", tolerance, "between 1e-10 and 1", "1e-3 suits most uses")
     if method not in ("riccati", "lmi"):
-        raise invalid("method", repr(method), '"riccati" or "lmi"', "leave it out for the Riccati equations")
-    job = _Job(check_plant(plant), backoff, tolerance, TimeLimit(time_limit), progress or (lambda _: None))
+        raise invalid(
+            "method", repr(method), '"riccati" or "lmi"', "leave it out for the Riccati equations"
+        )
+    job = _Job(
+        check_plant(plant), backoff, tolerance, TimeLimit(time_limit), progress or (lambda _: None)
+    )
     scaled = scale_plant(plant)
     assumptions = check_assumptions(scaled)
     if method == "lmi":
@@ -80,8 +110,12 @@ def hinf_synthesis(
         return _instead(job, scaled, assumptions, failure)
 
 
-def _designed(job: _Job, scaled: ScaledPlant, assumptions: Assumptions, method: _Method) -> Synthesis:
-    """As it is where no assumption fails, else regularised; regularised fully where Riccati equations fail all the same."""
+def _designed(
+    job: _Job, scaled: ScaledPlant, assumptions: Assumptions, method: _Method
+) -> Synthesis:
+    """As it is where no assumption fails, else regularised; regularised fully where Riccati
+    equations fail all the same.
+    """
     if assumptions.findings:
         return _regularised(job, scaled, assumptions, method)
     try:
@@ -95,11 +129,16 @@ def _designed(job: _Job, scaled: ScaledPlant, assumptions: Assumptions, method: 
         return _regularised(job, scaled, full_regularisation(scaled), method)
 
 
-def _instead(job: _Job, scaled: ScaledPlant, assumptions: Assumptions, failure: NumericalFailure) -> Synthesis:
-    """By the matrix inequalities what the Riccati equations refuse, on the plant as it is; or the refusal."""
+def _instead(
+    job: _Job, scaled: ScaledPlant, assumptions: Assumptions, failure: NumericalFailure
+) -> Synthesis:
+    """By the matrix inequalities what the Riccati equations refuse, on the plant as it is; or the
+    refusal.
+    """
     if find_spec("clarabel") is None:
         raise NumericalFailure(
-            f'{failure}; the matrix inequalities may do: install their solver with pip install "ambrose[lmi]"'
+            f"{failure}; the matrix inequalities may do: install their solver with pip install "
+            '"ambrose[lmi]"'
         ) from failure
     if len(scaled.A) > _LARGEST_LMI:
         raise failure
@@ -110,7 +149,9 @@ def _instead(job: _Job, scaled: ScaledPlant, assumptions: Assumptions, failure: 
         raise
     except NumericalFailure as other:
         raise NumericalFailure(f"{failure}; by the matrix inequalities: {other}") from failure
-    note = f"designed by matrix inequalities (method lmi), for the Riccati equations failed: {failure}"
+    note = (
+        f"designed by matrix inequalities (method lmi), for the Riccati equations failed: {failure}"
+    )
     return _finish(job, scaled, design, (note,))
 
 
@@ -128,7 +169,10 @@ class _Job:
 
     def check_time(self, best: str = "") -> None:
         if self.clock.left <= 0:
-            raise _TimeOut(f"no verified controller within the time limit of {self.clock.seconds:g} s{best}; raise time_limit")
+            raise _TimeOut(
+                f"no verified controller within the time limit of {self.clock.seconds:g} s{best}; "
+                "raise time_limit"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,7 +210,9 @@ def _by_riccati(job: _Job, scaled: ScaledPlant, epsilon: float) -> _Design:
         gamma = search.best.gamma * (1 + step)
         try:
             A, B, C, D = central_controller(normal, gamma)
-            controller = original_controller(scaled, (A, B @ T_y, T_u @ C, T_u @ D @ T_y), job.plant.y, job.plant.u)
+            controller = original_controller(
+                scaled, (A, B @ T_y, T_u @ C, T_u @ D @ T_y), job.plant.y, job.plant.u
+            )
             certificate = verified(job.plant, controller, gamma)
         except (AmbroseError, np.linalg.LinAlgError) as failure:
             reason = f"back-off {1 + step:.4g}: {failure}"
@@ -179,19 +225,35 @@ def _by_riccati(job: _Job, scaled: ScaledPlant, epsilon: float) -> _Design:
         else:
             job.say(f"verified: norm {certificate.closed_loop_norm:.6g} at gamma {gamma:.6g}")
             rows = tuple({**row, "epsilon": epsilon} for row in search.history)
-            zero = ("gamma can be made as small as wanted: w can be cancelled completely",) if search.vanishing else ()
+            zero = (
+                ("gamma can be made as small as wanted: w can be cancelled completely",)
+                if search.vanishing
+                else ()
+            )
             notes = (*_backoff_note(job, step), *zero)
-            return _Design(controller, certificate, search.lower, search.best.gamma, gamma, epsilon, rows, notes)
+            return _Design(
+                controller,
+                certificate,
+                search.lower,
+                search.best.gamma,
+                gamma,
+                epsilon,
+                rows,
+                notes,
+            )
         step = max(2 * step, job.tolerance)
     raise NumericalFailure(
-        f"no controller at back-offs up to {1 + step / 2:.3g} passed its verification on the original plant ({reason}); "
+        f"no controller at back-offs up to {1 + step / 2:.3g} passed its verification on the "
+        f"original plant ({reason}); "
         'scale the plant, bring its poles closer together, or use method="lmi"'
     )
 
 
 def _by_lmi(job: _Job, scaled: ScaledPlant, epsilon: float) -> _Design:
-    """The smallest gamma of the matrix inequalities, then the first verified controller at growing back-offs."""
-    from ambrose.synthesis.hinf.lmi import lmi_controller, smallest_gamma
+    """The smallest gamma of the matrix inequalities, then the first verified controller at growing
+    back-offs.
+    """
+    from ambrose.core.hinf.lmi import lmi_controller, smallest_gamma
 
     def time_left() -> float:
         job.check_time()
@@ -214,10 +276,20 @@ def _by_lmi(job: _Job, scaled: ScaledPlant, epsilon: float) -> _Design:
             job.say(reason)
         else:
             row = {"gamma": optimal, "feasible": 1.0, "rho": float("nan"), "epsilon": epsilon}
-            return _Design(controller, certificate, optimal, optimal, gamma, epsilon, (row,), _backoff_note(job, step))
+            return _Design(
+                controller,
+                certificate,
+                optimal,
+                optimal,
+                gamma,
+                epsilon,
+                (row,),
+                _backoff_note(job, step),
+            )
         step *= 2
     raise NumericalFailure(
-        f"no controller from the matrix inequalities passed its verification ({reason}); scale the plant, or bring its "
+        f"no controller from the matrix inequalities passed its verification ({reason}); scale "
+        "the plant, or bring its "
         "poles closer together"
     )
 
@@ -228,20 +300,31 @@ _Method = Callable[[_Job, ScaledPlant, float], _Design]
 def _backoff_note(job: _Job, step: float) -> tuple[str, ...]:
     if step <= job.backoff - 1:
         return ()
-    return (f"the back-off is {1 + step:.4g} instead of {job.backoff:g}: closer to the optimum verification failed",)
+    return (
+        f"the back-off is {1 + step:.4g} instead of {job.backoff:g}: closer to the optimum "
+        "verification failed",
+    )
 
 
 def verified(plant: GeneralizedPlant, controller: StateSpace, gamma: float) -> Certificate:
-    """The certificate on the original plant; raises NumericalFailure unless stable with a norm below ``gamma``."""
+    """The certificate on the original plant; raises NumericalFailure unless stable with a norm
+    below ``gamma``.
+    """
     certificate = generalized_certificate(plant, controller)
     if not certificate.stable:
-        raise NumericalFailure(f"the loop is unstable (spectral abscissa {certificate.spectral_abscissa:.4g} rad/s)")
+        raise NumericalFailure(
+            f"the loop is unstable (spectral abscissa {certificate.spectral_abscissa:.4g} rad/s)"
+        )
     if not certificate.closed_loop_norm <= gamma * (1 + 1e-5):
-        raise NumericalFailure(f"the norm is {certificate.closed_loop_norm:.6g}, above gamma = {gamma:.6g}")
+        raise NumericalFailure(
+            f"the norm is {certificate.closed_loop_norm:.6g}, above gamma = {gamma:.6g}"
+        )
     return certificate
 
 
-def _regularised(job: _Job, scaled: ScaledPlant, assumptions: Assumptions, method: _Method) -> Synthesis:
+def _regularised(
+    job: _Job, scaled: ScaledPlant, assumptions: Assumptions, method: _Method
+) -> Synthesis:
     """Designs with falling epsilon, until gamma no longer gains; the best verified one."""
     for finding in assumptions.findings:
         job.say(finding)
@@ -252,7 +335,9 @@ def _regularised(job: _Job, scaled: ScaledPlant, assumptions: Assumptions, metho
     for epsilon in _EPSILONS:
         job.say(f"regularisation with epsilon = {epsilon:g}")
         try:
-            design = method(job, scaled.extended(assumptions.rows, assumptions.columns, epsilon), epsilon)
+            design = method(
+                job, scaled.extended(assumptions.rows, assumptions.columns, epsilon), epsilon
+            )
         except NumericalFailure as failure:
             reason = str(failure)
             if best is not None or isinstance(failure, _TimeOut):
@@ -279,7 +364,9 @@ def _finish(
     holds = design.epsilon == 0 and design.lower <= design.certificate.closed_loop_norm
     margins = {
         "gamma_optimal": design.optimal,
-        "gamma_lower": design.lower if holds else min(unavoidable(scaled), design.certificate.closed_loop_norm),
+        "gamma_lower": design.lower
+        if holds
+        else min(unavoidable(scaled), design.certificate.closed_loop_norm),
         "gamma_designed": design.designed,
         "epsilon": design.epsilon,
     }
@@ -288,20 +375,32 @@ def _finish(
     for note in notes:
         job.say(f"note: {note}")
     return Synthesis(
-        design.controller, "hinf", certificate.closed_loop_norm, Status.VERIFIED, certificate,
-        design.history if history is None else history, notes,
-    )  # fmt: skip
+        design.controller,
+        "hinf",
+        certificate.closed_loop_norm,
+        Status.VERIFIED,
+        certificate,
+        design.history if history is None else history,
+        notes,
+    )
 
 
 def _zero_control(plant: GeneralizedPlant, design: _Design) -> tuple[str, ...]:
-    """A note where doing nothing is as good; raises NumericalFailure for a zero controller where it is not."""
+    """A note where doing nothing is as good; raises NumericalFailure for a zero controller where it
+    is not.
+    """
     open_norm = np.inf
     if is_stable(plant.system):
         with contextlib.suppress(UnstableSystem):
             open_norm = hinf_norm(select(plant.system, plant.w, plant.z)).value
     if open_norm <= design.designed:
-        return (f"no control does as well: the plant is stable and has norm {open_norm:.6g} without a controller",)
+        return (
+            f"no control does as well: the plant is stable and has norm {open_norm:.6g} without a "
+            "controller",
+        )
     law = design.controller
     if not (law.D.any() or (law.B.any() and law.C.any())):
-        raise NumericalFailure("the controller found is zero, though no control is not optimal; rescale u and y")
+        raise NumericalFailure(
+            "the controller found is zero, though no control is not optimal; rescale u and y"
+        )
     return ()

@@ -1,13 +1,16 @@
-"""Rational functions with a wanted magnitude: stable, minimum phase, real poles and zeros inside the frequency grid.
+"""Rational functions with a wanted magnitude: stable, minimum phase, real poles and zeros inside
+the frequency grid.
 
-The D scalings of mu synthesis must be stable with a stable inverse, and they must not invent dynamics the data do not show: a
-pole or zero outside the grid is fitted to nothing, and its integral or roll-off destroys the next synthesis. Poles and zeros
-are therefore real, negative and bounded by the grid. The fit is in log magnitude,
+The D scalings of mu synthesis must be stable with a stable inverse, and they must not invent
+dynamics the data do not show: a pole or zero outside the grid is fitted to nothing, and its
+integral or roll-off destroys the next synthesis. Poles and zeros are therefore real, negative and
+bounded by the grid. The fit is in log magnitude,
 
     ln |d(j w)| = ln g + 1/2 sum_i ln(1 + (w/z_i)^2) - 1/2 sum_i ln(1 + (w/p_i)^2),
 
-by Gauss-Newton with Levenberg's damping in (ln z, ln p), the gain eliminated. Orders are built up one by one: a scan finds the
-pole-zero pair that removes most of what is left, then all move together.
+by Gauss-Newton with Levenberg's damping in (ln z, ln p), the gain eliminated. Orders are built up
+one by one: a scan finds the pole-zero pair that removes most of what is left, then all move
+together.
 """
 
 from __future__ import annotations
@@ -28,7 +31,9 @@ _AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RealRational:
-    """d(s) = gain prod (s/zeros_i + 1) / prod (s/poles_i + 1): gain > 0 that at s = 0; zeros, poles (order,) [rad/s] > 0."""
+    """d(s) = gain prod (s/zeros_i + 1) / prod (s/poles_i + 1): gain > 0 that at s = 0; zeros, poles
+    (order,) [rad/s] > 0.
+    """
 
     gain: float
     zeros: np.ndarray
@@ -40,17 +45,25 @@ class RealRational:
 
     def log_magnitude(self, omega: np.ndarray) -> np.ndarray:
         """ln |d(j omega)| (w,) at omega (w,) [rad/s]."""
-        return np.log(self.gain) + _corners(omega, self.zeros).sum(axis=1) - _corners(omega, self.poles).sum(axis=1)
+        return (
+            np.log(self.gain)
+            + _corners(omega, self.zeros).sum(axis=1)
+            - _corners(omega, self.poles).sum(axis=1)
+        )
 
     def inverse(self) -> RealRational:
         """1/d(s), which has the same form."""
         return RealRational(1 / self.gain, self.poles, self.zeros)
 
     def system(self, input: str = "u1", output: str = "y1") -> StateSpace:
-        """A balanced chain of first-order sections, slowest first: sections (s/z + 1)/(s/p + 1) with paired corners."""
+        """A balanced chain of first-order sections, slowest first: sections (s/z + 1)/(s/p + 1)
+        with paired corners.
+        """
         n = self.order
         zeros, poles = np.sort(self.zeros), np.sort(self.poles)
-        A, B, C = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n))
+        A = np.zeros((n, n))
+        B = np.zeros((n, 1))
+        C = np.zeros((1, n))
         through = 1.0  # from the input to the section at hand
         row = np.zeros(n)  # from the states before it
         for k, (z, p) in enumerate(zip(zeros, poles, strict=True)):
@@ -83,28 +96,51 @@ def corner_slopes(omega: np.ndarray, corner: np.ndarray) -> np.ndarray:
     return ratio / (1 + ratio)
 
 
-def fit_magnitude(omega: ArrayLike, magnitude: ArrayLike, order: int, weight: ArrayLike | None = None) -> RealRational:
+def fit_magnitude(
+    omega: ArrayLike, magnitude: ArrayLike, order: int, weight: ArrayLike | None = None
+) -> RealRational:
     """The RealRational of an order whose log magnitude is nearest to the data, least squares.
 
-    omega (w,) [rad/s]: positive, ascending; its ends bound poles and zeros. magnitude (w,): positive. order: number of poles
-    and of zeros. weight (w,): not negative, on the squared log error (default: 1). Raises InvalidInput.
+    omega (w,) [rad/s]: positive, ascending; its ends bound poles and zeros. magnitude (w,):
+    positive. order: number of poles and of zeros. weight (w,): not negative, on the squared log
+    error (default: 1). Raises InvalidInput.
     """
     omega = check_shape(omega, "omega", "(w)").astype(float)
     data = check_shape(magnitude, "magnitude", "(w)", w=len(omega)).astype(float)
-    scale = np.ones(len(omega)) if weight is None else check_shape(weight, "weight", "(w)", w=len(omega)).astype(float)
+    scale = (
+        np.ones(len(omega))
+        if weight is None
+        else check_shape(weight, "weight", "(w)", w=len(omega)).astype(float)
+    )
     if len(omega) < 2 or (np.diff(omega) <= 0).any() or omega[0] <= 0:
-        raise invalid("omega", f"{len(omega)} frequencies", "2 or more, positive and ascending, in rad/s", "sort the grid")
+        raise invalid(
+            "omega",
+            f"{len(omega)} frequencies",
+            "2 or more, positive and ascending, in rad/s",
+            "sort the grid",
+        )
     if (data <= 0).any() or (scale < 0).any() or not scale.any():
-        raise invalid("magnitude and weight", "partly negative or zero", "positive (a weight may be 0)", "leave points out")
+        raise invalid(
+            "magnitude and weight",
+            "partly negative or zero",
+            "positive (a weight may be 0)",
+            "leave points out",
+        )
     if not isinstance(order, int | np.integer) or order < 0:
         raise invalid("order", order, "a whole number, at least 0", "0 is a constant")
     problem = _Problem(omega, np.log(data), np.sqrt(scale / scale.max()))
     theta = np.zeros(0)  # ln z_1, ln p_1, ln z_2, ...
     for _ in range(order):
-        trials = [problem.descend(np.concatenate([theta, pair])) for pair in problem.new_pairs(theta)]
+        trials = [
+            problem.descend(np.concatenate([theta, pair])) for pair in problem.new_pairs(theta)
+        ]
         theta = min(trials, key=problem.cost)
     gain = float(np.exp(problem.offset(theta)))
-    return RealRational(check_positive(gain, "the fitted gain", "look at the data"), np.exp(theta[::2]), np.exp(theta[1::2]))
+    return RealRational(
+        check_positive(gain, "the fitted gain", "look at the data"),
+        np.exp(theta[::2]),
+        np.exp(theta[1::2]),
+    )
 
 
 class _Problem:
@@ -113,7 +149,9 @@ class _Problem:
     __slots__ = ("data", "high", "low", "omega", "root")
 
     def __init__(self, omega: np.ndarray, data: np.ndarray, root: np.ndarray) -> None:
-        self.omega, self.data, self.root = omega, data, root
+        self.omega = omega
+        self.data = data
+        self.root = root
         self.low, self.high = np.log(omega[0]), np.log(omega[-1])
 
     def _centred(self, columns: np.ndarray) -> np.ndarray:
@@ -141,7 +179,9 @@ class _Problem:
         return float(r @ r)
 
     def new_pairs(self, theta: np.ndarray) -> list[np.ndarray]:
-        """A few (ln z, ln p) on a coarse grid that, added to theta, leave the least: local minima over the grid."""
+        """A few (ln z, ln p) on a coarse grid that, added to theta, leave the least: local minima
+        over the grid.
+        """
         centres = np.linspace(self.low, self.high, _SCAN + 2)[1:-1]
         shapes = self._centred(_corners(self.omega, np.exp(centres)))
         left = self.residual(theta)
@@ -149,7 +189,9 @@ class _Problem:
         size = (both**2).sum(axis=0)
         size[np.diag_indices(_SCAN)] = np.inf  # a pair that cancels would stay where it is
         padded = np.pad(size, 1, constant_values=np.inf)
-        around = np.min([padded[1 + i : 1 + i + _SCAN, 1 + j : 1 + j + _SCAN] for i, j in _AROUND], axis=0)
+        around = np.min(
+            [padded[1 + i : 1 + i + _SCAN, 1 + j : 1 + j + _SCAN] for i, j in _AROUND], axis=0
+        )
         rows, columns = np.nonzero((size <= around) & np.isfinite(size))
         best = np.argsort(size[rows, columns])[:_STARTS]
         return [centres[[rows[k], columns[k]]] for k in best]
@@ -170,7 +212,9 @@ class _Problem:
             trial = np.clip(theta + np.clip(step, -1.5, 1.5), self.low, self.high)
             r_trial = self.residual(trial)
             if r_trial @ r_trial < cost:
-                gain, theta, r = cost - r_trial @ r_trial, trial, r_trial
+                gain = cost - r_trial @ r_trial
+                theta = trial
+                r = r_trial
                 cost, damping = r @ r, damping / 5
                 if gain < 1e-12 * cost + 1e-26:
                     break

@@ -1,4 +1,6 @@
-"""The D-step: mu's upper bound over a frequency grid that follows the loop, and D(s) of the order that suffices for it."""
+"""The D-step: mu's upper bound over a frequency grid that follows the loop, and D(s) of the order
+that suffices for it.
+"""
 
 from __future__ import annotations
 
@@ -28,10 +30,11 @@ _FIRST = 12  # frequencies at which mixed mu is computed first; their peak spare
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DStep:
-    """The complex upper bound of a loop: omega (w,) [rad/s], M (w, n_z, n_w), upper (w,), D_w (w, n_w, n_w) Hermitian.
+    """The complex upper bound of a loop: omega (w,) [rad/s], M (w, n_z, n_w), upper (w,), D_w (w,
+    n_w, n_w) Hermitian.
 
-    structure: of the bound, with repeated blocks as full ones where D is to be scalar; then middle and width (w, blocks - 1) of
-    the tube of ln d_i (mu_refine), and empty for matrix scalings.
+    structure: of the bound, with repeated blocks as full ones where D is to be scalar; then middle
+    and width (w, blocks - 1) of the tube of ln d_i (mu_refine), and empty for matrix scalings.
     """
 
     omega: np.ndarray
@@ -48,7 +51,9 @@ class DStep:
 
 
 def d_blocks(blocks: Sequence[Block], structure: Literal["scalar", "full"]) -> list[Block]:
-    """The blocks whose scalings the D-step may use: d I for a repeated block ("scalar"), or a matrix D ("full")."""
+    """The blocks whose scalings the D-step may use: d I for a repeated block ("scalar"), or a
+    matrix D ("full").
+    """
     result: list[Block] = []
     for block in blocks:
         if isinstance(block, FullBlock):
@@ -61,7 +66,9 @@ def d_blocks(blocks: Sequence[Block], structure: Literal["scalar", "full"]) -> l
 
 
 def d_step(loop: StateSpace, blocks: Sequence[Block], grid: np.ndarray, rounds: int = 2) -> DStep:
-    """The complex upper bound on the grid, on the loop's resonances and between the neighbours of its high peaks."""
+    """The complex upper bound on the grid, on the loop's resonances and between the neighbours of
+    its high peaks.
+    """
     p = poles(loop)
     p = p[(p.imag > 0) & (np.abs(p.real) < 0.7 * np.abs(p))]
     extra = np.abs(p.imag)
@@ -77,20 +84,31 @@ def d_step(loop: StateSpace, blocks: Sequence[Block], grid: np.ndarray, rounds: 
         more = _bound(loop, blocks, new)
         order = np.argsort(np.concatenate([omega, new]))
         omega = np.concatenate([omega, new])[order]
-        M, upper, D = (np.concatenate([a, b])[order] for a, b in zip((M, upper, D), more, strict=True))
+        M, upper, D = (
+            np.concatenate([a, b])[order] for a, b in zip((M, upper, D), more, strict=True)
+        )
     structure = structure_of(blocks)
     middle = width = np.zeros((len(omega), 0))
     if not _matrix_scaled(structure) and upper.max() > 0:
-        log_d = np.log(np.stack([D[:, place.w.start, place.w.start].real for place in structure.places], axis=1))
+        log_d = np.log(
+            np.stack(
+                [D[:, place.w.start, place.w.start].real for place in structure.places], axis=1
+            )
+        )
         middle, width = tube(M, structure, log_d, upper + _TUBE * upper.max())
     return DStep(omega, M, upper, D, structure, middle, np.maximum(width, _NARROW))
 
 
 def _matrix_scaled(structure: Structure) -> bool:
-    return any(isinstance(place.block, ComplexBlock) and place.block.repeat > 1 for place in structure.places)
+    return any(
+        isinstance(place.block, ComplexBlock) and place.block.repeat > 1
+        for place in structure.places
+    )
 
 
-def _bound(loop: StateSpace, blocks: Sequence[Block], omega: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _bound(
+    loop: StateSpace, blocks: Sequence[Block], omega: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     M = frequency_response(loop, omega).values
     bound = mu_bounds(M, blocks, g_scaling=False, lower=False, tolerance=1e-3)
     return M, bound.upper, bound.D_w
@@ -99,26 +117,32 @@ def _bound(loop: StateSpace, blocks: Sequence[Block], omega: np.ndarray) -> tupl
 def peak_below(
     step: DStep, blocks: Sequence[Block], ceiling: np.ndarray, g_scaling: bool
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """The largest upper bound of another structure on the step's grid, given that it nowhere exceeds ``ceiling`` (w,).
+    """The largest upper bound of another structure on the step's grid, given that it nowhere
+    exceeds ``ceiling`` (w,).
 
-    Only frequencies whose ceiling is above what was found elsewhere are computed. Returns the peak, the values (the ceiling
-    where it was not needed) and which were computed.
+    Only frequencies whose ceiling is above what was found elsewhere are computed. Returns the peak,
+    the values (the ceiling where it was not needed) and which were computed.
     """
-    values, known, best = ceiling.copy(), np.zeros(len(ceiling), bool), 0.0
+    values = ceiling.copy()
+    known = np.zeros(len(ceiling), bool)
+    best = 0.0
     while True:
         open_ = np.flatnonzero(~known & (ceiling > best))
         if not len(open_):
             return best, values, known
         chosen = open_[np.argsort(-ceiling[open_])[: _FIRST if best == 0 else None]]
-        found = mu_bounds(step.M[chosen], blocks, g_scaling=g_scaling, lower=False, tolerance=1e-3).upper
+        found = mu_bounds(
+            step.M[chosen], blocks, g_scaling=g_scaling, lower=False, tolerance=1e-3
+        ).upper
         values[chosen], known[chosen] = np.minimum(found, ceiling[chosen]), True
         best = max(best, float(values[chosen].max()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedScaling:
-    """scaling: D(s); peak: of sigma_max(D M D^-1) on the step's grid; excess: the most by which it exceeds the bound there;
-    scalars: the d_i where every D is scalar, else empty."""
+    """scaling: D(s); peak: of sigma_max(D M D^-1) on the step's grid; excess: the most by which it
+    exceeds the bound there; scalars: the d_i where every D is scalar, else empty.
+    """
 
     scaling: Scaling
     peak: float
@@ -126,18 +150,24 @@ class FittedScaling:
     scalars: tuple[RealRational, ...] = ()
 
 
-def fit_scaling(step: DStep, order: int | Literal["auto"], tolerance: float, lowest: int = 0) -> FittedScaling:
+def fit_scaling(
+    step: DStep, order: int | Literal["auto"], tolerance: float, lowest: int = 0
+) -> FittedScaling:
     """D(s) for the step's blocks, last block D = 1 where its scaling is a scalar.
 
-    order: of every D per channel; or "auto": the smallest one from ``lowest`` on with which sigma_max(D M D^-1) peaks at most
-    1 + tolerance times as high as the bound, and follows it within five tolerances of the peak at every frequency; then lower
-    ones for single blocks. Scalar D are fitted in magnitude, then moved to lower the peak (mu_refine).
+    order: of every D per channel; or "auto": the smallest one from ``lowest`` on with which
+    sigma_max(D M D^-1) peaks at most 1 + tolerance times as high as the bound, and follows it
+    within five tolerances of the peak at every frequency; then lower ones for single blocks. Scalar
+    D are fitted in magnitude, then moved to lower the peak (mu_refine).
     """
     if order != "auto":
         return _fit(step, [order] * len(step.structure.places))
 
     def enough(item: FittedScaling) -> bool:
-        return item.peak <= (1 + tolerance) * step.peak and item.excess <= _CURVE * tolerance * step.peak
+        return (
+            item.peak <= (1 + tolerance) * step.peak
+            and item.excess <= _CURVE * tolerance * step.peak
+        )
 
     found = []
     for n in range(min(lowest, HIGHEST_ORDER), HIGHEST_ORDER + 1):
@@ -148,9 +178,12 @@ def fit_scaling(step: DStep, order: int | Literal["auto"], tolerance: float, low
     return next(item for item in found if item.peak <= (1 + tolerance) * least)
 
 
-def extrapolate(step: DStep, used: FittedScaling, fitted: FittedScaling, factor: float) -> FittedScaling | None:
-    """The scaling that goes ``factor`` times as far, in log magnitude, from the one used to the middle of the step's tube; its
-    orders are those of ``fitted``. None for matrix scalings."""
+def extrapolate(
+    step: DStep, used: FittedScaling, fitted: FittedScaling, factor: float
+) -> FittedScaling | None:
+    """The scaling that goes ``factor`` times as far, in log magnitude, from the one used to the
+    middle of the step's tube; its orders are those of ``fitted``. None for matrix scalings.
+    """
     if not (used.scalars and fitted.scalars and step.width.shape[1]):
         return None
     before = np.stack([d.log_magnitude(step.omega) for d in used.scalars[:-1]], axis=1)
@@ -164,12 +197,19 @@ def extrapolate(step: DStep, used: FittedScaling, fitted: FittedScaling, factor:
 
 def of_scalars(step: DStep, d: Sequence[RealRational]) -> FittedScaling:
     """One d_i per block, with the peak on the step's grid."""
-    scaling = Scaling(tuple(scalar_scaling(place.block, x) for place, x in zip(step.structure.places, d, strict=True)))
+    scaling = Scaling(
+        tuple(
+            scalar_scaling(place.block, x)
+            for place, x in zip(step.structure.places, d, strict=True)
+        )
+    )
     gain = peak_gain(step.M, step.omega, step.structure, d)
     return FittedScaling(scaling, float(gain.max()), float((gain - step.upper).max()), tuple(d))
 
 
-def _fewer(step: DStep, fitted: FittedScaling, enough: Callable[[FittedScaling], bool]) -> FittedScaling:
+def _fewer(
+    step: DStep, fitted: FittedScaling, enough: Callable[[FittedScaling], bool]
+) -> FittedScaling:
     """Lower orders of single blocks, as long as that is enough; the largest blocks first."""
     orders = list(fitted.scaling.orders)
     places = step.structure.places
@@ -197,7 +237,11 @@ def _fit(step: DStep, orders: Sequence[int]) -> FittedScaling:
             elif place is places[-1]:
                 parts.append(scalar_scaling(place.block, constant(1.0)))
             else:
-                parts.append(scalar_scaling(place.block, fit_magnitude(step.omega, D[:, 0, 0].real, n, weight)))
+                parts.append(
+                    scalar_scaling(
+                        place.block, fit_magnitude(step.omega, D[:, 0, 0].real, n, weight)
+                    )
+                )
         scaling = Scaling(tuple(parts))
         gain = scaled_gain(step.M, step.omega, scaling)
         return FittedScaling(scaling, float(gain.max()), float((gain - step.upper).max()))

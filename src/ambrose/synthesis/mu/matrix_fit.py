@@ -1,9 +1,10 @@
 """A matrix scaling D(s) for a repeated block: a rational fit of D^H D, and its spectral factor.
 
-X(w) = D^H D, Hermitian positive definite with X(-w) = conj X(w), is fitted by Phi = Y + Y^H, Y(s) = Y_0/2 + sum_k Y_k
-p_k/(s + p_k) with real matrices Y_k: linear least squares in relative error, for poles -p_k that a search moves inside the
-grid. Where Phi > 0 on the whole axis it is W(-s)^T W(s) with W stable and W^-1 stable (spectral factorisation by one
-Riccati equation; Zhou, Doyle & Glover 1996, sec. 13.4). D is unique up to a constant orthogonal matrix, which no norm sees.
+X(w) = D^H D, Hermitian positive definite with X(-w) = conj X(w), is fitted by Phi = Y + Y^H, Y(s) =
+Y_0/2 + sum_k Y_k p_k/(s + p_k) with real matrices Y_k: linear least squares in relative error, for
+poles -p_k that a search moves inside the grid. Where Phi > 0 on the whole axis it is W(-s)^T W(s)
+with W stable and W^-1 stable (spectral factorisation by one Riccati equation; Zhou, Doyle & Glover
+1996, sec. 13.4). D is unique up to a constant orthogonal matrix, which no norm sees.
 """
 
 from __future__ import annotations
@@ -21,20 +22,34 @@ from ambrose.synthesis.mu.scaling import BlockScaling, scalar_scaling
 _CANDIDATES = 10  # pole positions of the first scan
 
 
-def fit_matrix(omega: ArrayLike, X: ArrayLike, order: int, weight: ArrayLike | None = None) -> BlockScaling:
-    """D(s) (r, r) with D(j w)^H D(j w) close to X: real poles inside the grid, stable, with a stable inverse.
+def fit_matrix(
+    omega: ArrayLike, X: ArrayLike, order: int, weight: ArrayLike | None = None
+) -> BlockScaling:
+    """D(s) (r, r) with D(j w)^H D(j w) close to X: real poles inside the grid, stable, with a
+    stable inverse.
 
-    omega (w,) [rad/s]: positive, ascending. X (w, r, r): Hermitian positive definite. order: number of poles, each with r
-    states. weight (w,): on the squared relative error. Where no fit of the order is positive on the whole axis, the scalar
-    fit d(s) I of the mean magnitude is returned. Raises InvalidInput.
+    omega (w,) [rad/s]: positive, ascending. X (w, r, r): Hermitian positive definite. order: number
+    of poles, each with r states. weight (w,): on the squared relative error. Where no fit of the
+    order is positive on the whole axis, the scalar fit d(s) I of the mean magnitude is returned.
+    Raises InvalidInput.
     """
     omega = check_shape(omega, "omega", "(w)").astype(float)
     X = check_shape(X, "X", "(w, r, r)", w=len(omega)).astype(complex)
-    w = np.ones(len(omega)) if weight is None else check_shape(weight, "weight", "(w)", w=len(omega)).astype(float)
+    w = (
+        np.ones(len(omega))
+        if weight is None
+        else check_shape(weight, "weight", "(w)", w=len(omega)).astype(float)
+    )
     values, vectors = np.linalg.eigh(X)
     if (values <= 0).any():
-        raise invalid("the smallest eigenvalue of X", float(values.min()), "positive", "D scalings are positive definite")
-    root = (vectors / np.sqrt(values)[:, None, :]) @ vectors.conj().swapaxes(1, 2)  # X^-1/2: errors become relative
+        raise invalid(
+            "the smallest eigenvalue of X",
+            float(values.min()),
+            "positive",
+            "D scalings are positive definite",
+        )
+    # X^-1/2: errors become relative
+    root = (vectors / np.sqrt(values)[:, None, :]) @ vectors.conj().swapaxes(1, 2)
     problem = _Linear(omega, root, np.sqrt(w / w.max()))
     best: tuple[float, BlockScaling] | None = None
     for poles in _pole_sets(omega, order, problem):
@@ -55,7 +70,9 @@ class _Linear:
     __slots__ = ("omega", "root", "target", "weight")
 
     def __init__(self, omega: np.ndarray, root: np.ndarray, weight: np.ndarray) -> None:
-        self.omega, self.root, self.weight = omega, root, weight
+        self.omega = omega
+        self.root = root
+        self.weight = weight
         eye = np.broadcast_to(np.eye(root.shape[1]), root.shape)
         self.target = _stack(weight[:, None, None] * eye)
 
@@ -84,7 +101,9 @@ def _stack(values: np.ndarray) -> np.ndarray:
 
 
 def _pole_sets(omega: np.ndarray, order: int, problem: _Linear) -> list[np.ndarray]:
-    """Pole positions to try, the best last: greedy on a coarse grid, then moved by a few passes of halving steps."""
+    """Pole positions to try, the best last: greedy on a coarse grid, then moved by a few passes of
+    halving steps.
+    """
     if order == 0:
         return [np.zeros(0)]
     corners = np.geomspace(omega[0], omega[-1], _CANDIDATES + 2)[1:-1]

@@ -1,12 +1,15 @@
-"""Scalar D scalings where they are wanted: the lowest peak of sigma_max(D M D^-1), not the nearest magnitude.
+"""Scalar D scalings where they are wanted: the lowest peak of sigma_max(D M D^-1), not the nearest
+magnitude.
 
-A fit of low order cannot follow the optimal D at every frequency, and need not: around the optimum is a whole tube of D with
-almost the same sigma_max. ``tube`` finds it, for a fit to its middle with its width as the weight.
+A fit of low order cannot follow the optimal D at every frequency, and need not: around the optimum
+is a whole tube of D with almost the same sigma_max. ``tube`` finds it, for a fit to its middle with
+its width as the weight.
 
-Least squares still does not know where an error costs most. Starting from the fit, the gains, poles and zeros of all blocks are
-moved together by L-BFGS to lower the p-norm over frequency of the largest singular value, whose derivative is exact: d ln sigma
-= sum_i (|left_i|^2 - |right_i|^2) d ln |d_i|, with the parts of the singular vectors that belong to block i. Only the magnitude
-of d_i matters, its phase is unitary.
+Least squares still does not know where an error costs most. Starting from the fit, the gains, poles
+and zeros of all blocks are moved together by L-BFGS to lower the p-norm over frequency of the
+largest singular value, whose derivative is exact: d ln sigma = sum_i (|left_i|^2 - |right_i|^2) d
+ln |d_i|, with the parts of the singular vectors that belong to block i. Only the magnitude of d_i
+matters, its phase is unitary.
 """
 
 from __future__ import annotations
@@ -25,9 +28,15 @@ _HALVINGS = 7
 _ITERATIONS = 40
 
 
-def peak_gain(M: np.ndarray, omega: np.ndarray, structure: Structure, d: Sequence[RealRational]) -> np.ndarray:
-    """sigma_max(D_z M D_w^-1) (w,) for M (w, n_z, n_w) at omega (w,) [rad/s], D_i = |d_i(j omega)| I."""
-    return largest_gain(_scaled(M, structure, np.stack([x.log_magnitude(omega) for x in d], axis=1)))
+def peak_gain(
+    M: np.ndarray, omega: np.ndarray, structure: Structure, d: Sequence[RealRational]
+) -> np.ndarray:
+    """sigma_max(D_z M D_w^-1) (w,) for M (w, n_z, n_w) at omega (w,) [rad/s], D_i = |d_i(j omega)|
+    I.
+    """
+    return largest_gain(
+        _scaled(M, structure, np.stack([x.log_magnitude(omega) for x in d], axis=1))
+    )
 
 
 def _scaled(M: np.ndarray, structure: Structure, log_d: np.ndarray) -> np.ndarray:
@@ -37,10 +46,14 @@ def _scaled(M: np.ndarray, structure: Structure, log_d: np.ndarray) -> np.ndarra
     return np.exp(z)[:, :, None] * M * np.exp(-w)[:, None, :]
 
 
-def tube(M: np.ndarray, structure: Structure, log_d: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where ln d_i may lie, one block at a time, with sigma_max(D M D^-1) <= level: middle and half-width, (w, blocks - 1).
+def tube(
+    M: np.ndarray, structure: Structure, log_d: np.ndarray, level: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where ln d_i may lie, one block at a time, with sigma_max(D M D^-1) <= level: middle and
+    half-width, (w, blocks - 1).
 
-    M (w, n_z, n_w); log_d (w, blocks): the optimal ones; level (w,): above their sigma_max. Half-widths are at most 6.
+    M (w, n_z, n_w); log_d (w, blocks): the optimal ones; level (w,): above their sigma_max.
+    Half-widths are at most 6.
     """
     S = _scaled(M, structure, log_d)
     count = log_d.shape[1] - 1
@@ -58,16 +71,21 @@ def tube(M: np.ndarray, structure: Structure, log_d: np.ndarray, level: np.ndarr
     return 0.5 * (ends[0] + ends[1]), 0.5 * (ends[1] - ends[0])
 
 
-def refine(M: np.ndarray, omega: np.ndarray, structure: Structure, d: Sequence[RealRational]) -> list[RealRational]:
+def refine(
+    M: np.ndarray, omega: np.ndarray, structure: Structure, d: Sequence[RealRational]
+) -> list[RealRational]:
     """``d`` with a peak that is lower or the same. The last block's d is kept, it is the reference.
 
-    M (w, n_z, n_w) at omega (w,) [rad/s], positive and ascending: its ends bound poles and zeros. Orders do not change.
+    M (w, n_z, n_w) at omega (w,) [rad/s], positive and ascending: its ends bound poles and zeros.
+    Orders do not change.
     """
     from scipy.optimize import minimize
 
     free = list(d[:-1])
     sizes = [2 * x.order + 1 for x in free]
-    start = np.concatenate([np.concatenate([[np.log(x.gain)], np.log(x.zeros), np.log(x.poles)]) for x in free])
+    start = np.concatenate(
+        [np.concatenate([[np.log(x.gain)], np.log(x.zeros), np.log(x.poles)]) for x in free]
+    )
     level = float(peak_gain(M, omega, structure, d).max())
     if level <= 0:
         return list(d)
@@ -91,14 +109,26 @@ def refine(M: np.ndarray, omega: np.ndarray, structure: Structure, d: Sequence[R
         total = share.sum()
         gradient = []
         for x, place in zip(new[:-1], structure.places[:-1], strict=True):
-            slope = (np.abs(U[:, place.z, 0]) ** 2).sum(axis=1) - (np.abs(Vh[:, 0, place.w]) ** 2).sum(axis=1)
+            slope = (np.abs(U[:, place.z, 0]) ** 2).sum(axis=1) - (
+                np.abs(Vh[:, 0, place.w]) ** 2
+            ).sum(axis=1)
             slope = slope * share / total
-            gradient += [[slope.sum()], -slope @ corner_slopes(omega, x.zeros), slope @ corner_slopes(omega, x.poles)]
+            gradient += [
+                [slope.sum()],
+                -slope @ corner_slopes(omega, x.zeros),
+                slope @ corner_slopes(omega, x.poles),
+            ]
         return float((ratio.max() + np.log(total)) / _POWER), np.concatenate(gradient)
 
     if not np.isfinite(start).all():
         return list(d)
-    start = np.clip(start, [-np.inf if a is None else a for a, _ in bounds], [np.inf if b is None else b for _, b in bounds])
-    found = minimize(cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": _ITERATIONS})
+    start = np.clip(
+        start,
+        [-np.inf if a is None else a for a, _ in bounds],
+        [np.inf if b is None else b for _, b in bounds],
+    )
+    found = minimize(
+        cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": _ITERATIONS}
+    )
     better = [*unpack(found.x), d[-1]]
     return better if peak_gain(M, omega, structure, better).max() < level else list(d)

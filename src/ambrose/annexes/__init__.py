@@ -1,0 +1,1 @@
+"""Rooms that can be taken off: each registers what it adds in one table (``ambrose.registry``)."""

@@ -1,0 +1,7 @@
+"""Many cases of one plan, on all processors or a cluster: run, resumed, summed up on a page."""
+
+ANNEX = {
+    "research command": {"campaign": "command:campaign"},
+    "public": {"campaign": "front_door", "Campaign": "result"},
+    "page": {"Campaign": "page:campaign_page"},
+}

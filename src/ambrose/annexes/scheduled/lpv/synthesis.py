@@ -1,0 +1,421 @@
+"""Gridded LPV synthesis: one controller whose matrices follow measured parameters, such as the
+speed.
+
+A quadratic Lyapunov function common to all values of the parameter bounds the gain from w to z by
+gamma however the parameter moves; with a bound on its rate the function may depend on it, and gamma
+falls. Sources: Apkarian & Adams 1998, IEEE Trans. Control Systems Technology 6; Wu, Yang, Packard &
+Becker 1996, Int. J. Robust Nonlinear Control 6.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ambrose.annexes.scheduled.lpv.controller import Factors, controller, factors
+from ambrose.annexes.scheduled.lpv.family import Family, best_level, named, scaled_family
+from ambrose.annexes.scheduled.lpv.inequalities import (
+    Shape,
+    Varying,
+    smallest_gamma,
+    well_conditioned,
+)
+from ambrose.annexes.scheduled.lpv.verification import Frozen, between, frozen
+from ambrose.core.checks import (
+    AmbroseError,
+    NumericalFailure,
+    check_positive,
+    invalid,
+    named_failure,
+)
+from ambrose.core.hinf.scaling import ScaledPlant, check_plant, original_matrices
+from ambrose.core.lft import GeneralizedPlant
+from ambrose.core.realisation.balancing import balance_system
+from ambrose.core.scheduled import AND, ScheduledSystem, check_axes, grid_points, interval_points
+from ambrose.core.statespace import StateSpace
+from ambrose.judge.result import Certificate, Status, Synthesis
+
+_WIDEST = 0.5  # the back-off less 1 is doubled up to this before giving up
+_REFINED = 2  # how often the grid is refined where the guarantee fails between its points
+# gamma guaranteed between grid points over the designed one, above which the grid is refined
+_HOLDS = 1.02
+_KEPT = 1e-9  # relative change of B2, C2, D12, D21 over the grid that counts as none
+PlantAt = Callable[[Any], GeneralizedPlant]
+
+
+@named_failure("the scheduled controller")
+def lpv_synthesis(
+    plants: Sequence[GeneralizedPlant] | PlantAt,
+    grid: ArrayLike | Sequence[ArrayLike],
+    *,
+    rate: float | Sequence[float | None] | None = None,
+    varying: Literal["R", "S"] = "R",
+    degree: int = 1,
+    backoff: float = 1.05,
+    points_between: int = 3,
+    nominal: float | tuple[float, ...] | None = None,
+    parameter: str = "speed",
+    unit: str = "rad/s",
+    time_limit: float = 300.0,
+    progress: Callable[[str], None] | None = None,
+) -> Synthesis:
+    """A controller scheduled over the ``grid`` (k,) of a parameter, verified on the plants and
+    between them.
+
+    Of several parameters, ``parameter`` "a and b", the grid has an array for each, a point is a
+    tuple, plants count with the last parameter first, ``rate`` has an entry for each, and the
+    Lyapunov function follows those whose rate is bounded. plants: a function from the parameter to
+    its generalized plant (then the plant between grid points is checked as it is), or one plant per
+    grid point (then it is taken as linear in between); all with the same signals, in states that
+    mean the same everywhere. rate [unit of the parameter per s]: the fastest it changes, either
+    way; None: arbitrarily fast, with R and S constant. With a rate, ``varying`` R (or S) is a
+    polynomial of ``degree`` in the parameter and the other constant, so that the controller needs
+    the parameter but not its rate. backoff [-] > 1: how far above the smallest gamma to stay, which
+    keeps the poles slow. points_between: frozen points that are verified in every interval.
+    nominal: the value whose frozen controller is the result's ``controller`` (None: the middle of
+    the grid); ``scheduled`` is the whole one. time_limit [s]: of each call of the solver.
+
+    ``gamma`` bounds the gain from w to z along every trajectory within the range (and rate), as
+    verified at all these points. certificate.margins: gamma_optimal and gamma_lower of the
+    inequalities, gamma_designed, pointwise_largest (of the grid points' own optimal H-infinity
+    values), guaranteed_between (the largest gamma needed at a point between). history: a row for
+    each verified value. Raises InvalidInput and NumericalFailure; nothing unverified is returned.
+    """
+    axes = check_axes(grid, parameter)
+    rates: tuple[Any, ...] = tuple(rate) if isinstance(rate, list | tuple) else (rate,) * len(axes)
+    if not 1 < check_positive(backoff, "backoff", "1.05 to 1.1 suits most uses") < 1 + _WIDEST:
+        raise invalid(
+            "backoff", backoff, f"above 1 and below {1 + _WIDEST:g}", "1.05 to 1.1 suits most uses"
+        )
+    if len(rates) != len(axes):
+        raise invalid(
+            "the number of rates",
+            len(rates),
+            f"{len(axes)}, for {parameter}",
+            "give one for each, None for any",
+        )
+    for item in rates:
+        if item is not None:
+            check_positive(
+                item,
+                "rate",
+                f"give the fastest change in {unit}/s, or None for arbitrarily fast changes",
+            )
+    if varying not in ("R", "S") or not isinstance(degree, int) or not 1 <= degree <= 4:
+        raise invalid(
+            "varying, degree", f"{varying!r}, {degree}", '"R" or "S" and 1 to 4', "leave them out"
+        )
+    if not callable(plants) and not isinstance(plants, list | tuple):
+        raise invalid(
+            "plants",
+            type(plants).__name__,
+            "a list, or a function of the parameter",
+            "give one for each grid point",
+        )
+    if not callable(plants) and len(plants) != len(grid_points(axes)):
+        count = f"{len(grid_points(axes))}, one per grid point"
+        raise invalid("the number of plants", len(plants), count, "give one for each")
+    plant_at = (
+        plants
+        if callable(plants)
+        else between([check_plant(plant) for plant in plants], axes, parameter, unit)
+    )
+    job = _Job(
+        plant_at,
+        rates,
+        varying if set(rates) != {None} else "none",
+        degree,
+        backoff,
+        points_between,
+        parameter,
+        unit,
+        check_positive(time_limit, "time_limit", "give seconds"),
+        progress or (lambda _: None),
+    )
+    for _ in range(_REFINED + 1):
+        design = _design(job, axes)
+        weak = [f.value for f in design.found if not f.guaranteed <= _HOLDS * design.family.unit]
+        if not weak or not callable(plants):
+            break
+        job.say(
+            f"the guarantee is weak at {'; '.join(named(v) for v in weak)} {unit}: added to the "
+            "grid"
+        )
+        axes = _with(axes, weak)
+    return _result(job, design, nominal)
+
+
+def _with(axes: tuple[np.ndarray, ...], points: Sequence[Any]) -> tuple[np.ndarray, ...]:
+    """The axes with the values of further points."""
+    added = zip(axes, np.array([np.atleast_1d(point) for point in points]).T, strict=True)
+    return tuple(np.unique(np.append(axis, more)) for axis, more in added)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Job:
+    plant_at: PlantAt
+    rates: tuple[float | None, ...]
+    varying: Varying
+    degree: int
+    backoff: float
+    points_between: int
+    parameter: str
+    unit: str
+    time_limit: float
+    say: Callable[[str], None]
+
+    def shape(self, family: Family) -> Shape:
+        return Shape(self.varying, self.degree, family.relative_rates(self.rates))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Design:
+    """family: in units of the designed gamma; optimal and lower bound of it; pointwise (k,): the
+    grid points' own optima.
+    """
+
+    scheduled: ScheduledSystem
+    family: Family
+    found: tuple[Frozen, ...]
+    optimal: float
+    lower: float
+    pointwise: np.ndarray
+    backoff: float
+    notes: tuple[str, ...]
+
+
+def _design(job: _Job, axes: tuple[np.ndarray, ...]) -> _Design:
+    """Both passes on one grid, at growing back-offs until the controller passes its verification at
+    the grid points.
+    """
+    values = grid_points(axes)
+    plants = [check_plant(job.plant_at(value)) for value in values]
+    family = scaled_family(plants, axes)
+    pointwise = np.array(
+        [_optimum(plant, family, value) for plant, value in zip(family.plants, values, strict=True)]
+    )
+    job.say(
+        f"{len(values)} points, {family.n} states; the largest pointwise H-infinity value is "
+        f"{pointwise.max():.6g}"
+    )
+    shape = job.shape(family)
+    begun = time.monotonic()
+    smallest, bound, _ = smallest_gamma(family, shape, job.time_limit)
+    optimal, lower = smallest * family.unit, bound * family.unit
+    job.say(f"smallest gamma {optimal:.6g} ({time.monotonic() - begun:.1f} s)")
+    step, reason = job.backoff - 1, ""
+    while step <= _WIDEST:
+        chosen = family.in_units(smallest * (1 + step))
+        try:
+            point = factors(well_conditioned(chosen, shape, job.time_limit), shape.varying)
+            scheduled, found = _verified(job, chosen, point, shape)
+        except (AmbroseError, np.linalg.LinAlgError) as failure:
+            reason = f"back-off {1 + step:.4g}: {failure}"
+            job.say(reason)
+            step *= 2
+            continue
+        fastest = max(f.fastest_pole for f in found)
+        job.say(
+            f"gamma {chosen.unit:.6g}: verified at {len(found)} points, fastest pole "
+            f"{fastest:.3g} rad/s"
+        )
+        return _Design(scheduled, chosen, found, optimal, lower, pointwise, 1 + step, family.notes)
+    raise NumericalFailure(
+        f"no scheduled controller passed its verification ({reason}); narrow the range, take more "
+        "grid points, or give a rate"
+    )
+
+
+def _optimum(plant: ScaledPlant, family: Family, value: Any) -> float:
+    """The optimal gamma of the plant at one grid point, in original units. Raises NumericalFailure
+    naming the point.
+    """
+    try:
+        return best_level(plant).gamma * family.unit
+    except NumericalFailure as failure:
+        raise NumericalFailure(
+            f"the grid point {named(value)} alone has no H-infinity controller: {failure}"
+        ) from failure
+
+
+def _verified(
+    job: _Job, family: Family, point: Factors, shape: Shape
+) -> tuple[ScheduledSystem, tuple[Frozen, ...]]:
+    """The schedule and what was found of it; it gains points of its own where interpolation spoils
+    what R and S allow.
+    """
+    checked = tuple(interval_points(axis, job.points_between) for axis in family.axes)
+    axes = family.axes
+    for _ in range(_REFINED + 1):
+        scheduled = _scheduled(job, family, point, axes)
+        found = frozen(job.plant_at, scheduled, family, point, grid_points(checked), shape.rates)
+        _require(job, found, family.unit)
+        known = grid_points(axes)
+        weak = [
+            f.value
+            for f in found
+            if not f.guaranteed <= _HOLDS * family.unit and f.value not in known
+        ]
+        if not weak:
+            break
+        axes = _with(axes, weak)
+        checked = tuple(
+            np.unique(np.append(old, interval_points(new, 1)))
+            for old, new in zip(checked, axes, strict=True)
+        )
+    return scheduled, found
+
+
+def _scheduled(
+    job: _Job, family: Family, point: Factors, axes: tuple[np.ndarray, ...]
+) -> ScheduledSystem:
+    """The controllers on the grid of ``axes`` in original units and in the states of ``point``;
+    values of an axis that is not the family's are left out where a plant has none there.
+    """
+    root = np.sqrt(family.rate)
+    systems, without = {}, []
+    for value in grid_points(axes):
+        given = job.plant_at(value)
+        plant = family.scaled(given)
+        try:
+            A, B, C, D = controller(plant, point, family.to_relative(value))
+        except NumericalFailure:
+            if family.on_grid(value):
+                raise
+            without.append(np.atleast_1d(value))
+            continue
+        matrices = original_matrices(plant, (A * family.rate, B * root, C * root, D))
+        systems[value] = StateSpace(*matrices, given.y, given.u)
+    for i, own in enumerate(family.axes):
+        lost = [value[i] for value in without if value[i] not in own]
+        axes = (*axes[:i], axes[i][~np.isin(axes[i], lost)], *axes[i + 1 :])
+    return ScheduledSystem(
+        axes, [systems[value] for value in grid_points(axes)], job.parameter, job.unit
+    )
+
+
+def balanced_states(scheduled: ScheduledSystem) -> ScheduledSystem:
+    """The same system in states scaled diagonally, by one scaling for all points."""
+    largest = (np.abs([getattr(s, x) for s in scheduled.systems]).max(axis=0) for x in "ABC")
+    t = balance_system(*largest)[3]
+    systems = [
+        StateSpace(s.A * t / t[:, None], s.B / t[:, None], s.C * t, s.D, s.inputs, s.outputs, s.dt)
+        for s in scheduled.systems
+    ]
+    return replace(scheduled, systems=tuple(systems))
+
+
+def _require(job: _Job, found: Sequence[Frozen], gamma: float) -> None:
+    """Raises NumericalFailure unless every frozen loop is stable and the grid points keep
+    ``gamma``.
+    """
+    for f in found:
+        where = f"at {job.parameter} {named(f.value)} {job.unit}"
+        if not f.stable:
+            raise NumericalFailure(
+                f"the loop is unstable {where} (spectral abscissa {f.spectral_abscissa:.4g} rad/s)"
+            )
+        if f.on_grid and not (f.slack < 0 and f.norm <= gamma * (1 + 1e-6)):
+            raise NumericalFailure(
+                f"norm {f.norm:.6g}, largest eigenvalue of the inequality {f.slack:.2g} {where}"
+            )
+
+
+def _result(job: _Job, design: _Design, nominal: Any) -> Synthesis:
+    found, gamma = design.found, design.family.unit
+    worst = max(found, key=lambda f: f.guaranteed)
+    if not np.isfinite(worst.guaranteed):
+        raise NumericalFailure(
+            f"between the grid points, at {job.parameter} {named(worst.value)} {job.unit}, "
+            "nothing is guaranteed while the "
+            f"{job.parameter} changes; add grid points there"
+        )
+    values = design.scheduled.values
+    value = values[len(values) // 2] if nominal is None else nominal
+    low, high = (named(end) for end in design.scheduled.range)
+    inside = zip(np.atleast_1d(value), design.scheduled.axes, strict=True)
+    if not all(axis[0] <= v <= axis[-1] for v, axis in inside):
+        raise invalid(
+            "nominal",
+            f"{named(value)} {job.unit}",
+            f"between {low} and {high}",
+            "choose it within the grid",
+        )
+    between_them = [f.guaranteed for f in found if not f.on_grid]
+    margins = {
+        "gamma_optimal": design.optimal,
+        "gamma_lower": design.lower,
+        "gamma_designed": gamma,
+        "pointwise_largest": float(design.pointwise.max()),
+        "guaranteed_between": max(between_them, default=float("nan")),
+        "grid_points": float(len(design.family.plants)),
+        "schedule_points": float(len(design.scheduled.systems)),
+        "checked_points": float(len(found)),
+    }
+    certificate = Certificate(
+        all(f.stable for f in found),
+        max(f.spectral_abscissa for f in found),
+        max(f.norm for f in found),
+        max(f.fastest_pole for f in found),
+        margins,
+        f"{design.family.n} states, {design.scheduled.words()}, {len(found)} points",
+    )
+    scheduled = balanced_states(design.scheduled)
+    return Synthesis(
+        scheduled.at(value),
+        "lpv",
+        worst.guaranteed,
+        Status.VERIFIED,
+        certificate,
+        tuple(f.row() for f in found),
+        (*design.notes, *_words(job, design, worst)),
+        scheduled,
+    )
+
+
+def _words(job: _Job, design: _Design, worst: Frozen) -> tuple[str, ...]:
+    """What is guaranteed, in sentences."""
+    count, named_rates = (
+        len(design.family.plants),
+        zip(job.parameter.split(AND), job.unit.split(AND), job.rates, strict=True),
+    )
+    bounds = [
+        (f"the {name} up to ", rate, f" {unit}/s")
+        for name, unit, rate in named_rates
+        if rate is not None
+    ]
+    speed = "however fast it changes"
+    if bounds:
+        alone = len(job.rates) == 1
+        speed = ", ".join(
+            f"{'up to ' if alone else name}{rate:g}{unit} either way" for name, rate, unit in bounds
+        )
+        speed += ", the other however fast" if len(bounds) < len(job.rates) else ""
+    notes = [
+        f"gamma {worst.guaranteed:.4g} holds for a changing {job.parameter}, {speed}: proved at "
+        f"{count} grid points and "
+        f"checked at {len(design.found) - count} points between, nowhere else"
+    ]
+    plants = design.family.plants
+    kept = all(
+        np.abs(getattr(p, name) - getattr(plants[0], name)).max()
+        <= _KEPT * (1 + np.abs(getattr(plants[0], name)).max())
+        for p in plants
+        for name in ("B2", "C2", "D12", "D21")
+    )
+    if kept and job.varying == "none":
+        each = "the parameter" if len(job.rates) == 1 else "each parameter"
+        notes.append(
+            f"for a plant that is linear in {each} between grid points it holds in between as well"
+        )
+    if design.backoff > job.backoff:
+        notes.append(
+            f"the back-off is {design.backoff:.4g} instead of {job.backoff:g}: closer to the "
+            "optimum verification failed"
+        )
+    return tuple(notes)

@@ -1,0 +1,293 @@
+"""A reduced plant and its controller, scheduled or fixed, while the pressure moves: its cells, and
+the proof on them.
+
+The pressure is anywhere within the span; what a scheduled controller is told of it is within
+``error``, beyond the span's ends too, as far as the schedule goes. Both move: as they like, or the
+pressure up to a rate. A pressure sensor that is T late adds rate x T to the error. Of a sampled
+loop the mean delay (n + 1/2) T is in the model, as a second-order all-pass. Every cell
+(core/varying/cells.py) has its own polynomials for the seals, which may be bent.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from ambrose.annexes.scheduled.moving.law import MovingLaw, moving_law
+from ambrose.annexes.scheduled.moving.spans import (
+    BentSeal,
+    PressureSpan,
+    Tell,
+    seal_force,
+    seal_range,
+    seal_terms,
+)
+from ambrose.core.checks import InvalidInput, NumericalFailure
+from ambrose.core.lft import GeneralizedPlant
+from ambrose.core.norms import hinf_norm
+from ambrose.core.statespace import StateSpace, is_stable, select
+from ambrose.core.varying.cells import Cell, elevated, product, proved_on_cells
+from ambrose.law.design_problem import apply_delay
+from ambrose.law.law import LawLike
+from ambrose.model.plant import Plant
+from ambrose.model.reduce import reduce
+
+_MODES = (0, 1, 2, 3)  # bending modes per plane that are tried
+SAME = 5e-3  # relative, of the frozen sensitivities on a model and on the full plant
+CLOSE = 1e-2  # of a proof to the worst found at rest, beyond which one with more terms is tried
+_PADE = 2
+_CELLS = 8  # of a fixed controller
+_HALVINGS = 8  # of a cell in which a seal is bent
+# degree of X(p), and share of the states whose rows change with p
+_FUNCTIONS = ((2, 0.35), (4, 0.5), (4, 1.0))
+_GAINED = 1e-3  # relative, by more terms; less, and no further ones are tried
+_TIME_LIMIT = 900.0  # s, of the proof of one span
+
+
+class MovingModel:
+    """Plant and law (a schedule over pressure, or a fixed one) over a span of pressures, which is
+    -1 .. 1.
+    """
+
+    def __init__(self, plant: Plant, span: PressureSpan, law: LawLike, lag: float) -> None:
+        names = [seal.name for seal in plant.machine.seals]
+        forces = [f"f_{name}_{axis}" for name in names for axis in "xy"]
+        motions = [
+            f"{kind}_{name}_{axis}" for name in names for kind in ("q", "qdot") for axis in "xy"
+        ]
+        y, u = list(plant.named("y")), list(plant.named("u"))
+        part = select(plant.system, [*forces, *u], [*motions, *y])
+        late = apply_delay(GeneralizedPlant(part, forces, u, motions, y), lag, _PADE).system
+        r, v = len(forces), len(motions)
+        if late.D.any():
+            raise InvalidInput(
+                "the currents reach the sensors at once; give the amplifier a bandwidth in the "
+                "machine file"
+            )
+        self.A = late.A
+        self.B = late.B[:, r:]
+        self.C = late.C[v:]
+        self._into, self._own = late.B[:, :r], late.C[:v]
+        self._ranges = [seal_range(plant, seal, span) for seal in plant.machine.seals]
+        self.plant = plant
+        self.span = span
+        self.lag = lag
+        self.law = moving_law(law, plant)
+
+    @property
+    def output(self) -> np.ndarray:
+        """C of y + d over the states of plant and controller."""
+        return np.hstack([self.C, np.zeros((len(self.C), self.law.n_states))])
+
+    def controller(self, told: float) -> StateSpace:
+        """The law where the pressure is told as ``told`` [Pa]."""
+        return self.law.at(told)
+
+    def _around(self, K: StateSpace) -> tuple[np.ndarray, np.ndarray]:
+        """What the controller adds to A, and B of d: u = K (-(C x + d))."""
+        n, k = len(self.B), K.n_states
+        A = np.zeros((n + k, n + k))
+        A[:n, :n] = -self.B @ K.D @ self.C
+        A[:n, n:] = self.B @ K.C
+        A[n:, :n] = -K.B @ self.C
+        A[n:, n:] = K.A
+        return A, np.vstack([-self.B @ K.D, -K.B])
+
+    def _wide(self, A: np.ndarray) -> np.ndarray:
+        return np.pad(A, ((0, self.law.n_states), (0, self.law.n_states)))
+
+    def _pulled(self, forces: list[np.ndarray]) -> np.ndarray:
+        """What forces P (2, 4) of every seal add to A."""
+        P = np.zeros((self._into.shape[1], len(self._own)))
+        for k, force in enumerate(forces):
+            P[2 * k : 2 * k + 2, 4 * k : 4 * k + 4] = force
+        return self._wide(self._into @ P @ self._own)
+
+    def _at(self, pressure: float) -> np.ndarray:
+        seals = self.plant.machine.seals
+        return self._wide(self.A) + self._pulled(
+            [seal_force(self.plant, seal, pressure) for seal in seals]
+        )
+
+    def frozen(self, pressure: float, told: float) -> StateSpace:
+        """d -> y + d with both held."""
+        A, B = self._around(self.controller(told))
+        return StateSpace(A + self._at(pressure), B, self.output, np.eye(len(self.output)))
+
+    def relative(self, pressure: np.ndarray) -> np.ndarray:
+        return (pressure - self.span.low) / self.span.half - 1
+
+    def cells(self, error: float) -> tuple[Cell, ...]:
+        """Of a schedule between neighbours among its grid's values and those where the error's band
+        meets the span's ends.
+        """
+        low, high = self.span.low, self.span.high
+        first, last = told_range(self.span, self.law, error)
+        inner = self.law.knots(low, high, _CELLS)
+        if self.law.grid is not None:
+            inner += [low + error, high - error]
+        knots = sorted({first, last, *(v for v in inner if first < v < last)})
+        share = (0.0, 1.0) if error else (0.0,)  # told exactly, a cell is a line
+        return tuple(
+            cell for told in pairwise(knots) for cell in self._cells(told, share, error, _HALVINGS)
+        )
+
+    def _cells(
+        self, told: tuple[float, ...], share: tuple[float, ...], error: float, left: int
+    ) -> Iterator[Cell]:
+        """Of what is told and a share of its band; halved where a seal is bent, along what moves
+        the pressure more.
+        """
+        low, high = self.span.low, self.span.high
+        bands = np.array([(max(low, v - error), min(high, v + error)) for v in told])
+        p = bands[:, :1] + np.array(share) * np.ptp(bands, axis=1)[:, None]
+        try:
+            yield self._cell(p, [self._around(self.controller(v)) for v in told])
+        except BentSeal:
+            if left == 0:
+                raise
+            if len(share) > 1 and abs(p[:, 1] - p[:, 0]).max() > abs(p[1] - p[0]).max():
+                halves = [(told, half) for half in _halves(share)]
+            else:
+                halves = [(half, share) for half in _halves(told)]
+            for one, other in halves:
+                yield from self._cells(one, other, error, left - 1)
+
+    def _cell(self, pressures: np.ndarray, around: list[tuple[np.ndarray, np.ndarray]]) -> Cell:
+        part = replace(self.span, low=pressures.min(), high=pressures.max())
+        middle = (part.low + part.high) / 2
+        s = (pressures - middle) / part.half
+        seals = self.plant.machine.seals
+        terms = [
+            seal_terms(self.plant, seal, part, size)
+            for seal, size in zip(seals, self._ranges, strict=True)
+        ]
+        none = np.zeros((2, 4))
+        power, net = np.ones((1, 1)), self._at(middle)[None, None]
+        for i in range(max(len(powers) for powers in terms)):
+            power = product(s, power[:, :, None, None])[:, :, 0, 0]
+            term = self._pulled([powers[i] if i < len(powers) else none for powers in terms])
+            net = elevated(net, power.shape) + power[:, :, None, None] * term
+        for_A, for_B = (np.stack([beside[m] for beside in around])[:, None] for m in (0, 1))
+        shape = (max(2, net.shape[0]), net.shape[1])
+        return Cell(
+            elevated(net, shape) + elevated(for_A, shape),
+            elevated(for_B, shape),
+            self.relative(pressures),
+        )
+
+
+def _halves(ends: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
+    middle = (ends[0] + ends[1]) / 2
+    return (ends[0], middle), (middle, ends[1])
+
+
+def told_range(span: PressureSpan, law: MovingLaw, error: float) -> tuple[float, float]:
+    """What a pressure of the span may be told as [Pa]: beyond its ends by the error, as far as a
+    schedule goes.
+    """
+    if law.grid is None:
+        return span.low, span.high
+    return law.reach(span.low - error, span.high + error)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Model:
+    """The smallest model with the full plant's frozen sensitivities where they were compared;
+    ``off``: by how much not.
+
+    at_rest: the largest of them on the model; full_gain, held: on the full plant, and its pressure
+    and what is told [Pa].
+    """
+
+    loop: MovingModel
+    modes: int
+    off: float
+    at_rest: float
+    full_gain: float
+    held: tuple[float, float]
+
+
+class UnstableAtRest(NumericalFailure):
+    """A loop whose pressure stands still is unstable already."""
+
+
+def choose_model(
+    full: Plant,
+    span: PressureSpan,
+    law: LawLike,
+    lag: float,
+    pairs: Sequence[tuple[float, float]],
+) -> Model:
+    """Compared at all ``pairs`` of a pressure and what is told of it [Pa], for a model may be good
+    at one that is told exactly and off where it is misread. Raises UnstableAtRest, and
+    NumericalFailure where even the largest model is off.
+    """
+    wanted = _peaks(MovingModel(full, span, law, lag), pairs)
+    if not np.isfinite(wanted).all():
+        raise UnstableAtRest("a pressure that stands still is unstable on the full plant")
+    off, worst = np.inf, int(np.argmax(wanted))
+    for modes in _MODES:
+        model = MovingModel(reduce(full, modes, static_correction=False), span, law, lag)
+        peaks = _peaks(model, pairs)
+        off = float(np.abs(peaks / wanted - 1).max())
+        if off < SAME:
+            return Model(model, modes, off, float(peaks.max()), float(wanted[worst]), pairs[worst])
+    raise NumericalFailure(
+        f"the model with {modes} bending modes per plane is {off:.1%} off the full plant"
+    )
+
+
+def _peaks(model: MovingModel, pairs: Sequence[tuple[float, float]]) -> np.ndarray:
+    loops = (model.frozen(*pair) for pair in pairs)
+    return np.array([hinf_norm(loop).value if is_stable(loop) else np.inf for loop in loops])
+
+
+def prove_on_model(model: Model, rate: float, error: float, tell: Tell) -> tuple[float, str]:
+    """The sensitivity proved for |p'| <= rate [Pa/s] and a pressure told within ``error`` [Pa], and
+    the words that say how.
+
+    It is raised by the model's ``off``, and inf where there is no proof. Functions of more terms
+    are tried until they come close to the worst found on the model at rest.
+    """
+    loop = model.loop
+    lag = model.loop.lag
+    at_rest = model.at_rest
+    size = f"model with {model.modes} bending modes per plane, {len(loop.output.T)} states"
+    late = f", {1e6 * lag:.4g} us late" if lag else ""
+    value = np.inf
+    words = ""
+    end = time.monotonic() + _TIME_LIMIT
+    cells = loop.cells(error)
+    for degree, share in _FUNCTIONS:
+        try:
+            left = end - time.monotonic()
+            found = proved_on_cells(
+                cells,
+                loop.output,
+                rate / loop.span.half,
+                degree=degree,
+                share=share,
+                time_limit=left,
+                tell=tell,
+            )
+        except NumericalFailure as failure:
+            words = words or f"not proved: {failure}"
+            continue
+        before, raised = value, found.gamma * (1 + model.off)
+        if raised < value:
+            value = raised
+            words = (
+                f"{size}{late}; {found.gamma / at_rest - 1:.1%} above what was found at rest "
+                "there, and raised by the "
+                f"{model.off:.2%} by which the model is off the full plant at rest; the "
+                f"inequality holds by {found.slack:.0e}, "
+                f"rounding {found.rounding:.0e}"
+            )
+        if found.gamma <= (1 + CLOSE) * at_rest or (1 - _GAINED) * before < raised < np.inf:
+            break
+    return value, words

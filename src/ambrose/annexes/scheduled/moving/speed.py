@@ -1,0 +1,374 @@
+"""Verification while the speed changes at one seal pressure: output sensitivity proved along every
+run-up and run-down, and over the tolerances as well.
+
+The model is the rotor in its free modes, whose states mean the same at every speed, with as many
+bending modes as the full plant's sensitivities at steady speeds need; of a sampled loop the mean
+delay is in it, as a second-order all-pass. Between values of the speed its matrices are polynomials
+(core/varying/cells.py); tolerances stand still (core/varying/tolerances.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import comb
+
+import numpy as np
+
+from ambrose.annexes.scheduled.moving.law import MovingLaw, moving_law
+from ambrose.annexes.scheduled.moving.spans import REST, Tell
+from ambrose.core.checks import AmbroseError, InvalidInput, NumericalFailure, check_positive
+from ambrose.core.lft import GeneralizedPlant
+from ambrose.core.norms import hinf_norm
+from ambrose.core.statespace import StateSpace, is_stable, select
+from ambrose.core.varying.cells import Cell, elevated
+from ambrose.core.varying.proof import Proof
+from ambrose.core.varying.tolerances import proved_over_tolerances
+from ambrose.judge.checks import Checks
+from ambrose.judge.criteria import information, judge
+from ambrose.law.design_problem import apply_delay, open_model
+from ambrose.law.law import LawLike, law_of
+from ambrose.law.timing import Timing
+from ambrose.machine.criteria import TWO_PI, demand
+from ambrose.machine.description import OperatingPoint, Tolerance
+from ambrose.machine.machine import Machine
+from ambrose.model.assemble import assemble
+from ambrose.model.plant import Plant
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.model.uncertainty import tolerances_around
+
+# bending modes per plane that are tried, and what one may be off the full plant at rest
+_MODES, _SAME = (0, 2, 4, 6), 1e-2
+_FROZEN = 11  # speeds at which the loop that turns steadily is examined
+_CELLS = 6  # of a fixed controller
+_NODES = 7
+_POWERS = 3
+_STRAIGHT = 2e-3
+_HALVINGS = 6
+_PADE = 2
+# rad/s, of the filters for what stands still; from a third to three times as fast it hardly matters
+_POLE = TWO_PI * 60.0
+_MOST = 12  # rows of tolerances up to which each has its filters
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedSpan:
+    """Operating points that differ in speed alone: all between ``low`` and ``high`` [rad/s] at the
+    place of ``point``.
+    """
+
+    point: OperatingPoint
+    low: float
+    high: float
+
+    @property
+    def label(self) -> str:
+        where = (
+            f"{self.low / TWO_PI:.4g} to {self.high / TWO_PI:.4g} Hz at "
+            f"{self.point.seal_pressure / 1e5:.4g} bar"
+        )
+        return f"while the speed changes, {where}"
+
+    def at(self, speed: float) -> OperatingPoint:
+        return replace(self.point, speed=float(speed), label=self.label)
+
+
+def speed_spans(machine: Machine, law: LawLike) -> tuple[SpeedSpan, ...]:
+    """One for every pressure (and bias) at which operating points have several speeds, cut at a
+    schedule's ends.
+    """
+    found: dict[tuple[float, float | None, float | None], list[OperatingPoint]] = {}
+    for point in machine.operation.envelope:
+        found.setdefault(
+            (point.seal_pressure, point.bias_current, point.whirl_frequency), []
+        ).append(point)
+    law = law_of(law)
+    low, high = (0.0, np.inf) if law.range is None else law.range
+    ends = (
+        (p[0], max(low, min(q.speed for q in p)), min(high, max(q.speed for q in p)))
+        for p in found.values()
+    )
+    spans = (SpeedSpan(*item) for item in ends if item[1] < item[2])
+    return tuple(
+        span
+        for span in spans
+        if all(law.covers(assemble(machine, span.at(v))) for v in (span.low, span.high))
+    )
+
+
+class _Family:
+    """Plant and law over a span; polynomials of the speed on cells."""
+
+    def __init__(
+        self,
+        plant: Plant,
+        span: SpeedSpan,
+        law: MovingLaw,
+        lag: float,
+        modes: int,
+        tolerances: Sequence[Tolerance],
+    ) -> None:
+        self.plant = plant
+        self.span = span
+        self.law = law
+        self.lag = lag
+        self.modes = modes
+        self.tolerances = tolerances
+        model = self._open(self._middle)
+        system, r = model.system, len(model.w)
+        owners = np.array([block.name for block in model.blocks for _ in range(block.n_z)])
+        # a parameter is in it with all its rows
+        lost = set(owners[system.D[:r].any(axis=1) | ~system.C[:r].any(axis=1)])
+        if system.D[r:].any():
+            raise InvalidInput(
+                "the currents reach the sensors at once; give the amplifier a bandwidth in the "
+                "machine file"
+            )
+        # of z that the states alone decide
+        self.rows = np.array([i for i, name in enumerate(owners) if name not in lost], int)
+        # the parameters whose tolerances are in it
+        self.covered = tuple(dict.fromkeys(owners[self.rows].tolist()))
+        self.directions = system.C[self.rows] / np.linalg.norm(system.C[self.rows], axis=1)[:, None]
+        self.B, self.C = system.B[:, r:], system.C[r:]
+        self._range = np.ptp(
+            [
+                self._of_speed(v)
+                for v in np.linspace(span.low + 1e-3 * (span.high - span.low), span.high, 9)
+            ],
+            axis=0,
+        )
+        self._range = np.maximum(
+            self._range, 1e-6 * np.abs(self._of_speed(self._middle)).max(axis=0)
+        )
+
+    @property
+    def _middle(self) -> float:
+        return (self.span.low + self.span.high) / 2
+
+    def _open(self, speed: float) -> GeneralizedPlant:
+        """(w, u) -> (z, y)."""
+        small = free_mode_reduction(replace(self.plant, point=self.span.at(speed)), self.modes)
+        model = open_model(small, self.tolerances or None, bool(self.tolerances))
+        return apply_delay(model, self.lag, _PADE)
+
+    def _of_speed(self, speed: float) -> np.ndarray:
+        """A and the columns of w, z being unit rows of the states."""
+        model = self._open(speed)
+        system, r = model.system, len(model.w)
+        Z, W = system.C[:r][self.rows], system.B[:, :r][:, self.rows]
+        size = (Z * self.directions).sum(axis=1)
+        if np.abs(Z - size[:, None] * self.directions).max(initial=0.0) > 1e-9 * np.abs(Z).max(
+            initial=0.0
+        ):
+            raise InvalidInput(
+                "a tolerance acts on other states at other speeds, which this proof does not cover"
+            )
+        return np.hstack([system.A, W * size])
+
+    def controller(self, speed: float) -> StateSpace:
+        return self.law.at(speed)
+
+    def around(self, speed: float) -> tuple[np.ndarray, np.ndarray]:
+        """What the controller adds to A, and B of (w, d)."""
+        K = self.controller(speed)
+        n = len(self.B)
+        r = len(self.rows)
+        A = np.block([[-self.B @ K.D @ self.C, self.B @ K.C], [-K.B @ self.C, K.A]])
+        return A, np.hstack([np.zeros((n + K.n_states, r)), np.vstack([-self.B @ K.D, -K.B])])
+
+    def wide(self, rows: np.ndarray) -> np.ndarray:
+        return np.pad(rows, ((0, 0), (0, self.controller(self._middle).n_states)))
+
+    def frozen(self, speed: float) -> StateSpace:
+        """d -> y + d at one speed, without deviations."""
+        system, (A, B) = self._open(speed).system, self.around(speed)
+        n, C = len(self.B), self.wide(self.C)
+        A[:n, :n] += system.A
+        return StateSpace(A, B[:, len(self.rows) :], C, np.eye(len(C)))
+
+    def cells(self) -> list[Cell]:
+        low, high = self.span.low, self.span.high
+        inner = self.law.knots(low, high, _CELLS)
+        knots = sorted({low, high, *(v for v in inner if low < v < high)})
+        return [cell for ends in pairwise(knots) for cell in self._cells(*ends, _HALVINGS)]
+
+    def _cells(self, low: float, high: float, left: int) -> Iterator[Cell]:
+        s = (np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES) + 1) / 2
+        values = np.array([self._of_speed(low + (high - low) * share) for share in s])
+        for degree in range(1, _POWERS + 1):
+            terms, *_ = np.linalg.lstsq(
+                np.vander(s, degree + 1, increasing=True), values.reshape(_NODES, -1), rcond=None
+            )
+            off = np.vander(s, degree + 1, increasing=True) @ terms - values.reshape(_NODES, -1)
+            if (np.abs(off).max(axis=0) <= _STRAIGHT * self._range.ravel()).all():
+                break
+        else:
+            if not left:
+                raise InvalidInput(
+                    f"the plant is bent near {low / TWO_PI:.4g} Hz; give its seals a smoother table"
+                )
+            middle = (low + high) / 2
+            yield from self._cells(low, middle, left - 1)
+            yield from self._cells(middle, high, left - 1)
+            return
+        bernstein = [
+            [comb(i, j) / comb(degree, j) if j <= i else 0.0 for j in range(degree + 1)]
+            for i in range(degree + 1)
+        ]
+        net = (np.array(bernstein) @ terms).reshape(degree + 1, 1, *values.shape[1:])
+        (A0, B0), (A1, B1) = self.around(low), self.around(high)
+        n = len(self.B)
+        more = len(A0) - len(self.B)
+        size = (max(2, degree + 1), 1)
+        A = elevated(np.pad(net[..., :n], ((0, 0), (0, 0), (0, more), (0, more))), size)
+        B = elevated(np.pad(net[..., n:], ((0, 0), (0, 0), (0, more), (0, len(self.C)))), size)
+        ends = (
+            2 * (np.array([[low], [high]]) - self.span.low) / (self.span.high - self.span.low) - 1
+        )
+        yield Cell(
+            A + elevated(np.stack([A0, A1])[:, None], size),
+            B + elevated(np.stack([B0, B1])[:, None], size),
+            ends,
+        )
+
+
+def check_speed(
+    machine: Machine,
+    span: SpeedSpan,
+    law: LawLike,
+    timing: Timing | None,
+    rate: float,
+    tolerances: bool = True,
+    tell: Tell = lambda text: None,
+) -> Checks:
+    """Output sensitivity while the speed changes within the span at up to ``rate`` [rad/s^2], and
+    over the tolerances as well.
+
+    law: continuous; a schedule over speed or a fixed controller. Proofs are judged by the machine's
+    requirement; one that cannot be had has the value inf and says why. Raises InvalidInput.
+    """
+    check_positive(rate, "the rate of the speed", "give the fastest run-up in rad/s^2")
+    wanted = demand("maximum singular value of a sensitivity", machine.requirements)
+    plant, lag = (
+        assemble(machine, span.at((span.low + span.high) / 2)),
+        0.0 if timing is None else timing.lag,
+    )
+    title = f"Output sensitivity proved while the speed changes at up to {rate:.4g} rad/s^2"
+    checks, stable = [], True
+    try:
+        moving = moving_law(law, plant)
+        if moving.dt is not None:
+            raise InvalidInput(
+                "the controller is sampled; give the continuous one that it was made of"
+            )
+        family, off, full = _chosen(plant, span, moving, lag)
+        words = f"the worst of {_FROZEN} speeds"
+        checks.append(
+            information(
+                "moving.speed.frozen",
+                "Largest output sensitivity at a steady speed, found",
+                full,
+                "-",
+                words,
+            )
+        )
+        tell(f"proving the loop {span.label}")
+        slope = rate / ((span.high - span.low) / 2)
+        found = _proof(family, slope, tell)
+        checks.append(
+            judge(
+                "moving.speed.rate",
+                title,
+                found.gamma * (1 + off),
+                "-",
+                wanted,
+                _how(family, found, off),
+            )
+        )
+        held = tolerances_around(plant) if tolerances else ()
+        if held:
+            title += ", over the tolerances"
+            family = _Family(plant, span, moving, lag, family.modes, held)
+            tell(
+                f"proving the loop {span.label}, over {len(family.rows)} entries of the tolerances"
+            )
+            if not len(family.rows):
+                raise NumericalFailure("none of the tolerances is one that this proof covers")
+            found = _proof(family, slope, tell)
+            detail = f"{_how(family, found, off)}; {_varied(family, held)}"
+            checks.append(
+                judge(
+                    "moving.speed.tolerances", title, found.gamma * (1 + off), "-", wanted, detail
+                )
+            )
+    except AmbroseError as failure:
+        name = "moving.speed.tolerances" if len(checks) > 1 else "moving.speed.rate"
+        checks.append(
+            replace(judge(name, title, np.inf, "-", wanted, f"not proved: {failure}"), passed=False)
+        )
+        stable = not isinstance(failure, _Unstable)
+    return Checks(span.label, stable, tuple(checks), notes=(REST,))
+
+
+class _Unstable(NumericalFailure):
+    """The loop is unstable at a steady speed."""
+
+
+def _chosen(
+    plant: Plant, span: SpeedSpan, law: MovingLaw, lag: float
+) -> tuple[_Family, float, float]:
+    """The smallest model within _SAME of the full plant at every steady speed, by how much it is
+    off, and its worst.
+    """
+    speeds = np.linspace(span.low, span.high, _FROZEN)
+    wanted = np.array([_full_peak(plant, span.at(v), law, lag) for v in speeds])
+    for modes in _MODES:
+        family = _Family(plant, span, law, lag, modes, ())
+        loops = [family.frozen(v) for v in speeds]
+        peaks = np.array([hinf_norm(loop).value if is_stable(loop) else np.inf for loop in loops])
+        off = float(np.abs(peaks / wanted - 1).max())
+        if off < _SAME:
+            return family, off, float(wanted.max())
+    raise NumericalFailure(
+        f"the model with {modes} bending modes per plane is {off:.1%} off the full plant"
+    )
+
+
+def _full_peak(plant: Plant, point: OperatingPoint, law: MovingLaw, lag: float) -> float:
+    full = assemble(plant.machine, point)
+    K = law.at(point.speed)
+    open_loop = apply_delay(open_model(full, None, False), lag, _PADE).system
+    G = select(open_loop, list(full.named("u")), list(full.named("y")))
+    A = np.block([[G.A - G.B @ K.D @ G.C, G.B @ K.C], [-K.B @ G.C, K.A]])
+    C = np.pad(G.C, ((0, 0), (0, K.n_states)))
+    loop = StateSpace(A, np.vstack([-G.B @ K.D, -K.B]), C, np.eye(len(C)))
+    if not is_stable(loop):
+        raise _Unstable(f"the loop is unstable at a steady {point.speed / TWO_PI:.4g} Hz")
+    return hinf_norm(loop).value
+
+
+def _proof(family: _Family, slope: float, tell: Tell) -> Proof:
+    """Over the family's tolerances, if it has any."""
+    Z, C = family.wide(family.directions), family.wide(family.C)
+    pole = _POLE if len(Z) <= _MOST else None
+    return proved_over_tolerances(family.cells(), C, Z, slope, pole=pole, tell=tell)
+
+
+def _how(family: _Family, found: Proof, off: float) -> str:
+    late = f", {1e6 * family.lag:.4g} us late" if family.lag else ""
+    return (
+        f"model with {family.modes} bending modes per plane{late}, raised by the {off:.2%} by "
+        "which it is off the full plant "
+        f"at steady speeds; the inequality holds by {found.slack:.0e}, rounding "
+        f"{found.rounding:.0e}"
+    )
+
+
+def _varied(family: _Family, held: Sequence[Tolerance]) -> str:
+    covered = family.covered
+    left = [item.parameter for item in held if item.parameter not in covered]
+    how = "standing still" if len(family.rows) <= _MOST else "moving as they like"
+    return f"{len(covered)} tolerances, {how}" + (
+        f"; not varied: {', '.join(left)}" if left else ""
+    )

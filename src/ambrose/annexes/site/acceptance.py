@@ -1,0 +1,524 @@
+"""Acceptance: the loop as measured on the running machine, with its intervals, held against its
+limits and the prediction.
+
+Excitation currents e_<axis> give T_o = S_o G K = M K of the measured M = y/e, with the controller's
+K as it runs, which is known exactly; references r_<axis> give T_o = y/r. Then S_o = I - T_o, and L
+= 1/S_ii - 1 of every axis with the other loops closed, as in ISO 14839-3. M is free of the bias of
+feedback, its error known line by line (identification/frf/local.py).
+
+accepted = accept(machine, controller, ["standstill.h5", "running.h5"])
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.frequency import frequency_response
+from ambrose.core.presentation import Presented
+from ambrose.core.sampling import c2d
+from ambrose.core.statespace import select
+from ambrose.identification.data_quality.signals import check_point
+from ambrose.identification.frf.local import local_response
+from ambrose.identification.frf.spectral import Frf
+from ambrose.identification.output_error.problem import check_machine
+from ambrose.identification.validation.operating_load import machine_at_load
+from ambrose.judge.checks import Check, Checks
+from ambrose.judge.criteria import holds, information, judge
+from ambrose.law.law import LawLike
+from ambrose.law.loop import running_law
+from ambrose.law.timing import Timing, timing_of
+from ambrose.machine.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, TWO_PI, Demand, demand
+from ambrose.machine.description import OperatingPoint
+from ambrose.machine.machine import Machine
+from ambrose.model.assemble import assemble
+from ambrose.model.plant import Plant, top_speed
+from ambrose.record.files import read_record
+from ambrose.record.record import Record
+
+# samples more that are tried; by how much better another delay must agree; clearly equal
+_LATE = 4
+_BETTER = 0.5
+_EXACT = 1e-3
+_SAME_LAW = 0.1  # of the measured response of the controller, by which the file's may differ
+# of T_o: by how much the magnets' curvature may move it, at the size of the test's motion; assumed
+_CURVED = 0.01
+_ALL_LINES = 2.3  # half-widths of one line that hold a thousand lines together (Bonferroni)
+_WHOLE = 0.8  # coherence of a line that tells
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredLoop:
+    """The loop at one operating point.
+
+    omega (w,) [rad/s]; S (w, a, a): output sensitivity; half (w, a): 95 % half-width of |S_ii|;
+    sigma, low, high (w,): its maximum singular value and the ends of its interval; predicted:
+    (label, S (w, a, a)) by the machine file and, where the records hold currents, with the magnets
+    at their static load; coherence (w, a); checks: its verdict.
+    """
+
+    point: OperatingPoint
+    axes: tuple[str, ...]
+    omega: np.ndarray
+    S: np.ndarray
+    half: np.ndarray
+    sigma: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    predicted: tuple[tuple[str, np.ndarray], ...]
+    coherence: np.ndarray
+    checks: Checks
+
+    @property
+    def modulus(self) -> np.ndarray:
+        """|S_ii| (w, a)."""
+        return np.abs(np.einsum("wii->wi", self.S))
+
+    @property
+    def peaks(self) -> list[tuple[float, float]]:
+        """Ends of the 95 % interval of the peak of |S_ii| over all lines, of every axis."""
+        low, high = self.modulus - _ALL_LINES * self.half, self.modulus + self.half
+        return list(zip(low.max(axis=0).tolist(), high.max(axis=0).tolist(), strict=True))
+
+    @property
+    def loops(self) -> np.ndarray:
+        """L_i = 1/S_ii - 1 (w, a), each with the other loops closed."""
+        return np.asarray(1 / np.einsum("wii->wi", self.S) - 1)
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Acceptance(Presented):
+    """What was measured at every operating point; controller: its digest; records: their names."""
+
+    machine: Machine
+    controller: LawLike
+    timing: str
+    points: tuple[MeasuredLoop, ...]
+    records: tuple[str, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether every limit is met, at the outer end of the intervals."""
+        return all(point.checks.passed for point in self.points)
+
+    def facts(self) -> dict[str, Any]:
+        """The verdict and the largest measured sensitivity."""
+        peaks = {
+            loop.point.label or f"{loop.point.speed:.4g} rad/s": float(loop.modulus.max())
+            for loop in self.points
+        }
+        return {
+            "machine": self.machine.name,
+            "passed": self.passed,
+            "sensitivity": [f"{k}: {v:.3g}" for k, v in peaks.items()],
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Checks and curves at every operating point, ready for JSON."""
+        points = [
+            {
+                **loop.checks.to_dict(),
+                "omega": loop.omega.tolist(),
+                "axes": list(loop.axes),
+                "sensitivity": loop.modulus.T.tolist(),
+                "half_width": loop.half.T.tolist(),
+                "sigma": loop.sigma.tolist(),
+                "sigma_95": [loop.low.tolist(), loop.high.tolist()],
+            }
+            for loop in self.points
+        ]
+        return {
+            "machine": self.machine.name,
+            "passed": self.passed,
+            "timing": self.timing,
+            "points": points,
+        }
+
+
+def accept(
+    machine: Machine,
+    controller: LawLike,
+    records: Record | str | Path | Sequence[Record | str | Path],
+    *,
+    harmonics: int = 3,
+    delay_samples: int | None = None,
+) -> Acceptance:
+    """The loop of a machine measured from records with its controller running, one operating point
+    or several.
+
+    controller: the one that ran, a Synthesis or anything with A, B, C, D. records: as they are or
+    their files, with displacements y_<axis> and excitations e_<axis> [A] or r_<axis> [m] of every
+    axis, alike in no two of them; with u_<axis> the controller is checked, too. harmonics:
+    multiples of the speed up to which unbalance and run-out are taken out. delay_samples: of the
+    controller (None: as it or the machine file says). Raises InvalidInput.
+    """
+    several = [records] if isinstance(records, Record | str | Path) else list(records)
+    if not several:
+        raise InvalidInput(
+            "no record was given; record y_<axis> with an excitation e_<axis> or r_<axis> on "
+            "every axis"
+        )
+    read = [item if isinstance(item, Record) else read_record(item) for item in several]
+    names = tuple(Path(item).name for item in several if not isinstance(item, Record))
+    points: dict[OperatingPoint, list[Record]] = {}
+    for number, record in enumerate(read, 1):
+        _check(machine, record, number)
+        if any(
+            record.values.shape == other.values.shape and (record.values == other.values).all()
+            for other in read[: number - 1]
+        ):
+            raise InvalidInput(f"record {number} is the same as one before; give each record once")
+        points.setdefault(replace(record.point, label=""), []).append(record)
+    timing = timing_of(machine, controller) or Timing(read[0].dt)
+    if delay_samples is not None:
+        timing = Timing(timing.sample_time, delay_samples)
+    if any(abs(record.dt / timing.sample_time - 1) > 1e-6 for record in read):
+        rates = ", ".join(sorted({f"{record.sample_rate_hz:g} Hz" for record in read}))
+        raise invalid(
+            "the sample rate of the records",
+            rates,
+            f"the controller's, {timing.rate:g} Hz",
+            "record every sample",
+        )
+    measured = tuple(
+        _measure(machine, controller, timing, group, harmonics) for group in points.values()
+    )
+    return Acceptance(machine, controller, str(timing), measured, names)
+
+
+def _check(machine: Machine, record: Record, number: int) -> None:
+    check_machine(machine, record, f"record {number}")
+    check_point(record, f"record {number}")
+    outcome = dict(record.notes).get("outcome", "")
+    if outcome.startswith(("touchdown", "diverged", "not levitated")):
+        raise InvalidInput(
+            f"in record {number} the rotor did not stay free ({outcome}); excite less and record "
+            "again"
+        )
+    missing = [f"y_{axis}" for axis in machine.axes if f"y_{axis}" not in record.signals]
+    if missing:
+        raise invalid(
+            f"record {number}",
+            f"without {', '.join(missing)}",
+            "with every displacement",
+            "record them together",
+        )
+
+
+def _measure(
+    machine: Machine, controller: LawLike, timing: Timing, records: list[Record], harmonics: int
+) -> MeasuredLoop:
+    from scipy.special import stdtrit
+
+    axes, point = machine.axes, records[0].point
+    plant = assemble(machine, point)
+    loaded = machine_at_load(machine, records)
+    law = running_law(controller, plant, timing)
+    kind = _excitation(records, axes)
+    a, currents = (
+        len(axes),
+        all(f"u_{axis}" in record.signals for record in records for axis in axes),
+    )
+    highest = max(
+        SENSITIVITY_RANGE.limits[0].value, SPEED_RANGE_FACTOR * max(top_speed(machine), point.speed)
+    )
+    signals = [f"{name}_{axis}" for name in ("y", "u")[: 1 + currents] for axis in axes]
+    both = local_response(
+        records,
+        [f"{kind}_{axis}" for axis in axes],
+        signals,
+        band=(0.0, min(highest, 0.95 * np.pi / timing.sample_time)),
+        harmonics=harmonics,
+    )
+    M, omega = both.select(outputs=both.outputs[:a]), both.omega
+    K = frequency_response(law, omega).values
+    through = K if kind == "e" else np.broadcast_to(np.eye(a), K.shape)
+    S = np.eye(a) - M.values @ through
+    t = float(stdtrit(2 * M.freedom, 0.975)) / np.sqrt(2)  # of one component of a circular error
+    unit = np.eye(a)
+    half = t * np.sqrt(
+        np.array(
+            [_spread(M, np.tile(unit[i], (len(omega), 1)), through[:, :, i]) for i in range(a)]
+        ).T
+    )
+    left, sigma, right = np.linalg.svd(S)
+    half = np.hypot(half, _CURVED * np.abs(np.einsum("wii->wi", unit - S)))
+    top = np.einsum("wij,wj->wi", through, right[:, 0].conj())
+    curved = _CURVED * np.abs(
+        np.einsum("wi,wij,wj->w", left[:, :, 0].conj(), unit - S, right[:, 0].conj())
+    )
+    above = np.hypot(t * np.sqrt(_spread(M, left[:, :, 0], top)), curved)
+    low, high = sigma[:, 0] - np.maximum(above, _norm_of_error(M, through)), sigma[:, 0] + above
+    models = [("predicted", plant)]
+    if loaded != machine:
+        models.append(("at the static load", assemble(loaded, point)))
+    predicted = tuple(
+        (words, _sensitivity(item, K, omega, timing.sample_time)) for words, item in models
+    )
+    label = point.label or f"{point.speed / TWO_PI:.4g} Hz"
+    spacing = float(np.diff(omega).min()) / TWO_PI
+    notes = (
+        f"{len(omega)} lines, {spacing:.3g} Hz apart, each with {M.freedom:.0f} degrees of "
+        "freedom. Limits and zones judge the "
+        "outer end of the 95 % interval.",
+    )
+    loop = MeasuredLoop(
+        point,
+        axes,
+        omega,
+        S,
+        half,
+        sigma[:, 0],
+        np.maximum(low, 0.0),
+        high,
+        predicted,
+        M.coherence,
+        Checks(label, True, (), (), notes),
+    )
+    checks = _checks(loop, machine, highest)
+    if currents:
+        checks += _law_checks(both, K, kind, timing)
+    return replace(loop, checks=replace(loop.checks, checks=tuple(checks)))
+
+
+def _sensitivity(plant: Plant, K: np.ndarray, omega: np.ndarray, dt: float) -> np.ndarray:
+    """S_o (w, a, a) of the sampled loop, without approximation."""
+    G = frequency_response(
+        c2d(select(plant.system, plant.named("u"), plant.named("y")), dt), omega
+    ).values
+    return np.linalg.inv(np.eye(K.shape[1]) + G @ K)
+
+
+def _excitation(records: list[Record], axes: tuple[str, ...]) -> str:
+    for kind in "er":
+        driven = [
+            axis
+            for axis in axes
+            if any(
+                f"{kind}_{axis}" in r.signals and np.ptp(r[f"{kind}_{axis}"]) > 0 for r in records
+            )
+        ]
+        if driven and len(driven) < len(axes):
+            missing = ", ".join(f"{kind}_{axis}" for axis in axes if axis not in driven)
+            raise invalid(
+                "the excitation",
+                f"none at {missing}",
+                "on every axis",
+                "excite it in a record of its own, or with the others",
+            )
+        if driven:
+            return kind
+    raise InvalidInput(
+        "the records hold no excitation e_<axis> or r_<axis>; inject one, as the scenario "
+        "acceptance does"
+    )
+
+
+def _spread(T: Frf, left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Variance (w,) of left^H dT right, left and right (w, a)."""
+    noise, share = _together(T)
+    out = np.einsum("wi,wij,wj->w", left.conj(), noise, left).real
+    return np.asarray(
+        np.maximum(out * np.einsum("wi,wij,wj->w", right, share, right.conj()).real, 0.0)
+    )
+
+
+def _law_checks(both: Frf, K: np.ndarray, kind: str, timing: Timing) -> Iterator[Check]:
+    """Whether the currents in the records are those of the controller, u = -K y or K (r - y), and
+    as late as was told.
+    """
+    a = K.shape[1]
+    y, u = both.values[:, :a], both.values[:, a:]
+    expected = K @ ((np.eye(a) if kind == "r" else 0.0) - y)
+    told = (both.coherence[:, :a] > _WHOLE).all(axis=1)
+    told = told if told.any() else np.ones_like(told)
+    late = np.arange(-timing.delay_samples, _LATE + 1)
+    turned = np.exp(-1j * both.omega[told, None] * late * timing.sample_time)
+    left = np.linalg.norm(
+        u[told, None] - turned[..., None, None] * expected[told, None], axis=(2, 3)
+    )
+    off = np.median(left / np.linalg.norm(u[told], axis=(1, 2))[:, None], axis=0)
+    value, best = float(off[timing.delay_samples]), int(np.argmin(off))
+    title = "Currents beside those of the controller file"
+    detail = (
+        "median over the lines that tell; more: another controller, delay or sample rate ran, or "
+        "currents at their limit"
+    )
+    yield judge("controller.difference", title, value, "-", Demand(_SAME_LAW, "<=", ""), detail)
+    other = int(late[best]) if off[best] < _BETTER * value and value > _EXACT else 0
+    words = (
+        f"with {timing.delay_samples + other} samples instead of {timing.delay_samples} they agree "
+        f"to {off[best]:.2g}"
+    )
+    remedy = (
+        "tell it (delay_samples, --delay-samples), and design for it"
+        if other
+        else "no other delay agrees clearly better"
+    )
+    title = "Samples of delay beside those told"
+    yield judge(
+        "controller.delay",
+        title,
+        abs(other),
+        "-",
+        Demand(0.0, "<=", ""),
+        f"{words}: {remedy}" if other else remedy,
+    )
+
+
+def _together(T: Frf) -> tuple[np.ndarray, np.ndarray]:
+    if T.noise is None or T.share is None:
+        raise InvalidInput(
+            "the response does not tell how its errors go together; estimate it with local_response"
+        )
+    return T.noise, T.share
+
+
+def _norm_of_error(T: Frf, through: np.ndarray) -> np.ndarray:
+    """What the norm (w,) of dT through hardly exceeds (Chevet): singular values that lie close are
+    lifted by all of the noise, so that the largest of them is measured too large.
+    """
+    noise, share = _together(T)
+    share = np.einsum("wji,wjk,wkl->wil", through, share, through.conj())
+    a, b = (np.sqrt(np.maximum(np.linalg.eigvalsh(item), 0.0)) for item in (noise, share))
+    return np.asarray(a[:, -1] * np.linalg.norm(b, axis=1) + np.linalg.norm(a, axis=1) * b[:, -1])
+
+
+def _checks(loop: MeasuredLoop, machine: Machine, highest: float) -> list[Check]:
+    requirements, found = machine.requirements, []
+    file, last = loop.predicted[0][1], loop.predicted[-1]
+    own, predicted = loop.modulus, np.abs(np.einsum("wii->wi", file))
+    low, high = own - _ALL_LINES * loop.half, own + loop.half
+    for i, axis in enumerate(loop.axes):
+        wanted = demand("sensitivity of an axis", requirements)
+        found.append(
+            _peak(
+                f"sensitivity.output.{axis}",
+                axis,
+                loop.omega,
+                own[:, i],
+                low[:, i],
+                high[:, i],
+                predicted[:, i],
+                wanted,
+            )
+        )
+    wanted = demand("maximum singular value of a sensitivity", requirements)
+    largest = np.linalg.norm(file, 2, axis=(1, 2))
+    words = "maximum singular value"
+    found.append(
+        _peak(
+            "sensitivity.output.max",
+            words,
+            loop.omega,
+            loop.sigma,
+            loop.low,
+            loop.high,
+            largest,
+            wanted,
+        )
+    )
+    for i, axis in enumerate(loop.axes):
+        phase, at = phase_margin(loop.omega, loop.loops[:, i])
+        detail = (
+            f"at {at / TWO_PI:.4g} Hz"
+            if np.isfinite(at)
+            else "no crossing of unit gain in the range"
+        )
+        wanted = demand("phase margin", requirements)
+        found.append(
+            judge(
+                f"margin.phase.output.{axis}",
+                f"Measured phase margin, {axis}",
+                phase,
+                "rad",
+                wanted,
+                detail,
+            )
+        )
+    off = np.abs(own - np.abs(np.einsum("wii->wi", last[1])))
+    worst = int(np.argmax(off.max(axis=1)))
+    inside = (
+        f"{100 * float((off <= loop.half).mean()):.0f} % of the lines within 95 % of the measured"
+    )
+    detail = f"at {loop.omega[worst] / TWO_PI:.4g} Hz, {last[0]}; {inside}"
+    found.append(
+        information(
+            "sensitivity.agreement",
+            "Largest distance from the prediction, any axis",
+            float(off.max()),
+            "-",
+            detail,
+        )
+    )
+    measured = float(loop.omega[-1])
+    reach = information(
+        "sensitivity.range",
+        "Highest frequency measured",
+        measured,
+        "rad/s",
+        f"asked for: {highest / TWO_PI:.4g} Hz",
+    )
+    edge = own[-max(len(own) // 20, 1) :].max() if measured < 0.95 * highest else 0.0
+    rises = bool(edge >= 0.9 * own.max())
+    found.append(
+        replace(
+            reach, relation=">=", limit=highest if rises else None, passed=False if rises else None
+        )
+    )
+    return found
+
+
+def _peak(
+    name: str,
+    what: str,
+    omega: np.ndarray,
+    value: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    predicted: np.ndarray,
+    wanted: Any,
+) -> Check:
+    """The largest measured value; the limit and the zone judge the outer end of its interval."""
+    k = int(np.argmax(value))
+    top, at = float(high.max()), omega[np.argmax(predicted)] / TWO_PI
+    beside = (
+        f"95 %: {low.max():.3g} to {top:.3g}; predicted peak {predicted.max():.4g} at {at:.4g} Hz"
+    )
+    check = judge(
+        name,
+        f"Measured peak sensitivity, {what}",
+        top,
+        "-",
+        wanted,
+        f"at {omega[k] / TWO_PI:.4g} Hz; {beside}",
+    )
+    met = None if check.limit is None else holds(top, check.relation, check.limit)
+    if (
+        met is False
+        and check.limit is not None
+        and holds(float(value[k]), check.relation, check.limit)
+    ):
+        check = replace(
+            check, detail=f"{check.detail}; the interval reaches past the limit: record longer"
+        )
+    return replace(check, value=float(value[k]), passed=met)
+
+
+def phase_margin(omega: np.ndarray, L: np.ndarray) -> tuple[float, float]:
+    """Smallest angle [rad] between the loop at unit gain and the critical point, and where [rad/s];
+    inf, nan without any.
+    """
+    size = np.log(np.abs(L))
+    i = np.flatnonzero(size[:-1] * size[1:] <= 0)
+    if not len(i):
+        return float("inf"), float("nan")
+    share = size[i] / (size[i] - size[i + 1])
+    angle = np.abs(np.angle(-(L[i] + share * (L[i + 1] - L[i]))))
+    k = int(np.argmin(angle))
+    return float(angle[k]), float(omega[i[k]] + share[k] * (omega[i[k] + 1] - omega[i[k]]))

@@ -1,0 +1,518 @@
+"""Balancing: the masses that cancel what turns with the rotor, from records with or without trial
+weights.
+
+Every record, of the speed s, gives d_s = L_s R + A_s (U + W): unknown unbalance U of the planes,
+run-out R of the sensors with their lag L_s (told from U by several speeds), known trial weights W.
+A_s is the model's, or measured: (d_s with W less d_s without) W^-1. U follows by weighted least
+squares over sensors and speeds (Goodman 1964, J. Eng. Ind. 86, 273); the correction is -U. A row
+weighs by its noise and by a common relative error of the model, as large as the misfit asks for
+(Paule & Mandel 1982): speeds with large vibration do not outvote the others for their small noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ambrose.annexes.site.balancing.influence import NONE, Influence, influence, source_of_currents
+from ambrose.annexes.site.balancing.vectors import revolution
+from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.core.presentation import Presented
+from ambrose.identification.parameters import COVERAGE
+from ambrose.identification.validation.operating_load import load_doubt, machine_at_load
+from ambrose.law.law import LawLike
+from ambrose.machine.machine import Machine
+from ambrose.machine.messages import suggestion
+from ambrose.model.assemble import assemble
+from ambrose.model.effects.sensor import runout_phasors
+from ambrose.model.plant import Plant
+from ambrose.model.unbalance import Unbalance, residual_unbalance
+from ambrose.model.uncertainty import perturbed, tolerances_around
+from ambrose.record.files import read_record
+from ambrose.record.record import Record
+
+_SAME_SPEED = 0.01  # relative difference below which two records are of one speed
+_APART = 1.3  # least ratio of speeds that tells run-out from unbalance
+_ILL = 30.0  # condition of the matrix above which planes are hardly told apart
+_LEAST = 0.01  # relative error of a model's coefficients at the least; assumed
+_REFINEMENTS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One sensor axis at one speed [rad/s]: 1x of unbalance before, and as predicted after the
+    correction (complex) [m]; radius [m] of the circle about the prediction that holds the truth
+    with 95 %.
+    """
+
+    axis: str
+    speed: float
+    before: complex
+    after: complex
+    radius: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Balancing(Presented):
+    """What to add to a rotor: correction (p,) complex [kg m] of the planes, angles from the key
+    mark in the direction of spin.
+
+    covariance (p, p) [kg2 m2] of the correction; factor: radius of a 95 % circle per standard
+    deviation. radii (p,) [m] where the masses go. condition: of the weighted matrix. model_error:
+    the relative error of the coefficients that the misfit asks for. method: "model" or "trial
+    weights". quantity: what the rows are of. runout (a,) [m], complex, and whether it was found.
+    scale: model over measured coefficients, where trial weights tell. allowed: by the machine's
+    grade, or None. trusted: whether the machine file's magnets carry the rotor with the currents
+    that were recorded.
+    """
+
+    machine: str
+    planes: tuple[str, ...]
+    radii: tuple[float, ...]
+    correction: np.ndarray
+    covariance: np.ndarray
+    factor: float
+    condition: float
+    model_error: float
+    method: str
+    quantity: str
+    rows: tuple[Row, ...]
+    runout: np.ndarray
+    runout_found: bool
+    scale: complex | None
+    allowed: Unbalance | None
+    notes: tuple[str, ...] = ()
+    trusted: bool = True
+
+    @property
+    def masses(self) -> np.ndarray:
+        """Correction masses (p,) [kg] at the radii."""
+        return np.abs(self.correction) / np.array(self.radii)
+
+    @property
+    def angles(self) -> np.ndarray:
+        """Their angles (p,) [rad], 0 to 2 pi."""
+        return np.asarray(np.angle(self.correction) % (2 * np.pi))
+
+    @property
+    def uncertainty(self) -> np.ndarray:
+        """95 % radius (p,) [kg m] of each correction: as much unbalance may be left in its
+        plane.
+        """
+        return self.factor * np.sqrt(np.real(np.diag(self.covariance)))
+
+    @property
+    def remaining(self) -> float:
+        """Predicted 1x after over before, root mean square over all rows, at the outer end of the
+        intervals.
+        """
+        left = np.array([abs(row.after) + row.radius for row in self.rows])
+        return float(np.linalg.norm(left) / np.linalg.norm([row.before for row in self.rows]))
+
+    @property
+    def passed(self) -> bool:
+        """Whether the planes are told apart, run-out is known, the model is trusted, and the
+        vibration falls with 95 %.
+        """
+        known = self.runout_found or bool(self.runout.any())
+        return self.condition <= _ILL and self.remaining < 1 and known and self.trusted
+
+    def grade(self, moments: np.ndarray) -> float | None:
+        """Balance quality G [m/s] at the balancing speed of planes with these moments (p,) [kg m]
+        all in phase.
+        """
+        return (
+            None
+            if self.allowed is None
+            else float(np.sum(moments)) * self.allowed.speed / self.allowed.mass
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """The corrections in g and degrees with their intervals, the rows, and all that was
+        told.
+        """
+        whole = Presented.to_dict(self)
+        sure = np.minimum(self.uncertainty / np.maximum(np.abs(self.correction), 1e-300), 1.0)
+        whole["corrections"] = [
+            {
+                "plane": plane,
+                "radius_mm": 1e3 * r,
+                "mass_g": 1e3 * m,
+                "angle_deg": at,
+                "mass_95_g": 1e3 * u / r,
+                "angle_95_deg": a,
+            }
+            for plane, r, m, at, u, a in zip(
+                self.planes,
+                self.radii,
+                self.masses.tolist(),
+                np.degrees(self.angles).tolist(),
+                self.uncertainty.tolist(),
+                np.degrees(np.arcsin(sure)).tolist(),
+                strict=True,
+            )
+        ]
+        return {**whole, "remaining": self.remaining}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Run:
+    """A record with its plant, its turning and the trial weights (p,) [kg m] in it."""
+
+    record: Record
+    plant: Plant
+    speed: float
+    weights: np.ndarray
+    at: Influence
+
+    @property
+    def d(self) -> np.ndarray:
+        return np.asarray(self.at.blocks.mean(axis=0))
+
+    @property
+    def noise(self) -> np.ndarray:
+        """Variance (a,) [m2] of the mean of the blocks."""
+        b = len(self.at.blocks)
+        return np.asarray(np.sum(np.abs(self.at.blocks - self.d) ** 2, axis=0) / (b - 1) / b)
+
+
+def balance(
+    machine: Machine,
+    records: Record | str | Path | Sequence[Record | str | Path],
+    planes: Mapping[str, float],
+    *,
+    trials: Sequence[tuple[Record | str | Path, Mapping[str, complex]]] = (),
+    controller: LawLike | None = None,
+    settle: float = 0.3,
+) -> Balancing:
+    """Correction masses in ``planes`` from the 1x of displacements and currents of records at
+    steady speeds.
+
+    records: as they are or their files, of the rotor as it is, at one speed or several; one at slow
+    roll tells the run-out. planes: bearings, couplings, seals or discs of the machine file, each
+    with the radius [m] where masses go. trials: records with known weights on, each with m r exp(j
+    angle) [kg m] by plane; as many as planes at one speed measure the coefficients there, fewer are
+    fitted beside the model's. controller: the one that ran; needed where the records hold neither
+    u_<axis> nor i_<axis>, and for 1x as it will be measured. settle [s]: left out at the beginning
+    of every record. Raises InvalidInput.
+    """
+    names = tuple(planes)
+    if not names:
+        raise InvalidInput(
+            "no correction plane is given; name a bearing, disc, seal or coupling of the machine, "
+            "and a radius"
+        )
+    radii = tuple(
+        check_positive(r, f"the radius of plane {name}", "give it in m")
+        for name, r in planes.items()
+    )
+    several = [records] if isinstance(records, Record | str | Path) else list(records)
+    if not several:
+        raise InvalidInput(
+            "no record of the rotor without trial weights is given; record it as it is first"
+        )
+    read = [item if isinstance(item, Record) else read_record(item) for item in several]
+    tried = [
+        (item if isinstance(item, Record) else read_record(item), _weights(given, names))
+        for item, given in trials
+    ]
+
+    def run(record: Record, weights: np.ndarray) -> _Run:
+        turn = revolution(record, settle)
+        plant = assemble(machine_at_load(machine, [record]), record.point)
+        return _Run(
+            record,
+            plant,
+            turn.frequency,
+            weights,
+            influence(plant, names, controller, record, turn, settle),
+        )
+
+    none = np.zeros(len(names), complex)
+    runs, with_weights = (
+        [run(record, none) for record in read],
+        [run(record, weights) for record, weights in tried],
+    )
+    notes = [doubt] if (doubt := load_doubt(machine, read)) else []
+    if not any(name in r.signals for r in read for name in ("key", "angle")):
+        notes.append(
+            "no record holds key or angle: its time zero is taken as the passage of the key mark"
+        )
+    sources = {
+        source_of_currents(one.record, one.plant, controller) for one in (*runs, *with_weights)
+    }
+    if NONE in sources and len(sources) > 1:
+        raise InvalidInput(
+            "some records hold the currents u_ or i_ and others do not; give --controller, or "
+            "record them in all"
+        )
+    blind = sources == {NONE}
+    first = _estimate(machine, names, runs, with_weights, blind)
+    spread = np.zeros((len(names), len(names)), complex)
+    if not blind:
+        for tolerance in tolerances_around(runs[0].plant):
+            moved = _moved(
+                machine, names, runs, with_weights, tolerance.parameter, controller, settle
+            )
+            change = (moved.unbalance - first.unbalance) / COVERAGE
+            spread += np.outer(change, change.conj())
+    covariance = first.covariance + spread
+    if first.condition > _ILL:
+        notes.append(
+            f"the unknowns are hardly told apart (condition {first.condition:.3g}): add a record "
+            "at another speed, or use "
+            "fewer planes"
+        )
+    if not first.runout_found:
+        what = (
+            "from the machine file"
+            if first.runout.any()
+            else "zero, and balanced as if it were unbalance"
+        )
+        notes.append(
+            f"the records are of one speed: run-out was taken as {what}; a record at slow roll "
+            "measures it"
+        )
+    closed = [one.at.closed for one in runs]
+    in_y = blind or all(S is not None for S in closed)
+    rows = []
+    for one, A, var in zip(runs, first.influence, first.noise, strict=True):
+        S = one.at.closed if in_y and one.at.closed is not None else np.eye(len(A))
+        turning = one.d - one.at.per_runout * first.runout
+        left = turning - A @ first.unbalance
+        C = S @ (A @ covariance @ A.conj().T + np.diag(var)) @ S.conj().T
+        before = S @ turning
+        after = S @ left
+        radius = first.factor * np.sqrt(np.real(np.diag(C)))
+        for axis, b, c, r in zip(machine.axes, before, after, radius, strict=True):
+            rows.append(Row(axis, one.speed, complex(b), complex(c), float(r)))
+    return Balancing(
+        machine.name,
+        names,
+        radii,
+        -first.unbalance,
+        covariance,
+        first.factor,
+        first.condition,
+        first.model_error,
+        first.method,
+        "y" if in_y else "y - G u",
+        tuple(rows),
+        first.runout,
+        first.runout_found,
+        first.scale,
+        residual_unbalance(machine),
+        tuple(notes),
+        not doubt,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Estimate:
+    """U (p,), its covariance by noise and misfit, and with what it was found; influence and noise
+    per run without weights.
+    """
+
+    unbalance: np.ndarray
+    covariance: np.ndarray
+    runout: np.ndarray
+    runout_found: bool
+    influence: list[np.ndarray]
+    noise: list[np.ndarray]
+    condition: float
+    model_error: float
+    factor: float
+    method: str
+    scale: complex | None
+
+
+def _estimate(
+    machine: Machine,
+    planes: tuple[str, ...],
+    runs: Sequence[_Run],
+    trials: Sequence[_Run],
+    blind: bool,
+) -> _Estimate:
+    p, a = len(planes), len(machine.axes)
+    speeds = [run.speed for run in runs]
+    free = len(runs) > 1 and max(speeds) > _APART * min(speeds)
+    R = np.zeros(a, complex) if free else runout_phasors(machine.sensor_pairs, machine.axes)
+    influences = []
+    extra = []
+    measured = False
+    scales = []
+    for run in runs:
+        own = [trial for trial in trials if abs(trial.speed / run.speed - 1) < _SAME_SPEED]
+        A, back = run.at.per_unbalance, None
+        if own:
+            W = np.array([trial.weights for trial in own]).T
+            if np.linalg.matrix_rank(W, 1e-6 * float(np.abs(W).max())) == p:
+                back = np.linalg.pinv(W)
+                change = np.array([trial.d - run.d for trial in own]).T
+                if not change.any(axis=0).all():
+                    raise InvalidInput(
+                        "a trial run is the very run without weights; give the record with the "
+                        "weight on"
+                    )
+                A = change @ back
+                measured = True
+                scales.append(np.vdot(A, run.at.per_unbalance) / np.vdot(A, A))
+        influences.append(A)
+        extra.append((own, back))
+    if blind and not all(back is not None for _, back in extra):
+        raise InvalidInput(
+            "the records hold neither u_<axis> nor i_<axis>; give the controller that ran, or "
+            "trial weights in every plane at "
+            "every speed"
+        )
+    least = 0.0 if measured else _LEAST
+    beside = (
+        []
+        if measured
+        else [t for t in trials if any(abs(t.speed / s - 1) < _SAME_SPEED for s in speeds)]
+    )
+    if trials and not measured and not beside:
+        raise invalid(
+            "the speed of the trial runs",
+            f"{trials[0].speed:.5g} rad/s",
+            "that of a run without weights",
+            "repeat it",
+        )
+    d = np.array(
+        [run.d for run in runs] + [run.d - run.at.per_unbalance @ run.weights for run in beside]
+    )
+    A = np.array(influences + [run.at.per_unbalance for run in beside])
+    lag = np.array([run.at.per_runout for run in (*runs, *beside)])
+    X = np.concatenate([A, lag[:, :, None] * np.eye(a)], axis=2) if free else A
+    target = d if free else d - lag * R
+    freedom = target.size - X.shape[2]
+    if freedom < 0:
+        raise invalid(
+            "the number of unknowns",
+            X.shape[2],
+            f"at most {target.size}, that of 1x vectors",
+            "add a record",
+        )
+    by_currents = np.array([run.at.size for run in (*runs, *beside)])
+    size, U = np.sqrt(np.mean(np.abs(target) ** 2, axis=1)), np.zeros(p, complex)
+    for _ in range(_REFINEMENTS):
+        noise = np.array(
+            [_noise(run, own, back, U) for run, (own, back) in zip(runs, extra, strict=True)]
+            + [r.noise for r in beside]
+        )
+        error, x, C, condition = _weighted(X, target, noise, size, freedom, least)
+        U = x[:p]
+        size = np.hypot(np.sqrt(np.mean(np.abs(A @ U) ** 2, axis=1)), by_currents)
+    if free:
+        R = x[p:]
+    blocks = min(len(run.at.blocks) for run in runs)
+    told = freedom if error > least else (blocks - 1) * a
+    from scipy.special import fdtri
+
+    factor = float(np.sqrt(fdtri(2, 2 * max(told, 1), 0.95)))
+    with_error = [*(noise + (error * size[:, None]) ** 2)][: len(runs)]
+    return _Estimate(
+        U,
+        C[:p, :p],
+        R,
+        free,
+        influences,
+        with_error,
+        condition,
+        error,
+        factor,
+        "trial weights" if measured else "model",
+        complex(np.mean(scales)) if scales and not blind else None,
+    )
+
+
+def _noise(run: _Run, own: Sequence[_Run], back: np.ndarray | None, U: np.ndarray) -> np.ndarray:
+    """Variance (a,) of a run's equation: its own noise, and that of the coefficients measured with
+    trial weights.
+    """
+    if back is None:
+        return run.noise
+    c = back @ U
+    trials = sum(abs(share) ** 2 * trial.noise for share, trial in zip(c, own, strict=True))
+    return np.asarray(abs(1 + c.sum()) ** 2 * run.noise + trials)
+
+
+def _weighted(
+    X: np.ndarray, d: np.ndarray, noise: np.ndarray, size: np.ndarray, freedom: int, least: float
+) -> tuple[float, np.ndarray, np.ndarray, float]:
+    """Relative error of the coefficients, solution, its covariance and the condition of the matrix
+    with columns of unit length.
+
+    X (s, a, c), d and noise (s, a), size (s,): what the relative error, at the least ``least``, is
+    of.
+    """
+    from scipy.optimize import brentq
+
+    floor = 1e-24 * float(np.max(np.abs(d) ** 2)) + 1e-40
+
+    def solved(error: float) -> tuple[float, np.ndarray, np.ndarray]:
+        w = 1 / np.sqrt(noise + (error * size[:, None]) ** 2 + floor)
+        M, right = (X * w[:, :, None]).reshape(-1, X.shape[2]), (d * w).ravel()
+        x = np.linalg.lstsq(M, right)[0]
+        return float(np.sum(np.abs(M @ x - right) ** 2)), x, M
+
+    error = least
+    if freedom and solved(least)[0] > freedom:
+        error = (
+            brentq(lambda e: solved(e)[0] - freedom, least, 10.0, xtol=1e-6)
+            if solved(10.0)[0] < freedom
+            else 10.0
+        )
+    _, x, M = solved(error)
+    length = np.linalg.norm(M, axis=0)
+    s = np.linalg.svd(M / length, compute_uv=False)
+    if s[-1] < 1e-9 * s[0]:
+        raise InvalidInput(
+            "the planes cannot be told apart by these sensors and speeds; use fewer planes, or "
+            "another speed"
+        )
+    return float(error), x, np.linalg.inv(M.conj().T @ M), float(s[0] / s[-1])
+
+
+def _moved(
+    machine: Machine,
+    planes: tuple[str, ...],
+    runs: Sequence[_Run],
+    trials: Sequence[_Run],
+    path: str,
+    controller: LawLike | None,
+    settle: float,
+) -> _Estimate:
+    """The estimate with one uncertain parameter at the end of its tolerance."""
+
+    def moved(run: _Run) -> _Run:
+        plant = perturbed(run.plant, {path: 1.0})
+        turn = revolution(run.record, settle)
+        at = influence(plant, planes, controller, run.record, turn, settle)
+        return _Run(run.record, plant, run.speed, run.weights, at)
+
+    return _estimate(
+        machine, planes, [moved(run) for run in runs], [moved(run) for run in trials], False
+    )
+
+
+def _weights(given: Mapping[str, complex], planes: tuple[str, ...]) -> np.ndarray:
+    for name in given:
+        if name not in planes:
+            raise InvalidInput(
+                f"there is a trial weight in {name!r}, which is no correction plane; "
+                f"{suggestion(name, planes)}"
+            )
+    weights = np.array([complex(given.get(name, 0.0)) for name in planes])
+    if not np.isfinite(weights).all() or not weights.any():
+        raise invalid(
+            "a trial weight",
+            weights,
+            "finite and not zero",
+            "give m r exp(j angle) in kg m by plane",
+        )
+    return weights

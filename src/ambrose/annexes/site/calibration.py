@@ -1,0 +1,555 @@
+"""Sensors and centres from standard tests, as a machine file holds them: gain, offset, clearance,
+run-out, magnetic centre.
+
+* Static circle: the rotor is moved slowly around inside its touchdown bearings, all in phase. What
+  the sensors of a bearing show is an ellipse about their offset; its half-axes are gain times
+  clearance, so that one of the two is known from the other.
+* Slow roll: multiples of the turning in y - G u, which run-out alone makes
+  (balancing/influence.py).
+* Levitation at rest: magnet forces and weight are in balance, which tells where the magnets' centre
+  is; at several bias currents the weight as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from ambrose.annexes.site.balancing.influence import NONE, influence, source_of_currents
+from ambrose.annexes.site.balancing.vectors import revolution
+from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.presentation import Presented
+from ambrose.identification.excitation import signal_rows
+from ambrose.identification.frf.phasors import Step
+from ambrose.identification.validation.operating_load import load_doubt, machine_at_load
+from ambrose.machine.description import Pair
+from ambrose.machine.machine import Machine
+from ambrose.machine.stator import Runout, Sensor
+from ambrose.model.assemble import assemble
+from ambrose.model.effects import magnet
+from ambrose.model.ports import measured_ports, sensor_turn
+from ambrose.model.static_load import operating_magnets, static_sag
+from ambrose.model.unbalance import residual_unbalance
+from ambrose.record.files import read_record
+from ambrose.record.record import Record
+
+_SAMPLES = 2000  # of a circle that are fitted, about
+# of a turn, and how many of them a circle must pass; a heavy rotor jumps at the top
+_SECTORS, _OCCUPIED = 24, 20
+_OUTSIDE = 4.0  # times the median distance from the ellipse: not in contact
+_THICK = (0.02, 0.15)  # of its radius, within which that limit lies
+_IN_PHASE = 0.35  # [rad] by which the bearings' circles may differ
+_WEIGHT = 0.02  # relative error of a weight that is computed; assumed
+_REFINEMENTS = 3
+_UNIT = 1e-4  # [m] of the unknowns
+_SEEN = 3.0  # times its half-width: a harmonic that is written down
+Files = Record | str | Path
+
+
+@dataclass(frozen=True, slots=True)
+class Calibrated:
+    """One entry: what and where, its value before and now, half-width of 95 % (SI ``unit``)."""
+
+    name: str
+    unit: str
+    before: float
+    value: float
+    half: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Calibration(Presented):
+    """The machine with what was found, and each entry beside what it was."""
+
+    machine: Machine
+    entries: tuple[Calibrated, ...]
+    notes: tuple[str, ...] = ()
+
+    def facts(self) -> dict[str, Any]:
+        """How many entries were found."""
+        return {"machine": self.machine.name, "entries": len(self.entries)}
+
+    def to_dict(self) -> dict[str, Any]:
+        """The entries and notes, ready for JSON."""
+        rows = [
+            {k: getattr(row, k) for k in ("name", "unit", "before", "value", "half")}
+            for row in self.entries
+        ]
+        return {"machine": self.machine.name, "entries": rows, "notes": list(self.notes)}
+
+
+def calibrate(
+    machine: Machine,
+    *,
+    circle: Files | None = None,
+    slow_roll: Files | None = None,
+    levitated: Files | Sequence[Files] = (),
+    find: Literal["gain", "clearance"] = "gain",
+    harmonics: int = 3,
+    settle: float = 0.3,
+) -> Calibration:
+    """The machine with sensors and centres as standard tests show them, one test after the other.
+
+    circle: a record of y_<axis> while the rotor goes around in the touchdown bearings, whose gaps
+    are known (find "gain") or found with the gains known ("clearance"). slow_roll: y_<axis> and u_
+    or i_<axis> of the levitated rotor turning slowly; harmonics: of its run-out. levitated: the
+    same at rest, one record or several at other bias currents or positions. settle [s]: left out at
+    the beginning of every record. Raises InvalidInput.
+    """
+    if find not in {"gain", "clearance"}:
+        raise invalid(
+            "find", repr(find), '"gain" or "clearance"', "the other of the two must be known"
+        )
+    several = [levitated] if isinstance(levitated, Record | str | Path) else list(levitated)
+    if circle is None and slow_roll is None and not several:
+        raise InvalidInput(
+            "no test was given; give a record of a static circle, of slow roll or of the "
+            "levitated rotor"
+        )
+    around = None if circle is None else _read(circle, settle)
+    rolling = (
+        slow_roll if isinstance(slow_roll, Record) or slow_roll is None else read_record(slow_roll)
+    )
+    still = [_read(item, settle) for item in several]
+    found = machine
+    before: dict[str, float] = {}
+    # a circle is bent by the magnets' centre and by run-out, which are found later
+    for _ in range(2 if around else 1):
+        centres = {bearing.name: bearing.magnetic_offset for bearing in found.bearings}
+        found = replace(
+            machine,
+            bearings=tuple(replace(b, magnetic_offset=centres[b.name]) for b in machine.bearings),
+            sensors=tuple(
+                replace(own, runout=new.runout)
+                for own, new in zip(machine.sensors, found.sensors, strict=True)
+            ),
+        )
+        entries: list[Calibrated] = []
+        notes: list[str] = []
+        if around is not None:
+            found = _circle(found, around, find, entries, notes)
+        if rolling is not None:
+            found = _runout(found, rolling, harmonics, settle, entries, notes)
+            if doubt := load_doubt(machine, [rolling]):
+                notes.append(doubt)
+        if still:
+            found = _centres(found, still, entries, notes)
+        before = {entry.name: entry.before for entry in entries} | before
+    return Calibration(
+        found, tuple(replace(entry, before=before[entry.name]) for entry in entries), tuple(notes)
+    )
+
+
+def _read(item: Files, settle: float) -> Record:
+    record = item if isinstance(item, Record) else read_record(item)
+    return record.between(record.start_time + settle, np.inf)
+
+
+def _pairs(machine: Machine) -> tuple[Sensor, ...]:
+    """The sensors of every bearing. Raises InvalidInput where one has several pairs, whose mean
+    alone is recorded.
+    """
+    for bearing in machine.bearings:
+        own = [sensor for sensor in machine.sensors if sensor.bearing == bearing.name]
+        if len(own) > 1:
+            remedy = "calibrate them one by one, by records and machine files with one pair each"
+            raise invalid(
+                f"the number of sensor pairs of bearing {bearing.name}",
+                len(own),
+                "one, for records hold their mean",
+                remedy,
+            )
+    return tuple(
+        sensor
+        for bearing in machine.bearings
+        for sensor in machine.sensors
+        if sensor.bearing == bearing.name
+    )
+
+
+def _levers(machine: Machine) -> np.ndarray:
+    """(bearings, bearings): displacement at every bearing's sensors from those at the bearings, by
+    a straight rotor.
+    """
+    places = np.array([bearing.position for bearing in machine.bearings])
+    levers = np.zeros((len(places), len(places)))
+    for k, port in enumerate(measured_ports(machine)[0::2]):
+        near = np.argsort(np.abs(places - port.position))[:2]
+        if len(near) < 2:
+            levers[k, near] = 1.0
+            continue
+        i, j = near
+        share = (port.position - places[i]) / (places[j] - places[i])
+        levers[k, i], levers[k, j] = 1 - share, share
+    return levers
+
+
+def _with_sensors(machine: Machine, changed: Sequence[Sensor]) -> Machine:
+    by_bearing = {sensor.bearing: sensor for sensor in changed}
+    return replace(machine, sensors=tuple(by_bearing[sensor.bearing] for sensor in machine.sensors))
+
+
+def _circle(
+    machine: Machine, record: Record, find: str, entries: list[Calibrated], notes: list[str]
+) -> Machine:
+    """What the circle tells: |(y - offset)/gain| at a sensor is the lever's mean of clearance +
+    compliance * contact force.
+    """
+    from scipy.optimize import least_squares
+
+    gaps = [bearing.touchdown_gap for bearing in machine.bearings]
+    if find == "gain" and None in gaps:
+        raise InvalidInput(
+            "a touchdown_gap is not stated; add it to the bearing, or find the clearance with the "
+            "gains known"
+        )
+    pairs, levers = _pairs(machine), _levers(machine)
+    y = record.select([f"y_{axis}" for axis in machine.axes]).values.reshape(len(pairs), 2, -1)
+    step = max(y.shape[2] // _SAMPLES, 1)
+    ellipses = [_ellipse(own[:, ::step], pair.bearing) for own, pair in zip(y, pairs, strict=True)]
+    z = np.array([e.normal(own[:, ::step]) for e, own in zip(ellipses, y, strict=True)])
+    directions = np.array([port.direction for port in measured_ports(machine)[0::2]])
+    for pair, own in zip(pairs[1:], (z * np.exp(1j * directions)[:, None])[1:], strict=True):
+        apart = float(np.abs(np.angle(np.mean(own * (z[0] * np.exp(1j * directions[0])).conj()))))
+        if apart > _IN_PHASE:
+            remedy = "move all bearings in phase; a sensor turned or exchanged shows like this, too"
+            where = f"the circle at bearing {pair.bearing}"
+            raise invalid(
+                where, f"{np.degrees(apart):.0f} degrees off", "in phase with the first", remedy
+            )
+    used = np.all([e.used for e in ellipses], axis=0)
+    given = np.array([pair.gain for pair in pairs])
+    reach = np.array(
+        [np.mean(np.array(e.radius) / g) for e, g in zip(ellipses, given, strict=True)]
+    )
+    known = np.array(gaps, float) if find == "gain" else np.linalg.solve(levers, reach)
+    n, y, kept = len(pairs), y[:, :, ::step][:, :, used], record.values[:, ::step][:, used]
+    part = replace(record, values=kept, start_time=0.0)
+    scale, back = np.array([np.mean(e.radius) for e in ellipses]), np.linalg.inv(levers)
+
+    def model(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        offset, compliance = x[: 2 * n].reshape(n, 2) * scale[:, None], x[-n:] * scale.mean() * 1e-3
+        gain = x[2 * n : 4 * n].reshape(n, 2) if find == "gain" else given
+        return (
+            offset,
+            gain,
+            known if find == "gain" else x[2 * n : 3 * n] * scale.mean(),
+            compliance,
+        )
+
+    def displaced(x: np.ndarray) -> np.ndarray:
+        """At the sensors (n, k) [m], in global directions."""
+        offset, gain, *_ = model(x)
+        along = (y - offset[:, :, None]) / gain[:, :, None]
+        return np.asarray((along[:, 0] + 1j * along[:, 1]) * np.exp(1j * directions)[:, None])
+
+    x = np.concatenate(
+        [
+            np.ravel([np.array(e.offset) / s for e, s in zip(ellipses, scale, strict=True)]),
+            np.ravel(
+                [np.array(e.radius) / r for e, r in zip(ellipses, levers @ known, strict=True)]
+            )
+            if find == "gain"
+            else known / scale.mean(),
+            np.zeros(n),
+        ]
+    )
+    for _ in range(_REFINEMENTS):  # the contact force follows from where the rotor is
+        pressed = _pressed(machine, part, back @ displaced(x)) / 1e3
+
+        def left(x: np.ndarray, pressed: np.ndarray = pressed) -> np.ndarray:
+            *_, gap, compliance = model(x)
+            return np.ravel(
+                (np.abs(displaced(x)) - levers @ (gap[:, None] + compliance[:, None] * pressed))
+                / scale[:, None]
+            )
+
+        found = least_squares(left, x, loss="soft_l1", f_scale=1e-3)
+        x = found.x
+    if not pressed.any():
+        notes.append(
+            "the record holds no currents, so that the compliance of the contact is in gain or "
+            "clearance"
+        )
+    freedom = max(_SECTORS * n - len(x), 1)  # neighbouring samples err together
+    spread = np.sqrt(
+        np.diag(np.linalg.pinv(found.jac.T @ found.jac)) * float(found.fun @ found.fun) / freedom
+    )
+    offset, gain, gap, _ = model(x)
+    wide, wide_gain, wide_gap, _ = model(2 * spread)
+    wide = wide + given * [
+        [sum(item.amplitude for item in pair.runout)] for pair in pairs
+    ]  # at what angle the rotor stood is not known
+    bearings = list(machine.bearings)
+    for k, pair in enumerate(pairs):
+        for way, axis in enumerate(("zeta", "eta")):
+            at = f"sensor {pair.bearing}"
+            if find == "gain":
+                own = float(gain[k, way])
+                entries.append(
+                    Calibrated(
+                        f"{at} gain {axis}", "-", pair.gain[way], own, float(wide_gain[k, way])
+                    )
+                )
+            entries.append(
+                Calibrated(
+                    f"{at} offset {axis}",
+                    "m",
+                    pair.offset[way],
+                    float(offset[k, way]),
+                    float(wide[k, way]),
+                )
+            )
+        if find == "clearance":
+            before = float("nan") if gaps[k] is None else float(gaps[k] or 0.0)
+            entries.append(
+                Calibrated(
+                    f"bearing {pair.bearing} touchdown_gap",
+                    "m",
+                    before,
+                    float(gap[k]),
+                    float(wide_gap[k]),
+                )
+            )
+            bearings[k] = replace(bearings[k], touchdown_gap=float(gap[k]))
+    sensors = [
+        replace(pair, gain=(float(g[0]), float(g[1])), offset=(float(o[0]), float(o[1])))
+        for pair, g, o in zip(pairs, gain, offset, strict=True)
+    ]
+    return _with_sensors(replace(machine, bearings=tuple(bearings)), sensors)
+
+
+def _pressed(machine: Machine, record: Record, q: np.ndarray) -> np.ndarray:
+    """Contact force (bearings, k) [N] of magnets and weight, outward, at displacements q (bearings,
+    k) [m], x + j y; zero where the record holds no currents.
+    """
+    forces = np.zeros(q.shape)
+    kind = next(
+        (kind for kind in "iu" if all(f"{kind}_{axis}" in record.signals for axis in machine.axes)),
+        "",
+    )
+    _, weight = static_sag(machine)
+    magnets = operating_magnets(machine, record.point.bias_current)
+    for b, bearing in enumerate(machine.bearings if kind else ()):
+        rows = [f"{bearing.name}_{axis}" for axis in ("zeta", "eta")]
+        i = record.select([f"{kind}_{row}" for row in rows]).values
+        if kind == "u":
+            i = i + np.stack(signal_rows(record, [f"e_{row}" for row in rows]))
+        own = q[b] * np.exp(-1j * bearing.angle)
+        p, load = magnets[b].of_force, weight[b]
+        pulls = (
+            np.array(
+                [
+                    magnet.force(*ends, p)
+                    for ends in zip(i[0], i[1], own.real, own.imag, strict=True)
+                ]
+            )
+            + load
+        )
+        outward = pulls[:, 0] * own.real + pulls[:, 1] * own.imag
+        forces[b] = np.maximum(outward / np.abs(own), 0.0)
+    return forces
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Ellipse:
+    """Centre and half-axes [m] along the sensors, and which samples lie on it."""
+
+    offset: Pair
+    radius: Pair
+    used: np.ndarray
+
+    def normal(self, y: np.ndarray) -> np.ndarray:
+        """Samples (2, k) as points (k,) about the unit circle."""
+        return np.asarray(
+            (y[0] - self.offset[0]) / self.radius[0] + 1j * (y[1] - self.offset[1]) / self.radius[1]
+        )
+
+
+def _ellipse(y: np.ndarray, bearing: str) -> _Ellipse:
+    """The ellipse that most samples y (2, k) lie on. Raises InvalidInput where they do not go all
+    around.
+    """
+    scale, used = float(np.ptp(y)), np.ones(y.shape[1], bool)
+    centre, radius = np.zeros(2), np.zeros(2)
+    for _ in range(8):
+        z = y[:, used] / scale
+        A, B, C, D = np.linalg.lstsq(np.vstack([z**2, z]).T, np.ones(z.shape[1]))[0]
+        if A <= 0 or B <= 0:
+            radius = np.zeros(2)
+            break
+        level = 1 + C**2 / (4 * A) + D**2 / (4 * B)
+        centre, radius = (
+            np.array([-C / (2 * A), -D / (2 * B)]) * scale,
+            np.sqrt(level / np.array([A, B])) * scale,
+        )
+        off = np.abs(np.linalg.norm((y - centre[:, None]) / radius[:, None], axis=0) - 1)
+        inner = off <= np.clip(_OUTSIDE * float(np.median(off[used])), *_THICK)
+        if (inner == used).all():
+            break
+        used = inner
+    angle = np.arctan2(
+        *((y[:, used] - centre[:, None]) / np.where(radius > 0, radius, 1.0)[:, None])[::-1]
+    )
+    sectors = len(np.unique((angle % (2 * np.pi) * _SECTORS / 2 / np.pi).astype(int)))
+    if not radius.all() or sectors < _OCCUPIED or used.mean() < 0.5:
+        raise invalid(
+            f"the motion at bearing {bearing}",
+            f"in contact over {360 * sectors // _SECTORS} degrees",
+            "a circle all around",
+            "press the rotor against its touchdown bearing by a slowly turning current, and go "
+            "round once at least",
+        )
+    return _Ellipse(
+        (float(centre[0]), float(centre[1])), (float(radius[0]), float(radius[1])), used
+    )
+
+
+def _runout(
+    machine: Machine,
+    record: Record,
+    harmonics: int,
+    settle: float,
+    entries: list[Calibrated],
+    notes: list[str],
+) -> Machine:
+    pairs, turn = _pairs(machine), revolution(record, settle)
+    plant = assemble(machine_at_load(machine, [record]), record.point)
+    if source_of_currents(record, plant, None) == NONE:
+        raise InvalidInput(
+            "the record of slow roll holds neither u_<axis> nor i_<axis>; the controller follows "
+            "run-out: record them"
+        )
+    profiles: list[list[Runout]] = [[] for _ in pairs]
+    allowed = residual_unbalance(machine)
+    for order in range(1, harmonics + 1):
+        step = Step(order * turn.frequency, turn.start, turn.stop)
+        names = (
+            tuple(bearing.name for bearing in machine.bearings) if order == 1 and allowed else ()
+        )
+        at = influence(plant, names, None, record, step, settle)
+        d = at.blocks / at.per_runout
+        drift = np.abs(d[: len(d) // 2].mean(axis=0) - d[len(d) // 2 :].mean(axis=0)) / 2
+        spread = np.hypot(drift, np.std(d, axis=0) / np.sqrt(len(d) - 1))
+        if names and allowed:
+            spread = np.hypot(
+                spread, np.abs(at.per_unbalance) @ (allowed.moment * np.array(allowed.share)) / 2
+            )
+        for k, (pair, port) in enumerate(zip(pairs, measured_ports(machine)[0::2], strict=True)):
+            ahead = np.exp(1j * order * (port.direction + np.array([0.0, np.pi / 2])))
+            own = d.mean(axis=0)[2 * k : 2 * k + 2] / pair.gain * ahead
+            p, apart = own.mean(), float(np.abs(own[0] - own[1])) / 2
+            half = 2 * float(np.hypot(spread[2 * k : 2 * k + 2].max(), apart))
+            before = next((r.amplitude for r in pair.runout if r.order == order), 0.0)
+            entries.append(
+                Calibrated(
+                    f"sensor {pair.bearing} run-out {order}x", "m", before, float(np.abs(p)), half
+                )
+            )
+            if np.abs(p) > _SEEN * half / 2:
+                profiles[k].append(Runout(order, float(np.abs(p)), float(np.angle(p))))
+    if allowed:
+        notes.append(
+            f"half-widths of 1x hold the unbalance of G{1e3 * allowed.grade:g}; slower rolling "
+            "makes it less"
+        )
+    return _with_sensors(
+        machine,
+        [replace(pair, runout=tuple(own)) for pair, own in zip(pairs, profiles, strict=True)],
+    )
+
+
+def _centres(
+    machine: Machine, records: list[Record], entries: list[Calibrated], notes: list[str]
+) -> Machine:
+    from scipy.optimize import least_squares
+
+    pairs, back = _pairs(machine), np.linalg.inv(_levers(machine))
+    gain, offset = (
+        np.array([getattr(pair, name) for pair in pairs]).ravel() for name in ("gain", "offset")
+    )
+    places = []
+    currents = []
+    biases = []
+    for number, record in enumerate(records, 1):
+        kind = next(
+            (k for k in "iu" if all(f"{k}_{axis}" in record.signals for axis in machine.axes)), ""
+        )
+        if not kind:
+            raise InvalidInput(
+                f"record {number} of the levitated rotor lacks i_<axis> and u_<axis>; record the "
+                "currents"
+            )
+        x = sensor_turn(machine) @ (
+            (record.select([f"y_{axis}" for axis in machine.axes]).values.mean(axis=1) - offset)
+            / gain
+        )
+        places.append(back @ x.reshape(-1, 2))
+        currents.append(
+            record.select([f"{kind}_{axis}" for axis in machine.axes])
+            .values.mean(axis=1)
+            .reshape(-1, 2)
+        )
+        biases.append(record.point.bias_current)
+    hangs, weight = static_sag(machine)
+    places = [place + hangs for place in places]
+    free = (
+        len(
+            {
+                (bias, tuple(np.round(place.ravel(), 6)))
+                for bias, place in zip(biases, places, strict=True)
+            }
+        )
+        > 1
+    )
+    bearings = []
+    bare = replace(
+        machine,
+        bearings=tuple(replace(item, magnetic_offset=(0.0, 0.0)) for item in machine.bearings),
+    )
+    centred = [operating_magnets(bare, bias) for bias in biases]
+    for k, bearing in enumerate(machine.bearings):
+        magnets = [own[k].of_force for own in centred]
+        guess = weight[k]
+        k_s = np.array(centred[0][k].coefficients.negative_stiffness)
+
+        def left(
+            v: np.ndarray, k: int = k, magnets: Any = magnets, guess: Any = guess, k_s: Any = k_s
+        ) -> np.ndarray:
+            load = guess + v[2:] * k_s * _UNIT if free else guess
+            pulls = []
+            for i, q, p in zip(currents, places, magnets, strict=True):
+                at = q[k] - v[:2] * _UNIT
+                pulls.append(magnet.force(i[k, 0], i[k, 1], at[0], at[1], p))
+            return np.ravel((np.array(pulls) + load) / k_s / _UNIT)
+
+        found = least_squares(left, np.zeros(4 if free else 2))
+        J = np.linalg.pinv(found.jac.T @ found.jac)
+        power = float(np.sum(found.fun**2)) / max(len(found.fun) - len(found.x), 1)
+        noise = np.sqrt(np.diag(J) * power)[:2] * _UNIT
+        doubt = np.zeros(2) if free else _WEIGHT * np.abs(guess) / k_s
+        centre = found.x[:2] * _UNIT
+        for way, axis in enumerate(("zeta", "eta")):
+            half = float(2 * np.hypot(noise[way], doubt[way] / 2)) + sum(
+                item.amplitude for item in pairs[k].runout
+            )
+            entries.append(
+                Calibrated(
+                    f"bearing {bearing.name} magnetic_offset {axis}",
+                    "m",
+                    bearing.magnetic_offset[way],
+                    float(centre[way]),
+                    half,
+                )
+            )
+        bearings.append(replace(bearing, magnetic_offset=(float(centre[0]), float(centre[1]))))
+    if not free:
+        notes.append(
+            "the weight is the model's, taken as right to 2 %; a record at another bias current "
+            "makes it an unknown"
+        )
+    return replace(machine, bearings=tuple(bearings))

@@ -1,0 +1,259 @@
+"""The least that still guarantees all that is asked: control action, bias, magnet, amplifier; and
+what robustness costs.
+
+Lauridsen 2017, 7.3: synthesis "can be used to find the minimum control action required to guarantee
+robust performance". Control action is taken as the largest gain of K S_o [A/m] over all
+frequencies: what a micrometre of motion costs in current.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from ambrose.annexes.sizing.guarantee import RESERVE, Trial, attempt, tuning_job
+from ambrose.annexes.sizing.magnets import Size
+from ambrose.core.arguments import names_wrong_types
+from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.core.presentation import Presented, data_frame
+from ambrose.judge.result import Synthesis
+from ambrose.machine.description import Tolerance
+from ambrose.machine.machine import Machine
+from ambrose.model.assemble import assemble
+from ambrose.synthesis.design import design
+from ambrose.synthesis.methods.mu import Mu
+from ambrose.synthesis.methods.tuned import Tuned
+from ambrose.synthesis.trade_off import lowest
+
+LEVERS = ("gain", "weight", "area", "bias", "bandwidth")
+# of one step down; ratio of the last two; share below which nothing is tried
+_STEP = 0.7
+_CLOSE = 1.05
+_LOWEST = 0.02
+_AIMS = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Least(Presented):
+    """The least of a lever that met all, what bound there, and the trials on the way.
+
+    value: gain [A/m] of K S_o, or a share of the machine file's; inf where nothing met all (of the
+    weight, which is as large as may be: 0). refused: the next one that was tried and did not (0:
+    none). synthesis: the controller; None without one.
+    """
+
+    lever: str
+    value: float
+    refused: float
+    binding: str
+    synthesis: Synthesis | None = None
+    machine: Machine | None = None
+
+    def facts(self) -> Mapping[str, Any]:
+        return {
+            "lever": self.lever,
+            "least": self.value,
+            "next smaller that failed": self.refused,
+            "binding": self.binding,
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Price(Presented):
+    """What a tolerance costs: the least of a lever at every width of it."""
+
+    parameter: str
+    widths: tuple[float, ...]
+    found: tuple[Least, ...]
+
+    def facts(self) -> Mapping[str, Any]:
+        rows = zip(self.widths, self.found, strict=True)
+        return {
+            "parameter": self.parameter,
+            "least": [f"+-{100 * w:.3g} %: {item.value:.4g}" for w, item in rows],
+        }
+
+    def to_frame(self) -> Any:
+        """A pandas.DataFrame with a row for each width."""
+        columns = {
+            "width": self.widths,
+            "least": [f.value for f in self.found],
+            "binding": [f.binding for f in self.found],
+        }
+        return data_frame(columns)
+
+
+@names_wrong_types
+def least(
+    machine: Machine,
+    lever: str = "gain",
+    method: Tuned | None = None,
+    *,
+    reserve: float = RESERVE,
+    time_limit: float = 30.0,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Least:
+    """The least of a lever with which a controller of fixed order meets every requirement of the
+    machine file.
+
+    lever: "gain" (of K S_o), or "area" of the magnets' poles, "bias" current or amplifier
+    "bandwidth" as shares of the machine file's. What "meets" covers: ``map.size``. Smaller ones may
+    exist: it is the smallest found. "weight" asks in the thesis' own terms: the largest factor on
+    [weights] control_level at which mu of the design at its point is proved to be at most 1, so
+    that performance is robust on the design model. Raises InvalidInput.
+    """
+    method = (method or Tuned()).without_bank().on(machine)
+    if lever not in LEVERS:
+        raise invalid(
+            "lever",
+            repr(lever),
+            f"one of {', '.join(LEVERS)}",
+            "gain is the thesis' minimum control action",
+        )
+    if lever == "gain":
+        job, law = tuning_job(machine, method, time_limit)
+        value, met, binding, found = lowest(
+            job, law, method.structure, False, time_limit, progress, "gain", _AIMS
+        )
+        return Least("gain", value if met else float("inf"), 0.0, binding, found, machine)
+    if lever == "weight":
+        return _heaviest(machine, method, progress)
+    return _stepped(machine, lever, method, reserve, time_limit, progress)
+
+
+def _heaviest(machine: Machine, method: Tuned, progress: Callable[[str], None]) -> Least:
+    """Bisection over the control weight of mu designs; mu grows with it."""
+    weights = machine.weights
+    if weights is None or weights.control_level is None or not machine.tolerances:
+        raise InvalidInput(
+            "lever weight needs [weights] with control_level, and a [[tolerance]]; add them, or "
+            "take lever gain"
+        )
+    found: dict[float, Synthesis] = {}
+    mu_method = Mu(
+        rate=method.rate,
+        delay_samples=method.delay_samples,
+        bending_modes=method.bending_modes,
+        match_reference=False,
+    )
+
+    def mu(factor: float) -> float:
+        level = factor * weights.control_level
+        plant = assemble(
+            replace(machine, weights=replace(weights, control_level=level)),
+            machine.operation.design,
+        )
+        found[factor] = design(plant, mu_method)
+        progress(f"{factor:.3g} of control_level: mu {found[factor].gamma:.4g}")
+        return found[factor].gamma
+
+    low = high = 1.0
+    while mu(low) > 1 and low > _LOWEST:
+        high, low = low, low / 2
+    while low == high and mu(2 * high) <= 1 and high < 1 / _LOWEST:
+        low = high = 2 * high
+    high = 2 * high if low == high else high
+    if found[low].gamma > 1:
+        return Least("weight", 0.0, low, "mu", machine=machine)
+    while high / low > _CLOSE:
+        middle = (low * high) ** 0.5
+        low, high = (middle, high) if mu(middle) <= 1 else (low, middle)
+    return Least("weight", low, high, "mu", found[low], machine)
+
+
+def _stepped(
+    machine: Machine,
+    lever: str,
+    method: Tuned,
+    reserve: float,
+    time_limit: float,
+    progress: Callable[[str], None],
+) -> Least:
+    best: Trial | None = None
+    tried: list[Trial] = []
+
+    def meets(share: float) -> bool:
+        nonlocal best
+        size = replace(Size(), **{lever: share})
+        trial = attempt(
+            machine,
+            size,
+            method,
+            reserve=reserve,
+            near=best,
+            time_limit=time_limit,
+            progress=progress,
+        )
+        tried.append(trial)
+        if trial.met:
+            best = trial
+        return trial.met
+
+    share, low = 1.0, 0.0
+    if not meets(share):
+        return Least(lever, float("inf"), share, tried[-1].binding)
+    while share > _LOWEST:
+        if not meets(share * _STEP):
+            low = share * _STEP
+            break
+        share *= _STEP
+    while low and share / low > _CLOSE:
+        middle = (share * low) ** 0.5
+        if meets(middle):
+            share = middle
+        else:
+            low = middle
+    assert best is not None
+    failed = [trial.binding for trial in tried if getattr(trial.size, lever) == low]
+    return Least(
+        lever, share, low, failed[0] if failed else best.binding, best.synthesis, best.machine
+    )
+
+
+@names_wrong_types
+def price(
+    machine: Machine,
+    parameter: str,
+    widths: Sequence[float],
+    lever: str = "gain",
+    method: Tuned | None = None,
+    *,
+    reserve: float = RESERVE,
+    time_limit: float = 30.0,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Price:
+    """The ``least`` of a lever at every width (share of the value) of one tolerance, the others as
+    in the machine file.
+
+    Where a wider range was held with less, that controller and its value stand for the narrower one
+    as well. Ctrl-C keeps the widths that are done. Raises InvalidInput.
+    """
+    if not len(widths):
+        raise InvalidInput(
+            "no widths of the tolerance were given; give shares of its value, such as 0.5 and 1"
+        )
+    wanted = sorted({check_positive(width, "a width", "1 is +-100 %") for width in widths})
+    others = tuple(item for item in machine.tolerances if item.parameter != parameter)
+    stated = next(
+        (item for item in machine.tolerances if item.parameter == parameter),
+        Tolerance(parameter, relative=1.0),
+    )
+    found: list[Least] = []
+    sign = -1 if lever == "weight" else 1
+    try:
+        for width in wanted:
+            progress(f"{parameter} +-{100 * width:.3g} %")
+            own = replace(
+                machine, tolerances=(*others, replace(stated, absolute=None, relative=width))
+            )
+            found.append(
+                least(own, lever, method, reserve=reserve, time_limit=time_limit, progress=progress)
+            )
+    except KeyboardInterrupt:
+        if not found:
+            raise
+    for i in range(len(found) - 2, -1, -1):
+        if sign * found[i + 1].value < sign * found[i].value:
+            found[i] = found[i + 1]
+    return Price(parameter, tuple(wanted[: len(found)]), tuple(found))

@@ -1,0 +1,268 @@
+"""Stage: commissioning as on site, with the nonlinear virtual rig in place of the machine.
+
+Record under the reference controller -> identified machine -> controller tuned to its requirements
+as its loop runs, sampled -> C code -> the law read back out of the running code, verified -> the
+code on the rig at every operating point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ambrose.chain.control import resume_or_design
+from ambrose.code.block.fixed import build_block
+from ambrose.code.c.code import write_code
+from ambrose.code.c.compiled import CompiledBlock, read_law
+from ambrose.code.c.compiler import compiler_problem, has_compiler
+from ambrose.code.pipeline import machine_limits
+from ambrose.code.provenance import provenance_lines
+from ambrose.code.sampled import Deployment, deploy, unmet_limits
+from ambrose.core.checks import InvalidInput, NumericalFailure
+from ambrose.core.statespace import StateSpace
+from ambrose.identification.pipeline import identify
+from ambrose.identification.result import LoopIdentification, Provenance
+from ambrose.judge.controller_file import read_controller
+from ambrose.judge.plants import Progress, full_plants
+from ambrose.judge.result import Status, Synthesis
+from ambrose.law.design_problem import design_tolerances
+from ambrose.law.law import LawLike
+from ambrose.law.timing import DEFAULT, Timing, machine_timing
+from ambrose.machine.atomic_write import make_folder, write_text
+from ambrose.machine.file.update import machine_text
+from ambrose.machine.machine import Machine
+from ambrose.model.plant import Plant
+from ambrose.rig import virtual_rig
+from ambrose.rig.candidate import Candidate, Deployed, evaluate
+from ambrose.rig.scenario import load_scenario
+from ambrose.rig.trace import Trace
+from ambrose.rig.trial import simulate_scenario
+from ambrose.synthesis.methods.choice import methods
+
+NAME = "commissioned"
+METHOD = "tuned"
+EXCITATION = "prbs"
+CYCLE = "operating-cycle"
+_RECORDED = 2.0  # s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Commissioning:
+    """identification: its ``machine`` is the one designed for; reference: the controller that held
+    the machine meanwhile; candidate: the new one, verified on that machine as it runs (sampled,
+    late, its law read out of the code), its rig traces from the code; cycle: from rest through
+    run-up, top pressure and trip back to rest, run by the code; deployment: the sampled loop as
+    designed; files: the code; apart: largest difference between the law of the running code and the
+    design's, relative to the largest entry (None: the law in Python ran, for want of a C compiler,
+    or because it is not one sample late).
+    """
+
+    identification: LoopIdentification
+    reference: Synthesis
+    candidate: Candidate
+    cycle: Trace
+    deployment: Deployment
+    files: tuple[Path, ...]
+    apart: float | None
+
+    @property
+    def machine(self) -> Machine:
+        """As identified."""
+        return self.identification.machine
+
+    @property
+    def from_code(self) -> bool:
+        """Whether compiled C code ran on the rig."""
+        return self.apart is not None
+
+    @property
+    def in_words(self) -> tuple[tuple[str, str], ...]:
+        """(what, words) about the sampled controller and its code."""
+        deployed = self.deployment
+        rate = 1 / deployed.controller.dt if deployed.controller.dt else float("nan")
+        rows = [
+            (
+                "Controller",
+                f"{deployed.controller.n_states} states, {rate:g} Hz, {deployed.delay} sample of "
+                "computing delay",
+            ),
+            (
+                "Runs on the rig as",
+                "the compiled C code"
+                if self.from_code
+                else "its law in Python: no code runs here, or not one sample late",
+            ),
+            ("Files", ", ".join(path.name for path in self.files)),
+        ]
+        if self.apart is not None:
+            rows.insert(
+                2,
+                (
+                    "Law read back out of the running code",
+                    f"within {self.apart:.1g} of the design's",
+                ),
+            )
+        for box in deployed.box:
+            worst, unstable = box["sampled.sensitivity.box"], box["sampled.stability.box"]
+            rows.insert(1, ("Sampled loop", f"{unstable.value:.0f} unstable of {unstable.detail}"))
+            rows.insert(2, ("Worst sampled sensitivity", f"{worst.value:.3g} at {worst.detail}"))
+            rows.insert(
+                3,
+                (
+                    "Limits that the sampled loop misses",
+                    "; ".join(unmet_limits(deployed)) or "none",
+                ),
+            )
+        rows.append(
+            ("From rest through run-up, top pressure and trip back to rest", self.cycle.text)
+        )
+        return tuple(rows)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready data: the identification, the sampled loop, what ran on the rig."""
+        return {
+            "identification": self.identification.to_dict(),
+            "sampled": [
+                checks.to_dict() for checks in (*self.deployment.checks, *self.deployment.box)
+            ],
+            "files": [f"code/{path.name}" for path in self.files],
+            "compiled": self.from_code,
+            "rig": {
+                label: trace.outcome
+                for label, trace in self.candidate.traces
+                if "rig" in trace.scenario
+            },
+            "cycle": {"outcome": self.cycle.outcome, "text": self.cycle.text},
+        }
+
+
+def commission(
+    plants: tuple[Plant, ...], reference: Synthesis, directory: Path, progress: Progress
+) -> Commissioning:
+    """Everything under ``directory``: record.h5, identified.toml, identified.html, controller.json
+    and the code.
+
+    plants: of the machine that stands for the real one, the nominal first; reference: the
+    controller that holds it. Raises InvalidInput where the reference controller does not hold the
+    nominal plant or the machine lacks what a robust design needs, and what the stages raise.
+    """
+    if reference.status is not Status.VERIFIED:
+        raise InvalidInput(
+            "the reference controller does not hold the nominal plant, so there is nothing to "
+            "record"
+        )
+    make_folder(directory)
+    if problem := compiler_problem():
+        progress(f"the code will be written, but its law runs in Python: {problem}")
+    record = recorded(plants[0], reference.controller, directory / "record.h5", progress)
+    identification = identified(
+        plants[0].machine, record, reference.controller, directory, progress
+    )
+    machine = identification.machine
+    known = full_plants(machine)
+    progress("controller for the identified machine and its sampled loop")
+    machine_on_site, timing = plants[0].machine, machine_timing(machine) or DEFAULT
+    method = methods()[METHOD](rate=timing.rate, delay_samples=timing.delay_samples)
+    synthesis = resume_or_design(known[0], method, directory / "controller.json", progress)
+    deployment, program, files = compile_controller(known, directory, progress)
+    law, apart = read_running_law(program, deployment)
+    running = Deployed(
+        law, program, plants, Timing(timing.sample_time, deployment.delay, "its code")
+    )
+    tolerances = design_tolerances(known[0].machine)
+    candidate = evaluate(NAME, synthesis, known, progress, deployed=running, tolerances=tolerances)
+    progress("the code takes the rig through its operating cycle")
+    cycle = simulate_scenario(
+        machine_on_site, program, CYCLE, rate=timing.rate, delay_samples=deployment.delay
+    )
+    return Commissioning(identification, reference, candidate, cycle, deployment, files, apart)
+
+
+def recorded(plant: Plant, controller: LawLike, path: Path, progress: Progress) -> Any:
+    """Two seconds of the rig at an operating point, a binary sequence added to every current."""
+    progress(f"recording {_RECORDED:g} s on the virtual rig at {plant.point.label}")
+    scenario = replace(load_scenario(EXCITATION), duration=_RECORDED)
+    trace = virtual_rig.run(plant.machine, controller, scenario, point=plant.point, path=path)
+    if trace.outcome != "completed":
+        raise InvalidInput(f"no record to identify from: {trace.text}")
+    return trace.record
+
+
+def identified(
+    machine: Machine, record: Any, controller: LawLike, directory: Path, progress: Progress
+) -> LoopIdentification:
+    """The identification of the recorded machine; leaves identified.toml and identified.html.
+
+    Raises NumericalFailure where the fit did not converge.
+    """
+    from ambrose.report.page import page_of, write
+
+    names = Provenance(("record.h5",), "the reference controller")
+    done = identify(machine, record, controller, provenance=names, progress=progress)
+    assert isinstance(done, LoopIdentification)  # its method is the closed loop
+    write_text(
+        directory / "identified.toml", done.comment + machine_text(done.machine), "machine file"
+    )
+    write(page_of(done), directory / "identified.html")
+    if not done.result.converged:
+        raise NumericalFailure(
+            f"{done.verdict}; no controller is designed for them, see identified.html"
+        )
+    return done
+
+
+def compile_controller(
+    plants: tuple[Plant, ...], directory: Path, progress: Progress
+) -> tuple[Deployment, CompiledBlock | StateSpace, tuple[Path, ...]]:
+    """Sampled, verified as it will run, written as C and, where there is a compiler, running; else
+    its law in Python.
+    """
+    machine = plants[0].machine
+    file, timing = (
+        read_controller(directory / "controller.json"),
+        machine_timing(machine) or DEFAULT,
+    )
+    narrow = tuple(
+        replace(plant, machine=replace(machine, tolerances=design_tolerances(machine)))
+        for plant in plants
+    )
+    delay = timing.delay_samples * timing.sample_time
+    deployment = deploy(file, timing.sample_time, delay, plants=narrow, progress=progress)
+    errors, currents = machine_limits(machine)
+    if errors is None or currents is None:
+        raise InvalidInput(
+            f"machine {machine.name!r} states no gap or max_current of a bearing; the code needs "
+            "both as limits"
+        )
+    block = build_block(deployment, "controller", errors, currents)
+    progress("writing the C code")
+    files = tuple(
+        write_code(directory / "code", block, "double", provenance_lines(file, deployment))
+    )
+    # the rig runs code that is one sample late, no other
+    if deployment.delay == 1 and has_compiler():
+        try:
+            return deployment, CompiledBlock(block), files
+        except InvalidInput as error:
+            progress(f"its law runs in Python: {error}")
+    return deployment, block.system, files
+
+
+def read_running_law(
+    program: CompiledBlock | StateSpace, deployment: Deployment
+) -> tuple[StateSpace, float | None]:
+    """The law that runs, without the computing delay, read out of code if it is code; and how far
+    it is from the design's.
+    """
+    if not isinstance(program, CompiledBlock):
+        return program, None
+    law = read_law(program)
+    pairs = [(getattr(law, letter), getattr(program.system, letter)) for letter in "ABCD"]
+    return law, max(
+        float(np.abs(found - meant).max() / np.abs(meant).max())
+        for found, meant in pairs
+        if meant.any()
+    )

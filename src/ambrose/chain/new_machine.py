@@ -1,0 +1,426 @@
+"""A whole machine from a rotor: magnets, sensors, amplifiers, a PID that holds it, points,
+requirements and weights.
+
+What is not known is chosen by the rules of this file and written down as assumed, for a new machine
+and for an imported rotor alike. The rules are those of thumb of Schweitzer & Maslen 2009, chapters
+2, 4 and 9.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ambrose.chain.check import shares
+from ambrose.core.checks import InvalidInput, check_positive, invalid, named_failure
+from ambrose.judge.unavoidable import unavoidable_sensitivity
+from ambrose.machine.controller import PidSettings
+from ambrose.machine.description import (
+    Amplifier,
+    DesignWeights,
+    MachineDescription,
+    MagnetGeometry,
+    MagneticBearing,
+    OperatingPoint,
+    Operation,
+    Requirements,
+)
+from ambrose.machine.file.annotated import annotated_machine
+from ambrose.machine.file.toml import loads_machine
+from ambrose.machine.machine import Machine
+from ambrose.machine.rotor_model import Disc, RotorModel, ShaftSection
+from ambrose.machine.stator import Sensor
+from ambrose.machine.units import DIMENSIONS, read_quantity
+from ambrose.model.assemble import assemble
+from ambrose.model.effects.magnet import VACUUM_PERMEABILITY
+from ambrose.model.effects.rotor import (
+    STANDARD_GRAVITY,
+    finite_element_rotor,
+    free_modes,
+    mass_properties,
+    plane_rows,
+)
+from ambrose.model.static_load import magnet_coefficients
+from ambrose.synthesis.first_pid import holding_pid, in_hertz, rounded
+
+BIAS_FLUX = 0.6  # [T] half of what the iron carries
+NOT_HELD = "NO SUCH PID HOLDS THE MACHINE"
+_LOADS = 3.0  # times its share of the weight a bearing carries
+_GRADE = 2.5e-3  # [m/s] balance grade G2.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Known:
+    """What is known beside the rotor, SI; None: chosen. load [N]: of a bearing, the force that it
+    must reach; gap [m] of the magnets; force_per_current [N/A], negative_stiffness [N/m] and
+    bias_current [A] of every bearing; rate [Hz] of the controller. vertical: the rotor stands, and
+    its weight loads no radial bearing.
+    """
+
+    load: float | None = None
+    gap: float | None = None
+    bias_current: float | None = None
+    force_per_current: float | None = None
+    negative_stiffness: float | None = None
+    rate: float | None = None
+    vertical: bool = False
+
+
+_DIMENSIONS = {
+    **dict.fromkeys(("length", "diameter", "gap", "bearings"), "length"),
+    "speed": "angular rate",
+    "load": "force",
+    "bias_current": "current",
+    "force_per_current": "force per current",
+    "negative_stiffness": "stiffness",
+}
+_DISC = ("length", "mass", "length")
+_SLENDER = 100  # length over diameter that is a wire rather than a rotor
+
+
+def quantity_of(key: str, value: Any) -> float:
+    """A number [SI], or a text with a unit. Raises InvalidInput."""
+    try:
+        number = read_quantity(value, DIMENSIONS[_DIMENSIONS[key]])
+    except ValueError as error:
+        raise InvalidInput(f"{key} {error}") from None
+    return check_positive(number, key, "give its size", zero_allowed=key in {"speed", "bearings"})
+
+
+def quantities_of(key: str, text: str) -> tuple[float, ...]:
+    """Several texts with a unit, separated by commas. Raises InvalidInput."""
+    return tuple(quantity_of(key, part.strip()) for part in text.split(","))
+
+
+def new_machine(
+    name: str = "my machine",
+    *,
+    length: float | str,
+    diameter: float | str,
+    speed: float | str = 0.0,
+    discs: Sequence[Sequence[Any]] = (),
+    bearings: Sequence[float | str] = (),
+    vertical: bool = False,
+    rate: float | None = None,
+    **known: Any,
+) -> Machine:
+    """A machine of a plain steel shaft with discs on magnetic bearings, all the rest chosen so that
+    it levitates.
+
+    Numbers in SI, or texts with a unit ("600 mm", "12000 rpm"). length and diameter of the shaft,
+    speed: the highest; discs: (position, mass, diameter) each; bearings: their positions (none:
+    two, near the ends). known: load [N] that a bearing must reach, gap [m], bias_current [A],
+    force_per_current [N/A], negative_stiffness [N/m]; rate [Hz] of the controller. What was chosen
+    is marked in ``machine.assumed`` with its reason; ``save_machine`` writes the file with comments
+    and units. Raises InvalidInput.
+    """
+    unknown = [key for key in known if key not in _DIMENSIONS]
+    if unknown:
+        raise InvalidInput(
+            f"new_machine has no option {unknown[0]!r}; it takes {', '.join(_DIMENSIONS)}, discs, "
+            "vertical, rate"
+        )
+    long, thick = quantity_of("length", length), quantity_of("diameter", diameter)
+    wheels = tuple(_disc(number, long, entry) for number, entry in enumerate(discs, 1))
+    rotor = RotorModel(
+        name,
+        (ShaftSection(0.0, long, thick, elements=_elements(long, thick), label="shaft"),),
+        wheels,
+        tuple(quantity_of("bearings", place) for place in bearings),
+        quantity_of("speed", speed),
+    )
+    found = {key: quantity_of(key, value) for key, value in known.items() if value is not None}
+    return machine_of_rotor(rotor, Known(vertical=vertical, rate=rate, **found))
+
+
+@named_failure("the new machine")
+def machine_of_rotor(rotor: RotorModel, known: Known | None = None) -> Machine:
+    """The rotor on magnetic bearings: what neither says is chosen, and marked in ``assumed``.
+    Raises InvalidInput.
+    """
+    known = known or Known()
+    bare = MachineDescription(
+        rotor.name, rotor.shaft, (), (), discs=rotor.discs, beam_theory=rotor.beam_theory
+    )
+    reasons = dict(rotor.assumed)
+    speed = rotor.speed or 0.0
+    model = finite_element_rotor(bare)
+    mass, centre = mass_properties(model).mass, mass_properties(model).centre
+    places = rotor.bearings or _places(bare, reasons)
+    for place in places:
+        if not 0 <= place <= bare.length:
+            raise invalid(
+                "bearings",
+                f"{place:g} m",
+                f"on the shaft, from 0 to {bare.length:g} m",
+                "count from the left end",
+            )
+    if len(places) > 1 and np.diff(np.sort(places)).min() < 1e-3 * bare.length:
+        raise invalid(
+            "bearings",
+            f"{len(places)} with two at one place",
+            "apart from each other",
+            "name every place once",
+        )
+    slim = bare.length / max(section.outer_diameter for section in bare.shaft)
+    if slim > _SLENDER:
+        raise invalid(
+            "the rotor",
+            f"{slim:.3g} diameters long",
+            f"at most {_SLENDER}",
+            "check the units of length and diameter",
+        )
+    if known.rate is not None:
+        check_positive(known.rate, "rate", "10000 Hz is usual")
+    loads = shares(mass * STANDARD_GRAVITY, centre, places)
+    bearing = _magnet(known, bare, float(max(loads)), mass / len(places) * _GRADE * speed, reasons)
+    names = [chr(ord("A") + i) if len(places) <= 26 else f"B{i + 1}" for i in range(len(places))]
+    pole = math.sqrt(_stiffness(bearing) * len(places) / mass)
+    fast = max(speed, pole) / (2 * math.pi)
+    sampling = known.rate or (10e3 if fast <= 400 else 5e3 * math.ceil(fast * 25 / 5e3))
+    reasons |= {
+        "amplifier.bandwidth": "1.5 kHz is usual; at least three times the top speed, and ten "
+        "times the unstable pole",
+        "modal_damping": "0.5 %, usual for a steel shaft with shrunk-on parts",
+    }
+    if known.rate is None:
+        reasons["controller.sample_time"] = (
+            "10 kHz is usual; 25 times the top speed or the unstable pole where that is more"
+        )
+    corner = in_hertz(max(2 * math.pi * 1500, 3 * speed, 10 * pole), 2)
+    points = (OperatingPoint(label="standstill"),)
+    machine = Machine(
+        name=rotor.name,
+        shaft=rotor.shaft,
+        discs=rotor.discs,
+        bearings=tuple(
+            replace(bearing, name=name, position=place)
+            for name, place in zip(names, places, strict=True)
+        ),
+        sensors=_sensors(bare, names, places, reasons),
+        amplifier=Amplifier("first", corner),
+        operation=Operation(
+            (OperatingPoint(speed, label="top speed"), *points) if speed else points, (0.0, speed)
+        ),
+        beam_theory=rotor.beam_theory,
+        source=rotor.source,
+        gravity_direction=None if known.vertical else -math.pi / 2,
+        controller=PidSettings(sample_time=1 / sampling, delay=1 / sampling),
+    )
+    settings, peak = holding_pid(machine)
+    k_i, k_s = magnet_coefficients(machine, machine.operation.design)
+    reasons["controller"] = (
+        f"K_p = {settings.gain[0] / float((k_s / k_i).max()):.2g} k_s/k_i, T_d by the rigid "
+        "rotor's pace; "
+        + (
+            f"holds all points, largest sensitivity {peak:.2g}"
+            if peak < math.inf
+            else f"{NOT_HELD}, design another"
+        )
+    )
+    machine = replace(machine, controller=settings)
+    machine = _with_aims(machine, reasons)
+    written = annotated_machine(replace(machine, assumed=tuple(sorted(reasons.items()))), _TITLE)
+    return loads_machine(written, rotor.name)
+
+
+_TITLE = (
+    "A machine for Ambrose: numbers have units, what was chosen and not measured is marked "
+    '"assumed" and listed\n'
+    "with its reason. Replace it by what you know, then: ambrose check, ambrose synthesize, "
+    "ambrose simulate."
+)
+
+
+def _elements(length: float, diameter: float) -> int:
+    return int(min(max(math.ceil(length / diameter), 12), 60))
+
+
+def _disc(number: int, length: float, entry: Sequence[Any]) -> Disc:
+    what = f"disc {number}"
+    if isinstance(entry, str) or not isinstance(entry, Sequence) or len(entry) != 3:
+        raise invalid(
+            what, repr(entry), "position, mass and diameter", 'such as ("300 mm", "8 kg", "250 mm")'
+        )
+    try:
+        at, heavy, thick = (
+            read_quantity(value, DIMENSIONS[kind]) for value, kind in zip(entry, _DISC, strict=True)
+        )
+    except ValueError as error:
+        raise InvalidInput(f"{what} {error}") from None
+    check_positive(heavy, f"the mass of {what}", "give it in kg")
+    check_positive(thick, f"the diameter of {what}", "give it in m")
+    if not 0 <= at <= length:
+        raise invalid(
+            f"the position of {what}",
+            f"{at:g} m",
+            f"on the shaft, from 0 to {length:g} m",
+            "correct it",
+        )
+    polar = rounded(heavy * thick**2 / 8, 4)
+    return Disc(f"disc{number}", at, heavy, polar, polar / 2)
+
+
+def _places(bare: MachineDescription, reasons: dict[str, str]) -> tuple[float, float]:
+    """Two bearings, an eighth of the free length inside of what overhangs at the ends."""
+    long = bare.length
+    low = max((d.position for d in bare.discs if d.position < 0.25 * long), default=0.0)
+    high = min((d.position for d in bare.discs if d.position > 0.75 * long), default=long)
+    reasons["bearing.position"] = (
+        "an eighth of the free length from the ends, or from the discs that overhang there"
+    )
+    inset = rounded((high - low) / 8, 3)
+    return rounded(low + inset, 4), rounded(high - inset, 4)
+
+
+def _magnet(
+    known: Known, bare: MachineDescription, share: float, unbalance: float, reasons: dict[str, str]
+) -> MagneticBearing:
+    """A bearing without name and place, of the force that the heaviest loaded one needs."""
+    force = known.load or rounded(max(_LOADS * share, 2 * share + 3 * unbalance), 2)
+    if known.load is None:
+        rule = f"{_LOADS:g} times the larger share of the rotor's weight, {share:.3g} N"
+        reasons["bearing.max_force"] = (
+            f"{rule}; or twice that and three times the unbalance force of G2.5 at top speed"
+        )
+    thick = max(section.outer_diameter for section in bare.shaft)
+    gap = known.gap or min(max(round((0.3e-3 + 2e-3 * thick) / 5e-5) * 5e-5, 2.5e-4), 1e-3)
+    gap = rounded(gap, 6)
+    if known.gap is None:
+        reasons["bearing.gap"] = "0.3 mm and 2 thousandths of the shaft's diameter"
+    reasons["bearing.touchdown_gap"] = "half of the magnets' gap, as usual"
+    bias = known.bias_current
+    if bias is None:
+        if known.force_per_current is not None and known.negative_stiffness is not None:
+            bias = known.negative_stiffness * gap / known.force_per_current
+            reasons["bearing.bias_current"] = "k_s gap / k_i"
+        else:
+            bias = 2.5 * (force / 500) ** (1 / 3)
+            reasons["bearing.bias_current"] = "a usual current for a magnet of this force"
+        bias = rounded(bias, 2)
+    reasons["bearing.max_current"] = (
+        "the bias current: beyond, one of the two opposite coils is off"
+    )
+    made = MagneticBearing(
+        "A",
+        0.0,
+        bias,
+        angle=0.0 if known.vertical else math.pi / 4,
+        gap=gap,
+        touchdown_gap=rounded(gap / 2, 6),
+        max_current=bias,
+        max_force=force,
+    )
+    if known.force_per_current is not None or known.negative_stiffness is not None:
+        k_i = known.force_per_current or rounded((known.negative_stiffness or 0.0) * gap / bias, 3)
+        k_s = known.negative_stiffness or rounded(k_i * bias / gap, 3)
+        if known.force_per_current is None:
+            reasons["bearing.force_per_current"] = "k_s gap / bias"
+        if known.negative_stiffness is None:
+            reasons["bearing.negative_stiffness"] = "k_i bias / gap"
+        return replace(made, force_per_current=(k_i, k_i), negative_stiffness=(k_s, k_s))
+    geometry = MagnetGeometry(1.0, 1.0, gap)
+    turns = max(float(round(2 * BIAS_FLUX * gap / (VACUUM_PERMEABILITY * bias))), 1.0)
+    flux = VACUUM_PERMEABILITY * turns * bias / (2 * gap)
+    area = (
+        rounded(
+            force * VACUUM_PERMEABILITY / (4 * flux**2 * math.cos(geometry.pole_half_angle)) * 1e6,
+            3,
+        )
+        * 1e-6
+    )
+    reasons["bearing.geometry"] = (
+        f"eight poles whose bias flux is {flux:.2g} T, half of what iron carries, and whose area "
+        "gives max_force with all the "
+        "current in one of two opposite coils"
+    )
+    return replace(made, geometry=replace(geometry, turns=turns, pole_area=float(f"{area:.9g}")))
+
+
+def _stiffness(bearing: MagneticBearing) -> float:
+    if bearing.negative_stiffness is not None:
+        return bearing.negative_stiffness[0]
+    from ambrose.model.effects.magnet import linearised
+
+    return linearised(bearing).negative_stiffness[0]
+
+
+def _sensors(
+    bare: MachineDescription, names: Sequence[str], places: Sequence[float], reasons: dict[str, str]
+) -> tuple[Sensor, ...]:
+    """Beside each bearing, on the side where the two lowest bending modes move both the same way,
+    else at its middle.
+    """
+    reasons["sensor.position"] = (
+        "beside the bearing, on the side where the lowest two bending modes move both the same way"
+    )
+    rotor = finite_element_rotor(bare)
+    shapes = free_modes(rotor, 2).shapes
+    plane = np.empty((2 * rotor.n_nodes, 2))
+    plane[0::2], plane[1::2] = shapes[0::4, 4::2], shapes[3::4, 4::2]
+    long, found = bare.length, []
+    for name, place in zip(names, places, strict=True):
+        outward = -1.0 if place < long / 2 else 1.0
+        sides = [
+            place + side * outward * share * long for share in (0.04, 0.02) for side in (1.0, -1.0)
+        ] + [place]
+        clear = [at for at in sides if 0.01 * long <= at <= 0.99 * long] or [place]
+        w = plane_rows(rotor, [place, *clear])[0] @ plane
+        same = [bool((w[0] * row > 0).all()) for row in w[1:]]
+        found.append(Sensor(name, rounded(clear[same.index(True)] if any(same) else place, 4)))
+    return tuple(found)
+
+
+def _with_aims(machine: Machine, reasons: dict[str, str]) -> Machine:
+    """Requirements after the standards' zone A, and weights in the proportions of the seal rig
+    (P5).
+    """
+    top, bearing = machine.operation.speed_range[1], machine.bearings[0]
+    settings = machine.controller
+    assert (
+        settings is not None
+        and bearing.touchdown_gap is not None
+        and bearing.max_current is not None
+    )
+    k_i, k_s = magnet_coefficients(machine, machine.operation.design)
+    least = unavoidable_sensitivity(assemble(machine, machine.operation.design))[0]
+    orbit = rounded(0.3 * bearing.touchdown_gap, 2)
+    peak = max(3.0, rounded(1.5 * least, 2))
+    turning: dict[str, Any] = (
+        {}
+        if not top
+        else {
+            "balance_grade": _GRADE,
+            "balance_speed": top,
+            "unbalance_orbit": orbit,
+            "unbalance_to": top,
+        }
+    )
+    reasons["requirements.sensitivity_peak"] = "zone A of ISO 14839-3" + (
+        ", beyond its reach here" if peak > 3 else ""
+    )
+    if turning:
+        reasons["requirements.unbalance_orbit"] = (
+            "zone A of ISO 14839-2, 0.3 times the touchdown gap, for G2.5 at top speed"
+        )
+    error = rounded(0.1 * bearing.touchdown_gap, 2)
+    reasons["weights"] = (
+        "a tenth of the touchdown gap, a current in the proportion of P5's test rig, the PID's "
+        "integral time"
+    )
+    return replace(
+        machine,
+        requirements=Requirements(
+            sensitivity_peak=peak, max_current=bearing.max_current, **turning
+        ),
+        weights=DesignWeights(
+            error,
+            rounded(7.5 * float((k_s / k_i).mean()) * error, 2),
+            in_hertz(1 / (3 * (settings.integral_time or 1.0)), 2),
+            0.3,
+        ),
+    )

@@ -1,0 +1,51 @@
+"""Stage: the plants of a machine, and what they tell about it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ambrose.chain.check import insight
+from ambrose.core.checks import named_failure
+from ambrose.core.statespace import poles
+from ambrose.machine.machine import Machine
+from ambrose.model.assemble import assemble
+from ambrose.model.effects.rotor import (
+    finite_element_rotor,
+    free_bending_frequencies,
+    mass_properties,
+)
+from ambrose.model.reduce import reduce_from
+
+
+@named_failure("the model of the machine")
+def facts(machine: Machine) -> dict[str, Any]:
+    """What `ambrose check` tells about a machine, SI units: mass properties, bending frequencies,
+    open-loop poles, sizes.
+    """
+    rotor = finite_element_rotor(machine)
+    properties = mass_properties(rotor)
+    plant = assemble(machine)
+    reduced = reduce_from(plant, 0)
+    values = poles(plant.rotor)
+    return {
+        "machine": machine.name,
+        "description": machine.description,
+        "mass_kg": properties.mass,
+        "centre_m": properties.centre,
+        "diametral_inertia_kg_m2": properties.diametral_inertia,
+        "polar_inertia_kg_m2": properties.polar_inertia,
+        "bending_rad_s": free_bending_frequencies(rotor, 3).tolist(),
+        "unstable_poles_rad_s": [[float(p.real), float(p.imag)] for p in values if p.real > 0],
+        "rotor_states": plant.rotor.n_states,
+        "plant_states": plant.system.n_states,
+        "reduced_rotor_states": reduced.rotor.n_states,
+        "reduced_plant_states": reduced.system.n_states,
+        "operating_points": [point.label for point in machine.operation.envelope],
+        "tolerances": [tolerance.parameter for tolerance in machine.tolerances],
+        "assumed": len(machine.assumed),
+        **insight(
+            plant
+            if machine.operation.design is plant.point
+            else assemble(machine, machine.operation.design)
+        ),
+    }

@@ -1,0 +1,333 @@
+"""The whole chain, one call per stage: machine file -> plants -> controller -> verification ->
+simulation -> report.
+
+Read this first. Each stage is a plain function of the results before it (package ``stages``);
+``study`` calls them in order and leaves what they made in one directory. A second run for the same
+machine takes the controllers up from there. The last stage commissions: it identifies the machine
+from a record of the virtual rig and runs a controller for it there as C code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from ambrose.chain.commissioning import NAME, Commissioning, commission
+from ambrose.chain.control import resume_or_design
+from ambrose.core.checks import AmbroseError, InvalidInput
+from ambrose.core.presentation import Presented, data_frame, to_plain
+from ambrose.judge.checks import Curve, check_columns
+from ambrose.judge.plants import Progress, campbell_map, full_plants, plant_gain
+from ambrose.judge.result import Status, Synthesis
+from ambrose.machine.atomic_write import make_folder, set_aside, write_json
+from ambrose.machine.claim import claimed
+from ambrose.machine.machine import Machine
+from ambrose.model.plant import Plant
+from ambrose.model.reduce import reduce
+from ambrose.model.uncertainty import not_varied
+from ambrose.registry import registered
+from ambrose.rig.candidate import Candidate, evaluate, points_of, run_ups
+from ambrose.rig.trial import RunUp
+from ambrose.synthesis.design import methods_for
+from ambrose.synthesis.methods.choice import methods
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Study(Presented):
+    """All results of one run; plants, checks and traces go by operating point, the nominal one
+    first.
+
+    candidates: the tuned controller, then those that the machine file allows (PID, H-infinity, mu),
+    with checks and traces. speed_curves: the Campbell map with the first of them, for machines that
+    turn. failed: (controller, why) for those that could not be designed. commissioned: what
+    commissioning on the rig gave, its controller among the candidates (None: not possible, see
+    failed). run_ups: scheduled and robust controllers while the machine runs up. unwritten: why a
+    result could not be written.
+    """
+
+    machine: Machine
+    plants: tuple[Plant, ...]
+    reduced: Plant
+    candidates: tuple[Candidate, ...]
+    speed_curves: tuple[Curve, ...] = ()
+    failed: tuple[tuple[str, str], ...] = ()
+    commissioned: Commissioning | None = None
+    run_ups: tuple[RunUp, ...] = ()
+    unwritten: tuple[str, ...] = ()
+
+    @property
+    def best(self) -> Candidate:
+        """The candidate that meets every requirement with most to spare, or comes nearest to it."""
+        from ambrose.report.comparison.envelope import nearest
+
+        return nearest(self.candidates)
+
+    @property
+    def passed(self) -> bool:
+        """Whether one controller meets every check at every operating point and over the
+        tolerances.
+        """
+        return any(candidate.passed for candidate in self.candidates)
+
+    def facts(self) -> dict[str, Any]:
+        """Machine, controllers, the best of them and whether it meets every check."""
+        facts = {"machine": self.machine.name, "passed": self.passed, "best": self.best.name}
+        failed = {"failed": [name for name, _ in self.failed]} if self.failed else {}
+        unwritten = {"unwritten": list(self.unwritten)} if self.unwritten else {}
+        return {
+            **facts,
+            "controllers": [candidate.name for candidate in self.candidates],
+            **failed,
+            **unwritten,
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """The study as JSON-ready data: certificates and checks of every candidate."""
+        return {
+            "machine": self.machine.name,
+            "passed": self.passed,
+            "best": self.best.name,
+            "failed": dict(self.failed),
+            "run_up": {
+                run.name: {
+                    where: [
+                        {
+                            "start_s": s.start,
+                            "speed_rad_s": s.speed,
+                            "peak_m": s.peak,
+                            "settling_s": to_plain(s.settling),
+                        }
+                        for s in steps
+                    ]
+                    for where, steps in (("linear", run.linear_steps), ("rig", run.rig_steps))
+                }
+                for run in self.run_ups
+            },
+            "commissioned": self.commissioned.to_dict() if self.commissioned else None,
+            "controllers": {
+                c.name: {
+                    "status": str(c.synthesis.status),
+                    "stopped_early": c.synthesis.stopped_early,
+                    "certificate": c.synthesis.certificate.to_dict(),
+                    "points": [checks.to_dict() for checks in c.checks],
+                    "left_out": list(c.left_out),
+                    "boxes": [box.to_dict() for box in c.boxes],
+                    "ranges": [checks.to_dict() for checks in c.ranges],
+                    "timing": c.timing,
+                }
+                for c in self.candidates
+            },
+        }
+
+    def to_frame(self) -> Any:
+        """Every check of every controller as a pandas DataFrame: controller, point, then the check.
+        Raises InvalidInput without pandas.
+        """
+        rows = [
+            (c.name, checks.label, check)
+            for c in self.candidates
+            for checks in c.verifications
+            for check in checks.checks
+        ]
+        names = {
+            "controller": [name for name, _, _ in rows],
+            "point": [label for _, label, _ in rows],
+        }
+        return data_frame({**names, **check_columns([check for *_, check in rows])})
+
+
+def study(
+    machine: Machine, directory: str | Path, progress: Progress = lambda stage: None
+) -> Study:
+    """All stages in order; leaves controller-<method>.json, commissioned/, checks.json and
+    report.html in ``directory``.
+
+    A report of an earlier run, its checks and its code are called ``earlier-...`` before anything
+    is made anew. What cannot be written in the end is told in ``unwritten``, with all results kept.
+    Raises InvalidInput for a machine with neither controller settings nor weights, and where
+    ``directory`` cannot be written or another run writes it.
+    """
+    with claimed(make_folder(directory), "study"):
+        return _study(machine, Path(directory), progress)
+
+
+def _study(machine: Machine, directory: Path, progress: Progress) -> Study:
+    progress("assembling the finite-element plant at every operating point")
+    plants = full_plants(machine)
+    progress("reducing it")
+    reduced = reduce(plants[0])
+    for name in ("checks.json", "report.html", "commissioned/code"):
+        set_aside(directory / name)
+    candidates, failed = _candidates(plants, directory, progress)
+    commissioned = None
+    try:
+        commissioned = commission(
+            plants, _reference(candidates), directory / "commissioned", progress
+        )
+        candidates.append(commissioned.candidate)
+    except AmbroseError as error:
+        progress(f"not commissioned; {error}")
+        failed.append(("commissioning", str(error)))
+    speed_curves = campbell_map(plants[0], candidates[0].synthesis.controller, progress)
+    rising = run_ups(plants[0], tuple(candidates), progress)
+    result = Study(
+        machine,
+        plants,
+        reduced,
+        tuple(candidates),
+        speed_curves,
+        tuple(failed),
+        commissioned,
+        rising,
+    )
+    progress("writing the report")
+    unwritten = []
+    for write in (
+        lambda: write_json(directory / "checks.json", result.to_dict()),
+        lambda: write_report(result, directory / "report.html"),
+    ):
+        try:
+            write()
+        except InvalidInput as error:
+            unwritten.append(str(error))
+    return replace(result, unwritten=tuple(unwritten))
+
+
+def study_methods(plant: Plant) -> tuple[str, ...]:
+    """What a study designs by: what the machine file allows, then the annexes' that suit it."""
+    return (*methods_for(plant), *(n for n in registered("method") if methods()[n].suits(plant)))
+
+
+def _candidates(
+    plants: tuple[Plant, ...], directory: Path, progress: Progress
+) -> tuple[list[Candidate], list[tuple[str, str]]]:
+    """Every controller that the machine allows, evaluated; and (controller, why) of those that
+    could not be designed.
+    """
+    candidates: list[Candidate] = []
+    failed: list[tuple[str, str]] = []
+    for method in study_methods(plants[0]):
+        name = methods()[method].title
+        progress(f"{name}: controller")
+        try:
+            synthesis = resume_or_design(
+                plants[0], methods()[method](), directory / f"controller-{method}.json", progress
+            )
+        except AmbroseError as error:  # one infeasible design leaves the others their verdict
+            progress(f"{name}: no controller; {error}")
+            failed.append((name, str(error)))
+        else:
+            candidates.append(evaluate(name, synthesis, plants, _prefixed(name, progress)))
+    if not candidates:
+        machine = plants[0].machine.name
+        why = (
+            "; ".join(f"{name}: {text}" for name, text in failed)
+            or "it has no [controller] and no [weights]; add one"
+        )
+        raise InvalidInput(f"no controller for machine {machine!r}: {why}")
+    return candidates, failed
+
+
+def _reference(candidates: Sequence[Candidate]) -> Synthesis:
+    """Under which controller the machine is identified: the PID as on site, or else the first,
+    where it holds no point.
+    """
+    order = sorted(
+        candidates,
+        key=lambda item: (
+            item.synthesis.status is not Status.VERIFIED,
+            item.synthesis.method != "pid",
+        ),
+    )
+    return order[0].synthesis
+
+
+def _prefixed(name: str, progress: Progress) -> Progress:
+    return lambda stage: progress(f"{name}: {stage}")
+
+
+def _loops_judged(candidates: tuple[Candidate, ...]) -> str:
+    """Which loop was judged of which controllers, in words."""
+    names: dict[str, list[str]] = {}
+    for candidate in candidates:
+        names.setdefault(candidate.timing, []).append(candidate.name)
+    return "; ".join(
+        f"of {', '.join(own)} {timing}" if len(names) > 1 else timing
+        for timing, own in names.items()
+    )
+
+
+def write_report(result: Study, path: Path) -> None:
+    """report.html: one self-contained page that compares the candidates."""
+    from ambrose.report.comparison.page import comparison_page
+    from ambrose.report.comparison.tables import grouped
+    from ambrose.report.page import write
+    from ambrose.report.study import commissioning_section, run_up_section
+
+    names, limit = (
+        [candidate.name for candidate in result.candidates],
+        result.machine.requirements.settling_time,
+    )
+    sections = [run_up_section(result.run_ups, limit, names)] if result.run_ups else []
+    if (done := result.commissioned) is not None:
+        points = points_of(result.machine, result.candidates)
+        reference = next(
+            candidate for candidate in result.candidates if candidate.synthesis is done.reference
+        )
+        words = done.in_words
+        sections.append(
+            commissioning_section(
+                done.identification,
+                reference,
+                done.candidate,
+                points,
+                words,
+                done.cycle,
+                from_code=done.from_code,
+            )
+        )
+    full, reduced = result.plants[0], result.reduced
+    report = comparison_page(
+        result.machine,
+        result.candidates,
+        models=(
+            (
+                "full model",
+                f"{full.rotor.n_states} rotor states, {full.system.n_states} with amplifiers and "
+                "sensors",
+            ),
+            (
+                "reduced model",
+                f"{reduced.rotor.n_states} rotor states, {reduced.system.n_states} with "
+                "amplifiers and sensors",
+            ),
+        ),
+        comparison=[
+            (f"{name}, {plant.rotor.n_states} states", plant_gain(plant))
+            for name, plant in (("full", full), ("reduced", reduced))
+        ],
+        over_speed=[(full.point.label, curve) for curve in result.speed_curves],
+        extra=sections,
+        facts=(
+            (
+                "Verified on",
+                f"the full model at {len(result.plants)} operating points, and over all "
+                "tolerances around them",
+            ),
+            *(
+                ("Not varied around", grouped(still))
+                for still in [[w for p in result.plants for w in not_varied(p)]]
+                if still
+            ),
+            ("Loop judged", _loops_judged(result.candidates)),
+            *(
+                (f"{NAME} verified on", "the identified machine, as it runs: sampled, late")
+                for _ in [done]
+                if done
+            ),
+            *((f"No {name}", why) for name, why in result.failed),
+        ),
+    )
+    write(report, path)

@@ -1,0 +1,191 @@
+"""The block in whole numbers: Q formats that cannot overflow, chosen row by row, and how far the
+result may be off.
+
+Signals are words of ``word`` bits that hold -1..1 as -2^s..2^s, s = word - 2 (errors in
+error_limit, currents in current_limit, states in their bound). Sums are accumulated in twice the
+word. Coefficients of one row share the factor 2^f, as large as the row's sum allows: sum |c| 2^f
+2^s <= 2^(2 word - 2) whatever the signals are. States are kept in double words, with the bits below
+the signal's resolution, so that an integrator never loses a small increment (no dead zone, no limit
+cycle from it).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ambrose.code.block.block import block_slices
+from ambrose.code.block.fixed import ControlBlock
+from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.peak_gain import peak_gains
+
+WORDS = (16, 32)
+HORIZON = 1e6  # samples for which the error bound holds; integrators let it grow with time
+LARGEST_ERROR = 1e-3  # of the current limit
+_LEAST_BITS = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FixedBlock:
+    """``block`` in words: whole-number coefficients (dtype int64) with the fraction bits of their
+    rows.
+
+    update (n, n + m): increment and B, with update_bits (n,); unwind (n, p), with unwind_bits (n,);
+    output (p, n + m): C and D, with output_bits (p,); transfer (n, m + p), with transfer_bits (n,);
+    signal_bits s; state_bits: of the stored states; cut_bits (p,): what is cut off an output is
+    divided by 2^cut_bits; error (p,) [A]: bound on what rounding does in HORIZON samples without
+    limiting, against exact arithmetic with the same inputs.
+    """
+
+    block: ControlBlock
+    word: int
+    signal_bits: int
+    state_bits: int
+    update: np.ndarray
+    update_bits: np.ndarray
+    unwind: np.ndarray
+    unwind_bits: np.ndarray
+    output: np.ndarray
+    output_bits: np.ndarray
+    transfer: np.ndarray
+    transfer_bits: np.ndarray
+    cut_bits: np.ndarray
+    error: np.ndarray
+
+
+def to_fixed_point(
+    block: ControlBlock, word: int = 32, largest_error: float = LARGEST_ERROR
+) -> FixedBlock:
+    """The block in words of 16 or 32 bits.
+
+    largest_error [-]: of the current limit, that rounding may cause. Raises InvalidInput for a word
+    in which a sum overflows or the error is larger.
+    """
+    if word not in WORDS:
+        raise invalid("word", word, "16 or 32 bits", "choose one of them")
+    signal = word - 2
+    cut_bits = np.ceil(np.log2(block.raw_limit / block.current_limit)).astype(int)
+    update, unwind, output, transfer = _normalise(block, cut_bits)
+    q_update, update_bits = quantise_rows(update, word, "a state's increment")
+    q_unwind, unwind_bits = quantise_rows(unwind, word, "a state's unwinding")
+    q_output, output_bits = quantise_rows(output, word, "an output")
+    q_transfer, transfer_bits = quantise_rows(
+        transfer,
+        word,
+        "a state at transfer",
+        least=_LEAST_BITS - signal,
+        most=2 * word - 3 - signal,
+    )
+    smallest = min(update_bits.min(initial=2 * word), unwind_bits.min(initial=2 * word))
+    # a state and two increments fit into the double word
+    state_bits = min(2 * word - 4, int(smallest) + signal - 1)
+    if state_bits < signal:
+        raise InvalidInput(
+            "fixed point overflows: a state grows by more than its range in one sample and keeps "
+            f"{state_bits} bits of "
+            f"{signal}; use words of 32 bits, or floating point"
+        )
+    fixed = FixedBlock(
+        block,
+        word,
+        signal,
+        state_bits,
+        q_update,
+        update_bits,
+        q_unwind,
+        unwind_bits,
+        q_output,
+        output_bits,
+        q_transfer,
+        transfer_bits,
+        cut_bits,
+        np.zeros(0),
+    )
+    error = _error(fixed, update, output)
+    share = error / block.current_limit
+    if not share.max() <= largest_error:
+        raise invalid(
+            f"the rounding error of {block.outputs[int(share.argmax())]} with words of {word} bits",
+            f"{share.max():.2g} of its limit",
+            f"at most {largest_error:g}",
+            "use words of 32 bits or floating point, narrow error_limit, or shorten windup_time",
+        )
+    return replace(fixed, error=error)
+
+
+def _normalise(
+    block: ControlBlock, cut_bits: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The matrices with every signal as a part of its limit: update (n, n + m), unwind (n, p),
+    output (p, n + m), transfer (n, m + p); what is cut off is a part of 2^cut_bits limits.
+    """
+    e, u = block.error_limit, block.current_limit
+    update, output = (
+        np.hstack([block.increment, block.B * e]),
+        np.hstack([block.C, block.D * e]) / u[:, None],
+    )
+    return (
+        update,
+        block.unwind * u * np.exp2(cut_bits),
+        output,
+        np.hstack([block.from_error * e, block.from_output * u]),
+    )
+
+
+def quantise_rows(
+    matrix: np.ndarray, word: int, what: str, least: int = 0, most: int = 100
+) -> tuple[np.ndarray, np.ndarray]:
+    """Whole numbers and fraction bits of every row: each below 2^(word-1), their sum at most
+    2^word.
+    """
+    bits = np.zeros(len(matrix), int)
+    whole = np.zeros(matrix.shape, np.int64)
+    for i, row in enumerate(matrix):
+        largest, total = np.abs(row).max(initial=0.0), np.abs(row).sum()
+        f = word - 1
+        if largest > 0:
+            f = int(np.floor(min(word - 1 - np.log2(largest), word - np.log2(total))))
+        f = min(f, most, 2 * word - 3)  # a shift by the double word's bits is undefined
+        while True:
+            scaled = np.round(row * np.exp2(f))
+            if (
+                np.abs(scaled).max(initial=0.0) < 2.0 ** (word - 1)
+                and np.abs(scaled).sum() <= 2.0**word
+            ):
+                break
+            f -= 1
+        if f < least:
+            raise InvalidInput(
+                f"fixed point overflows: {what} adds up to {total:.3g} times its range, more than "
+                f"words of {word} bits hold; "
+                "use words of 32 bits or floating point, or raise the current limit"
+            )
+        whole[i], bits[i] = scaled.astype(np.int64), f
+    return whole, bits
+
+
+def _error(fixed: FixedBlock, update: np.ndarray, output: np.ndarray) -> np.ndarray:
+    """Bound (p,) [A] on the outputs' error against the exact block with the same whole-number
+    inputs, while none is limited.
+    """
+    block, n = fixed.block, fixed.block.n_states
+    half = 0.5 * 2.0**-fixed.signal_bits
+    wrong = np.abs(fixed.update * np.exp2(-fixed.update_bits)[:, None] - update).sum(axis=1)
+    source = wrong + half * np.abs(update[:, :n]).sum(axis=1) + 0.5 * 2.0**-fixed.state_bits
+    wrong = np.abs(fixed.output * np.exp2(-fixed.output_bits)[:, None] - output).sum(axis=1)
+    return block.current_limit * (
+        np.abs(output[:, :n]) @ (accumulate_rounding(block, source) + half) + wrong + half
+    )
+
+
+def accumulate_rounding(block: ControlBlock, source: np.ndarray) -> np.ndarray:
+    """How far the states (n,) can be off when every sample adds an error up to ``source`` (n,),
+    over HORIZON samples.
+    """
+    result = np.zeros(block.n_states)
+    for own in block_slices(block.sizes):
+        result[own] = peak_gains(block.increment[own, own], np.diag(source[own]), HORIZON).sum(
+            axis=1
+        )
+    return result

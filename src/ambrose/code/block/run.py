@@ -1,0 +1,359 @@
+"""The block's behaviour in Python, sample by sample: the generated code is compared with it, test
+vectors come from it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ambrose.code.block.block import Block
+from ambrose.code.block.cascade_fixed import FixedCascade
+from ambrose.code.block.fixed import ControlBlock
+from ambrose.code.block.fixed_point import FixedBlock
+from ambrose.code.block.scheduled import ScheduledBlock
+from ambrose.code.block.supervised import SupervisedBlock, supervised_twin
+from ambrose.core.checks import InvalidInput, check_shape
+from ambrose.core.scheduled import corners
+
+# status bits, as in the header
+HELD = 1
+FAULT = 2
+LIMITED = 4
+# of a scheduled block besides
+CLAMPED = 8
+TOLD = 16
+BEHIND = 32
+TOLD_SECOND = 64
+# of a supervised block besides: who is in charge, why, and that it stays so
+STATE_AT = 4
+REASON_AT = 6
+LATCHED = 512
+FLOOR = {"double": 1e-200, "float": 1e-30}  # a state below it is zero: no denormal numbers linger
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockRun:
+    """currents (k, p) [A] (whole numbers for fixed point), status (k,), the states after the last
+    sample (n,) and the largest magnitude of each on the way (n,); schedule (k,), of two parameters
+    (k, 2): where a scheduled law was taken (fixed: None).
+    """
+
+    currents: np.ndarray
+    status: np.ndarray
+    states: np.ndarray
+    largest: np.ndarray
+    schedule: np.ndarray | None = None
+
+
+def run_block(
+    block: ControlBlock,
+    errors: ArrayLike,
+    valid: ArrayLike | None = None,
+    start: ArrayLike | None = None,
+) -> BlockRun:
+    """Double precision. errors (k, m) [m]: NaN and infinity allowed; valid (k, m): the channels'
+    flags (None: all true); start (n,): the states before the first sample (None: zero). Raises
+    InvalidInput.
+    """
+    e, status = _plausible_errors(block, errors, valid)
+    x = np.zeros(block.n_states) if start is None else np.array(start, dtype=float)
+    carry, largest = np.zeros(block.winding), np.abs(x)
+    currents = np.empty((len(e), len(block.outputs)))
+    for k in range(len(e)):
+        u, step = block.respond(e[k], x)
+        currents[k] = np.minimum(np.maximum(u, -block.current_limit), block.current_limit)
+        cut = currents[k] - u
+        if cut.any():
+            status[k] |= LIMITED
+            step[: len(carry)] += block.unwind[: len(carry)] @ cut
+        x = _add_compensated(x, step, carry, FLOOR["double"])
+        largest = np.maximum(largest, np.abs(x))
+    return BlockRun(currents, status, x, largest)
+
+
+def run_scheduled(
+    block: ScheduledBlock,
+    errors: ArrayLike,
+    told: ArrayLike,
+    valid: ArrayLike | None = None,
+    start: ArrayLike | None = None,
+    single: bool = False,
+) -> BlockRun:
+    """errors (k, m) [m] and told (k,), speeds [rad/s] or pressures [Pa], or both (k, 2): NaN and
+    infinity allowed; valid (k, m): the errors' flags (None: all true); start (n,): the states
+    before the first sample (None: zero). single: computed in single precision. Raises InvalidInput.
+    """
+    e, status = _plausible_errors(block, errors, valid)
+    kind = np.float32 if single else np.float64
+    v, d = np.asarray(told, dtype=float), len(block.axes)
+    if v.shape != ((len(e),) if d == 1 else (len(e), d)):
+        size = f"({len(e)},)" if d == 1 else f"({len(e)}, {d})"
+        raise InvalidInput(
+            f"the shape of {block.along.plural} is {v.shape}, but must be {size}, one for every "
+            "sample"
+        )
+    schedule, told_status = follow_told(block, v)
+    status |= told_status
+    index, share = corners(block.axes, schedule.reshape(len(e), d))
+    x = np.zeros(block.n_states, kind) if start is None else np.array(start, dtype=kind)
+    carry, largest = np.zeros_like(x), np.abs(x)
+    to_state = np.concatenate([block.increment, block.B], axis=2).astype(kind)
+    to_current = np.concatenate([block.C, block.D], axis=2).astype(kind)
+    unwind, limit = block.unwind.astype(kind), block.current_limit.astype(kind)
+    lowest = np.negative(limit)
+    e, share = e.astype(kind), share.astype(kind)
+    currents = np.empty((len(e), len(block.outputs)), kind)
+    floor = FLOOR["float" if single else "double"]
+    for k in range(len(e)):
+        z = np.concatenate([x, e[k]])
+        at = list(zip(index[k], share[k], strict=True))
+        u = sum(to_current[i] @ (part * z) for i, part in at)
+        currents[k] = np.minimum(np.maximum(u, lowest), limit)
+        cut = currents[k] - u
+        step = sum(to_state[i] @ (part * z) for i, part in at)
+        if cut.any():
+            status[k] |= LIMITED
+            step += sum(unwind[i] @ (part * cut) for i, part in at)
+        x = _add_compensated(x, step, carry, floor)
+        largest = np.maximum(largest, np.abs(x))
+    return BlockRun(
+        currents.astype(float), status, x.astype(float), largest.astype(float), schedule
+    )
+
+
+def run_supervised(
+    block: SupervisedBlock,
+    errors: ArrayLike,
+    told: ArrayLike,
+    valid: ArrayLike | None = None,
+    single: bool = False,
+) -> BlockRun:
+    """errors (k, m) [m]; told (k, 3) [Pa]: readings, estimates, their half widths, NaN and infinity
+    allowed; valid (k, m): the errors' flags (None: all true). From the start of the code, without
+    states that the caller set. Raises InvalidInput.
+    """
+    e, status = _plausible_errors(block, errors, valid)
+    readings = np.asarray(told, dtype=float)
+    if readings.shape != (len(e), 3):
+        what = f"({len(e)}, 3), a reading, an estimate and its half width for every sample"
+        raise InvalidInput(f"the shape of what is told is {readings.shape}, but must be {what}")
+    twin = supervised_twin(block, np.float32 if single else np.float64)
+    e = e.astype(twin.laws.limit.dtype)
+    currents, schedule = np.empty((len(e), len(block.outputs))), np.empty(len(e))
+    for k, (value, *estimate) in enumerate(readings.tolist()):
+        twin.estimate = estimate[0], estimate[1]
+        twin.schedule(value)
+        currents[k] = twin.step(e[k])
+        found = twin.supervisor
+        status[k] |= (
+            LIMITED * twin.limited
+            | found.state << STATE_AT
+            | found.fault << REASON_AT
+            | LATCHED * found.latched
+        )
+        schedule[k] = found.value
+    states = twin.states.astype(float)
+    return BlockRun(currents, status, states, np.abs(states), schedule)
+
+
+def _add_compensated(
+    x: np.ndarray, step: np.ndarray, carry: np.ndarray, floor: float
+) -> np.ndarray:
+    """x + step (n,); ``carry`` keeps what the sums of the first states lost (Kahan 1965) for the
+    next sample.
+    """
+    w = len(carry)
+    step[:w] += carry
+    total = x + step
+    carry[:] = step[:w] - (total[:w] - x[:w])
+    total[np.abs(total) < floor] = 0.0
+    return total
+
+
+def follow_told(block: ScheduledBlock, told: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where the schedule stands for values (k,) as measured, or (k, 2) of both, and the status (k,)
+    of them alone.
+    """
+    columns = told.reshape(len(told), -1).T
+    each = zip(
+        block.axes, columns, block.told_limits, block.told_steps, (TOLD, TOLD_SECOND), strict=False
+    )
+    found = [_follow_one(*item, block.hold_samples) for item in each]
+    places, status = (np.array(part) for part in zip(*found, strict=True))
+    return places.T.reshape(told.shape), np.bitwise_or.reduce(status)
+
+
+def _follow_one(
+    axis: np.ndarray, told: np.ndarray, limit: float, step: float, bit: int, hold: int
+) -> tuple[np.ndarray, np.ndarray]:
+    low, high = float(axis[0]), float(axis[-1])
+    with np.errstate(invalid="ignore"):
+        good = np.abs(told) <= limit
+    known, status = _hold_last(told[:, None], good[:, None], hold)
+    status = np.where(good, 0, status | bit)
+    first = int(np.argmax(good)) if good.any() else len(good)
+    known = known[:, 0].astype(float)
+    known[:first] = low  # nothing is known yet
+    target = np.clip(known, low, high)
+    status |= np.where(known != target, CLAMPED, 0)
+    if not np.isfinite(step):
+        return target, status
+    place, at = np.empty(len(target)), low
+    for k, wanted in enumerate(target.tolist()):
+        if k > first and abs(wanted - at) > step:
+            at += step if wanted > at else -step
+            status[k] |= BEHIND
+        else:
+            at = wanted
+        place[k] = at
+    return place, status
+
+
+def run_fixed(fixed: FixedBlock, errors: ArrayLike, valid: ArrayLike | None = None) -> BlockRun:
+    """Fixed point, bit by bit. errors (k, m): whole numbers of 2^-signal_bits error_limit; currents
+    likewise.
+    """
+    block, s = fixed.block, fixed.signal_bits
+    given, good = _inputs(block, errors, valid)
+    e = given.astype(np.int64)
+    one = 1 << s
+    e, status = _hold_last(e, good & (e >= -one) & (e <= one), block.hold_samples)
+    n = block.n_states
+    X, largest = np.zeros(n, np.int64), np.zeros(n, np.int64)
+    edge = 1 << fixed.state_bits
+    currents = np.empty((len(e), len(block.outputs)), np.int64)
+    driven, direct = e @ fixed.update[:, n:].T, e @ fixed.output[:, n:].T
+    A, C = fixed.update[:, :n], fixed.output[:, :n]
+    to_signal = _half(fixed.state_bits - s, n)
+    to_output = _half(fixed.output_bits)
+    to_cut = _half(fixed.cut_bits)
+    to_state, to_unwinding = (
+        _half(bits + s - fixed.state_bits) for bits in (fixed.update_bits, fixed.unwind_bits)
+    )
+    for k in range(len(e)):
+        x = _shift(X, *to_signal)
+        u = _shift(direct[k] + C @ x, *to_output)
+        cut = np.minimum(np.maximum(u, -one), one)
+        currents[k] = cut
+        step = _shift(driven[k] + A @ x, *to_state)
+        if (cut != u).any():
+            status[k] |= LIMITED
+            step = step + _shift(fixed.unwind @ _shift(cut - u, *to_cut), *to_unwinding)
+        X = np.minimum(np.maximum(X + step, -edge), edge)
+        largest = np.maximum(largest, np.abs(X))
+    return BlockRun(currents, status, X, largest)
+
+
+def run_fixed_cascade(
+    fixed: FixedCascade, errors: ArrayLike, valid: ArrayLike | None = None
+) -> BlockRun:
+    """Fixed point of a cascade, bit by bit: as ``run_fixed``."""
+    block = fixed.block
+    s = fixed.signal_bits
+    n = fixed.block.n_states
+    given, good = _inputs(block, errors, valid)
+    e = given.astype(np.int64)
+    one = 1 << s
+    edge = 1 << fixed.state_bits
+    e, status = _hold_last(e, good & (e >= -one) & (e <= one), block.hold_samples)
+    X = np.zeros(n, np.int64)
+    rest = np.zeros(n, np.int64)
+    largest = np.zeros(n, np.int64)
+    kept, currents = (
+        np.zeros(len(block.into), np.int64),
+        np.empty((len(e), len(block.outputs)), np.int64),
+    )
+    to_signal, to_output, to_cut, to_input = (
+        _half(bits, count)
+        for bits, count in (
+            (fixed.state_bits - s, n),
+            (fixed.output_bits, None),
+            (fixed.cut_bits, None),
+            (fixed.into_bits, None),
+        )
+    )
+    to_section, to_state = _half(fixed.section_bits), _half(fixed.update_shift)
+    to_unwinding = _half(fixed.unwind_bits + s - fixed.state_bits)
+    for k in range(len(e)):
+        v = e[k]
+        sums = np.empty(n, np.int64)
+        i = 0
+        if block.mixes:
+            total = fixed.into @ e[k] + kept
+            v = _shift(total, *to_input)
+            kept = (total - (v << fixed.into_bits)) * (n > 0)  # without states nothing is kept
+            v = np.clip(v, -one, one)
+        x = _shift(X, *to_signal)
+        at = v.copy()
+        for j, stage in enumerate(block.stages):
+            local = np.array(
+                [at[stage.channel], *x[i : i + stage.order], *[0] * (2 - stage.order)], np.int64
+            )
+            y, *added = fixed.sections[j] @ local
+            sums[i : i + stage.order] = added[: stage.order]
+            y = _shift(np.array([y]), to_section[0][j, :1], to_section[1][j, :1])[0]
+            at[stage.channel] = min(max(y, -one), one)
+            i += stage.order
+        u = _shift(fixed.output @ at, *to_output)
+        cut = np.minimum(np.maximum(u, -one), one)
+        currents[k] = cut
+        sums += rest
+        step = _shift(sums, *to_state)
+        rest = sums - (step << fixed.update_shift)
+        if (cut != u).any():
+            status[k] |= LIMITED
+            step = step + _shift(fixed.unwind @ _shift(cut - u, *to_cut), *to_unwinding)
+        X = np.minimum(np.maximum(X + step, -edge), edge)
+        largest = np.maximum(largest, np.abs(X))
+    return BlockRun(currents, status, X, largest)
+
+
+def _half(bits: int | np.ndarray, count: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Shifts as an array, and half a unit of each."""
+    shifts = np.full(count, bits, np.int64) if count is not None else np.asarray(bits, np.int64)
+    return shifts, np.where(shifts > 0, np.int64(1) << np.maximum(shifts - 1, 0), 0)
+
+
+def _shift(value: np.ndarray, bits: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """value / 2^bits, rounded to nearest, halves away from zero."""
+    return np.sign(value) * ((np.abs(value) + half) >> bits)
+
+
+def _plausible_errors(
+    block: Block, errors: ArrayLike, valid: ArrayLike | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The errors (k, m) [m] that are used, and the status (k,) so far."""
+    e, good = _inputs(block, np.asarray(errors, dtype=float), valid)
+    with np.errstate(invalid="ignore"):
+        return _hold_last(e, good & (np.abs(e) <= block.error_limit), block.hold_samples)
+
+
+def _inputs(
+    block: Block, errors: ArrayLike, valid: ArrayLike | None
+) -> tuple[np.ndarray, np.ndarray]:
+    e = np.asarray(errors)
+    if e.ndim != 2 or e.shape[1] != len(block.inputs):
+        raise InvalidInput(
+            f"the shape of errors is {e.shape}, but must be (k, {len(block.inputs)}); give one "
+            "column per axis"
+        )
+    if valid is None:
+        return e, np.ones(e.shape, bool)
+    return e, check_shape(valid, "valid", "(k, m)", k=len(e), m=e.shape[1]) != 0
+
+
+def _hold_last(e: np.ndarray, good: np.ndarray, hold: int) -> tuple[np.ndarray, np.ndarray]:
+    """Bad samples replaced by the channel's last good one (zero before the first), and the status
+    (k,) without limiting.
+    """
+    row = np.arange(len(e))[:, None]
+    last = np.maximum.accumulate(np.where(good, row, -1), axis=0)
+    filled = np.where(last >= 0, np.take_along_axis(e, np.maximum(last, 0), axis=0), 0)
+    missing = row - last  # before the first good sample counted from the start
+    status = np.where((~good).any(axis=1), HELD, 0) | np.where(
+        (missing > hold).any(axis=1), FAULT, 0
+    )
+    return filled, status

@@ -1,0 +1,579 @@
+"""A block as C99: a source and a header, a self-test with its vectors, and a report of formats and
+cost.
+
+The text of the code is in templates/; here are its numbers. The block's arithmetic, signs and
+timing: block/fixed.py, block/fixed_point.py, block/scheduled.py and docs/integrator.md. The code
+needs no library, no heap and no recursion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from ambrose.code.block.block import Block
+from ambrose.code.block.cascade import CascadeBlock
+from ambrose.code.block.cascade_fixed import (
+    FixedCascade,
+    cascade_error,
+    to_fixed_cascade,
+    word_errors,
+)
+from ambrose.code.block.cost import increment_of, padding_of, scheduled_cost, step_cost
+from ambrose.code.block.fixed import ControlBlock
+from ambrose.code.block.fixed_point import HORIZON, LARGEST_ERROR, FixedBlock, to_fixed_point
+from ambrose.code.block.names import as_comment
+from ambrose.code.block.run import FLOOR, TOLD, TOLD_SECOND
+from ambrose.code.block.scheduled import ScheduledBlock
+from ambrose.code.block.supervised import SupervisedBlock
+from ambrose.code.block.vectors import Vectors, as_csv, make_scheduled_vectors, make_vectors
+from ambrose.code.block.word_length import BITS, MANTISSA, floating_error, gain_error, word_lengths
+from ambrose.code.c.literals import diagonals, integer_table, literal, real_table
+from ambrose.code.c.supervised import supervision_facts
+from ambrose.code.rendering import render
+from ambrose.core.checks import invalid
+from ambrose.core.scheduled import grid_points
+from ambrose.machine.atomic_write import write_files
+
+Arithmetic = Literal["double", "float", "fixed32", "fixed16"]
+Precision = Literal["double", "float"]
+_WORDS = {"fixed32": 32, "fixed16": 16}
+_SINGLE_TOLERANCE = 1e-4  # of the current limit, of a scheduled block
+_DOUBLE_TOLERANCE = 1e-12  # of the current asked for
+
+
+def generate(
+    block: ControlBlock | ScheduledBlock,
+    arithmetic: Arithmetic = "double",
+    provenance: Sequence[str] = (),
+    largest_error: float = LARGEST_ERROR,
+) -> dict[str, str]:
+    """The files of a block by name: <name>.h, .c, _test.c, _vectors.csv and _report.md.
+
+    arithmetic: "double", "float", "fixed32" or "fixed16" (see ``to_fixed_point`` for what that
+    refuses, and for largest_error [-]); of a scheduled block "double" or "float". provenance: lines
+    for the header: where the controller comes from and what it was verified on. Raises
+    InvalidInput.
+    """
+    if isinstance(block, ScheduledBlock):
+        check_precision(arithmetic)
+    elif arithmetic not in get_args(Arithmetic):
+        raise invalid(
+            "arithmetic", repr(arithmetic), " or ".join(get_args(Arithmetic)), "choose one of them"
+        )
+    if arithmetic == "float":
+        block = block.single()
+    if isinstance(block, ScheduledBlock):
+        run = make_scheduled_vectors(block, arithmetic == "float")
+        facts = {**_facts(block, arithmetic, provenance), **_schedule_facts(block, arithmetic)}
+        tables = _scheduled_tables(block, arithmetic)
+        report = _scheduled_report(block, run)
+        kind = "scheduled"
+        source, tolerance = "scheduled.c.j2", scheduled_tolerance(block, run, arithmetic)
+    else:
+        fixed = in_words(block, _WORDS[arithmetic], largest_error) if arithmetic in _WORDS else None
+        run = make_vectors(block, fixed, single=arithmetic == "float")
+        facts = {**_facts(block, arithmetic, provenance), **_word_facts(block, fixed)}
+        tables = _floating_tables(block, arithmetic) if fixed is None else _fixed_tables(fixed)
+        bound = cascade_error if isinstance(block, CascadeBlock) else floating_error
+        error = bound(block, MANTISSA[arithmetic]) if fixed is None else fixed.error  # type: ignore[arg-type]
+        report, kind = _fixed_report(block, fixed, error), "controller"
+        source = (
+            f"{'cascade' if facts['cascade'] else kind}{'' if fixed is None else '_fixed'}.c.j2"
+        )
+        within = (
+            cascade_error(block, MANTISSA["float"], len(run.errors))
+            if isinstance(block, CascadeBlock)
+            else error
+        )
+        tolerance = {"double": _DOUBLE_TOLERANCE * block.raw_limit, "float": within}.get(
+            arithmetic, 0 * error
+        )
+    texts = {
+        ".h": (f"{kind}.h.j2", {}),
+        ".c": (source, tables),
+        "_test.c": ("selftest.c.j2", _replay(run, tolerance, arithmetic)),
+        "_report.md": (f"{kind}_report.md.j2", report),
+    }
+    files = {
+        f"{block.name}{end}": render(template, {**facts, **values})
+        for end, (template, values) in texts.items()
+    }
+    return {**files, f"{block.name}_vectors.csv": as_csv(block, run)}
+
+
+def scheduled_tolerance(block: ScheduledBlock, run: Vectors, arithmetic: str) -> np.ndarray:
+    """How far code may be from the vectors (p,) [A]."""
+    if arithmetic == "float":
+        return np.maximum(_SINGLE_TOLERANCE * block.current_limit, 4 * run.rounding)
+    return _DOUBLE_TOLERANCE * block.raw_limit
+
+
+def in_words(
+    block: ControlBlock, word: int, largest_error: float = LARGEST_ERROR
+) -> FixedBlock | FixedCascade:
+    """The block in words of 16 or 32 bits. Raises InvalidInput."""
+    if isinstance(block, CascadeBlock):
+        return to_fixed_cascade(block, word, largest_error)
+    return to_fixed_point(block, word, largest_error)
+
+
+def write_code(
+    directory: str | Path,
+    block: ControlBlock | ScheduledBlock,
+    arithmetic: Arithmetic = "double",
+    provenance: Sequence[str] = (),
+    largest_error: float = LARGEST_ERROR,
+) -> list[Path]:
+    """Generate the code and write it to ``directory`` (made if absent): all files, or none. Returns
+    their paths.
+
+    Raises InvalidInput, also where the directory cannot be written.
+    """
+    return write_files(directory, generate(block, arithmetic, provenance, largest_error))
+
+
+def check_precision(arithmetic: str) -> None:
+    """Refuse fixed point for a schedule. Raises InvalidInput."""
+    if arithmetic not in get_args(Precision):
+        remedy = (
+            "fixed point would need tight bounds on every state for any motion of the schedule; "
+            "use double or float"
+        )
+        raise invalid(
+            "arithmetic of a scheduled controller", repr(arithmetic), "double or float", remedy
+        )
+
+
+def block_facts(block: Block) -> dict[str, Any]:
+    """What every target's text says of a block: its name, sizes, timing, signals and limits."""
+
+    def signals(names: Sequence[str], limits: np.ndarray, unit: str) -> list[dict[str, str]]:
+        return [
+            {"name": name, "limit": f"{v:.9g}", "unit": unit}
+            for name, v in zip(names, limits, strict=True)
+        ]
+
+    return {
+        "name": block.name,
+        "prefix": block.name.upper(),
+        "ni": len(block.inputs),
+        "no": len(block.outputs),
+        "nx": block.n_states,
+        "sample_time": f"{block.sample_time:.9g}",
+        "rate": f"{1 / block.sample_time:.9g}",
+        "delay": block.delay,
+        "hold": block.hold_samples,
+        "windup": f"{block.windup_time:g} s",
+        "direct": bool(block.D.any()),
+        "inputs": signals(block.inputs, block.error_limit, "m"),
+        "outputs": signals(block.outputs, block.current_limit, "A"),
+        "transfers": block.transfers,
+    }
+
+
+def _facts(
+    block: ControlBlock | ScheduledBlock, arithmetic: str, provenance: Sequence[str]
+) -> dict[str, Any]:
+    """What header, source, self-test and report share."""
+    word = _WORDS.get(arithmetic, 0)
+    types, floating = (
+        {"double": "double", "float": "float"},
+        {"double": "double precision", "float": "single precision"},
+    )
+    return {
+        **block_facts(block),
+        "scheduled": isinstance(block, ScheduledBlock),
+        "fixed": bool(word),
+        "word": word,
+        "arithmetic": floating.get(arithmetic, f"fixed point, {word} bits"),
+        "type": types.get(arithmetic, f"int{word}_t"),
+        "state_type": types.get(arithmetic, f"int{2 * word}_t"),
+        "zero": "0" if word else literal(0.0, arithmetic),
+        "delay_text": _delay_text(block.delay),
+        "cost": scheduled_cost(block, arithmetic)
+        if isinstance(block, ScheduledBlock)
+        else step_cost(block, arithmetic),
+        "provenance": [as_comment(line) for line in provenance] or ["provenance: not given"],
+    }
+
+
+def _word_facts(block: ControlBlock, fixed: FixedBlock | FixedCascade | None) -> dict[str, Any]:
+    """What is added of a fixed controller: its paddings, and what a count is of its words."""
+    low, high = padding_of(block)
+    cascade = block if isinstance(block, CascadeBlock) else None
+    facts: dict[str, Any] = {
+        "winding": block.winding,
+        "low": low,
+        "padded": block.n_states + low + high,
+        "error_unit": "m",
+        "current_unit": "A",
+        "cascade": cascade is not None,
+        "mixes": cascade is not None and cascade.mixes,
+    }
+    if fixed is None:
+        return facts
+    one = 1 << fixed.signal_bits
+    counts = np.concatenate([block.error_limit, block.current_limit]) / one
+    return facts | {
+        "error_unit": "counts of the limit",
+        "current_unit": "counts of the limit",
+        "one": one,
+        "lsb": [f"{v:.17g}" for v in counts],
+        "signal_bits": fixed.signal_bits,
+        "state_bits": fixed.state_bits,
+    }
+
+
+def _schedule_facts(block: ScheduledBlock, arithmetic: str) -> dict[str, Any]:
+    """What is added of a scheduled controller."""
+    along, padding = block.along, padding_of(block)
+    motion_text = f"While the {along.name} moves no bound is proved."
+    if block.motion.proved:
+        farthest = block.motion.states.max(initial=0.0)
+        motion_text = (
+            f"For any motion of the {along.name}: within +-{farthest:.3g} (proved, conservative)."
+        )
+    return {
+        "one": literal(1.0, arithmetic),
+        "ng": len(block.B),
+        "axes": _axes(block, arithmetic),
+        "over": along.name,
+        "corners": list(range(2 ** len(block.axes))),
+        "low_padding": padding[0],
+        "padded": block.n_states + sum(padding),
+        "motion_text": motion_text,
+        "passes": block.passes,
+        "supervised": isinstance(block, SupervisedBlock)
+        and supervision_facts(block, arithmetic, real_table(arithmetic)),
+    }
+
+
+def _axes(block: ScheduledBlock, arithmetic: str) -> list[dict[str, Any]]:
+    """What the templates say of every parameter; ``suffix``: of its own fields in the block, where
+    there are two.
+    """
+    found = []
+    table, limits = (
+        real_table(arithmetic),
+        zip(block.told_limits, block.rate_limits, block.told_steps, strict=True),
+    )
+    for i, (axis, one, (told, rate, step)) in enumerate(
+        zip(block.axes, block.along.each, limits, strict=True)
+    ):
+        low = float(axis[0])
+        high = float(axis[-1])
+        limited = bool(np.isfinite(rate))
+        found.append(
+            {
+                "name": one.name,
+                "unit": one.unit,
+                "rate_unit": one.rate_unit,
+                "people": one.people,
+                "count": len(axis),
+                "suffix": f"_{one.name}" if block.along.parts else "",
+                "bit": f"{(TOLD, TOLD_SECOND)[i]}u",
+                "grid": table(axis),
+                "low": f"{low:.6g}",
+                "high": f"{high:.6g}",
+                "low_people": f"{low / one.size:.4g}",
+                "high_people": f"{high / one.size:.4g}",
+                "lowest": literal(low, arithmetic),
+                "highest": literal(high, arithmetic),
+                "told_limit": literal(told, arithmetic),
+                "plausible": f"{told:.6g}",
+                "rate_limit": f"{rate:.9g}" if limited else "",
+                "told_step": literal(step, arithmetic) if limited else "",
+                "rate_text": f" The schedule follows at {rate:.6g} {one.rate_unit} at most."
+                if limited
+                else "",
+            }
+        )
+    return found
+
+
+def _delay_text(delay: int) -> str:
+    """What the design assumes of the time from errors to currents, delay [samples]."""
+    if delay == 0:
+        return (
+            "The design assumes that the currents are set at once: within a small part of the "
+            "sample."
+        )
+    count = "1 sample" if delay == 1 else f"{delay} samples"
+    return (
+        f"The design assumes that the currents are set {count} after the errors were measured, and "
+        "held."
+    )
+
+
+def _floating_tables(block: ControlBlock, arithmetic: str) -> dict[str, Any]:
+    table = real_table(arithmetic)
+    law = (
+        _cascade_tables(
+            block, table, block.into, block.out, [stage.coefficients for stage in block.stages]
+        )
+        if isinstance(block, CascadeBlock)
+        else {}
+    )
+    return {
+        **law,
+        "diagonals": [
+            {**d, "table": table(d["entries"])} for d in diagonals(block.increment, block.increment)
+        ],
+        "B": table(block.B.T),
+        "C": table(block.C.T),
+        "D": table(block.D.T),
+        "unwind": table(block.unwind[: block.winding].T),
+        "error_limit": table(block.error_limit),
+        "current_limit": table(block.current_limit),
+        "transfer_error": table(block.from_error.T),
+        "transfer_current": table(block.from_output.T),
+        "floor": literal(FLOOR[arithmetic], arithmetic),
+    }
+
+
+def _cascade_tables(
+    block: CascadeBlock,
+    table: Callable[[np.ndarray], str],
+    into: np.ndarray,
+    out: np.ndarray,
+    rows: Any,
+) -> dict[str, Any]:
+    """The sections, each with its name, and the mixings."""
+    outputs = block.signals[len(block.into) :]
+    return {
+        "channels": len(into),
+        "into": table(into.T),
+        "out": table(out.T),
+        "channel": integer_table(np.array([stage.channel for stage in block.stages])),
+        "order": integer_table(np.array([stage.order for stage in block.stages])),
+        "stages": [
+            {
+                "row": " ".join(table(np.array(row)).split()),
+                "label": as_comment(stage.label),
+                "largest": f"{largest:.4g}",
+                "numbers": [f"{value:.9g}" for value in stage.coefficients],
+            }
+            for stage, row, largest in zip(block.stages, rows, outputs, strict=True)
+        ],
+    }
+
+
+def _fixed_tables(fixed: FixedBlock | FixedCascade) -> dict[str, Any]:
+    if isinstance(fixed, FixedCascade):
+        m = len(fixed.block.inputs)
+        w = fixed.block.winding
+        numbers = fixed.sections.reshape(-1, 9)[:, [0, 1, 3, 4, 5, 6, 7]]
+        arrays = {
+            "row_bits": fixed.section_bits[:, 0],
+            "update_shift": fixed.update_shift,
+            "into_bits": fixed.into_bits,
+            "output_bits": fixed.output_bits,
+            "unwind": fixed.unwind[:w].T,
+            "cut_bits": fixed.cut_bits,
+            "unwind_shift": fixed.unwind_bits[:w] + fixed.signal_bits - fixed.state_bits,
+            "transfer_error": fixed.transfer[:, :m].T,
+            "transfer_current": fixed.transfer[:, m:].T,
+            "transfer_bits": fixed.transfer_bits + fixed.signal_bits,
+        }
+        law = _cascade_tables(fixed.block, integer_table, fixed.into, fixed.output, numbers)
+        return {**law, "diagonals": [], **{name: integer_table(x) for name, x in arrays.items()}}
+    block = fixed.block
+    n = fixed.block.n_states
+    m = len(fixed.block.inputs)
+    w = fixed.block.winding
+    increment, B = np.split(fixed.update, [n], axis=1)
+    C, D = np.split(fixed.output, [n], axis=1)
+    shift = fixed.signal_bits - fixed.state_bits
+    arrays = {
+        "B": B.T,
+        "C": C.T,
+        "D": D.T,
+        "unwind": fixed.unwind[:w].T,
+        "update_shift": fixed.update_bits + shift,
+        "unwind_shift": fixed.unwind_bits[:w] + shift,
+        "output_bits": fixed.output_bits,
+        "cut_bits": fixed.cut_bits,
+        "transfer_error": fixed.transfer[:, :m].T,
+        "transfer_current": fixed.transfer[:, m:].T,
+        "transfer_bits": fixed.transfer_bits + fixed.signal_bits,
+    }
+    rows = [
+        {**d, "table": integer_table(d["entries"])} for d in diagonals(increment, block.increment)
+    ]
+    return {"diagonals": rows, **{name: integer_table(x) for name, x in arrays.items()}}
+
+
+def _scheduled_tables(block: ScheduledBlock, arithmetic: str) -> dict[str, Any]:
+    table = real_table(arithmetic)
+    n = block.n_states
+    changes = block.changes
+    matrices = {
+        "core": changes.core,
+        "unwind": block.unwind,
+        "steady": block.steady,
+        "pick": block.pick,
+    }
+    fixed = {"B": changes.fixed[:n, n:], "C": changes.fixed[n:, :n], "D": changes.fixed[n:, n:]}
+    signals = {
+        "of_state": changes.right[:, :n],
+        "of_error": changes.right[:, n:],
+        "on_state": changes.left[:n],
+        "on_current": changes.left[n:],
+    }
+    increment, nr = increment_of(block), changes.ranks[0]
+    law = {
+        **{name: table(x.T) for name, x in fixed.items()},
+        "suffix": "",
+        "varies": True,
+        "nx": n,
+        "nr": nr,
+        "diagonals": [{**d, "table": table(d["entries"])} for d in diagonals(increment, increment)],
+    }
+    return {
+        **{name: table(x.transpose(0, 2, 1)) for name, x in matrices.items()},
+        **{name: table(x.T) for name, x in signals.items()},
+        "law": law,
+        "nr": nr,
+        "nq": changes.ranks[1],
+        "error_limit": table(block.error_limit),
+        "current_limit": table(block.current_limit),
+        "floor": literal(FLOOR[arithmetic], arithmetic),
+    }
+
+
+def _replay(run: Vectors, tolerance: np.ndarray, arithmetic: str) -> dict[str, Any]:
+    """What the self-test holds: the vectors as C, and the tolerance."""
+    table = integer_table if arithmetic in _WORDS else real_table(arithmetic)
+    number = (
+        {"number_format": "%ld", "number_cast": "long"}
+        if arithmetic in _WORDS
+        else {
+            "number_format": "%.17g",
+            "number_cast": "double",
+        }
+    )
+    told = {}
+    if run.told is not None:
+        known, names = ~np.isnan(run.told), run.parameters
+        given = zip(
+            names,
+            np.where(known, run.told, 0.0).reshape(len(known), -1).T,
+            known.reshape(len(known), -1).T,
+            strict=True,
+        )
+        told = {
+            "told": [
+                {"name": name, "numbers": table(v), "known": integer_table(k)}
+                for name, v, k in given
+            ]
+        }
+    return {
+        "samples": len(run.errors),
+        "errors": table(run.errors),
+        "valid": integer_table(run.valid),
+        "currents": table(run.currents),
+        "status": integer_table(run.status),
+        "tolerance": table(tolerance),
+        **told,
+        **number,
+        "times": run.times is not None and integer_table(run.times),
+        "moves": run.moves is not None and table(run.moves),
+    }
+
+
+def _output_rows(block: Block, error: np.ndarray) -> list[dict[str, str]]:
+    """The report's table of outputs; error (p,) [A]."""
+    return [
+        {"name": name, "limit": f"{limit:.6g}", "raw": f"{raw:.4g}", "error": f"{off:.2g}"}
+        for name, limit, raw, off in zip(
+            block.outputs, block.current_limit, block.raw_limit, error, strict=True
+        )
+    ]
+
+
+def _fixed_report(
+    block: ControlBlock, fixed: FixedBlock | FixedCascade | None, error: np.ndarray
+) -> dict[str, Any]:
+    report = {
+        "sizes": ", ".join(str(k) for k in block.sizes) or "none",
+        "outputs": _output_rows(block, error),
+        "horizon": HORIZON,
+        "rows": [] if fixed is None else _formats(fixed),
+    }
+    if not isinstance(block, CascadeBlock):
+        return {**report, "word_lengths": word_lengths(block)}
+    report |= _cascade_tables(
+        block,
+        real_table("double"),
+        block.into,
+        block.out,
+        [stage.coefficients for stage in block.stages],
+    )
+    report["word_lengths"] = [
+        {"bits": bits, "gain_error": word_errors(block, bits)} for bits in BITS
+    ]
+    if isinstance(fixed, FixedCascade):
+        report |= {
+            "noise": ", ".join(f"{value:.2g}" for value in fixed.noise),
+            "gain_error": f"{fixed.gain_error:.2g}",
+        }
+    return report
+
+
+def _formats(fixed: FixedBlock | FixedCascade) -> list[dict[str, str]]:
+    block = fixed.block
+    states = [f"x[{i}]" for i in range(block.n_states)]
+    if isinstance(fixed, FixedCascade):
+        names = [
+            f"{stage.label}, {row}"
+            for stage in fixed.block.stages
+            for row in ("y", "x1", "x2")[: stage.order + 1]
+        ]
+        used = [k for stage in fixed.block.stages for k in [True, True, stage.order > 1]]
+        sections, bits = fixed.sections.reshape(-1, 3)[used], fixed.section_bits.ravel()[used]
+        groups = [(names, sections, bits), (block.outputs, fixed.output, fixed.output_bits)]
+    else:
+        groups = [
+            (states, fixed.update, fixed.update_bits),
+            (block.outputs, fixed.output, fixed.output_bits),
+        ]
+    groups.append(
+        ([f"unwind {state}" for state in states[: block.winding]], fixed.unwind, fixed.unwind_bits)
+    )
+    if block.transfers:
+        groups.append(([f"track {state}" for state in states], fixed.transfer, fixed.transfer_bits))
+    return [
+        {"name": name, "bits": str(f), "total": f"{np.abs(row * np.exp2(-f)).sum():.3g}"}
+        for names, matrix, bits in groups
+        for name, row, f in zip(names, matrix, bits, strict=False)  # unwind: the first states
+    ]
+
+
+def _scheduled_report(block: ScheduledBlock, run: Vectors) -> dict[str, Any]:
+    points = []
+    for value, E, B, C, D, L in zip(
+        grid_points(block.axes),
+        block.increment,
+        block.B,
+        block.C,
+        block.D,
+        block.unwind,
+        strict=True,
+    ):
+        z, led = (1 + np.linalg.eigvals(X) if len(X) else np.zeros(1) for X in (E, E - L @ C))
+        distance, at = 1 - np.abs(z), list(zip(np.atleast_1d(value), block.along.each, strict=True))
+        points.append(
+            {
+                "value": ", ".join(f"{v:.6g}" for v, _ in at),
+                "people": ", ".join(f"{v / one.size:.4g}" for v, one in at),
+                "radius": f"{np.abs(led).max():.6f}",
+                "slow": f"{distance.min():.3g}",
+                "fast": f"{distance.max():.3g}",
+                "single": f"{gain_error(E, B, C, D, MANTISSA['float']):.2g}",
+            }
+        )
+    return {"outputs": _output_rows(block, run.rounding), "points": points}

@@ -1,0 +1,385 @@
+"""The generated C code, compiled and running here: software in the loop.
+
+``CompiledBlock`` runs in the virtual rig in place of a controller (``law.program``),
+``CompiledSchedule`` in place of a scheduled one, given speed or pressure at every sample.
+``read_law`` reads the law back out of the running code, so that the same verification can be made
+of what the compiler made.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar, cast
+
+import numpy as np
+
+from ambrose.code.block.cost import padding_of
+from ambrose.code.block.fixed import ControlBlock
+from ambrose.code.block.run import REASON_AT
+from ambrose.code.block.scheduled import ScheduledBlock
+from ambrose.code.block.supervised import SupervisedBlock
+from ambrose.code.c.code import Arithmetic, Precision, generate, in_words
+from ambrose.code.c.compiler import COMPILERS, build_library, find_compiler, load_library
+from ambrose.core.checks import InvalidInput, check_shape
+from ambrose.core.statespace import StateSpace
+from ambrose.law.supervision import Fault
+
+_FLAGS = ("-Wall", "-Wextra", "-pedantic", "-Werror")
+_CALL = """#include <math.h>
+#include <stddef.h>
+#include "{name}.h"
+typedef struct {{ {name}_block *block; double told[4]; int status; }} {name}_running;
+size_t {name}_size(void);
+int {name}_call(void *running, const double *errors, const double *told, double *currents);
+size_t {name}_size(void) {{ return sizeof({name}_block); }}
+int {name}_call(void *running, const double *errors, const double *told, double *currents)
+{{
+    static const double metre[] = {{{error}}}, ampere[] = {{{current}}};
+    {name}_running *self = ({name}_running *)running;
+    {word} in[{m}], out[{p}];
+    int i;
+    for (i = 0; i < {m}; i++) in[i] = ({word}){counted};
+    for (i = 0; i < {d}; i++) self->told[i] = told[i];
+    self->status = (int){name}_step(self->block, in, NULL, {told}out);
+    for (i = 0; i < {p}; i++) currents[i] = (double)out[i] * ampere[i];
+    return 0;
+}}
+"""
+_ESTIMATE = (2, 3)  # places of an estimate and its half width among what is told
+# as a converter does at its ends
+_COUNTED = "fmin(fmax(rint(errors[i] / metre[i]), {least:.0f}.0), {most:.0f}.0)"
+
+
+class _Running(ctypes.Structure):
+    """What the C function gets first: its block, and where it leaves what it was told and the
+    status of the last step.
+    """
+
+    _fields_ = (("block", ctypes.c_void_p), ("told", ctypes.c_double * 4), ("status", ctypes.c_int))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Words:
+    """The code's numbers: dtype of signals and states, and what one count is: error (m,) [m],
+    current (p,) [A], state [-].
+    """
+
+    signal: type
+    stored: type
+    error: np.ndarray
+    current: np.ndarray
+    state: float | np.ndarray
+    whole: bool
+
+    @classmethod
+    def of(cls, block: ControlBlock | ScheduledBlock, arithmetic: Arithmetic) -> _Words:
+        if arithmetic in {"double", "float"}:
+            real = np.float64 if arithmetic == "double" else np.float32
+            return cls(
+                real, real, np.ones(len(block.inputs)), np.ones(len(block.outputs)), 1.0, False
+            )
+        word = int(arithmetic.removeprefix("fixed"))
+        fixed = in_words(cast(ControlBlock, block), word)
+        one = 2.0**fixed.signal_bits
+        signal, stored = (np.int32, np.int64) if word == 32 else (np.int16, np.int32)
+        return cls(
+            signal,
+            stored,
+            block.error_limit / one,
+            block.current_limit / one,
+            2.0**-fixed.state_bits * block.state_range,
+            True,
+        )
+
+    def counts(self, values: np.ndarray, unit: np.ndarray | float) -> np.ndarray:
+        scaled = np.asarray(values, float) / unit
+        return np.rint(scaled) if self.whole else scaled
+
+    def call(self, block: ControlBlock | ScheduledBlock) -> str:
+        """C that calls a step with errors [m] and currents [A] as numbers, whatever the code's
+        words.
+        """
+        types = {"float64": "double", "float32": "float", "int32": "int32_t", "int16": "int16_t"}
+        word, counted = types[np.dtype(self.signal).name], "(errors[i] / metre[i])"
+        if self.whole:
+            ends = np.iinfo(self.signal)
+            counted = _COUNTED.format(least=ends.min, most=ends.max)
+        d = len(block.axes) if isinstance(block, ScheduledBlock) else 0
+        told = "".join(f"({word})told[{i}], " for i in range(d))
+        if isinstance(block, SupervisedBlock):
+            told += "".join(f"({word})self->told[{i}], " for i in _ESTIMATE)
+        error, current = (
+            ", ".join(map(repr, values.tolist())) for values in (self.error, self.current)
+        )
+        return _CALL.format(
+            name=block.name,
+            error=error,
+            current=current,
+            word=word,
+            counted=counted,
+            told=told,
+            d=d,
+            m=len(block.inputs),
+            p=len(block.outputs),
+        )
+
+
+B = TypeVar("B", ControlBlock, ScheduledBlock)
+
+
+class _Compiled(Generic[B]):
+    """What compiled fixed and scheduled blocks share."""
+
+    def __init__(
+        self, block: B, arithmetic: Arithmetic = "double", compiler: str | None = None
+    ) -> None:
+        """Compiles the code. Raises InvalidInput where there is no C compiler, or it fails."""
+        self.block: B = block
+        self.arithmetic = arithmetic
+        files = generate(block, arithmetic)
+        self._words = _Words.of(block, arithmetic)
+        self._library = _load(block.name, {**files, "call.c": self._words.call(block)}, compiler)
+        size = self._library[f"{block.name}_size"]
+        size.restype = ctypes.c_size_t
+        self._memory = ctypes.create_string_buffer(size())
+        self._running = _Running(ctypes.addressof(self._memory), (0.0, 0.0, math.nan, math.inf))
+        self._step = self._library[f"{block.name}_call"]
+        self._step.argtypes = (ctypes.c_void_p,) * 4
+        self._call("init")
+
+    @property
+    def sample_time(self) -> float:
+        return self.block.sample_time
+
+    @property
+    def delay(self) -> int:
+        return self.block.delay
+
+    @property
+    def status(self) -> int:
+        """The bits of the last step."""
+        return self._running.status
+
+    @property
+    def entry(self) -> tuple[int, int]:
+        """As the rig asks of a native program."""
+        return cast(int, ctypes.cast(self._step, ctypes.c_void_p).value), ctypes.addressof(
+            self._running
+        )
+
+    def begin(self, states: np.ndarray) -> None:
+        """Everything as after its first call, then the states (n,)."""
+        self._call("init")
+        self.set_states(states)
+
+    def track(self, errors: np.ndarray, currents: np.ndarray) -> None:
+        """Bumpless transfer to errors (m,) [m] and currents (p,) [A]. Raises InvalidInput for a
+        block that cannot.
+        """
+        if not self.block.transfers:
+            raise InvalidInput(
+                "this block has no bumpless transfer: its states do not reach every output; begin "
+                "it at rest"
+            )
+        kind = np.dtype(self._words.signal)
+        given = self._words.counts(errors, self._words.error).astype(kind)
+        meant = self._words.counts(currents, self._words.current).astype(kind)
+        self._call("track", _pointer(given), None, *self._told_argument(), _pointer(meant))
+
+    def step(self, errors: np.ndarray) -> np.ndarray:
+        """One sample: currents (p,) [A] from errors (m,) [m]."""
+        given, currents = np.empty(len(self.block.inputs)), np.empty(len(self.block.outputs))
+        given[:] = errors
+        told = np.array(self._running.told)
+        self._step(
+            ctypes.addressof(self._running), _pointer(given), _pointer(told), _pointer(currents)
+        )
+        return currents
+
+    def states(self) -> np.ndarray:
+        """The states (n,) as they stand in the code's memory, 1 being their bound."""
+        return self._state_memory().astype(float) * self._words.state
+
+    def set_states(self, states: np.ndarray) -> None:
+        """Writes the states (n,) into the code's memory."""
+        self._state_memory()[:] = self._words.counts(states, self._words.state)
+
+    def _state_memory(self) -> np.ndarray:
+        """The states where the code keeps them: first in the block, after the zeros that its
+        diagonals reach into.
+        """
+        before = padding_of(self.block)[0]
+        kind = np.dtype(self._words.stored)
+        return np.frombuffer(
+            memoryview(self._memory), kind, self.block.n_states, before * kind.itemsize
+        )
+
+    def _told_argument(self) -> tuple[Any, ...]:
+        return ()
+
+    def _call(self, verb: str, *arguments: Any) -> Any:
+        return self._library[f"{self.block.name}_{verb}"](self._memory, *arguments)
+
+
+class CompiledBlock(_Compiled[ControlBlock]):
+    """A block's C code in this process. errors [m] and currents [A], whatever the code's
+    arithmetic.
+
+    sample_time [s], delay [samples], system, entry: as the rig asks of a native program; status:
+    the bits of the last step.
+    """
+
+    @property
+    def system(self) -> StateSpace:
+        return self.block.system
+
+    def run(self, errors: np.ndarray) -> np.ndarray:
+        """currents (k, p) [A] over errors (k, m) [m], from the present state."""
+        e = check_shape(errors, "errors", "(k, m)", m=len(self.block.inputs))
+        return np.array([self.step(row) for row in e]).reshape(len(e), len(self.block.outputs))
+
+
+class CompiledSchedule(_Compiled[ScheduledBlock]):
+    """A scheduled block's C code in this process: errors [m] and speeds [rad/s] or pressures [Pa]
+    to currents [A].
+
+    As ``CompiledBlock``, and schedule, parameter: as the rig asks of a program; called with a
+    value: the law there, frozen.
+    """
+
+    def __init__(
+        self, block: ScheduledBlock, arithmetic: Precision = "double", compiler: str | None = None
+    ) -> None:
+        """Compiles the code. Raises InvalidInput where there is no C compiler, or it fails."""
+        super().__init__(block, arithmetic, compiler)
+        self.schedule(block.range[0])
+
+    @property
+    def parameter(self) -> str:
+        return self.block.along.name
+
+    @property
+    def told(self) -> Any:
+        """Speed [rad/s] or pressure [Pa] (or both) of the last step, or the next one."""
+        both = tuple(self._running.told[:2])
+        return both if self.block.along.parts else both[0]
+
+    @property
+    def system(self) -> StateSpace:
+        """The law of the next step."""
+        supervised = isinstance(self.block, SupervisedBlock)  # to be told nothing is no error there
+        return self.block.at(
+            self.block.range[0] if supervised and math.isnan(self.told) else self.told
+        )
+
+    def __call__(self, value: Any) -> StateSpace:
+        return self.block.at(value)
+
+    @property
+    def estimate(self) -> tuple[float, float]:
+        """Of a supervised block: a monitor's pressure and its half width [Pa] from the next step
+        on; NaN, infinity: none.
+        """
+        value, half_width = (self._running.told[i] for i in _ESTIMATE)
+        return value, half_width
+
+    @estimate.setter
+    def estimate(self, given: tuple[float, float]) -> None:
+        for i, one in zip(_ESTIMATE, given, strict=True):
+            self._running.told[i] = one
+
+    @property
+    def fault(self) -> Fault:
+        """Of a supervised block: why the last reading is not trusted."""
+        return Fault(self.status >> REASON_AT & 7 if isinstance(self.block, SupervisedBlock) else 0)
+
+    def schedule(self, value: Any) -> None:
+        """Speed [rad/s] or pressure [Pa] of the next step, or both; NaN: not known."""
+        for i, one in enumerate(value if self.block.along.parts else (value,)):
+            self._running.told[i] = one
+
+    def run(self, errors: np.ndarray, told: np.ndarray) -> np.ndarray:
+        """currents (k, p) [A] over errors (k, m) [m] and speeds or pressures (k,), or both (k, 2),
+        from the present state.
+        """
+        e = check_shape(errors, "errors", "(k, m)", m=len(self.block.inputs))
+        currents = np.empty((len(e), len(self.block.outputs)))
+        for k, value in enumerate(np.asarray(told, float).tolist()):
+            self.schedule(value)
+            currents[k] = self.step(e[k])
+        return currents
+
+    def _told_argument(self) -> tuple[Any, ...]:
+        kind = ctypes.c_double if self.arithmetic == "double" else ctypes.c_float
+        told = [
+            *self._running.told[: len(self.block.axes)],
+            *(self.estimate if isinstance(self.block, SupervisedBlock) else ()),
+        ]
+        return tuple(kind(value) for value in told)
+
+
+def read_law(code: CompiledBlock | CompiledSchedule, at: Any = None) -> StateSpace:
+    """The law that the running code follows: its states are set one by one, its inputs too, and one
+    step is taken from each.
+
+    at: the value at which a schedule is frozen. Every column is what the compiled code made of it,
+    rounding of its words included. Raises InvalidInput where a current stays limited, or the
+    schedule clamped, however small the step.
+    """
+    if isinstance(code, CompiledSchedule) and at is not None:
+        code.schedule(at)
+    block = code.block
+    n, m = block.n_states, len(block.inputs)
+    columns = [_response(code, state, np.zeros(m)) for state in np.diag(block.state_range)]
+    columns += [_response(code, np.zeros(n), error) for error in np.eye(m) * block.error_limit]
+    table = np.array(columns).reshape(n + m, -1).T  # (next states and currents, states and errors)
+    table[:, :n] /= block.state_range
+    table[:, n:] /= block.error_limit
+    return StateSpace(
+        table[:n, :n],
+        table[:n, n:],
+        table[n:, :n],
+        table[n:, n:],
+        block.inputs,
+        block.outputs,
+        block.sample_time,
+    )
+
+
+def _response(
+    code: CompiledBlock | CompiledSchedule, state: np.ndarray, errors: np.ndarray
+) -> np.ndarray:
+    """Next states and currents (n + p,) from a state and errors, taken so small that nothing is
+    limited, and scaled back.
+    """
+    for power in range(1, 40):
+        size = 0.5**power
+        code.begin(size * state)
+        currents = code.step(size * errors)
+        if not code.status:
+            return np.concatenate([code.states(), currents]) / size
+    raise InvalidInput(
+        "the code limits its currents (or clamps what it is told) however small the step; give "
+        "larger limits, stay in its range"
+    )
+
+
+def _pointer(values: np.ndarray) -> Any:
+    return values.ctypes.data_as(ctypes.c_void_p)
+
+
+def _load(name: str, files: dict[str, str], compiler: str | None) -> Any:
+    """The generated files of a block by this name, compiled and loaded. Raises InvalidInput."""
+    remedy = "install one to run the C code here"
+    chosen = find_compiler(compiler)
+    if chosen is None:
+        raise InvalidInput(
+            f"there is no C compiler {compiler or ' or '.join(COMPILERS)} on this computer; "
+            f"{remedy}"
+        )
+    code = build_library(
+        chosen, files, [f"{name}.c", "call.c"], _FLAGS, "give another compiler", libraries="-lm"
+    )
+    return load_library(code)

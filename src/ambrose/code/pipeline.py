@@ -1,0 +1,395 @@
+"""From a controller to files for a target: sampled, verified on its machine, limited by it,
+written.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ambrose.code.block.block import check_limits
+from ambrose.code.block.cascade import build_cascade
+from ambrose.code.block.fixed import ControlBlock, build_block
+from ambrose.code.block.scheduled import ScheduledBlock, build_scheduled_block, check_told_limits
+from ambrose.code.block.supervised import supervise
+from ambrose.code.c.code import check_precision
+from ambrose.code.fmu.archive import check_compiler
+from ambrose.code.provenance import provenance_lines
+from ambrose.code.sampled import (
+    Deployment,
+    Progress,
+    ScheduledDeployment,
+    deploy,
+    deploy_scheduled,
+    unmet_limits,
+)
+from ambrose.code.targets import TARGETS, C, Fmu, Target
+from ambrose.core.checks import UnstableSystem, invalid
+from ambrose.core.presentation import Presented
+from ambrose.core.statespace import StateSpace, rename
+from ambrose.judge.result import Synthesis, synthesis_of
+from ambrose.law.law import LawLike, law_of
+from ambrose.law.loop import match_axes
+from ambrose.law.scheduling import BOTH
+from ambrose.law.supervision import check_pair, supervision_limits
+from ambrose.law.timing import DEFAULT, timing_of
+from ambrose.machine.atomic_write import check_place, write_files
+from ambrose.machine.claim import claimed
+from ambrose.machine.file.toml import bundled_machines, load_machine, machine_hash
+from ambrose.machine.machine import Machine
+from ambrose.model.assemble import assemble
+from ambrose.options import choose
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Delivery(Presented):
+    """What was written for a target, and what it was verified on; fallback: the same of the
+    controller that takes over.
+    """
+
+    target: str
+    deployment: Deployment | ScheduledDeployment
+    block: ControlBlock | ScheduledBlock
+    paths: tuple[Path, ...]
+    fallback: Deployment | None = None
+
+    def facts(self) -> Mapping[str, Any]:
+        """Target, verdict, size, rate and files."""
+        facts = {
+            "target": self.target,
+            "verified": self.verified,
+            "states": self.block.n_states,
+            "rate_hz": 1 / self.block.sample_time,
+            "files": [path.name for path in self.paths],
+        }
+        found = {"problems": list(self.problems), "unmet_limits": list(self.unmet_limits)}
+        return facts | {name: items for name, items in found.items() if items}
+
+    @property
+    def verified(self) -> bool:
+        """Whether the controller, and the one that takes over, is stable wherever it has to be."""
+        return not self.problems
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What speaks against it, one sentence each."""
+        return (
+            *self.deployment.problems,
+            *_of_fallback(self.fallback.problems if self.fallback else ()),
+        )
+
+    @property
+    def unmet_limits(self) -> tuple[str, ...]:
+        """The limits that the loop misses as it runs, at an operating point or over the tolerances,
+        in words.
+        """
+        return (
+            *unmet_limits(self.deployment),
+            *_of_fallback(unmet_limits(self.fallback) if self.fallback else ()),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready data: target, paths of the files, whether the controller is verified, and what
+        speaks against it.
+        """
+        paths, problems = [str(path) for path in self.paths], list(self.problems)
+        return {
+            "target": self.target,
+            "files": paths,
+            "verified": self.verified,
+            "problems": problems,
+            "unmet_limits": list(self.unmet_limits),
+        }
+
+
+def _of_fallback(sentences: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(f"of the fallback: {sentence}" for sentence in sentences)
+
+
+def export(
+    controller: LawLike,
+    directory: str | Path,
+    *,
+    to: Target | str,
+    machine: Machine | None = None,
+    fallback: LawLike | None = None,
+    progress: Progress = lambda stage: None,
+    **options: Any,
+) -> Delivery:
+    """Write a controller for a target into ``directory``, after its sampled loop was verified at
+    every point of ``machine``.
+
+    controller: a Synthesis, or a system from errors [m] to currents [A] (StateSpace,
+    python-control); signals not called err_<axis> are the machine's axes in their order. A
+    scheduled controller is written in floating point. to: a target with its options, or the name of
+    one, its options then by name: ``C`` (C99), ``Mat`` (MATLAB, Octave), ``Fmu`` (FMI 2.0 and 3.0),
+    ``St`` (IEC 61131-3), "c", "mat", "fmu" and "st". machine: None: the bundled one that the
+    controller was made for, if it is unchanged. fallback: the fixed controller that takes over from
+    one scheduled over pressure where the reading cannot be trusted (C only). Raises InvalidInput,
+    and UnstableSystem for a controller that is refused (``deploy``).
+    """
+    target = choose(TARGETS, "the target", to, options)
+    synthesis = _synthesis(controller, machine)
+    _check_target(synthesis, target)
+    machine = bundled_machine(synthesis) if machine is None else machine
+    other = _fallback(fallback, synthesis, target, machine)
+    limits = _limits(synthesis, machine, target)
+    check_place(directory)  # all this before the verification, which takes seconds
+    if isinstance(target, Fmu) and not target.sources_only:
+        check_compiler()
+    with claimed(directory, "folder"):
+        deployment, block = _deploy(synthesis, machine, target, limits, progress, other is not None)
+        lines, beside = provenance_lines(synthesis, deployment), None
+        if (
+            isinstance(target, C)
+            and other is not None
+            and isinstance(block, ScheduledBlock)
+            and synthesis.scheduled is not None
+        ):
+            same = replace(target, rate=1 / block.sample_time, delay_samples=block.delay)
+            try:
+                fixed, law = _deploy(other, machine, same, limits, progress)
+            except UnstableSystem as error:
+                raise UnstableSystem(f"the fallback: {error}") from error
+            beside = cast(Deployment, fixed)
+            stuck = math.inf if target.stuck_after is None else target.stuck_after
+            band = target.pressure_error or 0.0
+            watch = supervision_limits(
+                synthesis.scheduled, machine, target.pressure_rate, band, stuck
+            )
+            block = supervise(block, cast(ControlBlock, law), watch)
+            lines = [*lines, "Fallback:", *provenance_lines(other, fixed)]
+        progress("writing")
+        files = target.files(synthesis, deployment, block, lines)
+        paths = tuple(write_files(directory, files, held=True))
+        return Delivery(target.to, deployment, block, paths, beside)
+
+
+def _fallback(
+    fallback: LawLike | None, synthesis: Synthesis, target: Target, machine: Machine | None
+) -> Synthesis | None:
+    """What takes over, its signals in the schedule's order; None: nothing does. Raises
+    InvalidInput.
+    """
+    if fallback is None:
+        for name in ("pressure_error", "stuck_after"):
+            if isinstance(target, C) and getattr(target, name) is not None:
+                raise invalid(
+                    name,
+                    getattr(target, name),
+                    "left out",
+                    "it belongs to a fallback: name the fixed controller",
+                )
+        return None
+    check_pair(synthesis, fallback)
+    if not isinstance(target, C):
+        raise invalid(
+            "a fallback",
+            f"given for the target {target.to!r}",
+            "left out",
+            "write C, which has the supervision",
+        )
+    if target.pressure_limit is not None:
+        remedy = "a reading beyond the range counts as lost: leave it out"
+        raise invalid(
+            "pressure_limit", f"{target.pressure_limit:g} Pa", "left out with a fallback", remedy
+        )
+    found = _synthesis(fallback, machine)
+    axes = [name.removeprefix("err_") for name in synthesis.controller.inputs]
+    found = replace(
+        found,
+        controller=match_axes(found.controller, axes, found.provenance.machine or "this machine"),
+    )
+    own, given = timing_of(machine, synthesis) or DEFAULT, timing_of(machine, found)
+    alike = given is None or (own.sample_time, own.delay_samples) == (
+        given.sample_time,
+        given.delay_samples,
+    )
+    if target.rate is None and not alike:
+        remedy = f"design it with --rate-hz {own.rate:g}, or say at which rate both run"
+        raise invalid("the fallback", str(given), f"the schedule's: {own}", remedy)
+    return found
+
+
+def _synthesis(controller: LawLike, machine: Machine | None) -> Synthesis:
+    """``controller`` with what is known of its origin. Raises InvalidInput."""
+    law = law_of(controller)
+    synthesis = synthesis_of(law)
+    if synthesis is not law and synthesis.scheduled is None:
+        synthesis = replace(synthesis, controller=_on_axes(synthesis.controller, machine))
+    if synthesis.provenance.date or machine is None:
+        return synthesis
+    return _made_for(synthesis, machine)
+
+
+def _made_for(synthesis: Synthesis, machine: Machine) -> Synthesis:
+    """A synthesis that was never written to a file, with the machine that a file would record."""
+    origin = replace(synthesis.provenance, machine=machine.name, machine_hash=machine_hash(machine))
+    return replace(synthesis, provenance=origin)
+
+
+def _on_axes(system: StateSpace, machine: Machine | None) -> StateSpace:
+    """A system with names of its own takes those of the machine's axes, in their order. Raises
+    InvalidInput.
+    """
+    if machine is None or any(name.startswith("err_") for name in system.inputs):
+        return system
+    count = len(machine.axes)
+    if system.D.shape != (count, count):
+        required = f"({count}, {count}) for the axes {', '.join(machine.axes)}"
+        raise invalid(
+            "the controller's size (outputs, inputs)",
+            system.D.shape,
+            required,
+            "design it for this machine",
+        )
+    return rename(
+        system, [f"err_{axis}" for axis in machine.axes], [f"u_{axis}" for axis in machine.axes]
+    )
+
+
+def _check_target(synthesis: Synthesis, target: Target) -> None:
+    """What can be refused before anything is computed. Raises InvalidInput."""
+    scheduled, along = synthesis.scheduled, synthesis.scheduled_over
+    for other in BOTH.parts:
+        if (along is None or other not in along.each) and target.told(other) != ((None,), (None,)):
+            what = f"{other.name}_limit or {other.name}_rate"
+            raise invalid(
+                what, "given", "left out", f"this controller is not scheduled over {other.name}"
+            )
+    if along is not None and along.parts and not isinstance(target, C):
+        what = "write C, or design over one with --speeds-hz or --pressures-bar alone"
+        raise invalid(
+            f"a schedule over {along.name}",
+            f"for the target {target.to!r}",
+            "for the target 'c'",
+            what,
+        )
+    if scheduled is not None and along is not None:
+        if isinstance(target, C | Fmu):
+            check_precision(target.arithmetic)
+        if isinstance(target, C) and target.form == "cascade":
+            raise invalid(
+                "form",
+                "'cascade'",
+                "'modal' for a scheduled controller",
+                f"its sections change with the {scheduled.parameter}",
+            )
+        check_told_limits(scheduled.axes, along, *target.told(along))
+
+
+def _deploy(
+    synthesis: Synthesis,
+    machine: Machine | None,
+    target: Target,
+    limits: tuple[ArrayLike, ArrayLike],
+    progress: Progress,
+    supervised: bool = False,
+) -> tuple[Deployment | ScheduledDeployment, ControlBlock | ScheduledBlock]:
+    asked = (
+        target.delay_samples
+        if target.rate is not None or timing_of(machine, synthesis) is not None
+        else None
+    )
+    timing = timing_of(machine, synthesis, target.rate, asked) or replace(
+        DEFAULT,
+        delay_samples=DEFAULT.delay_samples
+        if target.delay_samples is None
+        else target.delay_samples,
+    )
+    dt = timing.sample_time
+    delay, sampling = (
+        timing.delay_samples * dt,
+        {"method": target.sampling, "prewarp": target.prewarp},
+    )
+    how: dict[str, Any] = {**sampling, "force": target.force, "progress": progress}
+    guards: dict[str, Any] = {
+        name: value
+        for name in ("windup_time", "hold_samples")
+        if (value := getattr(target, name)) is not None
+    }
+    if synthesis.scheduled is None:
+        plants = (
+            []
+            if machine is None
+            else [assemble(machine, point) for point in machine.operation.envelope]
+        )
+        fixed = deploy(synthesis, dt, delay, plants=plants, **how)
+        if isinstance(target, C) and target.form == "cascade":
+            guards["prewarp"] = target.prewarp
+            return fixed, build_cascade(
+                fixed, synthesis.filters, machine, target.name, *limits, **guards
+            )
+        return fixed, build_block(fixed, target.name, *limits, **guards)
+    over = deploy_scheduled(synthesis, dt, delay, machine=machine, **how)
+    if not supervised:
+        guards |= dict(zip(("told_limit", "rate_limit"), target.told(over.along), strict=True))
+    return over, build_scheduled_block(over, target.name, *limits, **guards)
+
+
+def bundled_machine(synthesis: Synthesis) -> Machine | None:
+    """The bundled machine that the file was made for; None where there is none, or it has changed
+    since.
+    """
+    if synthesis.provenance.machine not in bundled_machines():
+        return None
+    machine = load_machine(str(synthesis.provenance.machine))
+    return machine if machine_hash(machine) == synthesis.provenance.machine_hash else None
+
+
+def machine_limits(machine: Machine) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Per axis the largest plausible displacement [m] and the largest current [A]; None where a
+    bearing does not say.
+    """
+    gaps, currents = [], []
+    for bearing in machine.bearings:
+        gap = (
+            bearing.gap
+            if bearing.gap is not None
+            else bearing.touchdown_gap and 2 * bearing.touchdown_gap
+        )
+        gaps += [gap, gap]
+        currents += [bearing.max_current] * 2
+    known = [None if None in values else np.array(values, float) for values in (gaps, currents)]
+    return known[0], known[1]
+
+
+def _limits(
+    synthesis: Synthesis, machine: Machine | None, target: Target
+) -> tuple[ArrayLike, ArrayLike]:
+    """The limits given, else those of the machine. Raises InvalidInput where neither says one."""
+    errors, currents = (None, None) if machine is None else machine_limits(machine)
+    error = _known(
+        errors if target.error_limit is None else target.error_limit, "the error limit", "m"
+    )
+    current = _known(
+        currents if target.current_limit is None else target.current_limit,
+        "the current limit",
+        "A",
+    )
+    check_limits(
+        error, len(synthesis.controller.inputs), "error_limit", "the bearing's gap is the largest"
+    )
+    check_limits(
+        current,
+        len(synthesis.controller.outputs),
+        "current_limit",
+        "give the largest control current in A",
+    )
+    return error, current
+
+
+def _known(value: ArrayLike | None, what: str, unit: str) -> ArrayLike:
+    if value is None:
+        remedy = (
+            "name the machine file, --machine my.toml (no bundled machine is the one it was made "
+            "for), or state it"
+        )
+        raise invalid(what, "unknown", f"given in {unit}", remedy)
+    return value

@@ -1,0 +1,226 @@
+"""What a controller can be written for: a class for each target, with the options that it has."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from ambrose.options import Options, count, hertz, option, positive
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from ambrose.code.block.fixed import ControlBlock
+    from ambrose.code.block.scheduled import ScheduledBlock
+    from ambrose.code.c.code import Arithmetic, Precision
+    from ambrose.code.sampled import Deployment, ScheduledDeployment
+    from ambrose.core.sampling import Method
+    from ambrose.judge.result import Synthesis
+    from ambrose.law.scheduling import Scheduling
+
+    Block = ControlBlock | ScheduledBlock
+
+Files = Mapping[str, "str | bytes"]
+_WORDS = ("double", "float", "fixed32", "fixed16")
+
+
+def _identifier(value: Any, name: str) -> None:
+    from ambrose.code.block.names import check_identifier
+
+    check_identifier(value, "the name of the block", "choose letters, digits and underscores")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Target(Options, ABC):
+    """How a controller is written, whatever it is written for.
+
+    name: prefix of every name in the code, a C identifier. rate [Hz]: of the samples,
+    delay_samples: from measured errors to currents set (None: as the controller or the machine file
+    says, ``law.timing.timing_of``; 10 kHz and one sample where nobody does); sampling, prewarp
+    [rad/s]: as in ``core.sampling.c2d``. error_limit [m], current_limit [A]: one number or one per
+    axis (None: the bearings' gaps, or twice their touchdown gaps, and largest currents).
+    windup_time [s], hold_samples: as in ``build_block`` (None: its own). speed_limit [rad/s],
+    speed_rate [rad/s^2], pressure_limit [Pa], pressure_rate [Pa/s]: of a controller that is
+    scheduled over the one, as in ``build_scheduled_block``. force: write a controller that is not
+    verified, or not stable everywhere. Raises InvalidInput.
+    """
+
+    to: ClassVar[str]
+    name: str = option(
+        "controller", "Prefix of every name in the code, a C identifier.", check=_identifier
+    )
+    rate: float | None = option(
+        None,
+        "Sample rate; default: the controller's or the machine file's.",
+        flag="--rate-hz",
+        check=positive("give it in Hz"),
+    )
+    delay_samples: int | None = option(
+        None,
+        "From measured errors to currents set; default: the controller's, the machine file's, or "
+        "1.",
+        check=count("1 is usual", "the computing delay"),
+    )
+    sampling: Method = option(
+        "tustin", "How it is sampled.", choices=("tustin", "zoh", "backward-euler", "matched")
+    )
+    prewarp: float | None = option(
+        None,
+        "Tustin exact at this frequency; of matched: where the gain is that of before.",
+        flag="--prewarp-hz",
+        convert=hertz,
+        check=positive("leave it out, or give a frequency below half the rate"),
+    )
+    error_limit: ArrayLike | None = option(
+        None, "Largest plausible error in m; default: the bearing's gap."
+    )
+    current_limit: ArrayLike | None = option(None, "Largest current in A; default: the bearing's.")
+    windup_time: float | None = option(None, "How fast what is wound up is let go, s.", flag=None)
+    hold_samples: int | None = option(None, "Samples a lost reading is held for.", flag=None)
+    speed_limit: float | None = option(
+        None, "Scheduled: largest plausible speed in rad/s; default: twice the range's."
+    )
+    speed_rate: float | None = option(None, "Scheduled: how fast it follows the speed, in rad/s^2.")
+    pressure_limit: float | None = option(
+        None,
+        'Scheduled: largest plausible pressure, such as "6 bar"; default: twice the range\'s.',
+        dimension="pressure",
+        metavar="PRESSURE",
+    )
+    pressure_rate: float | None = option(
+        None,
+        'Scheduled: how fast it follows the pressure, such as "40 bar/s"; with --fallback the '
+        "fastest change believed.",
+        dimension="pressure per time",
+        metavar="RATE",
+    )
+    force: bool = option(
+        False, "Export a controller that is not verified, or not stable everywhere."
+    )
+
+    @abstractmethod
+    def files(
+        self,
+        synthesis: Synthesis,
+        deployment: Deployment | ScheduledDeployment,
+        block: Block,
+        lines: Sequence[str],
+    ) -> Files:
+        """{name: content} of the block; lines: where it comes from."""
+
+    def told(self, along: Scheduling) -> tuple[tuple[float | None, ...], tuple[float | None, ...]]:
+        """The limits of what the code is told, of each parameter, and of their rates."""
+        limits, rates = (
+            tuple(getattr(self, f"{one.name}_{what}") for one in along.each)
+            for what in ("limit", "rate")
+        )
+        return limits, rates
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class C(Target):
+    """C99, with a self-test.
+
+    arithmetic: of the code. form: "modal", or of filters "cascade", section by section. With a
+    fallback pressure_rate, pressure_error [Pa] and stuck_after [s] are rate, band and stuck of
+    ``law.supervision.Limits``.
+    """
+
+    to: ClassVar[str] = "c"
+
+    arithmetic: Arithmetic = option("double", "Numbers of the code.", choices=_WORDS)
+    form: str = option(
+        "modal",
+        "Realisation in C: modal, or of a filter bank its sections one by one.",
+        choices=("modal", "cascade"),
+    )
+    pressure_error: float | None = option(
+        None,
+        'With --fallback: how far off the reading may be, such as "0.4 bar"; an estimate trims it '
+        "by as much.",
+        dimension="pressure",
+        metavar="PRESSURE",
+    )
+    stuck_after: float | None = option(
+        None,
+        "With --fallback: how long the very same reading may come; default: not watched.",
+        metavar="SECONDS",
+    )
+
+    def files(
+        self,
+        synthesis: Synthesis,
+        deployment: Deployment | ScheduledDeployment,
+        block: Block,
+        lines: Sequence[str],
+    ) -> Files:
+        from ambrose.code.c.code import generate
+
+        return generate(block, self.arithmetic, lines)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Mat(Target):
+    """A MAT-file for MATLAB and Octave, in double precision."""
+
+    to: ClassVar[str] = "mat"
+
+    def files(
+        self,
+        synthesis: Synthesis,
+        deployment: Deployment | ScheduledDeployment,
+        block: Block,
+        lines: Sequence[str],
+    ) -> Files:
+        from ambrose.code.mat import generate_mat
+
+        return generate_mat(block, deployment, synthesis, lines)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Fmu(Target):
+    """Functional mock-up units, FMI 2.0 and 3.0.
+
+    arithmetic: of the code. sources_only: without a binary.
+    """
+
+    to: ClassVar[str] = "fmu"
+
+    arithmetic: Arithmetic = option("double", "Numbers of the code.", choices=_WORDS)
+    sources_only: bool = option(False, "An FMU without a binary: no C compiler is needed here.")
+
+    def files(
+        self,
+        synthesis: Synthesis,
+        deployment: Deployment | ScheduledDeployment,
+        block: Block,
+        lines: Sequence[str],
+    ) -> Files:
+        from ambrose.code.fmu.archive import generate_fmus
+
+        return generate_fmus(block, self.arithmetic, lines, sources_only=self.sources_only)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class St(Target):
+    """Structured text, IEC 61131-3. arithmetic: of the code."""
+
+    to: ClassVar[str] = "st"
+
+    arithmetic: Precision = option("double", "Numbers of the code.", choices=_WORDS[:2])
+
+    def files(
+        self,
+        synthesis: Synthesis,
+        deployment: Deployment | ScheduledDeployment,
+        block: Block,
+        lines: Sequence[str],
+    ) -> Files:
+        from ambrose.code.structured_text import generate_structured_text
+
+        return generate_structured_text(block, self.arithmetic, lines)
+
+
+TARGETS: Mapping[str, type[Target]] = {kind.to: kind for kind in (C, Mat, Fmu, St)}

@@ -1,0 +1,272 @@
+"""H-infinity control by linear matrix inequalities, for plants that violate the assumptions of the
+Riccati equations.
+
+A controller with norm below gamma exists exactly when symmetric R and S (n, n) satisfy, with N_R
+spanning the null space of [B2^T D12^T] and N_S that of [C2 D21],
+
+    N^T [A R + R A^T  R C1^T   B1 ] N        N^T [A^T S + S A  S B1    C1^T ] N         [R  I]
+        [C1 R        -gamma I  D11]   < 0        [B1^T S     -gamma I  D11^T]   < 0     [I  S] >= 0
+        [B1^T         D11^T  -gamma I]           [C1           D11   -gamma I]
+
+where N is diag(N_R, I) and diag(N_S, I). The controller then solves one more inequality, in closed
+form. Sources: Gahinet & Apkarian 1994, Int. J. Robust Nonlinear Control 4; Iwasaki & Skelton 1994,
+Automatica 30 (theorem 1). Solver: Clarabel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.linalg as sla
+
+from ambrose.core.checks import InvalidInput, NumericalFailure
+from ambrose.core.hinf.scaling import Matrices, ScaledPlant
+from ambrose.core.matrix_inequalities.semidefinite import side, smat, svec
+
+# (strictness of the inequalities, largest R and S) when designing
+_MARGINS = ((1e-3, 1e3), (1e-4, 1e4), (1e-6, 1e6))
+_ROUNDS = 4  # solved again in coordinates and units in which R, S and gamma are close to 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prepared:
+    """gamma: the smallest of the inequalities (any larger one satisfies them strictly); plant: the
+    scaled plant in states in which the optimal R and S are equal and diagonal, with time measured
+    in 1/rate, rate in [rad/s].
+    """
+
+    gamma: float
+    plant: ScaledPlant
+    rate: float
+
+
+def smallest_gamma(plant: ScaledPlant, time_left: Callable[[], float]) -> Prepared:
+    """The smallest gamma, and the plant made ready for ``lmi_controller``; time_left() [s] bounds
+    each call of the solver.
+
+    Raises NumericalFailure when the solver fails, InvalidInput without the solver.
+    """
+    rate = float(np.linalg.norm(plant.A, 2)) if len(plant.A) else 1.0  # with which |A| = 1
+    rate = rate if rate > 0 else 1.0
+    plant = plant.in_time(rate)
+    gamma = plant.gain if plant.gain > 0 else 1.0
+    for _ in range(_ROUNDS):
+        R, S, value = _solve(plant.in_units(gamma), None, 0.0, np.inf, time_left())
+        last, gamma = gamma, gamma * value
+        if not gamma > 0:
+            raise NumericalFailure(
+                f"the matrix inequalities give gamma = {gamma:.3g}; w has no effect on z that "
+                "matters"
+            )
+        plant = _balanced(plant, R, S)
+        if abs(gamma / last - 1) < 5e-4:
+            break
+    return Prepared(gamma, plant, rate)
+
+
+def lmi_controller(prepared: Prepared, gamma: float, time_left: Callable[[], float]) -> Matrices:
+    """(A, B, C, D) of a controller of the plant's order with norm below ``gamma``, R S far from I
+    so that its poles stay slow.
+
+    Raises NumericalFailure when the solver finds none, InvalidInput without the solver.
+    """
+    unit = prepared.plant.in_units(gamma)
+    reasons = []
+    for strict, largest in _MARGINS:
+        try:
+            R, S, _ = _solve(unit, 1.0, strict, largest, time_left())
+            A, B, C, D = _controller(unit, R, S)
+        except (NumericalFailure, np.linalg.LinAlgError) as reason:
+            reasons.append(str(reason))
+            continue
+        root = np.sqrt(prepared.rate)
+        return A * prepared.rate, B * root, C * root, D
+    raise NumericalFailure(
+        f"no controller from the matrix inequalities at gamma = {gamma:.6g}: {reasons[-1]}"
+    )
+
+
+def _balanced(plant: ScaledPlant, R: np.ndarray, S: np.ndarray) -> ScaledPlant:
+    """States x = T x' in which R and S are equal and diagonal; unchanged when they are not
+    definite.
+    """
+    try:
+        L = np.linalg.cholesky(R)
+        values, U = np.linalg.eigh(L.T @ S @ L)
+    except np.linalg.LinAlgError:
+        return plant
+    if not len(values) or values[0] <= 0 or np.linalg.cond(L) > 1e8:
+        return plant
+    T = L @ U / values**0.25
+    return plant.in_states(T, np.linalg.inv(T))
+
+
+def _solve(
+    plant: ScaledPlant, gamma: float | None, strict: float, largest: float, time_limit: float
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """R, S and the least gamma; or at a given gamma the largest t in [R tI; tI S] >= 0 under
+    ``strict`` and ``largest``.
+
+    Raises NumericalFailure.
+    """
+    n = len(plant.A)
+    count = n * (n + 1) // 2
+    free_gamma = 1.0 if gamma is None else 0.0
+    blocks = []
+    for place, half in ((0, plant), (1, plant.dual())):
+        of_matrix, of_gamma, constant = existence(half)
+        rows = np.zeros((len(constant), 2 * count + 1))
+        rows[:, place * count : (place + 1) * count] = of_matrix
+        rows[:, -1] = free_gamma * of_gamma
+        identity = svec(np.eye(side(len(constant))))
+        blocks.append(
+            (rows, constant + (0.0 if gamma is None else gamma) * of_gamma - strict * identity)
+        )
+    of_R, of_S, off = coupling(n)
+    blocks.append((np.column_stack([of_R, of_S, (1 - free_gamma) * off]), free_gamma * off))
+    if np.isfinite(largest):
+        for place in range(2):
+            rows = np.zeros((count, 2 * count + 1))
+            rows[:, place * count : (place + 1) * count] = -np.eye(count)
+            blocks.append((rows, largest * svec(np.eye(n))))
+    cost = np.zeros(2 * count + 1)
+    cost[-1] = 1.0 if gamma is None else -1.0
+    x = _clarabel(cost, blocks, time_limit)
+    if gamma is not None and not x[-1] > 1:
+        raise NumericalFailure(f"the largest t is {x[-1]:.6g}, but must exceed 1")
+    return smat(x[:count]), smat(x[count:-1]), float(x[-1])
+
+
+def existence(plant: ScaledPlant) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """svec of minus the first inequality above: coefficients of svec(R) (k, n(n+1)/2), of gamma
+    (k,), and the constant (k,).
+
+    The second one is the first one of the dual plant.
+    """
+    n = len(plant.A)
+    r = len(plant.C1)
+    q = plant.B1.shape[1]
+    null = sla.null_space(np.hstack([plant.B2.T, plant.D12.T]), rcond=1e-12)
+    N = sla.block_diag(null, np.eye(q))
+    left = N.T @ np.vstack([plant.A, plant.C1, np.zeros((q, n))])
+    right = N.T @ np.eye(n + r + q, n)
+    basis = symmetric_basis(n)
+    products = left @ basis @ right.T
+    products = -(products + products.swapaxes(1, 2))
+    of_matrix = np.array([svec(M) for M in products]).T.reshape(-1, len(basis))
+    gains = np.vstack([plant.B1, plant.D11])
+    constant = -N.T @ np.block([[np.zeros((n + r, n + r)), gains], [gains.T, np.zeros((q, q))]]) @ N
+    of_gamma = N.T @ np.diag(np.repeat([0.0, 1.0], [n, r + q])) @ N
+    return of_matrix, svec(of_gamma), svec(constant)
+
+
+def coupling(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """svec of [R tI; tI S]: coefficients of svec(R) and of svec(S) (n(2n+1), n(n+1)/2), and of t
+    (n(2n+1),).
+    """
+    zero = np.zeros((n, n))
+    up = np.array([svec(sla.block_diag(M, zero)) for M in symmetric_basis(n)]).T
+    low = np.array([svec(sla.block_diag(zero, M)) for M in symmetric_basis(n)]).T
+    return up, low, svec(np.kron([[0.0, 1.0], [1.0, 0.0]], np.eye(n)))
+
+
+def symmetric_basis(n: int) -> np.ndarray:
+    """Symmetric matrices (n(n+1)/2, n, n), orthonormal, in the order of svec."""
+    return smat(np.eye(n * (n + 1) // 2)).reshape(-1, n, n)
+
+
+def _clarabel(
+    cost: np.ndarray, blocks: list[tuple[np.ndarray, np.ndarray]], time_limit: float
+) -> np.ndarray:
+    """Minimise cost x subject to smat(rows x + constant) >= 0 for every block. Raises
+    NumericalFailure, InvalidInput.
+    """
+    from scipy import sparse
+
+    try:
+        import clarabel
+    except ImportError as error:
+        raise InvalidInput(
+            'method "lmi" needs the solver Clarabel; install it with: pip install "ambrose[lmi]"'
+        ) from error
+    blocks = [block for block in blocks if len(block[1])]
+    rows = sparse.csc_matrix(-np.vstack([block[0] for block in blocks]))
+    constant = np.concatenate([block[1] for block in blocks])
+    cones: list[Any] = [clarabel.PSDTriangleConeT(side(len(block[1]))) for block in blocks]
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.max_iter = 200
+    settings.time_limit = max(time_limit, 1e-3)
+    no_curvature = sparse.csc_matrix((len(cost), len(cost)))
+    solve: Callable[[], Any] = clarabel.DefaultSolver(
+        no_curvature, cost, rows, constant, cones, settings
+    ).solve
+    solution = solve()
+    status = str(solution.status)
+    if status not in ("Solved", "AlmostSolved", "InsufficientProgress"):
+        raise NumericalFailure(
+            f"the solver of the matrix inequalities ended with {status} after "
+            f"{solution.iterations} steps"
+        )
+    return np.array(solution.x)
+
+
+def _controller(plant: ScaledPlant, R: np.ndarray, S: np.ndarray) -> Matrices:
+    """The controller at gamma = 1 in closed form, from strictly feasible R and S.
+
+    The closed loop's matrix inequality is Psi + P^T K Q + Q^T K^T P < 0 with its certificate [S W;
+    W W], W = S - R^-1.
+    """
+    n = len(plant.A)
+    m = plant.B2.shape[1]
+    p = len(plant.C2)
+    r, q = len(plant.C1), plant.B1.shape[1]
+    W = S - np.linalg.inv(R)
+    W = (W + W.T) / 2
+    X = np.block([[S, W], [W, W]])
+    zero = np.zeros((n, n))
+    A = sla.block_diag(plant.A, zero)
+    B, C = np.vstack([plant.B1, np.zeros((n, q))]), np.hstack([plant.C1, np.zeros((r, n))])
+    B_u = np.block([[zero, plant.B2], [np.eye(n), np.zeros((n, m))]])
+    C_y = np.block([[zero, np.eye(n)], [plant.C2, np.zeros((p, n))]])
+    XA = X @ A
+    Psi = np.block(
+        [[XA + XA.T, X @ B, C.T], [B.T @ X, -np.eye(q), plant.D11.T], [C, plant.D11, -np.eye(r)]]
+    )
+    P = np.hstack([B_u.T @ X, np.zeros((n + m, q)), np.vstack([np.zeros((n, r)), plant.D12.T])])
+    Q = np.hstack([C_y, np.vstack([np.zeros((n, q)), plant.D21]), np.zeros((n + p, r))])
+    K = _iwasaki_skelton(Psi, P.T, Q)
+    return K[:n, :n], K[:n, n:], K[n:, :n], K[n:, n:]
+
+
+def _iwasaki_skelton(Psi: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarray:
+    """K with Psi + B K C + (B K C)^T < 0: K = -w B^T Phi C^T (C Phi C^T)^-1, Phi = (w B B^T -
+    Psi)^-1 > 0, B orthonormal.
+
+    Phi is put together from its blocks along B and across it, for w may be many decades above the
+    rest. Raises NumericalFailure when there is none to working precision.
+    """
+    U, s, Vt = np.linalg.svd(B)
+    k = int((s > 1e-12 * s[0]).sum())
+    along = U[:, :k]
+    across = U[:, k:]
+    back = Vt[:k].T / s[:k]
+    V, s, Wt = np.linalg.svd(C, full_matrices=False)
+    keep = s > 1e-12 * s[0]
+    C_full, C_back = Wt[keep], (V[:, keep] / s[keep]).T
+    rest = -across.T @ Psi @ across
+    if rest.size and np.linalg.eigvalsh(rest)[0] <= 0:
+        raise NumericalFailure("R and S are feasible only to rounding")
+    coupling = along.T @ Psi @ across
+    slope = np.linalg.solve(rest, coupling.T).T
+    inner = along.T @ Psi @ along + slope @ coupling.T
+    needed = np.linalg.eigvalsh((inner + inner.T) / 2)[-1]
+    weight = 2 * max(float(needed), 1e-3 * float(np.linalg.norm(Psi, 2)))
+    direction = along + across @ slope.T
+    small = np.linalg.inv(weight * np.eye(k) - inner)
+    Phi = across @ np.linalg.solve(rest, across.T) + direction @ small @ direction.T
+    gain = -weight * small @ direction.T @ C_full.T @ np.linalg.inv(C_full @ Phi @ C_full.T)
+    return back @ gain @ C_back

@@ -1,0 +1,54 @@
+"""The time limit of a synthesis, in computing time, so that a busy machine does not change its
+result.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+from ambrose.core.checks import check_positive
+
+_PATIENCE = 5.0  # times the limit: the guard by the clock on the wall
+
+
+@dataclass(frozen=True, slots=True)
+class TimeLimit:
+    """``seconds`` of computing by the thread that made this object, and five times as many on the
+    wall as an outer guard.
+
+    The thread's own time: other programs, other threads of the process and the threads of a linear
+    algebra library do not count. Raises InvalidInput unless the limit is positive.
+    """
+
+    seconds: float
+    _computed: float = field(default_factory=time.thread_time)
+    _begun: float = field(default_factory=time.monotonic)
+
+    def __post_init__(self) -> None:
+        check_positive(self.seconds, "time_limit", "give seconds")
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds on the wall since the start."""
+        return time.monotonic() - self._begun
+
+    @property
+    def left(self) -> float:
+        """Seconds that remain, of computing or on the wall, whichever ends first; not positive when
+        the limit is reached.
+        """
+        return min(
+            self.seconds - (time.thread_time() - self._computed),
+            _PATIENCE * self.seconds - self.elapsed,
+        )
+
+    @property
+    def reached(self) -> str:
+        """What to say when nothing is left."""
+        if time.thread_time() - self._computed < self.seconds:
+            return (
+                f"{_PATIENCE:g} times the time limit of {self.seconds:g} s passed, on a busy "
+                "machine; raise time_limit"
+            )
+        return f"the time limit of {self.seconds:g} s was reached; raise time_limit"

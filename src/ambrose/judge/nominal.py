@@ -1,0 +1,168 @@
+"""Verification of one closed loop: everything that holds without uncertainty, on the plant given.
+
+Give it the full plant: a controller designed on a reduced one can destabilise a bending mode. The
+checks are listed in the tables of rotor_modes.py, campbell.py, sensitivity.py, margins.py,
+unbalance.py and transient.py; limits come from criteria.py, overridden by the requirements. The
+loop diagram is in core/lft.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ambrose.core.checks import check_shape, invalid, named_failure
+from ambrose.judge.campbell import speed_stability_check
+from ambrose.judge.checks import Check, Checks, Curve
+from ambrose.judge.loop_response import add_poles, frequency_grid, loop_evaluator
+from ambrose.judge.margins import margin_checks
+from ambrose.judge.rotor_modes import modes, pole_checks, pole_curve
+from ambrose.judge.sensitivity import sensitivity_checks
+from ambrose.judge.transient import pulse_checks, pulse_response
+from ambrose.judge.unbalance import assembled_check, unbalance_checks, unbalance_curve
+from ambrose.law.law import LawLike
+from ambrose.law.loop import closed_loop, match_controller
+from ambrose.machine.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, TWO_PI
+from ambrose.machine.description import Requirements
+from ambrose.model.plant import Plant, top_speed
+from ambrose.model.unbalance import Unbalance, residual_unbalance
+
+_LOWEST = 0.5 * TWO_PI  # rad/s, start of the default grid
+_SPEEDS = 40  # speeds at which the rotor is assembled anew for unbalance
+_STABILITY_SPEEDS = 11
+_BEYOND = 5.0  # the default grid reaches this many times past the standard's range
+
+Progress = Callable[[str, float], None]
+
+
+@named_failure("the nominal checks")
+def check(
+    plant: Plant,
+    controller: LawLike,
+    requirements: Requirements | None = None,
+    omega: ArrayLike | None = None,
+    progress: Progress | None = None,
+    plant_at: Callable[[float], Plant] | None = None,
+) -> Checks:
+    """The verdict on ``controller`` (err -> u, continuous or sampled) around ``plant``.
+
+    requirements: default those of the plant's machine. omega (w,) [rad/s]: ascending, positive;
+    points around lightly damped closed-loop poles are added (default: 0.5 Hz to five times the
+    range of ISO 14839-3). progress(stage, fraction) is called between stages. plant_at(speed
+    [rad/s]) -> Plant: with it stability and unbalance are checked along the machine's speed range
+    with the rotor assembled anew at every speed. An unstable loop yields stable=False, the check
+    "stability.abscissa" that names its poles, and the pole curve. Raises InvalidInput for a
+    controller of the wrong size or a grid that does not ascend from a positive frequency.
+    """
+    tell = progress or (lambda stage, fraction: None)
+    requirements = plant.machine.requirements if requirements is None else requirements
+    controller = match_controller(controller, plant)
+    tell("closed-loop poles", 0.0)
+    closed = closed_loop(plant, controller)
+    found = modes(closed, plant.ports)
+    speed = max(top_speed(plant.machine), plant.point.speed)
+    checks: list[Check] = pole_checks(found, requirements, speed)
+    curves: list[Curve] = [pole_curve(found)]
+    label = plant.point.label or f"{plant.point.speed / TWO_PI:.4g} Hz"
+    notes = _notes(plant, controller.dt)
+    if found.poles.real.max() >= 0:
+        return Checks(label, False, tuple(checks[:1]), tuple(curves), notes)
+
+    highest = max(SENSITIVITY_RANGE.limits[0].value, SPEED_RANGE_FACTOR * speed)
+    if controller.dt is not None:
+        highest = min(highest, np.pi / controller.dt)
+    grid = _grid(found.poles, omega, highest, controller.dt)
+    tell("frequency response", 0.15)
+    evaluator = loop_evaluator(plant, controller)
+    response = evaluator(grid)
+    tell("sensitivity and compliance", 0.35)
+    within = (float(grid[0]), min(highest, float(grid[-1])))
+    _extend(checks, curves, sensitivity_checks(response, evaluator, requirements, within))
+    tell("margins", 0.55)
+    _extend(checks, curves, margin_checks(response, evaluator, requirements))
+    tell("unbalance", 0.7)
+    residual = residual_unbalance(plant.machine, requirements)
+    if residual is None:
+        notes += (
+            "No unbalance response: no balancing speed is known; set requirements.balance_speed "
+            "or a speed range.",
+        )
+    else:
+        _extend(
+            checks, curves, unbalance_checks(plant, response, evaluator, requirements, residual)
+        )
+    if plant_at is not None and plant.machine.operation.speed_range[1] > 0:
+        _extend(checks, curves, _assembled(plant_at, plant, controller, requirements, residual))
+    tell("time response", 0.85)
+    _extend(checks, curves, pulse_checks(pulse_response(closed, plant), plant, requirements))
+    tell("done", 1.0)
+    return Checks(label, True, tuple(checks), tuple(curves), notes)
+
+
+def _extend(
+    checks: list[Check], curves: list[Curve], more: tuple[list[Check], list[Curve]]
+) -> None:
+    checks += more[0]
+    curves += more[1]
+
+
+def _grid(
+    poles: np.ndarray, omega: ArrayLike | None, highest: float, dt: float | None
+) -> np.ndarray:
+    top = np.inf if dt is None else np.pi / dt
+    if omega is None:
+        return frequency_grid(poles, _LOWEST, min(_BEYOND * highest, top))
+    given = check_shape(omega, "omega", "(w)").astype(float)
+    if given.size < 2 or given[0] <= 0 or (np.diff(given) <= 0).any():
+        raise invalid(
+            "omega",
+            "not an ascending grid of positive frequencies",
+            "ascending, from above 0 rad/s",
+            "sort it",
+        )
+    return add_poles(given, poles)
+
+
+def _notes(plant: Plant, dt: float | None) -> tuple[str, ...]:
+    notes: tuple[str, ...] = ()
+    if plant.bending_modes is not None:
+        notes += (
+            f"The plant is reduced to {plant.bending_modes} bending modes per plane: spillover "
+            "into others is not seen.",
+        )
+    if dt is not None:
+        notes += (
+            f"Sampled controller (dt = {dt:g} s): poles and time responses of the plant sampled "
+            "with a zero-order hold; "
+            "frequency curves use the base band of the hold, so aliasing near the Nyquist "
+            "frequency is not in them.",
+        )
+    return notes
+
+
+def _assembled(
+    plant_at: Callable[[float], Plant],
+    plant: Plant,
+    controller: LawLike,
+    requirements: Requirements,
+    residual: Unbalance | None,
+) -> tuple[list[Check], list[Curve]]:
+    """Stability and the unbalance curve along the speed range, with the rotor assembled anew at
+    every speed.
+    """
+    low, high = plant.machine.operation.speed_range
+    stability = speed_stability_check(
+        plant_at, np.linspace(low, high, _STABILITY_SPEEDS), controller
+    )
+    if residual is None or not stability.passed:
+        return [stability], []
+    speeds = np.linspace(max(low, 0.02 * high), high, _SPEEDS)
+    if requirements.unbalance_to is not None and speeds[0] < requirements.unbalance_to < high:
+        speeds = np.unique(np.append(speeds, requirements.unbalance_to))
+    curve = replace(
+        unbalance_curve(plant_at, speeds, controller, residual), name="unbalance.assembled"
+    )
+    return [stability, assembled_check(curve, requirements)], [curve]

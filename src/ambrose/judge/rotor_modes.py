@@ -1,0 +1,225 @@
+"""Closed-loop poles with damping and whirl direction.
+
+| check | what | unit |
+|---|---|---|
+| stability.abscissa | largest real part of the closed-loop poles; must be negative | rad/s |
+| poles.log_decrement.lowest | smallest log dec to the first forward mode or top speed | - |
+| poles.log_decrement.least | smallest log dec of all poles, bending and controller included | - |
+| poles.damping.least | smallest damping ratio of all poles | - |
+
+The curve "poles" holds every closed-loop pole.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg as sla
+
+from ambrose.core.checks import named_failure
+from ambrose.core.statespace import StateSpace, balance, index_of
+from ambrose.judge.checks import Check, Curve
+from ambrose.judge.criteria import information, judge
+from ambrose.machine.criteria import SENSITIVITY_RANGE, TWO_PI, Demand, demand
+from ambrose.machine.description import Requirements
+
+PLANAR = 0.1  # below this modulus of the whirl measure a mode has no direction
+OSCILLATORY = 0.7071067811865476  # a damping ratio below this counts as a mode that can ring
+# |Im|/|pole| up to which a pole is real: rounding splits a double real pole by about the root of
+# 1e-16
+_REAL = 1e-7
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Modes:
+    """Poles (n,) [rad/s] with Im >= 0, by ascending modulus, and how the rotor moves in each.
+
+    whirl (n,): +1 forward circle, -1 backward circle, 0 a line; shapes (ports, n): complex
+    displacements at ``ports``. A pole with Im = 0 stands for itself, every other for a conjugate
+    pair.
+    """
+
+    poles: np.ndarray
+    whirl: np.ndarray
+    shapes: np.ndarray
+    ports: tuple[str, ...]
+
+    def __getitem__(self, kept: np.ndarray) -> Modes:
+        return Modes(self.poles[kept], self.whirl[kept], self.shapes[:, kept], self.ports)
+
+    @property
+    def frequency(self) -> np.ndarray:
+        """Damped natural frequency |Im| (n,) [rad/s]."""
+        return self.poles.imag
+
+    @property
+    def damping(self) -> np.ndarray:
+        """Damping ratio -Re/|pole| (n,)."""
+        return damping_ratio(self.poles)
+
+    @property
+    def log_decrement(self) -> np.ndarray:
+        """2 pi (-Re)/|Im| (n,), infinite for real stable poles."""
+        return log_decrement(self.poles)
+
+
+def damping_ratio(poles: np.ndarray) -> np.ndarray:
+    """-Re/|pole|, 0 for a pole at the origin."""
+    modulus = np.abs(poles)
+    return np.divide(-poles.real, modulus, out=np.zeros(poles.shape), where=modulus > 0)
+
+
+def log_decrement(poles: np.ndarray) -> np.ndarray:
+    """2 pi zeta/sqrt(1 - zeta^2) = 2 pi (-Re)/|Im|: the log of the ratio of two successive maxima;
+    +-inf on the real axis.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        value = TWO_PI * -poles.real / np.abs(poles.imag)
+    return np.where(np.isnan(value), 0.0, value)
+
+
+def direction(whirl: float) -> str:
+    """The whirl measure in a word."""
+    return "planar" if abs(whirl) < PLANAR else "forward" if whirl > 0 else "backward"
+
+
+@named_failure("the modes of the loop")
+def modes(system: StateSpace, ports: tuple[str, ...]) -> Modes:
+    """Eigenvalues of the system and the displacement shapes at its outputs q_<port>; sampled poles
+    are mapped by ln(z)/dt.
+
+    Whirl: with X, Y a port pair's complex amplitudes, (|X + jY|^2 - |X - jY|^2) / (sum of both),
+    summed over the pairs; spin is positive from the first direction to the second.
+    """
+    A, t = balance(system.A)
+    values, vectors = sla.eig(A)
+    if system.dt is not None:
+        values = np.log(np.where(values == 0, np.finfo(float).tiny, values)) / system.dt
+    real = np.abs(values.imag) <= _REAL * np.abs(values)
+    values = np.where(real, values.real, values)
+    keep = values.imag >= 0
+    values, vectors = values[keep], vectors[:, keep]
+    order = np.lexsort((values.imag, np.abs(values)))
+    values, vectors = values[order], vectors[:, order] * t[:, None]
+    shapes = system.C[index_of([f"q_{port}" for port in ports], system.outputs, "output")] @ vectors
+    return Modes(values, whirl_measure(shapes, ports), shapes, ports)
+
+
+def whirl_measure(shapes: np.ndarray, ports: tuple[str, ...]) -> np.ndarray:
+    """The measure of ``modes`` for shapes (ports, n) complex, in [-1, 1]."""
+    first, second = pairs(ports)
+    X, Y = shapes[first], shapes[second]
+    forward, backward = (np.abs(X + 1j * Y) ** 2).sum(axis=0), (np.abs(X - 1j * Y) ** 2).sum(axis=0)
+    total = forward + backward
+    return np.divide(forward - backward, total, out=np.zeros(len(total)), where=total > 0)
+
+
+def pairs(ports: tuple[str, ...]) -> tuple[list[int], list[int]]:
+    """Positions of the two directions of every place: <place>_zeta with _eta, <place>_x with _y."""
+    first, second = [], []
+    for one, other in (("_zeta", "_eta"), ("_x", "_y")):
+        for i, port in enumerate(ports):
+            if port.endswith(one) and port.removesuffix(one) + other in ports:
+                first.append(i)
+                second.append(ports.index(port.removesuffix(one) + other))
+    return first, second
+
+
+def pole_checks(found: Modes, requirements: Requirements, top_speed: float) -> list[Check]:
+    """The checks of this file's table.
+
+    top_speed [rad/s]: modes up to it are held against the log decrement, whatever their direction;
+    so is the first mode that can ring and does not whirl backward. A detail lists the five least
+    damped modes of the standard's range.
+    """
+    listed_to = SENSITIVITY_RANGE.limits[0].value
+    worst = int(np.argmax(found.poles.real))
+    abscissa = float(found.poles[worst].real)
+    stability = judge(
+        "stability.abscissa",
+        "Stability: largest real part of the closed-loop poles",
+        abscissa,
+        "rad/s",
+        Demand(0.0, "<", "asymptotic stability"),
+        _stability_detail(found, worst),
+    )
+    ringing = np.flatnonzero((found.poles.imag > 0) & (found.damping < OSCILLATORY))
+    if not ringing.size:
+        return [stability]
+    checks = [stability]
+    forward = ringing[found.whirl[ringing] > -PLANAR]
+    ceiling = max(top_speed, float(found.frequency[forward[0]]) if forward.size else 0.0)
+    low = ringing[found.frequency[ringing] <= ceiling * (1 + 1e-9)]
+    if low.size:
+        k = low[np.argmin(found.log_decrement[low])]
+        title = "Log decrement of the modes up to the top speed"
+        where = (
+            f"{describe(found, k)}; modes up to {ceiling / TWO_PI:.4g} Hz, the first forward one "
+            "included"
+        )
+        wanted = demand("log decrement", requirements)
+        checks.append(
+            judge("poles.log_decrement.lowest", title, found.log_decrement[k], "-", wanted, where)
+        )
+    order = ringing[np.argsort(found.damping[ringing])]
+    near = [k for k in order if found.frequency[k] <= listed_to][:5]
+    least = order[0]
+    where = f"at {_place(found, least)}"
+    listed = ", ".join(f"{_place(found, k)} {found.damping[k]:.3g}" for k in near) or "none"
+    detail = f"{where}; least up to {listed_to / TWO_PI:.4g} Hz: {listed}"
+    return [
+        *checks,
+        information(
+            "poles.log_decrement.least",
+            "Least log decrement of all poles",
+            found.log_decrement[least],
+            "-",
+            where,
+            ">=",
+        ),
+        information(
+            "poles.damping.least",
+            "Least damping ratio of all poles",
+            found.damping[least],
+            "-",
+            detail,
+            ">=",
+        ),
+    ]
+
+
+def describe(found: Modes, k: int) -> str:
+    """One pole in words: "pole at 49.2 Hz forward, damping ratio -0.171"."""
+    pole = found.poles[k]
+    if pole.imag == 0:
+        return f"real pole at {pole.real:.4g} rad/s"
+    return f"pole at {_place(found, k)}, damping ratio {found.damping[k]:.3g}"
+
+
+def _place(found: Modes, k: int) -> str:
+    return f"{found.frequency[k] / TWO_PI:.4g} Hz {direction(found.whirl[k])}"
+
+
+def _stability_detail(found: Modes, worst: int) -> str:
+    unstable = np.flatnonzero(found.poles.real >= 0)
+    if not unstable.size:
+        return f"rightmost: {describe(found, worst)}"
+    unstable = unstable[np.argsort(-found.poles[unstable].real)]
+    named = "; ".join(describe(found, k) for k in unstable[:4])
+    return named + (f"; and {unstable.size - 4} more" if unstable.size > 4 else "")
+
+
+def pole_curve(found: Modes) -> Curve:
+    """All closed-loop poles, both halves of the plane."""
+    both = np.concatenate([found.poles, found.poles[found.poles.imag > 0].conj()])
+    return Curve(
+        "poles",
+        "Closed-loop poles",
+        "poles",
+        both.real,
+        both.imag[None, :],
+        ("poles",),
+        "rad/s",
+        "rad/s",
+    )

@@ -1,0 +1,235 @@
+"""The verdict on one controller: on the full plants point by point, and over all tolerances around
+each.
+
+verification = verify_controller(machine, controller)     # as the front door and the command
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from ambrose.core.arguments import names_wrong_types
+from ambrose.core.checks import InvalidInput
+from ambrose.core.statespace import StateSpace
+from ambrose.judge import nominal, robust, sampled
+from ambrose.judge.between import check_range
+from ambrose.judge.checks import Check, Checks
+from ambrose.judge.motion import Motion, moving_proofs, refuse_motion
+from ambrose.judge.plants import Progress, full_plants, plant_at, plants_along_speed, split_covered
+from ambrose.judge.verification import CONTINUOUS, WITH_MEAN_DELAY, Verification, box_label
+from ambrose.law.law import LawLike, law_of
+from ambrose.law.loop import match_controller, running_law
+from ambrose.law.scheduling import SPEED
+from ambrose.law.timing import Timing, timing_of
+from ambrose.law.weights import machine_weights
+from ambrose.machine.description import OperatingPoint, Tolerance
+from ambrose.machine.machine import Machine
+from ambrose.model.assemble import assemble
+from ambrose.model.plant import Plant
+from ambrose.model.uncertainty import not_varied, tolerances_around
+
+
+@names_wrong_types
+def verify_controller(
+    machine: Machine | Plant | Sequence[Plant],
+    controller: LawLike,
+    points: Sequence[str | OperatingPoint] | None = None,
+    *,
+    tolerances: bool = True,
+    rate: float | None = None,
+    delay_samples: int | None = None,
+    pressure_rate: float | None = None,
+    pressure_error: float = 0.0,
+    speed_rate: float | None = None,
+    progress: Progress = lambda stage: None,
+) -> Verification:
+    """The checks of a controller on the full plant at every operating point, and over the
+    tolerances around each.
+
+    machine: or the plants to verify on, one or several. controller: what controls, as a law or as
+    anything that ``law.law.law_of`` makes one of. points: operating points or labels (None: all).
+    tolerances: whether the tolerance boxes are examined. rate [Hz], delay_samples: the loop as it
+    runs, sampled by Tustin's map and late; None: as the controller or the machine file says
+    (``law.timing.timing_of``); where neither knows a rate the continuous loop is judged, and
+    ``timing`` says so. pressure_rate [Pa/s]: the fastest change of the seal pressure (None: the
+    machine file's; without one nothing is proved for a pressure that changes); pressure_error [Pa]:
+    how far off what a controller scheduled over it is told may be; speed_rate [rad/s^2]: the
+    fastest run-up, for a proof while the speed changes, over the tolerances as well (None: none).
+    Operating points that a schedule does not cover are listed as left out. Raises InvalidInput
+    where the controller is not one for this machine.
+    """
+    law = law_of(controller)
+    if not isinstance(machine, Machine):
+        plants = (machine,) if isinstance(machine, Plant) else tuple(machine)
+    elif points is None:
+        plants = full_plants(machine)
+    else:
+        plants = tuple(plant_at(machine, point) for point in points)
+    if not plants:
+        raise InvalidInput(
+            "no operating point is given; name one at least, or leave points out for all of the "
+            "machine"
+        )
+    motion = Motion(pressure_rate, pressure_error, speed_rate)
+    if points is None and isinstance(machine, Machine):
+        refuse_motion(machine, law, motion)
+    within, left_out = split_covered(law, plants)
+    timing = timing_of(within[0].machine, law, rate, delay_samples)
+    checks = verify_points(within, law, progress, timing)
+    boxes = verify_tolerances(within, law, checks, progress, timing) if tolerances else ()
+    ranges: tuple[Checks, ...] = ()
+    moving: tuple[Checks, ...] = ()
+    if points is None and isinstance(machine, Machine):
+        ranges, beyond = verify_ranges(machine, law, checks, progress, timing)
+        left_out = (*left_out, *beyond)
+        moving = tuple(
+            item
+            for proof in moving_proofs()
+            for item in proof.prove(
+                machine, law, checks, timing, motion, tolerances=tolerances, progress=progress
+            )
+        )
+    still = tuple(words for plant in within for words in not_varied(plant)) if tolerances else ()
+    return Verification(
+        checks,
+        boxes,
+        left_out,
+        CONTINUOUS if timing is None else str(timing),
+        still,
+        ranges,
+        moving,
+    )
+
+
+def verify_points(
+    plants: Sequence[Plant],
+    controller: LawLike,
+    progress: Progress = lambda stage: None,
+    timing: Timing | None = None,
+) -> tuple[Checks, ...]:
+    """The checks on every full plant, of the loop as it runs. Raises InvalidInput where the
+    controller is not one for it.
+    """
+    law = law_of(controller)
+    results = []
+    for plant in plants:
+        progress(f"verifying at {plant.point.label}")
+        # a law that changes with it has its own verdict over speed
+        fixed = not law.follows(SPEED)
+        turning = fixed and plant.machine.operation.speed_range[1] > 0 and plant is plants[0]
+        along = plants_along_speed(plant) if turning else None
+        results.append(nominal.check(plant, running_law(law, plant, timing), plant_at=along))
+    return tuple(results)
+
+
+def verify_ranges(
+    machine: Machine,
+    law: LawLike,
+    points: Sequence[Checks],
+    progress: Progress,
+    timing: Timing | None = None,
+) -> tuple[tuple[Checks, ...], tuple[str, ...]]:
+    """The checks over every range all of whose corners (of ``points``) are held; the ranges that a
+    schedule does not cover.
+    """
+    law = law_of(law)
+    stable = {checks.label: checks.stable for checks in points}
+    found = []
+    beyond = []
+    for area in machine.operation.ranges:
+        covered = [law.covers(assemble(machine, corner)) for corner in area.corners]
+        if not all(covered):
+            beyond.append(area.label)
+        elif all(stable.get(corner.label, True) for corner in area.corners):
+            progress(f"verifying between the points of {area.label}")
+            found.append(check_range(machine, area, law, timing))
+    return tuple(found), tuple(beyond)
+
+
+def verify_tolerances(
+    plants: Sequence[Plant],
+    controller: LawLike,
+    points: Sequence[Checks],
+    progress: Progress,
+    timing: Timing | None = None,
+    tolerances: Sequence[Tolerance] | None = None,
+    *,
+    design: LawLike | None = None,
+) -> tuple[Checks, ...]:
+    """The checks over the tolerances around every plant with a stable loop (``points``) and any
+    tolerance.
+
+    tolerances: None: all; otherwise those, and of all together only the number of unstable corners
+    and samples. Around the first of them everything is examined: worst cases searched and bounded,
+    stability proved. Around the others stability and the worst sensitivity are searched. With a
+    timing this is done on the continuous loop with its mean delay, and the sampled loop is examined
+    at the corners, at samples and at what the search found, which judges the sensitivity. design:
+    the continuous law that ``controller`` is the sampled one of (None: itself); of a sampled law
+    without it only the points are examined.
+    """
+    boxes: list[Checks] = []
+    for plant, point in zip(plants, points, strict=True):
+        held = tolerances_around(plant, tolerances)
+        if not held or not point.stable:
+            continue
+        progress(f"verifying over the tolerances around {plant.point.label}")
+        given = match_controller(controller, plant)
+        source = match_controller(controller if design is None else design, plant)
+        checks: list[Checks] = []
+        if source.dt is None:
+            model = source if timing is None else timing.late(source)
+            checks.append(
+                _continuous_box(plant, model, held, detailed=not boxes, late=timing is not None)
+            )
+            if tolerances is not None and (every := tolerances_around(plant)):
+                checks[0] = replace(
+                    checks[0], checks=(*checks[0].checks, robust.stability(plant, model, every))
+                )
+        if timing is not None:
+            found = checks[0].found if checks else ()
+            checks.append(sampled.check_over_box(plant, timing.in_loop(given), held, found))
+        boxes.append(_joined(box_label(plant.point.label), checks))
+    return tuple(boxes)
+
+
+def _continuous_box(
+    plant: Plant, law: StateSpace, held: tuple[Tolerance, ...], *, detailed: bool, late: bool
+) -> Checks:
+    """The robust checks of a continuous law, which with ``late`` holds the loop's mean delay;
+    ``detailed``: all of them.
+    """
+    if not detailed:
+        box = robust.examine(plant, law, held)
+    else:
+        weights = machine_weights(plant.machine) if plant.machine.weights is not None else None
+        box = robust.check(plant, law, held, weights)
+    if not late:
+        return box
+    checks = tuple(replace(c, detail=f"{c.detail}; {WITH_MEAN_DELAY}") for c in box.checks)
+    return replace(
+        box,
+        checks=tuple(_unjudged(c) if c.name == "robust.sensitivity.worst" else c for c in checks),
+    )
+
+
+def _unjudged(check: Check) -> Check:
+    """A check without its limit: Tustin's map moves a fast controller's resonances, so that the
+    sampled loop is the judge.
+    """
+    return replace(
+        check,
+        limit=None,
+        passed=None,
+        detail=f"{check.detail}, which is judged by the sampled one below",
+    )
+
+
+def _joined(label: str, parts: Sequence[Checks]) -> Checks:
+    """Several examinations of one box as one."""
+    checks, curves, notes = (
+        tuple(x for part in parts for x in getattr(part, name))
+        for name in ("checks", "curves", "notes")
+    )
+    found = tuple(point for part in parts for point in part.found)
+    return Checks(label, all(part.stable for part in parts), checks, curves, notes, found)

@@ -1,0 +1,112 @@
+"""What a registered effect adds to the machine file: its table, its part, where it stands, what of
+it may be uncertain.
+
+An effect is registered under the name of its table (``ambrose.registry``, kind "effect"). This is
+the half of it that the room of machine files needs; ``ambrose.model.effect`` adds the physics. No
+effect is imported before somebody asks for one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+from ambrose.machine.part import Part
+from ambrose.registry import registered, resolve
+
+if TYPE_CHECKING:
+    from ambrose.machine.description import MachineDescription
+
+TILTED, UPRIGHT = ("zeta", "eta"), ("x", "y")
+_MOST = 20  # entries of a table, unless its effect says otherwise
+
+
+@dataclass(frozen=True, slots=True)
+class Station:
+    """Where an effect acts: ports <name>_<axis> at a position [m] along the rotor.
+
+    angle: of the first axis from the global x [rad]; the second one is a quarter turn ahead. axes:
+    their names.
+    """
+
+    name: str
+    position: float
+    angle: float = 0.0
+    axes: tuple[str, str] = UPRIGHT
+
+
+def where_it_stands(part: Any) -> tuple[Station, ...]:
+    """The station of a part with a name and a position: in its own axes where it has an angle."""
+    if hasattr(part, "angle"):
+        return (Station(part.name, part.position, part.angle, TILTED),)
+    return (Station(part.name, part.position),)
+
+
+def _no_problem(where: str, part: Any) -> Iterator[str]:
+    """An effect without findings of its own."""
+    yield from ()
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Attachment:
+    """An effect as the machine file knows it.
+
+    table: its name there, [[table]]. part: the dataclass that an entry becomes, whose annotated
+    fields are the keys; it has a ``name``. findings(where, part): what is wrong with an entry, a
+    line each (``where`` stands first in each). stations(part): where it acts. quantities: what
+    may carry a tolerance: name -> (dimension, the components that can be named alone). most: how
+    many entries a machine may have. on_stator: whether what it acts against moves with a support
+    or a casing mode that names it; otherwise it acts against the ground. reach: of its mark in
+    the drawing of the rotor, above the shaft [pixels].
+    """
+
+    table: str
+    part: type[Any]
+    findings: Callable[[str, Any], Iterator[str]] = _no_problem
+    stations: Callable[[Any], tuple[Station, ...]] = where_it_stands
+    quantities: Mapping[str, tuple[str, tuple[str, ...]]] = field(default_factory=dict)
+    most: int = _MOST
+    on_stator: bool = False
+    reach: float = 26.0
+
+
+def attachments() -> dict[str, Any]:
+    """All registered effects by their tables, in a fixed order: those of the house, of the annexes,
+    then those added from outside.
+    """
+    return dict(_resolved(tuple(registered("effect").items())))
+
+
+@lru_cache(maxsize=8)
+def _resolved(places: tuple[tuple[str, Any], ...]) -> tuple[tuple[str, Any], ...]:
+    return tuple((table, resolve(place)) for table, place in places)
+
+
+def attachment_of(part: Part) -> Any:
+    """The effect that a part belongs to. Raises TypeError for a part of no registered effect."""
+    for item in attachments().values():
+        if type(part) is item.part:
+            return item
+    known = ", ".join(item.part.__name__ for item in attachments().values())
+    raise TypeError(f"{type(part).__name__} is no part of a registered effect; known: {known}")
+
+
+def attached(machine: MachineDescription) -> Iterator[tuple[Any, Any]]:
+    """(effect, part) of everything on a machine that belongs to a registered effect, in the order
+    of its ports.
+    """
+    for part in machine.attached:
+        yield attachment_of(part), part
+
+
+def by_table(parts: tuple[Part, ...]) -> dict[str, list[Any]]:
+    """Parts of registered effects by their tables, in the order of ``attachments``; empty tables
+    are left out.
+    """
+    return {
+        table: entries
+        for table, item in attachments().items()
+        if (entries := [part for part in parts if type(part) is item.part])
+    }

@@ -1,0 +1,257 @@
+"""Magnetic bearing force: linear, f = k_i i + k_s x per axis with k_s > 0 destabilising, and
+nonlinear (``force``).
+
+One horseshoe with coil current I at a gap s carries the flux b = B 2/(mu_0 N) [A/m] that solves
+
+    I = s b + l b b_s/(b_s - b),
+
+air gap and iron in series: without iron b = I/s; with iron, l is the equivalent gap of the
+unsaturated iron and b_s the flux it never passes (B of the iron's H as Froehlich's hyperbola, H ~
+B/(B_s - B)). A pair pulls with f = c (b_1^2 - b_2^2), which without iron is the usual c ((i_0 +
+i)^2/(s_0 - x)^2 - (i_0 - i)^2/(s_0 + x)^2). Of every pair, k_s/k_i = b_0: the ratio of the two
+coefficients is the bias flux whatever the iron does, which is how ``parameters`` finds c and s_0
+from them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.machine.description import BiasPoint, MagnetGeometry, MagneticBearing, MagnetIron, Pair
+
+VACUUM_PERMEABILITY = 4e-7 * np.pi  # mu_0 [V s/(A m)]; the measured value differs by 1e-10
+
+
+@dataclass(frozen=True, slots=True)
+class MagnetCoefficients:
+    """force_per_current k_i (zeta, eta) [N/A] and negative_stiffness k_s (zeta, eta) [N/m]."""
+
+    force_per_current: Pair
+    negative_stiffness: Pair
+
+
+def linearised(bearing: MagneticBearing, bias_current: float | None = None) -> MagnetCoefficients:
+    """The coefficients of a bearing as they are stated, at a bias current [A] (None: the bearing's
+    own).
+
+    At the bearing's own bias the given values win. Elsewhere measured rows are interpolated
+    linearly (the given values count as one more row) and never extrapolated; without rows the
+    geometry decides. Raises InvalidInput where nothing applies.
+    """
+    bias = bearing.bias_current if bias_current is None else bias_current
+    bias = check_positive(
+        bias, f"the bias current [A] of bearing {bearing.name}", "give the premagnetisation current"
+    )
+    given = _given(bearing)
+    if given is not None and _same(bias, given.bias_current):
+        return MagnetCoefficients(given.force_per_current, given.negative_stiffness)
+    if bearing.measured:
+        rows = [
+            row
+            for row in bearing.measured
+            if given is None or not _same(row.bias_current, given.bias_current)
+        ]
+        return _interpolated(bearing.name, [*rows, *([given] if given else [])], bias)
+    if bearing.geometry is not None:
+        return _from_geometry(bearing.geometry, bearing.iron, bias)
+    if given is not None:
+        raise invalid(
+            f"the bias current of bearing {bearing.name}",
+            f"{bias:g} A",
+            f"the {given.bias_current:g} A at which its coefficients are given",
+            "add its geometry, or measured rows at other bias currents",
+        )
+    raise InvalidInput(
+        f"bearing {bearing.name} has no coefficients; give force_per_current and "
+        "negative_stiffness, measured rows or geometry"
+    )
+
+
+def of_size(p: tuple[float, ...], bias: float, area: float = 1.0) -> MagnetCoefficients:
+    """Coefficients without load of magnets p (``parameters``) at another bias current [A], poles
+    ``area`` times as large.
+    """
+    found = []
+    for c, gap in ((p[4], p[5]), (p[7], p[8])):
+        b, slope = _flux(bias, gap, p[2], p[3])
+        found.append((4 * area * c * b * slope, 4 * area * c * b**2 * slope))
+    return MagnetCoefficients((found[0][0], found[1][0]), (found[0][1], found[1][1]))
+
+
+def from_geometry(bearing: MagneticBearing, bias: float) -> bool:
+    """Whether the coefficients at a bias current [A] are not stated, but those of the geometry,
+    which has no load.
+    """
+    given = _given(bearing)
+    return not bearing.measured and (given is None or not _same(bias, given.bias_current))
+
+
+def force_constant(geometry: MagnetGeometry) -> float:
+    """k = mu_0 N^2 A/4 [N m2/A2] of an opposing pair: f = k ((i_1/s_1)^2 - (i_2/s_2)^2) cos(a)
+    (Schweitzer & Maslen 2009).
+    """
+    return VACUUM_PERMEABILITY * geometry.turns**2 * geometry.pole_area / 4
+
+
+def parameters(bearing: MagneticBearing, bias_current: float | None = None) -> tuple[float, ...]:
+    """What ``force`` needs, at a bias current [A] (None: the bearing's own): the magnet whose
+    derivatives are ``linearised``.
+
+    (i_0 [A], cross-coupling [-], b_s [A/m], l [m], then for zeta and for eta: c [N m2/A2], s_0 [m],
+    offset [m]); b_s is 0 without iron. s_0 is an effective gap: without iron s_0 = k_s i_0/k_i.
+    Raises InvalidInput as ``linearised`` does, and where the iron cannot carry the flux k_s/k_i
+    that the coefficients imply.
+    """
+    bias = bearing.bias_current if bias_current is None else bias_current
+    at = linearised(bearing, bias)
+    limit, path = _iron(bearing.iron)
+    fitted: list[float] = []
+    for axis, k_i, k_s, offset in zip(
+        ("zeta", "eta"),
+        at.force_per_current,
+        at.negative_stiffness,
+        bearing.magnetic_offset,
+        strict=True,
+    ):
+        c, gap = _fitted(f"{bearing.name}_{axis}", bias, k_i, k_s, limit, path)
+        fitted += [c, gap, offset]
+    return (float(bias), float(bearing.cross_coupling), limit, path, *fitted)
+
+
+def force(
+    i_zeta: float, i_eta: float, x_zeta: float, x_eta: float, p: tuple[float, ...]
+) -> tuple[float, float]:
+    """Force (zeta, eta) [N] on the rotor at control currents [A] and displacements [m]; p from
+    ``parameters``.
+
+    Coil currents i_0 +- i stop at zero. A gap below 2 % of the effective one is held there: the
+    rotor is then far inside the touchdown bearing. Compiles with numba as it stands.
+    """
+    i_0 = p[0]
+    cross = p[1]
+    b_s = p[2]
+    path = p[3]
+    f_zeta, f_eta = 0.0, 0.0
+    for axis in range(2):
+        if axis == 0:
+            i = i_zeta + cross * i_eta
+            x = x_zeta - p[6]
+            c = p[4]
+            s_0 = p[5]
+        else:
+            i = i_eta + cross * i_zeta
+            x = x_eta - p[9]
+            c = p[7]
+            s_0 = p[8]
+        total = 0.0
+        for side in (1.0, -1.0):
+            coil = max(i_0 + side * i, 0.0)
+            s = max(s_0 - side * x, 0.02 * s_0)
+            if b_s > 0.0:
+                q = coil + (s + path) * b_s
+                b = 2.0 * coil * b_s / (q + math.sqrt(max(q * q - 4.0 * s * coil * b_s, 0.0)))
+            else:
+                b = coil / s
+            total += side * c * b * b
+        if axis == 0:
+            f_zeta = total
+        else:
+            f_eta = total
+    return f_zeta, f_eta
+
+
+def _iron(iron: MagnetIron | None) -> tuple[float, float]:
+    """b_s [A/m] and l [m]; (0, 0) without iron."""
+    return (
+        (0.0, 0.0)
+        if iron is None
+        else (2 * iron.flux_density / (VACUUM_PERMEABILITY * iron.turns), iron.equivalent_gap)
+    )
+
+
+def _flux(current: float, gap: float, limit: float, path: float) -> tuple[float, float]:
+    """Flux b [A/m] of a horseshoe and its derivative db/dI [1/m]; -db/ds is b times that."""
+    if limit <= 0.0:
+        return current / gap, 1 / gap
+    q = current + (gap + path) * limit
+    b = 2 * current * limit / (q + math.sqrt(q * q - 4 * gap * current * limit))
+    return b, (limit - b) / (gap * (limit - b) + current - gap * b + path * limit)
+
+
+def _fitted(
+    name: str, bias: float, k_i: float, k_s: float, limit: float, path: float
+) -> tuple[float, float]:
+    """c and s_0 of the pair whose derivatives at zero are k_i = 4 c b_0 db/dI and k_s = b_0 k_i."""
+    b_0 = k_s / k_i
+    if b_0 <= 0.0:
+        raise invalid(
+            f"the negative stiffness of {name}",
+            f"{k_s:g} N/m",
+            "positive",
+            "the nonlinear force follows from its ratio to k_i",
+        )
+    if limit <= 0.0:
+        gap = bias / b_0
+    elif b_0 < limit:
+        gap = bias / b_0 - path * limit / (limit - b_0)
+    else:
+        gap = 0.0
+    if gap <= 0.0:
+        raise invalid(
+            f"the bias flux k_s/k_i of {name}",
+            f"{b_0:g} A/m at {bias:g} A",
+            f"one that the iron carries: below {limit:g} A/m, its equivalent gap below "
+            f"{bias / b_0:g} m",
+            "correct bearing.iron or the coefficients",
+        )
+    return k_i / (4 * b_0 * _flux(bias, gap, limit, path)[1]), gap
+
+
+def _from_geometry(
+    geometry: MagnetGeometry, iron: MagnetIron | None, bias: float
+) -> MagnetCoefficients:
+    """k_i = 4 k b db/dI cos(a), k_s = b k_i; without iron 4 k i_0 cos(a)/s_0^2 and 4 k i_0^2
+    cos(a)/s_0^3.
+
+    No leakage. Source: Schweitzer & Maslen 2009, chapter 4; the iron as above.
+    """
+    b, slope = _flux(bias, geometry.gap, *_iron(iron))
+    k_i = float(4 * force_constant(geometry) * np.cos(geometry.pole_half_angle) * b * slope)
+    return MagnetCoefficients((k_i, k_i), (k_i * b, k_i * b))
+
+
+def _given(bearing: MagneticBearing) -> BiasPoint | None:
+    """The given coefficients as a row at the bearing's own bias current."""
+    k_i, k_s = bearing.force_per_current, bearing.negative_stiffness
+    return None if k_i is None or k_s is None else BiasPoint(bearing.bias_current, k_i, k_s)
+
+
+def _interpolated(name: str, rows: list[BiasPoint], bias: float) -> MagnetCoefficients:
+    rows = sorted(rows, key=lambda row: row.bias_current)
+    currents = [row.bias_current for row in rows]
+    if not (
+        currents[0] <= bias <= currents[-1] or _same(bias, currents[0]) or _same(bias, currents[-1])
+    ):
+        raise invalid(
+            f"the bias current of bearing {name}",
+            f"{bias:g} A",
+            f"within the measured {currents[0]:g} to {currents[-1]:g} A",
+            "measure there, or choose a bias current inside",
+        )
+    k_i = [
+        float(np.interp(bias, currents, [row.force_per_current[axis] for row in rows]))
+        for axis in (0, 1)
+    ]
+    k_s = [
+        float(np.interp(bias, currents, [row.negative_stiffness[axis] for row in rows]))
+        for axis in (0, 1)
+    ]
+    return MagnetCoefficients((k_i[0], k_i[1]), (k_s[0], k_s[1]))
+
+
+def _same(a: float, b: float) -> bool:
+    return bool(np.isclose(a, b, rtol=1e-9, atol=0.0))

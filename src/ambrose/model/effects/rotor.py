@@ -1,0 +1,485 @@
+"""The free rotor: finite elements of a stepped shaft with rigid discs, and its modes.
+
+Coordinates per node: [x, y, alpha, beta], alpha and beta the rotations about x and y, so that x' =
+beta and y' = -alpha where there is no shear. M q'' + Omega G q' + K q = f, spin positive from x to
+y, G skew. Attachments need not lie on nodes: the elements' shape functions interpolate. The planes
+decouple at standstill; ``plane_*`` matrices act on [w, theta] per node.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+import scipy.linalg as sla
+from numpy.typing import ArrayLike
+
+from ambrose.core.checks import check_finite, invalid, named_failure
+from ambrose.core.mechanical import undamped_modes
+from ambrose.core.presentation import Presented
+from ambrose.machine.description import MachineDescription
+from ambrose.machine.limits import FINE_MESH_MODES
+from ambrose.machine.rotor_model import Disc, ShaftSection
+from ambrose.model.effects.beam import BeamElement, beam_element, conical_element, shape
+
+STANDARD_GRAVITY = 9.80665  # [m/s2]
+
+# plane -> index of the deflection and of the rotation within a node, sign of the rotation (y' =
+# -alpha)
+_PLANES = {"x": (0, 3, 1.0), "y": (1, 2, -1.0)}
+_RESIDUAL_SHIFT = 0.01  # of the first bending mode's square
+_DEPENDENT = 1e-8  # of a load's own part of the residual displacements, below which it has none
+# rotations at both ends, of their difference and their sum
+_CHORD = 0.5 * np.array([[-1.0, 1.0], [1.0, 1.0]])
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Rotor(Presented):
+    """A rotor of N nodes without bearings.
+
+    positions (N,) [m]: the nodes. plane_mass, plane_gyroscopic, plane_stiffness (2N, 2N), all
+    symmetric, in [w, theta] per node: with z = w_x + j w_y they give M z'' - j Omega G z' + K z =
+    f. shear (N-1,) [-]: phi of the elements' shape functions (beam.shape). bending (N-1, 2, 2) [N
+    m]: the elements' stiffness against the difference and the sum of the rotations at their ends,
+    as seen from their chords. corrected (2N, m), correction (m,) [1/s2]: M phi of the m bending
+    modes of which the machine states a measured frequency, and by how much its square is above that
+    of shaft and discs; plane_stiffness has it, so that the modes keep their shapes.
+
+    mass, gyroscopic, stiffness (4N, 4N) in [x, y, alpha, beta] per node are made anew at every
+    reading: nothing but tests needs them.
+    """
+
+    positions: np.ndarray
+    plane_mass: np.ndarray
+    plane_gyroscopic: np.ndarray
+    plane_stiffness: np.ndarray
+    shear: np.ndarray
+    bending: np.ndarray
+    corrected: np.ndarray
+    correction: np.ndarray
+
+    @property
+    def n_nodes(self) -> int:
+        return len(self.positions)
+
+    @property
+    def mass(self) -> np.ndarray:
+        """The mass matrix of both planes."""
+        return _in_both(self.plane_mass)
+
+    @property
+    def gyroscopic(self) -> np.ndarray:
+        """The gyroscopic matrix, skew: from one plane into the other."""
+        from_y = to_plane(to_plane(self.plane_gyroscopic, "x").T, "y").T
+        return from_y - from_y.T
+
+    @property
+    def stiffness(self) -> np.ndarray:
+        """The stiffness of both planes."""
+        return _in_both(self.plane_stiffness)
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class MassProperties(Presented):
+    """mass [kg], centre [m] axial coordinate of the centre of mass, diametral_inertia about it and
+    polar_inertia [kg m2].
+
+    As the rotor's matrices have them: "bernoulli-euler" leaves the rotary inertia of the shaft out
+    of diametral_inertia.
+    """
+
+    mass: float
+    centre: float
+    diametral_inertia: float
+    polar_inertia: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FreeModes:
+    """Modes of the free rotor at standstill, real and mass-orthonormal.
+
+    shapes (4N, 4 + 2 n): translation along x and y, tilting of the x and y planes about the centre
+    of mass (exact; the right end moves in the positive direction), then the n bending shapes by
+    ascending frequency, each in x and in y (the left end moves in the positive direction).
+    frequencies (4 + 2 n,) [rad/s]: zeros for the rigid modes.
+    """
+
+    shapes: np.ndarray
+    frequencies: np.ndarray
+
+    def damping_ratios(self, machine: MachineDescription) -> np.ndarray:
+        """Of every mode (4 + 2 n,): what was measured, else modal_damping."""
+        ratios = np.full(len(self.frequencies), machine.modal_damping)
+        for mode in machine.bending_modes:
+            if mode.damping is not None:
+                ratios[2 + 2 * mode.number : 4 + 2 * mode.number] = mode.damping
+        return ratios
+
+
+def finite_element_rotor(machine: MachineDescription) -> Rotor:
+    """Assemble the shaft (``elements`` equal elements per section) and the discs of a machine; N =
+    all elements + 1.
+
+    Discs may lie between nodes: their inertia is spread by the shape functions. Bending modes of
+    which the machine states a measured frequency have it. Assembled once: machines of the same
+    shaft and discs share one rotor, whose arrays are read-only. Raises InvalidInput where a
+    measured frequency would change the order of the modes.
+    """
+    rotor = _rotor(machine.shaft, machine.discs, machine.beam_theory)
+    measured = tuple(
+        (mode.number, mode.frequency)
+        for mode in machine.bending_modes
+        if mode.frequency is not None
+    )
+    return _with_frequencies(rotor, tuple(sorted(measured))) if measured else rotor
+
+
+@lru_cache(maxsize=8)
+def _with_frequencies(rotor: Rotor, measured: tuple[tuple[int, float], ...]) -> Rotor:
+    """The rotor with bending modes (number, frequency [rad/s]) as measured: K + sum (w^2 - w_0^2) M
+    phi phi' M.
+    """
+    numbers = [number for number, _ in measured]
+    own, shapes = _plane_bending(rotor, min(max(numbers) + 1, 2 * rotor.n_nodes - 2))
+    found = own.copy()
+    for number, frequency in measured:
+        found[number - 1] = frequency
+    for k in np.flatnonzero(np.diff(found) <= 0)[:1]:
+        number, frequency = next(one for one in measured if one[0] in {k + 1, k + 2})
+        low = found[number - 2] if number > 1 else 0.0
+        high = found[number] if number < len(found) else np.inf
+        raise invalid(
+            f"the frequency of [[bending_mode]] {number}",
+            f"{frequency / (2 * np.pi):g} Hz",
+            f"between those of its neighbours, {low / (2 * np.pi):.4g} and "
+            f"{high / (2 * np.pi):.4g} Hz",
+            "check which mode was measured, or correct the shaft",
+        )
+    places = [number - 1 for number in numbers]
+    corrected, correction = (
+        rotor.plane_mass @ shapes[:, places],
+        found[places] ** 2 - own[places] ** 2,
+    )
+    stiffness = rotor.plane_stiffness + (corrected * correction) @ corrected.T
+    for array in (corrected, correction, stiffness):
+        array.flags.writeable = False
+    return replace(rotor, plane_stiffness=stiffness, corrected=corrected, correction=correction)
+
+
+@lru_cache(maxsize=8)
+def _rotor(shaft: tuple[ShaftSection, ...], discs: tuple[Disc, ...], theory: str) -> Rotor:
+    positions, element = _mesh(shaft, theory)
+    mass, gyroscopic = _add_discs(element, positions, discs)
+    bending = _CHORD.T @ element.stiffness[:, 1::2, 1::2] @ _CHORD
+    arrays = (
+        positions,
+        *(_assemble(part) for part in (mass, gyroscopic, element.stiffness)),
+        element.shear,
+        bending,
+        np.zeros((2 * len(positions), 0)),
+        np.zeros(0),
+    )
+    for array in arrays:
+        array.flags.writeable = False
+    return Rotor(*arrays)
+
+
+def displacement_row(rotor: Rotor, position: float, direction_angle: float) -> np.ndarray:
+    """The row (4N,) that reads the displacement [m] at an axial position [m] along a direction;
+    transposed, it applies a force.
+
+    direction_angle [rad] from x towards y. Raises InvalidInput off the shaft.
+    """
+    w = plane_rows(rotor, [position])[0][0]
+    return np.cos(direction_angle) * to_plane(w, "x") + np.sin(direction_angle) * to_plane(w, "y")
+
+
+def plane_rows(rotor: Rotor, positions: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    """Rows that read deflection w (p, 2N) and cross-section rotation theta (p, 2N) from [w, theta]
+    per node, anywhere.
+
+    positions (p,) [m]. Raises InvalidInput off the shaft.
+    """
+    e, *local = _local_rows(rotor.positions, rotor.shear, positions)
+    w, theta = np.zeros((2, len(e), 2 * rotor.n_nodes))
+    for rows, values in zip((w, theta), local, strict=True):
+        np.put_along_axis(rows, 2 * e[:, None] + np.arange(4), values, axis=1)
+    return w, theta
+
+
+def _local_rows(
+    nodes: np.ndarray, shear: np.ndarray, positions: ArrayLike
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The element (p,) in which each axial position [m] lies, and its rows w (p, 4) and theta (p,
+    4) there.
+    """
+    at = np.atleast_1d(check_finite(positions, "the axial position [m]")).astype(float)
+    start, end = nodes[0], nodes[-1]
+    slack = 1e-9 * (end - start)
+    off = (at < start - slack) | (at > end + slack)
+    if off.any():
+        found, span = f"{at[off][0]:g} m", f"on the shaft, from {start:g} to {end:g} m"
+        raise invalid(
+            "the axial position", found, span, "move the attachment or lengthen the shaft"
+        )
+    e = np.clip(np.searchsorted(nodes, at, side="right") - 1, 0, len(nodes) - 2)
+    length = np.diff(nodes)[e]
+    return e, *shape(np.clip((at - nodes[e]) / length, 0.0, 1.0), length, shear[e])
+
+
+def to_plane(vector: np.ndarray, plane: str) -> np.ndarray:
+    """Coordinates (2N, ...) in [w, theta] per node of the "x" or "y" plane, as coordinates (4N,
+    ...) of the whole rotor.
+    """
+    whole = np.zeros((2 * vector.shape[0], *vector.shape[1:]))
+    deflection, rotation, sign = _PLANES[plane]
+    whole[deflection::4] = vector[0::2]
+    whole[rotation::4] = sign * vector[1::2]
+    return whole
+
+
+def mass_properties(rotor: Rotor) -> MassProperties:
+    """Mass, centre of mass and inertias that the rotor's own matrices imply."""
+    translation, tilt = _rigid_motions(rotor.positions, 0.0)
+    mass = translation @ rotor.plane_mass @ translation
+    centre = translation @ rotor.plane_mass @ tilt / mass
+    _, tilt = _rigid_motions(rotor.positions, centre)
+    return MassProperties(
+        float(mass),
+        float(centre),
+        float(tilt @ rotor.plane_mass @ tilt),
+        float(tilt @ rotor.plane_gyroscopic @ tilt),
+    )
+
+
+def gravity_load(
+    rotor: Rotor, direction: float | None, acceleration: float = STANDARD_GRAVITY
+) -> np.ndarray:
+    """The rotor's weight (4N,) [N, N m] on its coordinates: M times the acceleration of free fall
+    [m/s2].
+
+    direction [rad] from x towards y, -pi/2 for down along y; None: no weight. In modes: shapes.T
+    times it.
+    """
+    load = np.zeros(4 * rotor.n_nodes)
+    if direction is not None:
+        translation, _ = _rigid_motions(rotor.positions, 0.0)
+        for plane, part in (("x", np.cos(direction)), ("y", np.sin(direction))):
+            load += acceleration * part * to_plane(rotor.plane_mass @ translation, plane)
+    return load
+
+
+def free_bending_frequencies(rotor: Rotor, count: int) -> np.ndarray:
+    """The lowest ``count`` free-free bending frequencies at standstill (count,) [rad/s], each once
+    though both planes have it.
+
+    Raises InvalidInput when ``count`` exceeds what the mesh has (2N - 2).
+    """
+    return _plane_bending(rotor, count)[0]
+
+
+@lru_cache(maxsize=16)
+def free_modes(rotor: Rotor, n_bending: int) -> FreeModes:
+    """Rigid modes (exact) and the lowest ``n_bending`` bending modes of each plane of the free
+    rotor at standstill.
+
+    Computed once for a rotor; the arrays are read-only. Raises InvalidInput when ``n_bending``
+    exceeds what the mesh has (2N - 2).
+    """
+    rigid = _rigid_modes(rotor)
+    frequencies, bending = (
+        _plane_bending(rotor, n_bending) if n_bending else (np.zeros(0), np.zeros((len(rigid), 0)))
+    )
+    plane = np.hstack([rigid, bending])
+    shapes = np.stack([to_plane(plane, "x"), to_plane(plane, "y")], axis=2).reshape(
+        2 * len(plane), -1
+    )
+    both = np.repeat(np.concatenate([np.zeros(2), frequencies]), 2)
+    for array in (shapes, both):
+        array.flags.writeable = False
+    return FreeModes(shapes, both)
+
+
+@named_failure("the residual compliance of the rotor")
+def residual_modes(rotor: Rotor, kept: int, loads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What all bending modes of one plane but the lowest ``kept`` yield to loads, as modes:
+    frequencies (r,) [rad/s] among themselves, ascending, and mass-orthonormal shapes (2N, r), r <=
+    l.
+
+    loads (l, 2N): rows as of ``plane_rows``, a load each. The static displacement X that they leave
+    in those modes solves K X = L - M Phi Phi^T L, Phi the rigid and the kept modes, within the
+    complement of Phi, where K is regular; a shift far below the kept modes makes the factorised
+    matrix definite everywhere, and two corrections take it out again.
+    """
+    M, K = (
+        rotor.plane_mass,
+        rotor.plane_stiffness - (rotor.corrected * rotor.correction) @ rotor.corrected.T,
+    )
+    frequencies, bending = _plane_bending(rotor, kept)
+    Phi = np.hstack([_rigid_modes(rotor), bending])
+    shifted = K + _RESIDUAL_SHIFT * frequencies[0] ** 2 * M
+    factor = sla.cholesky_banded(
+        [np.append(np.diag(shifted, -i), np.zeros(i)) for i in range(4)], lower=True
+    )
+    left = loads.T - M @ (Phi @ (Phi.T @ loads.T))
+    X = np.zeros_like(left)
+    for _ in range(3):
+        step = sla.cho_solve_banded((factor, True), left - K @ X)
+        X += step - Phi @ (Phi.T @ (M @ step))
+    left, size, _ = np.linalg.svd(X / np.linalg.norm(X, axis=0), full_matrices=False)
+    X = left[:, size > _DEPENDENT * size[0]]
+    squares, mix = sla.eigh(_strain_energy(rotor, X), X.T @ M @ X)
+    return np.sqrt(squares), X @ mix
+
+
+def _plane_bending(rotor: Rotor, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies (count,) [rad/s] and mass-orthonormal shapes (2N, count) of the bending modes of
+    one plane.
+    """
+    available = 2 * rotor.n_nodes - 2
+    if not 0 < count <= available:
+        raise invalid(
+            "the number of bending modes",
+            count,
+            f"between 1 and {available}",
+            "refine the mesh or ask for fewer",
+        )
+    # once, however few are asked for
+    frequencies, shapes = _lowest_bending(rotor, max(count, min(available, FINE_MESH_MODES)))
+    return frequencies[:count], shapes[:, :count]
+
+
+@lru_cache(maxsize=16)
+def _lowest_bending(rotor: Rotor, count: int) -> tuple[np.ndarray, np.ndarray]:
+    M, K = rotor.plane_mass, rotor.plane_stiffness
+    # Rounding of K moves the rigid modes off zero, to either side; a shift far below the bending
+    # modes keeps them positive.
+    shift = 1e-10 * np.max(np.diag(K) / np.diag(M))
+    _, shapes = undamped_modes(M, K + shift * M, count + 2)
+    known = _rigid_modes(rotor)
+    shapes = shapes[:, 2:]
+    frequencies = np.zeros(0)
+    # all 156 at once round the first by 3e-8, where 10, 26 and 64 agree to 2e-10
+    if count > FINE_MESH_MODES:
+        frequencies, lowest = _lowest_bending(rotor, FINE_MESH_MODES)
+        known, shapes = np.hstack([known, lowest]), shapes[:, FINE_MESH_MODES:]
+    shapes = shapes - known @ (known.T @ (M @ shapes))
+    squares, mix = sla.eigh(_strain_energy(rotor, shapes), shapes.T @ M @ shapes)
+    shapes = np.hstack([known[:, 2:], shapes @ mix])
+    return np.append(frequencies, np.sqrt(squares)), shapes * np.where(shapes[0] < 0, -1.0, 1.0)
+
+
+def _strain_energy(rotor: Rotor, shapes: np.ndarray) -> np.ndarray:
+    """shapes^T K shapes (k, k), element by element: K itself has rounding errors that many short
+    elements make large.
+    """
+    w = shapes[0::2]
+    theta = shapes[1::2]
+    length = np.diff(rotor.positions)[:, None]
+    left, right = theta[:-1], theta[1:]
+    e = np.stack([right - left, right + left - 2 * np.diff(w, axis=0) / length], axis=1)
+    seen = rotor.corrected.T @ shapes
+    return np.asarray(
+        np.tensordot(e, rotor.bending @ e, ([0, 1], [0, 1]))
+        + seen.T @ (rotor.correction[:, None] * seen)
+    )
+
+
+def _rigid_modes(rotor: Rotor) -> np.ndarray:
+    """Mass-orthonormal translation and tilting (2N, 2) of one plane."""
+    properties = mass_properties(rotor)
+    translation, tilt = _rigid_motions(rotor.positions, properties.centre)
+    return np.stack(
+        [translation / np.sqrt(properties.mass), tilt / np.sqrt(properties.diametral_inertia)],
+        axis=1,
+    )
+
+
+def _rigid_motions(positions: np.ndarray, about: float) -> tuple[np.ndarray, np.ndarray]:
+    """Unit translation and unit tilting about an axial position, (2N,) each."""
+    translation, tilt = np.zeros((2, 2 * len(positions)))
+    translation[0::2] = 1.0
+    tilt[0::2], tilt[1::2] = positions - about, 1.0
+    return translation, tilt
+
+
+def _mesh(sections: tuple[ShaftSection, ...], theory: str) -> tuple[np.ndarray, BeamElement]:
+    """Node positions (N,) [m] and the matrices of all elements."""
+    count = [section.elements for section in sections]
+    lengths = np.repeat([section.length / section.elements for section in sections], count)
+    middle = [
+        section.diameters((i + 0.5) / section.elements)
+        for section in sections
+        for i in range(section.elements)
+    ]
+    outer, inner, heavy = np.array(middle).T
+    element = beam_element(
+        lengths,
+        outer,
+        inner,
+        density=np.repeat([section.material.density for section in sections], count),
+        youngs_modulus=np.repeat([section.material.youngs_modulus for section in sections], count),
+        poisson_ratio=np.repeat([section.material.poisson_ratio for section in sections], count),
+        mass_diameter=heavy,
+        theory=theory,
+    )
+    _make_conical(element, sections, theory)
+    return sections[0].start + np.concatenate([[0.0], np.cumsum(lengths)]), element
+
+
+def _make_conical(element: BeamElement, sections: tuple[ShaftSection, ...], theory: str) -> None:
+    """The elements of conical sections in place of the cylinders of their mean diameters."""
+    first = 0
+    for section in sections:
+        n, material = section.elements, section.material
+        if section.conical:
+            for i in range(n):
+                ends = zip(section.diameters(i / n), section.diameters((i + 1) / n), strict=True)
+                cone = conical_element(
+                    section.length / n,
+                    *ends,
+                    density=material.density,
+                    youngs_modulus=material.youngs_modulus,
+                    poisson_ratio=material.poisson_ratio,
+                    theory=theory,
+                )
+                for name in ("translational", "rotary", "gyroscopic", "stiffness", "shear"):
+                    getattr(element, name)[first + i] = getattr(cone, name)
+        first += n
+
+
+def _add_discs(
+    element: BeamElement, positions: np.ndarray, discs: tuple[Disc, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mass and gyroscopic matrices (e, 4, 4) of the elements with the discs spread onto them."""
+    mass, gyroscopic = element.mass, element.gyroscopic.copy()
+    if discs:
+        at, w, theta = _local_rows(positions, element.shear, [disc.position for disc in discs])
+        kilograms, diametral, polar = np.array(
+            [[d.mass, d.diametral_inertia, d.polar_inertia] for d in discs]
+        ).T[..., None, None]
+        tilting = theta[:, :, None] * theta[:, None, :]
+        np.add.at(mass, at, kilograms * (w[:, :, None] * w[:, None, :]) + diametral * tilting)
+        np.add.at(gyroscopic, at, polar * tilting)
+    return mass, gyroscopic
+
+
+def _assemble(blocks: np.ndarray) -> np.ndarray:
+    """The chain of element matrices (e, 2k, 2k), k coordinates per node, as one matrix (k (e + 1),
+    k (e + 1)).
+    """
+    e, k = len(blocks), blocks.shape[1] // 2
+    whole = np.zeros((e + 1, k, e + 1, k))
+    left = np.arange(e)
+    right = left + 1
+    whole[left, :, left] += blocks[:, :k, :k]
+    whole[left, :, right] += blocks[:, :k, k:]
+    whole[right, :, left] += blocks[:, k:, :k]
+    whole[right, :, right] += blocks[:, k:, k:]
+    return whole.reshape(k * (e + 1), k * (e + 1))
+
+
+def _in_both(plane: np.ndarray) -> np.ndarray:
+    """A symmetric matrix (2N, 2N) of one plane, in each of both (4N, 4N)."""
+    return to_plane(to_plane(plane, "x").T, "x") + to_plane(to_plane(plane, "y").T, "y")

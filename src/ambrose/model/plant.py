@@ -1,0 +1,108 @@
+"""The plant: one linear model of the whole machine at an operating point, full or reduced, always
+the same type.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from ambrose.core.arguments import check_types
+from ambrose.core.presentation import Presented
+from ambrose.core.statespace import StateSpace
+from ambrose.machine.description import OperatingPoint, Tolerance
+from ambrose.machine.machine import Machine
+from ambrose.model.effects.rotor import Rotor, finite_element_rotor
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Plant(Presented):
+    """Amplifiers, rotor, attachments and sensors at ``point``.
+
+    ``system`` has the inputs
+        u_<axis> [A]      current command into the amplifier, axis in machine.axes order
+        f_<port> [N]      external force at a bearing or coupling (zeta, eta), seal or disc (x, y)
+    and the outputs
+        y_<axis> [m]      measured displacement, along the sensors (``ports.measured_ports``)
+        i_<axis> [A]      control current in the coil
+        q_<port> [m], qdot_<port> [m/s]   displacement and velocity at the ports of the forces.
+    ``rotor`` is its mechanical part alone (bearing stiffness, seals and couplings closed), from
+    forces f_<port> to q_<port>, qdot_<port> and the displacements s_<channel> [m] at the sensors
+    (``ports.sensor_ports``). ``bending_modes`` is None for the full finite-element model, else the
+    number of bending modes kept (per plane). ``offsets``: tolerances and where within them (-1..1)
+    the parameters of ``system`` stand, see ``model.uncertainty.perturbed``; ``machine`` and
+    ``rotor`` are the nominal ones.
+    """
+
+    machine: Machine
+    point: OperatingPoint
+    system: StateSpace
+    rotor: StateSpace
+    ports: tuple[str, ...]
+    bending_modes: int | None = None
+    offsets: tuple[tuple[Tolerance, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        check_types(type(self).__post_init__, (self,), {})
+
+    @property
+    def rotor_model(self) -> Rotor:
+        """The free finite-element rotor of the machine; assembled once."""
+        return finite_element_rotor(self.machine)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The control axes in the machine's order."""
+        return self.machine.axes
+
+    def named(self, prefix: str) -> tuple[str, ...]:
+        """Signal names of one kind: "u", "y", "i" over the control axes; "f", "q", "qdot" over the
+        ports.
+        """
+        return tuple(
+            f"{prefix}_{name}" for name in (self.axes if prefix in {"u", "y", "i"} else self.ports)
+        )
+
+    def bearing_named(self, prefix: str) -> tuple[str, ...]:
+        """The "f", "q" or "qdot" signals at the bearings, in the order of the axes."""
+        return tuple(f"{prefix}_{axis}" for axis in self.axes)
+
+    def facts(self) -> Mapping[str, Any]:
+        """Machine and operating point, the size of the model, and the parameters that are moved."""
+        point = self.point
+        at = point.label or f"{point.speed:.4g} rad/s, {point.seal_pressure:.4g} Pa"
+        size = (
+            "full"
+            if self.bending_modes is None
+            else f"{self.bending_modes} bending modes per plane"
+        )
+        moved = {tolerance.parameter: f"{delta:+.3g}" for tolerance, delta in self.offsets}
+        return {
+            "machine": self.machine.name,
+            "point": at,
+            "model": size,
+            "states": self.system.n_states,
+            **({"offsets": [f"{path} {delta}" for path, delta in moved.items()]} if moved else {}),
+            "axes": self.axes,
+            "ports": self.ports,
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Operating point, offsets and the state space with its signal names, ready for JSON."""
+        return {
+            "machine": self.machine.name,
+            "point": asdict(self.point),
+            "bending_modes": self.bending_modes,
+            "offsets": {tolerance.parameter: delta for tolerance, delta in self.offsets},
+            "system": self.system.to_dict(),
+        }
+
+
+def top_speed(machine: Machine) -> float:
+    """The highest speed the machine is meant for [rad/s]: of its speed range and its operating
+    points; 0 at standstill.
+    """
+    return max(
+        machine.operation.speed_range[1], *(point.speed for point in machine.operation.envelope)
+    )

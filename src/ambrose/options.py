@@ -1,0 +1,232 @@
+"""Options: the fields of a frozen dataclass, each with what it means, what it must be, and how a
+command line asks for it.
+
+A method, a target or anything else that one of several is chosen from is such a class, with its own
+options alone; what goes with what is then said by the types. ``choose`` makes one of them from a
+name and options by name, and refuses an option that it does not have by naming those that do.
+Nothing here needs numpy before a value is checked, so that the command line's help stays fast.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import MISSING, Field, asdict, dataclass, field, fields
+from typing import Any, ClassVar, TypeVar
+
+from ambrose.machine.messages import suggestion
+
+Check = Callable[[Any, str], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Option:
+    """What is known of an option beside its type and its default.
+
+    meaning: a sentence for people. check: refuses a value by a name, in SI as in the command line's
+    unit. flag: on the command line ("": its name with hyphens; None: it has none there).
+    convert: from a number of the command line to SI; dimension: there it is a text with a unit.
+    choices: the values allowed. many: it is given there once for each value; metavar: what stands
+    for the value there.
+    """
+
+    meaning: str
+    check: Check | None = None
+    flag: str | None = ""
+    convert: Callable[[float], float] | None = None
+    dimension: str = ""
+    choices: tuple[Any, ...] = ()
+    many: bool = False
+    metavar: str | None = None
+
+
+def option(default: Any, meaning: str, **known: Any) -> Any:
+    """A field with a default, for the body of a class of ``Options``; known: as of ``Option``."""
+    return field(default=default, metadata={"option": Option(meaning=meaning, **known)})
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """A class whose fields are options: each value is checked as it is made.
+
+    Raises InvalidInput.
+    """
+
+    why: ClassVar[str] = ""  # why it has no others, told where one of them is refused
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            check_option(item, getattr(self, item.name), item.name)
+
+
+def option_of(item: Field[Any]) -> Option:
+    """What is known of a field. Raises KeyError for one that is no option."""
+    known: Option = item.metadata["option"]
+    return known
+
+
+def check_option(item: Field[Any], value: Any, name: str) -> None:
+    """Refuse a value that an option cannot have, by what the caller calls it. None is checked only
+    where it is not the default. Raises InvalidInput.
+    """
+    from ambrose.core.checks import invalid
+
+    known = option_of(item)
+    if value is None and item.default is None:
+        return
+    if known.choices and value not in known.choices:
+        words = ", ".join(map(str, known.choices))
+        raise invalid(name, repr(value), f"one of {words}", "leave the default")
+    if known.check is not None:
+        known.check(value, name)
+
+
+Kind = TypeVar("Kind", bound=Options)
+
+
+def choose(
+    kinds: Mapping[str, type[Kind]],
+    word: str,
+    kind: Kind | str,
+    given: Mapping[str, Any],
+    spelled: Mapping[str, str] | None = None,
+) -> Kind:
+    """One of several, with options by name.
+
+    word: what they are ("method"). kind: the name of one, or one itself, whose options ``given``
+    replaces. spelled: what the caller calls the options ("--rate-hz") and the word. Raises
+    InvalidInput for an unknown name or option, and for an option that goes with others.
+    """
+    from ambrose.core.checks import invalid
+
+    spelled = spelled or {}
+    if isinstance(kind, Options):
+        given = {item.name: getattr(kind, item.name) for item in fields(kind)} | dict(given)
+        kind = next((key for key, other in kinds.items() if other is type(kind)), repr(kind))
+    if not isinstance(kind, str) or kind not in kinds:
+        raise invalid(
+            spelled.get(word, word),
+            repr(kind),
+            f"one of {', '.join(kinds)}",
+            suggestion(str(kind).lower(), kinds),
+        )
+    refuse_foreign(kinds, word, kind, given, spelled)
+    return kinds[kind](**given)
+
+
+def refuse_foreign(
+    kinds: Mapping[str, type[Options]],
+    word: str,
+    kind: str,
+    given: Iterable[str],
+    spelled: Mapping[str, str],
+) -> None:
+    """Refuse the first of the options that ``kind`` does not have; arguments as of ``choose``.
+
+    Raises InvalidInput, which names those that have it, or the option that was probably meant.
+    """
+    from ambrose.core.checks import InvalidInput, invalid
+
+    because = f": {kinds[kind].why}" if kinds[kind].why else ""
+    for name in given:
+        having = kinds_with(kinds, name)
+        if not having:
+            known = {item.name for other in kinds.values() for item in fields(other)}
+            raise InvalidInput(f"there is no option {name!r}; {suggestion(name, known)}")
+        if kind not in having:
+            raise invalid(
+                spelled.get(name, name),
+                "given",
+                f"left out with {spelled.get(word, word)} {kind}",
+                f"it goes with {either(having)}{because}",
+            )
+
+
+def either(names: Sequence[str]) -> str:
+    """ "a, b or c"."""
+    return " or ".join([", ".join(names[:-1]), names[-1]] if names[1:] else names)
+
+
+def kinds_with(kinds: Mapping[str, type[Options]], name: str) -> tuple[str, ...]:
+    """The names of those that have an option."""
+    return tuple(
+        key for key, kind in kinds.items() if any(item.name == name for item in fields(kind))
+    )
+
+
+def defaults(kinds: Mapping[str, type[Options]]) -> dict[str, Any]:
+    """{option: its default} of all of them."""
+    return {
+        item.name: None if item.default is MISSING else item.default
+        for kind in kinds.values()
+        for item in fields(kind)
+    }
+
+
+def settings(kinds: Mapping[str, type[Options]], chosen: Options) -> dict[str, Any]:
+    """All options of all kinds, as files keep them: the chosen one's, the others at their
+    defaults.
+    """
+    return defaults(kinds) | asdict(chosen)
+
+
+def positive(remedy: str, *, zero_allowed: bool = False) -> Check:
+    """A check: one positive number."""
+
+    def check(value: Any, name: str) -> None:
+        from ambrose.core.checks import check_positive
+
+        check_positive(value, name, remedy, zero_allowed=zero_allowed)
+
+    return check
+
+
+def count(remedy: str, what: str = "") -> Check:
+    """A check: a whole number, zero or more; ``what`` it counts."""
+
+    def check(value: Any, name: str) -> None:
+        from operator import index
+
+        from ambrose.core.checks import invalid
+
+        try:
+            whole = not isinstance(value, bool) and index(value) >= 0
+        except TypeError:
+            whole = False
+        if not whole:
+            full = f"{what} ({name})" if what else name
+            raise invalid(full, repr(value), "a whole number, zero or more", remedy)
+
+    return check
+
+
+def ends(value: Any, name: str) -> None:
+    """Refuse what is no range: two numbers, the lower first. Raises InvalidInput."""
+    from ambrose.core.checks import check_positive, invalid
+
+    if isinstance(value, str) or len(value) != 2:
+        raise invalid(name, repr(value), "two numbers", "give the lowest and the highest")
+    low, high = value
+    if not 0 <= low < high < float("inf"):
+        swapped = 0 <= high < low
+        raise invalid(
+            name,
+            f"{low:g} and {high:g}",
+            "the lower, then the higher, both finite, none negative",
+            "swap the two" if swapped else "give two numbers that differ",
+        )
+    check_positive(high, name, "give two numbers")
+
+
+def hertz(value: float) -> float:
+    """A frequency [Hz] in rad/s."""
+    return 6.283185307179586 * value
+
+
+def bar(value: float) -> float:
+    """A pressure [bar] in Pa."""
+    return 1e5 * value
+
+
+def percent(value: float) -> float:
+    """Per cent as a share."""
+    return value / 100

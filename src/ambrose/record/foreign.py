@@ -1,0 +1,144 @@
+"""Measurements of other programs as Records, through a column map (record/column_map.py); files are
+read, never changed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput, invalid
+from ambrose.machine.limits import NUMBERS
+from ambrose.record.apart import variables_of
+from ambrose.record.column_map import Column, ColumnMap, load_columns, read_columns
+from ambrose.record.record import Record, si_values
+from ambrose.record.text_uff import Variable
+from ambrose.record.timing import uniform_rate
+
+_AGREE = 1e-3  # sample rates this close are the same one
+
+
+def read_foreign(path: str | Path, columns: ColumnMap | Mapping[str, Any] | str | Path) -> Record:
+    """The record in a MATLAB .mat (v4 to v7.3) or NI TDMS (.tdms) file, a text table, or a
+    universal file (dataset 58).
+
+    columns: a ColumnMap, its document as a dict, or its TOML file. Values are scaled, then
+    converted from the column's unit to SI. The sample rate comes from the map, the time column or
+    the file, and all that are there must agree. Raises InvalidInput for an unknown variable, a
+    missing or wrong unit, NaN, a gap in time, no or contradictory sample rates, signals of
+    different length, a truncated file. Reading TDMS needs the extra "tdms".
+    """
+    path = Path(path)
+    if not isinstance(columns, ColumnMap):
+        columns = read_columns(columns) if isinstance(columns, Mapping) else load_columns(columns)
+    try:
+        return _record(path, columns)
+    except InvalidInput as error:
+        raise InvalidInput(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
+
+
+def _record(path: Path, columns: ColumnMap) -> Record:
+    wanted = [*columns.columns, *([] if columns.time is None else [columns.time])]
+    with variables_of(path, [column.source for column in wanted]) as found:
+        time = None if columns.time is None else found[-1]
+        variables = found[: len(columns.columns)]
+        _check_lengths(columns, variables, time)
+        rate, start = _timing(columns, variables, time)
+        for column, variable in zip(columns.columns, variables, strict=True):
+            _check_finite(column, variable, lambda sample: f" (t = {start + sample / rate:g} s)")
+        values = np.empty((len(variables), len(variables[0].values)))
+        units = []
+        for row, column, variable in zip(values, columns.columns, variables, strict=True):
+            row[:], unit = _converted(column, variable)
+            units.append(unit)
+    values.flags.writeable = False
+    names = tuple(column.name for column in columns.columns)
+    return Record(
+        columns.machine, rate, names, tuple(units), values, columns.point, start, columns.notes
+    )
+
+
+def _check_lengths(columns: ColumnMap, variables: list[Variable], time: Variable | None) -> None:
+    lengths = {
+        column.source: len(variable.values)
+        for column, variable in zip(columns.columns, variables, strict=True)
+    }
+    if columns.time is not None and time is not None:
+        lengths[columns.time.source] = len(time.values)
+    if len(set(lengths.values())) > 1:
+        raise invalid(
+            "the numbers of samples",
+            lengths,
+            "the same for all signals",
+            "leave out those sampled otherwise, or resample them",
+        )
+    k = next(iter(lengths.values()))
+    if k == 0 or k * len(variables) > NUMBERS:
+        raise invalid(
+            "the number of samples",
+            k,
+            f"at least 1, and at most {NUMBERS} values in all",
+            "choose other variables",
+        )
+
+
+def _check_finite(column: Column, variable: Variable, moment: Callable[[int], str]) -> None:
+    if (sample := variable.bad) is not None:
+        at = f"{column.source} at sample {sample}{moment(sample)}"
+        raise invalid(
+            at, variable.values[sample], "finite", "cut the file before it, or measure again"
+        )
+
+
+def _converted(column: Column, variable: Variable) -> tuple[np.ndarray, str]:
+    """Scaled values (k,) in SI and that unit."""
+    unit = column.unit or variable.unit
+    if not unit:
+        raise InvalidInput(
+            f"the signal {column.name} has no unit, neither in the file nor in the column map; "
+            "add unit = ... to its [[signal]]"
+        )
+    return si_values(
+        column.name, unit, column.scale * variable.values.astype(float) + column.offset
+    )
+
+
+def _timing(
+    columns: ColumnMap, variables: list[Variable], time: Variable | None
+) -> tuple[float, float]:
+    """Sample rate [Hz] and time of the first sample [s]; every source that states the rate must
+    agree.
+    """
+    stated: list[tuple[str, float]] = []
+    start = 0.0
+    if columns.sample_rate_hz is not None:
+        stated.append(("the column map", columns.sample_rate_hz))
+    if columns.time is not None and time is not None:
+        _check_finite(columns.time, time, lambda sample: "")
+        seconds = _converted(columns.time, time)[0]
+        try:
+            stated.append((f"the time column {columns.time.source}", uniform_rate(seconds, None)))
+        except InvalidInput as error:
+            raise InvalidInput(f"the time column {columns.time.source}: {error}") from error
+        start = float(seconds[0])
+    for column, variable in zip(columns.columns, variables, strict=True):
+        if variable.rate is not None:
+            stated.append((f"the channel {column.source}", variable.rate))
+    if not stated:
+        raise InvalidInput(
+            "the sample rate is not known; add sample_rate_hz or a [time] column to the column map"
+        )
+    (first, rate), *others = stated
+    for source, other in others:
+        if not abs(other - rate) <= _AGREE * rate:
+            remedy = "correct the wrong one, or leave out the signals sampled otherwise"
+            raise invalid(
+                f"the sample rate of {source}",
+                f"{other:.9g} Hz",
+                f"that of {first}, {rate:.9g} Hz",
+                remedy,
+            )
+    return rate, start

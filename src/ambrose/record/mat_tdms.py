@@ -1,0 +1,293 @@
+"""Variables and channels in the files of other programs: MATLAB .mat (to version 7, and 7.3) and NI
+TDMS.
+
+Each reader hands out numbers by the name that its program uses, and what the file says about them;
+nothing is interpreted here.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput
+from ambrose.machine.limits import CONTROLLER_NUMBERS, FOREIGN_NUMBERS
+from ambrose.machine.ordinary_file import check_source
+from ambrose.record.hdf5_file import own_member
+from ambrose.record.text_uff import Variable, text_table, universal, unknown
+
+_PART = re.compile(r"(?P<name>.*?)\s*\(\s*(?:(?P<row>\d+)\s*,\s*:|:\s*,\s*(?P<column>\d+))\s*\)")
+_TABLES, _UNIVERSAL = (".csv", ".txt", ".dat", ".asc"), (".uff", ".unv")
+
+
+def read_variables(path: Path, names: Iterable[str]) -> Iterator[Variable]:
+    """The variables of these names, one after the other. Raises InvalidInput; what a reader's crash
+    is, apart.py knows.
+    """
+    with _opened(path) as find:
+        for name in names:
+            found = find(name)
+            finite = np.isfinite(found.values)
+            yield found if finite.all() else replace(found, bad=int(np.argmin(finite)))
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Callable[[str], Variable]]:
+    """A function from the name of a variable to its Variable, while the file is open for reading.
+
+    MATLAB: "y", a field "log.y", a column or row of a matrix "Y(:,2)", "Y(2,:)". TDMS:
+    "group/channel". HDF5: "group/dataset", and columns or rows as of MATLAB's. Raises InvalidInput.
+    """
+    readers = {".mat": _matlab, ".tdms": _tdms, **dict.fromkeys((".h5", ".hdf5"), _hdf5)}
+    readers |= {**dict.fromkeys(_TABLES, text_table), **dict.fromkeys(_UNIVERSAL, universal)}
+    if path.suffix.lower() not in readers:
+        page = "see docs/records.md, Files of other programs"
+        raise InvalidInput(
+            f"{path}: it is not of a kind known here ({', '.join(readers)}); export it as one of "
+            f"them, {page}"
+        )
+    check_source(path, "file of another program")
+    with _refused(path), readers[path.suffix.lower()](path) as find:
+        yield find
+
+
+def read_tree(path: Path) -> dict[str, Any]:
+    """All variables of a MAT-file as plain data: matrices by rows, structs as dicts, cells as
+    lists, complex numbers as text.
+
+    Raises InvalidInput for a file of version 7.3, and for too many numbers.
+    """
+    import h5py
+    import scipy.io
+
+    check_source(path, "MAT-file")
+    with _refused(path):
+        if h5py.is_hdf5(path):
+            raise InvalidInput(
+                "it is of MATLAB's version 7.3; save it as an older one: save('name.mat', '-v7')"
+            )
+        left = [CONTROLLER_NUMBERS]
+        return {
+            name: _plain(value, left)
+            for name, value in scipy.io.loadmat(path).items()
+            if not name.startswith("__")
+        }
+
+
+def _plain(value: Any, left: list[int]) -> Any:
+    """Of what loadmat gives; left: how many numbers may still come. Objects (ss, tf) are None:
+    nobody but MATLAB reads them.
+    """
+    import scipy.sparse
+
+    array = value.toarray() if scipy.sparse.issparse(value) else np.asarray(value)
+    left[0] -= array.size
+    if left[0] < 0:
+        raise InvalidInput(
+            f"it holds more than {CONTROLLER_NUMBERS} numbers; save the controller alone"
+        )
+    if array.dtype.names:
+        entries = [
+            {name: _plain(entry[name], left) for name in array.dtype.names}
+            for entry in array.ravel()
+        ]
+        return None if "arr" in array.dtype.names else entries[0] if len(entries) == 1 else entries
+    if array.dtype.kind == "O":
+        return [[_plain(entry, left) for entry in row] for row in np.atleast_2d(array)]
+    if array.dtype.kind in "US":
+        return str(array.item()) if array.size == 1 else [str(text) for text in array.ravel()]
+    if array.dtype.kind == "c":
+        array = np.vectorize(str, otypes=[object])(array)
+    return array.tolist()
+
+
+@contextmanager
+def _refused(path: Path) -> Iterator[None]:
+    """What a reader raises, as an InvalidInput that names the file."""
+    try:
+        yield
+    except MemoryError:
+        most = f"a variable may have {FOREIGN_NUMBERS} numbers"
+        raise InvalidInput(f"{path}: it takes too much memory; {most}, save it in parts") from None
+    except InvalidInput as error:
+        raise InvalidInput(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
+    except Exception as error:  # parsers of damaged files raise anything
+        words = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InvalidInput(
+            f"{path}: it cannot be read ({words}); it is damaged, truncated or of another kind"
+        ) from error
+
+
+@contextmanager
+def _matlab(path: Path) -> Iterator[Callable[[str], Variable]]:
+    import h5py
+
+    with path.open("rb") as file:
+        newer = file.read(10) == b"MATLAB 7.3"
+    if newer or h5py.is_hdf5(path):
+        with h5py.File(path, "r") as tree:
+            load = lru_cache(maxsize=1)(lambda plain: _from_tree(tree, plain, path))
+            yield lambda name: Variable(_part(name, load))
+    else:
+        import scipy.io
+
+        known = {name: math.prod(map(int, shape)) for name, shape, _ in scipy.io.whosmat(path)}
+        load = lru_cache(maxsize=1)(lambda top: scipy.io.loadmat(path, variable_names=[top])[top])
+        yield lambda name: Variable(_part(name, lambda plain: _from_matlab5(load, known, plain)))
+
+
+@contextmanager
+def _hdf5(path: Path) -> Iterator[Callable[[str], Variable]]:
+    import h5py
+
+    with h5py.File(path, "r") as tree:
+        load = lru_cache(maxsize=1)(lambda plain: _from_tree(tree, plain, path, "/").T)
+        yield lambda name: Variable(_part(name, load))
+
+
+def _part(name: str, get: Callable[[str], np.ndarray]) -> np.ndarray:
+    """The numbers of a vector, or of one row or column of a matrix."""
+    match = _PART.fullmatch(name)
+    array = get(match["name"] if match else name)
+    if array.ndim > 2 or array.dtype.kind not in "fiub":
+        kind = (
+            "complex numbers"
+            if array.dtype.kind == "c"
+            else "no numbers"
+            if array.ndim <= 2
+            else "a block of numbers"
+        )
+        raise InvalidInput(
+            f"the variable {name} holds {kind}, but must hold real ones in rows or columns; save "
+            "its parts"
+        )
+    array = np.atleast_2d(array)
+    if match is None:
+        if min(array.shape) != 1:
+            size = " x ".join(map(str, array.shape))
+            raise InvalidInput(
+                f"the variable {name} is {size}, but one signal is needed; name a column, such as "
+                f"{name}(:,1)"
+            )
+        return array.ravel()
+    axis = 0 if match["row"] else 1
+    index = int(match["row"] or match["column"])
+    if not 1 <= index <= array.shape[axis]:
+        what = "rows" if axis == 0 else "columns"
+        raise InvalidInput(
+            f"{name} does not exist, the variable has {array.shape[axis]} {what}; count from 1"
+        )
+    return array.take(index - 1, axis=axis)
+
+
+def _from_matlab5(
+    load: Callable[[str], np.ndarray], known: Mapping[str, int], name: str
+) -> np.ndarray:
+    top, *fields = name.split(".")
+    if top not in known:
+        raise unknown(name, list(known), "variable")
+    _check_count(top, known[top])
+    value = load(top)
+    for i, key in enumerate(fields):
+        names = value.dtype.names or ()
+        if key not in names:
+            raise unknown(name, [".".join((top, *fields[:i], n)) for n in names], "variable")
+        value = value[key]
+        while value.dtype == object and value.size == 1:
+            value = value.item()
+    return np.asarray(value)
+
+
+def _check_count(name: str, count: int) -> None:
+    if count > FOREIGN_NUMBERS:
+        raise InvalidInput(
+            f"{name} has {count} numbers, but at most {FOREIGN_NUMBERS} are read; save it in parts"
+        )
+
+
+def _from_tree(tree: Any, name: str, path: Path, mark: str = ".") -> np.ndarray:
+    import h5py
+
+    from ambrose.record.hdf5_file import check_packing
+
+    node = tree
+    keys = name.strip("/").split(mark)
+    for i, key in enumerate(keys):
+        members = (
+            [member for member in node if not member.startswith("#")]
+            if isinstance(node, h5py.Group)
+            else []
+        )
+        if key not in members:
+            raise unknown(name, [mark.join((*keys[:i], member)) for member in members], "variable")
+        node = own_member(node, key, name)
+    if not isinstance(node, h5py.Dataset):
+        raise unknown(name, [f"{name}{mark}{member}" for member in node], "variable")
+    if node.attrs.get("MATLAB_class", b"") in {b"char", b"cell"}:
+        raise InvalidInput(
+            f"the variable {name} holds no numbers, but must hold real ones in rows or columns; "
+            "save its parts"
+        )
+    _check_count(name, node.size or 0)
+    check_packing([node], path)
+    return np.asarray(node[()]).T  # MATLAB stores column by column
+
+
+@contextmanager
+def _tdms(path: Path) -> Iterator[Callable[[str], Variable]]:
+    try:
+        from nptdms import TdmsFile
+        from nptdms.log import log_manager
+    except ImportError as error:
+        raise InvalidInput(
+            "NI TDMS files need the package npTDMS; install it with: pip install 'ambrose[tdms]'"
+        ) from error
+
+    doubts: list[str] = []
+
+    def note(entry: Any) -> bool:
+        doubts.append(entry.getMessage())
+        return False  # reported in an exception, not on the screen
+
+    def find(name: str) -> Variable:
+        if doubts:  # a file cut within its last channels still has the others in full
+            raise InvalidInput(
+                f"the file is incomplete ({doubts[0]}); copy it again, or save it again in "
+                "LabVIEW or DIAdem"
+            )
+        if name not in channels:
+            raise unknown(name, list(channels), "channel")
+        channel = channels[name]
+        _check_count(name, len(channel))
+        values = channel[:]
+        if values.dtype.kind == "M":  # a column of time stamps
+            values = (values - values[:1]) / np.timedelta64(1, "s")
+            return Variable(values, "s")
+        if values.dtype.kind not in "fiub":
+            raise InvalidInput(f"the channel {name} holds no real numbers; name another one")
+        step = channel.properties.get("wf_increment")
+        rate = 1 / float(step) if step else None
+        return Variable(values, str(channel.properties.get("unit_string", "") or ""), rate)
+
+    log_manager.console_handler.addFilter(note)
+    try:
+        # not by its name: it would read an index file beside it
+        with path.open("rb") as stream, TdmsFile.open(stream) as file:
+            if file.file_status.incomplete_final_segment and not doubts:
+                doubts.append("its last segment was never finished")
+            channels = {
+                f"{group.name}/{channel.name}": channel
+                for group in file.groups()
+                for channel in group.channels()
+            }
+            yield find
+    finally:
+        log_manager.console_handler.removeFilter(note)

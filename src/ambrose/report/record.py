@@ -1,0 +1,659 @@
+"""The page of a record: what happened, judged against the machine's limits, and the pictures to see
+why; and a record at a glance, in one figure.
+
+    write(record_page(trace, machine), "run.html")              a simulation
+    write(record_page(read_record("run.h5"), machine), ...)     a measurement, or a record of a file
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ambrose.judge.checks import Curve
+from ambrose.machine.machine import Machine
+from ambrose.record.record import Record
+from ambrose.report import theme, units
+from ambrose.report.figures.axes import drawn
+from ambrose.report.figures.curves import figure
+from ambrose.report.figures.motion import (
+    Station,
+    largest,
+    orbit_figure,
+    percent,
+    rotor_animation,
+    rotor_speed,
+    stations,
+    waterfall_figure,
+    window,
+)
+from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, Verdict, numbers
+from ambrose.rig.scenario import Scenario
+from ambrose.rig.trace import Trace
+
+_BINS = 1000  # of a thinned curve, each with its lowest and highest value
+_DRIVEN = (
+    ("e", "Current excitation"),
+    ("r", "Reference"),
+    ("d", "Output disturbance"),
+    ("f", "Applied forces"),
+)
+_Limits = tuple[tuple[str, float], ...]
+
+
+def radius_curve(record: Record, places: Sequence[Station], machine: Machine) -> Curve:
+    """Distance of the shaft's centre from the middle of every bearing (of every station, where no
+    bearing is known).
+    """
+    shown = [station for station in places if station.bearing] or list(places)
+    time, values = thinned(record.time, np.array([station.radius for station in shown]))
+    labels = tuple(station.name for station in shown)
+    limits = tightest("touchdown gap", [station.gap for station in shown])[:1]
+    return Curve(
+        "record.radius",
+        "Distance from the middle of the bearing",
+        "time",
+        time,
+        values,
+        labels,
+        "s",
+        "m",
+        limits,
+    )
+
+
+def signal_curves(record: Record, machine: Machine) -> list[Curve]:
+    """Currents against their limit, magnet forces, what was driven, and what varied of the
+    operating point.
+    """
+    curves: list[Curve | None] = []
+    currents, forces = (
+        _current_limits(machine),
+        tightest("largest force", [bearing.max_force for bearing in machine.bearings]),
+    )
+    for kind, title, unit, limits in (
+        ("u", "Controller output", "A", currents),
+        ("i", "Control currents in the coils", "A", currents),
+        ("f_magnet", "Magnet forces", "N", forces),
+        ("y", "Displacements at the sensors", "m", ()),
+    ):
+        names = _at_axes(record, machine, kind)
+        curves.append(_signals(record, kind, title, names, unit, limits))
+    for kind, title in _DRIVEN:
+        names = [
+            n
+            for n in record.signals
+            if n.startswith(f"{kind}_") and not n.startswith("f_magnet_") and record[n].any()
+        ]
+        unit = record.units[record.signals.index(names[0])] if names else ""
+        curves.append(_signals(record, kind, title, names, unit, (), whole=True))
+    for kind, title in (("p", "Seal pressure"), ("speed", "Rotor speed")):
+        names = [n for n in record.signals if n.partition("_")[0] == kind and np.ptp(record[n]) > 0]
+        curves.append(
+            _signals(record, kind, title, names, "Pa" if kind == "p" else "rad/s", (), whole=True)
+        )
+    return [curve for curve in curves if curve is not None]
+
+
+def zoomed_curves(record: Record, machine: Machine, part: slice) -> list[tuple[str, Curve]]:
+    """Controller outputs and coil currents in these samples, as (label, Curve) pairs for one
+    figure.
+    """
+    pairs = []
+    for kind, label in (("u", "controller output"), ("i", "coil current")):
+        if names := _at_axes(record, machine, kind):
+            labels = tuple(name.removeprefix(f"{kind}_") for name in names)
+            time, values = record.time[part], record.select(names).values[:, part]
+            limits = _current_limits(machine)
+            pairs.append(
+                (
+                    label,
+                    Curve(
+                        "record.near", "Currents", "time", time, values, labels, "s", "A", limits
+                    ),
+                )
+            )
+    return pairs
+
+
+def thinned(
+    time: np.ndarray, values: np.ndarray, bins: int = _BINS
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times (n,) and values (p, n): the lowest and the highest value of every bin, in the order in
+    which they occur.
+    """
+    k = len(time)
+    size = -(-k // bins)
+    if size <= 2:
+        return time, values
+    starts = np.arange(0, k, size)
+    parts = np.pad(values, ((0, 0), (0, -k % size)), mode="edge").reshape(
+        len(values), len(starts), size
+    )
+    low = parts.min(axis=2)
+    high = parts.max(axis=2)
+    rising = parts.argmin(axis=2) < parts.argmax(axis=2)
+    result = np.empty((len(values), 2 * len(starts)))
+    result[:, 0::2], result[:, 1::2] = np.where(rising, low, high), np.where(rising, high, low)
+    step = time[1] - time[0]
+    middle = time[starts] + step * (np.diff(starts, append=k) - 1) / 2
+    at = np.empty(2 * len(starts))
+    at[0::2], at[1::2] = time[starts], middle
+    return at, result
+
+
+def _signals(
+    record: Record,
+    kind: str,
+    title: str,
+    names: Sequence[str],
+    unit: str,
+    limits: _Limits,
+    *,
+    whole: bool = False,
+) -> Curve | None:
+    if not names:
+        return None
+    labels = tuple(name if whole else name.removeprefix(f"{kind}_") for name in names)
+    time, values = thinned(record.time, record.select(names).values)
+    return Curve(f"record.{kind}", title, "time", time, values, labels, "s", unit, limits)
+
+
+def trace_curves(trace: Trace, machine: Machine) -> tuple[Curve, ...]:
+    """The displacements [m] and currents [A] of a trace at the control axes, those that its record
+    holds.
+
+    The curves are named "<scenario>.<kind in words>", so that traces of one scenario at several
+    operating points share figures, and carry the touchdown gap or the largest control current of
+    the bearings as limits.
+    """
+    curves = []
+    gaps = tightest("touchdown gap", [bearing.touchdown_gap for bearing in machine.bearings])
+    for kind, words, unit, limits in (
+        ("y", "displacement", "m", gaps),
+        ("i", "current", "A", _current_limits(machine)),
+    ):
+        if names := _at_axes(trace.record, machine, kind):
+            time, values = trace.record.time, trace.record.select(names).values
+            labels = tuple(name.removeprefix(f"{kind}_") for name in names)
+            name, title = f"{trace.scenario}.{words}", f"{trace.scenario}: {words}"
+            curves.append(Curve(name, title, "time", time, values, labels, "s", unit, limits))
+    return tuple(curves)
+
+
+def _at_axes(record: Record, machine: Machine, kind: str) -> list[str]:
+    """The record's signals of that kind at the control axes, in the machine's order."""
+    return [name for axis in machine.axes if (name := f"{kind}_{axis}") in record.signals]
+
+
+def _current_limits(machine: Machine) -> _Limits:
+    return tightest(
+        "largest control current", [bearing.max_current for bearing in machine.bearings]
+    )
+
+
+def tightest(words: str, values: Sequence[float | None]) -> _Limits:
+    """The smallest of several limits, on both sides; none where none is known."""
+    known = [value for value in values if value is not None]
+    return ((words, min(known)), (words, -min(known))) if known else ()
+
+
+_GROUPS = (  # what is shown, the first of them that the record holds
+    ("Displacement", ("y", "q")),
+    ("Current", ("u", "i")),
+    ("Magnet force", ("f_magnet",)),
+    ("Excitation", ("e", "r", "d")),
+    ("Applied force", ("f",)),
+    ("Rotor speed", ("speed",)),
+    ("Seal pressure", ("p",)),
+)
+_SIDES = {"zeta": "eta", "x": "y"}
+# [px]
+_ROW = 130
+_ORBIT = 230
+_GAP = 62
+_MOST_ORBITS, _MOST_LINES = 4, 8
+_ORBIT_POINTS = 4000
+
+
+def record_figure(record: Record) -> Any:
+    """Displacements, currents and what was driven over time, thinned without losing a peak;
+    beneath, one orbit per station.
+    """
+    groups = _grouped(record)
+    orbits = _orbits(groups[0][1]) if groups and groups[0][0] == "Displacement" else []
+    columns = max(len(orbits), 1)
+    specs: list[list[Any]] = [[{"colspan": columns}, *[None] * (columns - 1)] for _ in groups]
+    heights = [_ROW] * len(groups)
+    if orbits:
+        specs.append([{} for _ in orbits])
+        heights.append(_ORBIT)
+    total = sum(heights) + _GAP * (len(heights) - 1)
+    figure = theme.subplots(
+        rows=len(heights),
+        cols=columns,
+        specs=specs,
+        row_heights=[height / sum(heights) for height in heights],
+        vertical_spacing=_GAP / total,
+        horizontal_spacing=0.08,
+    )
+    axes = list(dict.fromkeys(_axis(name) for _, names in groups for name in names))
+    style = theme.styles(axes)
+    seconds, second = units.seconds_or_milliseconds(float(record.time[-1] - record.time[0]))
+    named: set[str] = set()
+    for row, (title, names) in enumerate(groups, 1):
+        _signals_over_time(figure, record, row, title, names, style, seconds, named)
+    for column, (station, pair) in enumerate(orbits, 1):
+        _orbit(figure, record, len(heights), column, station, pair)
+    theme.dress(figure, total, legend=len(named) > 1)
+    for row in range(1, len(groups) + 1):
+        last = row == len(groups)
+        figure.update_xaxes(
+            matches="x" if row > 1 else None,
+            showticklabels=last,
+            title_text=f"Time [{second}]" if last else None,
+            range=[float(record.time[0]) * seconds, float(record.time[-1]) * seconds],
+            row=row,
+            col=1,
+        )
+    _square(figure, len(heights), len(orbits))
+    return figure
+
+
+def _grouped(record: Record) -> list[tuple[str, list[str]]]:
+    """(title, signals) of every group that the record holds; constant ones are left out where
+    others move.
+    """
+    groups = []
+    for title, kinds in _GROUPS:
+        chosen = next(
+            (names for kind in kinds if (names := [n for n in record.signals if _kind(n) == kind])),
+            [],
+        )
+        moving = [name for name in chosen if np.ptp(record[name]) > 0]
+        if title in {"Displacement", "Current"}:
+            moving = chosen
+        if moving:
+            groups.append((title, moving[:_MOST_LINES]))
+    return groups or [("Signals", list(record.signals[:_MOST_LINES]))]
+
+
+def _kind(name: str) -> str:
+    return "f_magnet" if name.startswith("f_magnet_") else name.partition("_")[0]
+
+
+def _axis(name: str) -> str:
+    """The place of a signal: "y_A_zeta" -> "A_zeta"."""
+    return name.removeprefix(f"{_kind(name)}_")
+
+
+def _signals_over_time(
+    figure: Any,
+    record: Record,
+    row: int,
+    title: str,
+    names: list[str],
+    style: dict[str, theme.Style],
+    seconds: float,
+    named: set[str],
+) -> None:
+    unit = record.units[record.signals.index(names[0])]
+    time, values = thinned(record.time, record.select(names).values)
+    factor, shown = units.scale(unit, float(np.abs(values).max()))
+    for name, line in zip(names, values, strict=True):
+        axis = _axis(name)
+        look, label = style[axis], units.axis_name(axis)
+        theme.scatter(
+            figure,
+            {"row": row, "col": 1},
+            drawn(time * seconds),
+            drawn(line * factor),
+            label,
+            shown=label not in named,
+            line={"color": look.colour, "dash": look.dash, "width": 1.4},
+            hovertemplate=f"{theme.plain(units.axis_name(name))}<br>%{{x:.4g}} · %{{y:.4g}} "
+            f"{shown}<extra></extra>",
+        )
+        named.add(label)
+    theme.heading(figure, {"row": row, "col": 1}, f"<b>{title}</b> [{shown}]")
+
+
+def _orbits(names: list[str]) -> list[tuple[str, tuple[str, str]]]:
+    """(station, its two signals) of every station whose displacement is known in two directions."""
+    pairs = []
+    for name in names:
+        head, _, side = name.rpartition("_")
+        other = f"{head}_{_SIDES.get(side, '')}"
+        if other in names:
+            pairs.append((_axis(head), (name, other)))
+    return pairs[:_MOST_ORBITS]
+
+
+def _orbit(
+    figure: Any, record: Record, row: int, column: int, station: str, pair: tuple[str, str]
+) -> None:
+    place = {"row": row, "col": column}
+    x, y = record[pair[0]], record[pair[1]]
+    step = max(1, len(x) // _ORBIT_POINTS)
+    factor, unit = units.scale("m", float(max(np.abs(x).max(), np.abs(y).max())))
+    theme.scatter(
+        figure,
+        place,
+        drawn(x[::step] * factor),
+        drawn(y[::step] * factor),
+        line={"color": theme.INK, "width": 0.8},
+        hovertemplate=f"%{{x:.4g}} · %{{y:.4g}} {unit}<extra></extra>",
+    )
+    first, second = (units.axis_name(name.rpartition("_")[2]) for name in pair)
+    words = f"<b>{theme.plain(units.axis_name(station))}</b>, {second} over {first} [{unit}]"
+    theme.heading(figure, place, words)
+
+
+def _square(figure: Any, row: int, count: int) -> None:
+    """Both directions of an orbit to one scale."""
+    for column in range(1, count + 1):
+        name = figure.get_subplot(row, column).xaxis.plotly_name.replace("axis", "")
+        figure.update_xaxes(constrain="domain", nticks=5, row=row, col=column)
+        figure.update_yaxes(constrain="domain", nticks=5, scaleanchor=name, row=row, col=column)
+
+
+_AT_LIMIT = 0.999
+_CLEAR = 0.05  # [s] without contact after which a rotor that starts in contact counts as lifted
+_KINDS = (
+    ("y", "Displacements at the sensors"),
+    ("q", "Displacements of the rotor"),
+    ("u", "Controller outputs"),
+    ("i", "Control currents in the coils"),
+    ("f_magnet", "Magnet forces"),
+    ("", "Other signals"),
+)
+
+
+def record_verdicts(
+    record: Record, machine: Machine, places: Sequence[Station], trace: Trace | None
+) -> tuple[Verdict, ...]:
+    """The outcome of a simulation, the clearance, currents and forces against their limits; those
+    that can be judged.
+    """
+    verdicts = []
+    if trace is not None:
+        verdicts.append(Verdict("Outcome", trace.outcome == "completed", units.prose(trace.text)))
+    elif outcome := dict(record.notes).get("outcome"):
+        verdicts.append(Verdict("Outcome", None, units.prose(outcome)))
+    if dict(record.notes).get("complete") == "false":
+        verdicts.append(
+            Verdict("Record", None, "the run was interrupted; the record ends before its time")
+        )
+    judged = [station for station in places if station.gap is not None]
+    starts = [lifted(station, record.sample_rate_hz) for station in judged]
+    # None: never free of all of them
+    first = None if None in starts else max((start or 0 for start in starts), default=0)
+    verdicts += _clearance(record, judged, first)
+    kind, title = (
+        ("u", "Controller output")
+        if f"u_{machine.axes[0]}" in record.signals
+        else ("i", "Control current")
+    )
+    verdicts += _against(
+        record, machine, kind, title, "A", [b.max_current for b in machine.bearings], first or 0
+    )
+    verdicts += _against(
+        record,
+        machine,
+        "f_magnet",
+        "Magnet forces",
+        "N",
+        [b.max_force for b in machine.bearings],
+        first or 0,
+    )
+    return tuple(verdicts)
+
+
+def lifted(station: Station, rate: float) -> int | None:
+    """The first sample from which the rotor is free of its touchdown bearing: 0 unless it starts in
+    contact; None: never.
+    """
+    if station.gap is None or station.radius[0] < _AT_LIMIT * station.gap:
+        return 0
+    free = station.radius < station.gap
+    needed = max(1, round(_CLEAR * rate))
+    run = np.convolve(free, np.ones(needed), "valid") >= needed - 0.5
+    return int(run.argmax()) if run.any() else None
+
+
+def _clearance(record: Record, judged: Sequence[Station], first: int | None) -> list[Verdict]:
+    if not judged:
+        return []
+    if first is None:
+        return [Verdict("Touchdown", False, "the rotor never gets free of the touchdown bearings")]
+    worst = max(
+        judged, key=lambda station: float(station.radius[first:].max()) / (station.gap or 1.0)
+    )
+    gap, radius = worst.gap or 1.0, worst.radius[first:]
+    share, end = float(radius.max()) / gap, float(radius[-max(1, len(radius) // 20) :].max())
+    place = f"sensor {worst.name}" if worst.at_sensor else f"bearing {worst.name}"
+    value, limit = units.pair(float(radius.max()), gap, "m")
+    words = (
+        f"largest distance {value} at {place} at t = "
+        f"{_moment(record, first + int(radius.argmax()))}, "
+    )
+    words += f"{percent(share)} of the gap of {limit}; at the end {units.quantity(end, 'm')}"
+    if first:
+        words = (
+            f"free of the touchdown bearings since t = {_moment(record, first)}; from then on "
+            f"{words}"
+        )
+    if share >= 1:
+        words += f"; beyond the gap for {np.mean(radius >= gap):.1%} of the time"
+    return [Verdict("Touchdown", share < 1, words)]
+
+
+def _against(
+    record: Record,
+    machine: Machine,
+    kind: str,
+    title: str,
+    unit: str,
+    limits: Sequence[float | None],
+    first: int,
+) -> list[Verdict]:
+    """The signal that comes closest to its bearing's limit, from the sample ``first`` on."""
+    by_axis = dict(zip(machine.axes, np.repeat(np.array(limits, dtype=float), 2), strict=True))
+    shares = {
+        axis: np.abs(record[f"{kind}_{axis}"][first:]) / limit
+        for axis, limit in by_axis.items()
+        if f"{kind}_{axis}" in record.signals and np.isfinite(limit)
+    }
+    if not shares:
+        return []
+    axis = max(shares, key=lambda name: float(shares[name].max()))
+    share = shares[axis]
+    peak, limit = units.pair(float(share.max() * by_axis[axis]), float(by_axis[axis]), unit)
+    words = "once lifted, " if first else ""
+    words += (
+        f"largest {peak} at {units.axis_name(axis)} at t = "
+        f"{_moment(record, first + int(share.argmax()))}, "
+    )
+    words += f"{percent(float(share.max()))} of {limit}"
+    if share.max() >= _AT_LIMIT:
+        full = {name: float(np.mean(row >= _AT_LIMIT)) for name, row in shares.items()}
+        words += "; at the limit " + ", ".join(
+            f"{units.axis_name(n)} {part:.1%}" for n, part in full.items() if part > 0
+        )
+        words += " of the time"
+    return [Verdict(title, bool(share.max() < _AT_LIMIT), words)]
+
+
+def _moment(record: Record, sample: int) -> str:
+    return units.quantity(float(record.time[sample]), "s", 4)
+
+
+def signals_table(record: Record) -> Table:
+    """Mean, deviation and extremes of every signal."""
+    rows: list[Row] = []
+    left = list(record.signals)
+    for kind, title in _KINDS:
+        names = [name for name in left if not kind or name.startswith(f"{kind}_")]
+        left = [name for name in left if name not in names]
+        if names:
+            rows.append((Cell(title, "heading"), "", "", "", "", ""))
+        for name in names:
+            unit, values = record.units[record.signals.index(name)], record[name]
+            factor, shown = units.scale(unit, float(np.abs(values).max()))
+            figures = (values.mean(), values.std(), values.min(), values.max())
+            rows.append(
+                (
+                    units.axis_name(name),
+                    shown,
+                    *numbers(*(units.number(float(value) * factor) for value in figures)),
+                )
+            )
+    columns = ("Signal", "Unit", "Mean", "Standard deviation", "Lowest", "Highest")
+    return Table("Signals", columns, tuple(rows), "", (28, 10, 14, 20, 14, 14))
+
+
+_CAPTIONS = {
+    "radius": "The decisive picture: how near the shaft comes to the touchdown bearings, and "
+    "whether the motion dies out, "
+    "stays or grows.",
+    "u": "What the controller asks for, after its limit. Flat tops at the limit mean that the "
+    "loop is open there.",
+    "i": "What flows in the coils beside the bias.",
+    "f_magnet": "Force of every magnet pair on the rotor; its mean carries the weight and the "
+    "static loads.",
+    "y": "As measured, with noise and run-out.",
+    "p": "Pressure across the seals.",
+    "speed": "As driven.",
+}
+_DRIVEN_WORDS = "What was done to the machine."
+_ORBITS = (
+    "Path of the shaft's centre, all panels to one scale: pale all samples, orange the largest "
+    "motion, blue the end of the "
+    "record. An orbit that opens from orange to blue grows; a circle is whirl, a line is "
+    "vibration in one direction."
+)
+_WATERFALL = (
+    "Amplitude of the whirl over time: above zero it turns with the rotor (forward), below "
+    "against it. Dashed are once and, "
+    "dotted, twice the speed: ridges on them are forced by unbalance, ridges that keep their "
+    "frequency are natural modes. A "
+    "forward ridge below 1× that darkens is the sign of seal whirl."
+)
+_NEAR = (
+    "The same three revolutions (at standstill: periods) as in the moving picture. Flat tops are "
+    "the limit of the controller's "
+    "output; a coil current with straight flanks, or one that lags behind, shows the amplifier."
+)
+_MOTION = (
+    "Press play: the axis of the rotor over three revolutions (at standstill: three periods) "
+    "around the largest motion, seen "
+    "obliquely from the front; between the known places it is drawn straight. Blue are bearings."
+)
+
+
+def record_page(
+    source: Record | Trace,
+    machine: Machine,
+    *,
+    scenario: Scenario | None = None,
+    title: str = "",
+    date: str = "",
+) -> Page:
+    """The report of one record of this machine.
+
+    source: a Record, or a Trace whose outcome then leads the page. scenario: gives the speed of a
+    run-up that the record does not hold as a signal. Curves of long records are thinned to the
+    extremes of every thousandth of the time, so no peak is lost. Raises InvalidInput where the
+    record holds no displacements.
+    """
+    trace = source if isinstance(source, Trace) else None
+    record = source.record if isinstance(source, Trace) else source
+    places, speed = stations(record, machine), rotor_speed(record, scenario)
+    label = record.point.label or "record"
+    motion = [
+        _over_time(radius_curve(record, places, machine), label),
+        Figure("Orbits", orbit_figure(record, places, speed), _ORBITS),
+    ]
+    spectra = waterfall_figure(record, places, speed)
+    if spectra is not None:
+        motion.append(Figure("Waterfall: whirl over time and frequency", spectra, _WATERFALL))
+    if len(places) > 1:
+        motion.append(
+            Figure("The rotor in motion", rotor_animation(record, places, machine, speed), _MOTION)
+        )
+    curves = {curve.name: _over_time(curve, label) for curve in signal_curves(record, machine)}
+    first = "record.u" if "record.u" in curves else "record.i"
+    effort = [curves.pop(name) for name in (first, "record.f_magnet") if name in curves]
+    near = zoomed_curves(record, machine, window(record, places, speed, largest(places)[1]))
+    if near:
+        effort.insert(1, Figure("Currents around the largest motion", figure(near), _NEAR))
+    sections = (
+        Section("Motion", "", tuple(motion)),
+        Section("Currents and forces", "", tuple(effort)),
+        Section("Everything else", "", tuple(curves.values()), (signals_table(record),)),
+    )
+    verdicts = record_verdicts(record, machine, places, trace)
+    name = trace.scenario if trace is not None else dict(record.notes).get("scenario", "")
+    return Page(
+        title or (f"Record of a run: {name}" if name else "Record of a run"),
+        machine,
+        tuple(section for section in sections if section.figures or section.tables),
+        verdicts,
+        _facts(record, speed),
+        date,
+        result=_result(verdicts),
+    )
+
+
+def _result(verdicts: tuple[Verdict, ...]) -> Verdict | None:
+    known = [verdict for verdict in verdicts if verdict.passed is not None]
+    failed = [verdict.label.lower() for verdict in known if not verdict.passed]
+    if not known:
+        return None
+    words = (
+        f"the run fails in: {', '.join(failed)}"
+        if failed
+        else "the run stays within all limits of the machine"
+    )
+    return Verdict("Result", not failed, words)
+
+
+def _over_time(curve: Curve, label: str) -> Figure:
+    kind = curve.name.partition(".")[2]
+    return Figure(curve.title, figure([(label, curve)]), _CAPTIONS.get(kind, _DRIVEN_WORDS))
+
+
+def _pressure(record: Record) -> str:
+    """That of the operating point, or from the lowest to the highest where the record holds one
+    that changes.
+    """
+    found = (
+        record["p_seal"] if "p_seal" in record.signals else np.array([record.point.seal_pressure])
+    )
+    ends = [units.quantity(float(value), "Pa") for value in (found.min(), found.max())]
+    return " to ".join(dict.fromkeys(ends))
+
+
+def _facts(record: Record, speed: np.ndarray) -> tuple[tuple[str, str], ...]:
+    """What the head of the page tells about the record."""
+    k = record.values.shape[1]
+    rpm = [units.number(value * units.RPM, 4) for value in (float(speed[0]), float(speed[-1]))]
+    changes = float(np.ptp(speed)) > 0
+    rate = units.number(record.sample_rate_hz, 6)
+    return (
+        (
+            "Record",
+            f"{units.number((k - 1) / record.sample_rate_hz, 4)} s at {rate} Hz, "
+            f"{len(record.signals)} signals",
+        ),
+        ("Operating point", record.point.label),
+        ("Speed", f"{rpm[0]} to {rpm[1]} rpm" if changes else f"{rpm[0]} rpm"),
+        ("Seal pressure", _pressure(record)),
+        *(
+            (key.replace("_", " "), text)
+            for key, text in record.notes
+            if key not in {"outcome", "complete", "scenario"}
+        ),
+    )

@@ -1,0 +1,165 @@
+"""How a run of the virtual rig ended: touchdown as an outcome with its time and cause."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ambrose.rig.engine.inputs import Plan
+from ambrose.rig.engine.state import Rig
+from ambrose.rig.scenario import LEVITATED, Scenario
+
+# a rotor that stays [s] within this part of the touchdown gap counts as lifted
+_CLEAR, _OFF = 0.05, 0.9
+_BEFORE = 0.05  # [s] before a touchdown in which currents at their limit count as its cause
+_AT_LIMIT = 0.999
+
+
+@dataclass(slots=True)
+class Watch:
+    """Follows a run stretch by stretch: contact in the touchdown bearings, controller outputs at
+    their limit.
+
+    lifted_at [s]: since when the rotor is free of the touchdown bearings (0: from the start; None:
+    not yet). touched_at [s] and where: the first contact after that. contact [s]: how long any was
+    touched after that. deepest [m]: the largest displacement in a touchdown bearing beyond its gap.
+    """
+
+    rig: Rig
+    lifted_at: float | None
+    free_since: float | None = None
+    touched_at: float | None = None
+    where: str = ""
+    contact: float = 0.0
+    deepest: float = 0.0
+    limited: list[tuple[float, str]] = field(default_factory=list)
+    # when the rotor first was beyond a magnet's air gap [s], and at which bearing
+    inside: tuple[float, str] | None = None
+
+    def follow(self, task: Plan, number: int, log: np.ndarray) -> None:
+        """One stretch: number of its first sample, log (k, columns) as rig/kernel.py writes it."""
+        a = len(self.rig.axes)
+        time = (number + np.arange(len(log))) * task.dt
+        outputs, places = log[:, a : 2 * a].T, log[:, 4 * a : 5 * a].T
+        gaps = self.rig.constants.touchdown[:, 0]
+        distance = np.hypot(places[0::2], places[1::2])
+        depth = distance - gaps[:, None]
+        air = np.array([np.inf if b.gap is None else b.gap for b in self.rig.machine.bearings])
+        if self.inside is None and (beyond := distance > air[:, None]).any():
+            at = int(np.flatnonzero(beyond.any(axis=0))[0])
+            self.inside = (
+                float(time[at]),
+                self.rig.machine.bearings[int(np.argmax(beyond[:, at]))].name,
+            )
+        touching = (depth > 0).any(axis=0)
+        if self.lifted_at is None:
+            self._lift(time, (distance > _OFF * gaps[:, None]).any(axis=0))
+        after = (
+            np.zeros(0, dtype=int)
+            if self.lifted_at is None
+            else np.flatnonzero(touching & (time >= self.lifted_at))
+        )
+        if self.touched_at is None:
+            limit = np.array(
+                [
+                    np.inf if b.max_current is None else b.max_current
+                    for b in self.rig.machine.bearings
+                ]
+            )
+            stop = after[0] if len(after) else len(time)
+            full = np.abs(outputs[:, :stop]) >= _AT_LIMIT * np.repeat(limit, 2)[:, None]
+            for axis, row in zip(self.rig.axes, full, strict=True):
+                if row.any():
+                    self.limited.append((float(time[np.flatnonzero(row)[-1]]), axis))
+        if len(after):
+            if self.touched_at is None:
+                self.touched_at = float(time[after[0]])
+                self.where = self.rig.machine.bearings[int(np.argmax(depth[:, after[0]]))].name
+            self.contact += len(after) * task.dt
+            self.deepest = max(self.deepest, float(depth[:, after].max()))
+
+    def _lift(self, time: np.ndarray, touching: np.ndarray) -> None:
+        for t, contact in zip(time, touching, strict=True):
+            if contact:
+                self.free_since = None
+            elif self.free_since is None:
+                self.free_since = float(t)
+            elif t - self.free_since >= _CLEAR:
+                self.lifted_at = self.free_since
+                return
+
+
+def watch(rig: Rig, scenario: Scenario) -> Watch:
+    """A watch at the start of a scenario."""
+    return Watch(rig, 0.0 if scenario.initial == LEVITATED else None)
+
+
+def classify_outcome(
+    monitor: Watch, scenario: Scenario, overflow: float | None, pole: complex | None
+) -> tuple[str, str]:
+    """The outcome ("completed", "touchdown", "not levitated" or "diverged") and the same in words.
+
+    overflow [s]: when a state was no number any more. pole [rad/s]: the rightmost of the linear
+    loop.
+    """
+    modes = (monitor.rig.coordinates - 4) // 2
+    loop = f"linear loop with {modes} bending mode{'' if modes == 1 else 's'} per plane"
+    side = (
+        "" if pole is None else f"; {loop}: rightmost pole {pole.real:.4g}{pole.imag:+.4g}j rad/s"
+    )
+    if overflow is not None:
+        return (
+            "diverged",
+            f"diverged: the motion left all bounds at t = {overflow:.6g} s; the record ends "
+            f"before{side}",
+        )
+    if monitor.inside is not None:
+        at, where = monitor.inside
+        return (
+            "diverged",
+            f"diverged: at t = {at:.6g} s the rotor is beyond the air gap of bearing {where}, "
+            "where nothing can be: the magnet "
+            "pulls it through the touchdown bearing; lower the current, or correct "
+            f"[bearing.touchdown] stiffness{side}",
+        )
+    if monitor.lifted_at is None:
+        return (
+            "not levitated",
+            f"not levitated: the rotor did not get free of the touchdown bearings{side}",
+        )
+    lifted = (
+        "" if scenario.initial == LEVITATED else f", levitated since t = {monitor.lifted_at:.4g} s"
+    )
+    if monitor.touched_at is None:
+        short = (
+            ", only because it is short: the loop is unstable as it runs"
+            if pole is not None and pole.real >= 0
+            else ""
+        )
+        return "completed", f"completed without contact{lifted}{short}{side}"
+    stay = (
+        f"in contact for {monitor.contact:.3g} s, {monitor.deepest * 1e6:.3g} um beyond the gap at "
+        "most"
+    )
+    return (
+        "touchdown",
+        f"touchdown at {monitor.where} at t = {monitor.touched_at:.6g} s{lifted}: "
+        f"{_cause(monitor, scenario, pole)}; {stay}",
+    )
+
+
+def _cause(monitor: Watch, scenario: Scenario, pole: complex | None) -> str:
+    at = monitor.touched_at or 0.0
+    failures = [item for item in scenario.failures if item.time <= at]
+    if failures:
+        last = failures[-1]
+        what = (
+            "the power of all amplifiers" if last.axis is None else f"the amplifier of {last.axis}"
+        )
+        return f"{what} failed {at - last.time:.4g} s before"
+    limited = sorted({axis for time, axis in monitor.limited if time >= at - _BEFORE})
+    stops = f"; controller output at its limit on {', '.join(limited)}" if limited else ""
+    if pole is not None and pole.real > 0:
+        return f"the loop is unstable, rightmost pole {pole.real:.4g}{pole.imag:+.4g}j rad/s{stops}"
+    return f"driven there by the disturbances although the linear loop is stable{stops}"

@@ -1,0 +1,150 @@
+"""A scenario in terms of the machine: its "first", "last" and "every" bearing, and shares of its
+top speed or pressure.
+
+A scenario file may say ``signal = "e_first_zeta"``, ``port = "every"`` or ``to_speed = "80 % of top
+speed"``; what that is, the machine says. Of "every" bearing a grade of unbalance is parted among
+them, and each has a binary sequence of its own.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
+
+from ambrose.core.checks import InvalidInput
+from ambrose.machine.description import BEARING_TERMS
+from ambrose.machine.machine import Machine
+from ambrose.machine.units import DIMENSIONS, Dimension, read_quantity
+from ambrose.model.plant import top_speed
+from ambrose.rig.disturbances import Prbs, Unbalance
+
+_SEEDS = 2  # axes of a bearing: two sequences at one bearing have neighbouring seeds
+_PHRASE = re.compile(r"(.+?)\s+of\s+(?:the\s+)?([a-z]+ [a-z]+)")
+
+
+class Share(float):
+    """A share of a quantity of the machine, until a machine is known; ``of`` is its name."""
+
+    of: str
+
+    def __new__(cls, share: float, of: str) -> Share:
+        made = super().__new__(cls, share)
+        made.of = of
+        return made
+
+    def __repr__(self) -> str:
+        return f"{100 * self:g} % of {self.of}"
+
+
+def _top_pressure(machine: Machine) -> float | None:
+    return max(point.seal_pressure for point in machine.operation.envelope)
+
+
+def _least(name: str) -> Callable[[Machine], float | None]:
+    return lambda machine: min(
+        (v for b in machine.bearings if (v := getattr(b, name)) is not None), default=None
+    )
+
+
+_QUANTITIES: dict[str, tuple[str, Callable[[Machine], float | None], str]] = {
+    "top speed": ("angular rate", top_speed, "[operation] speed_range"),
+    "balance speed": (
+        "angular rate",
+        lambda m: m.requirements.balance_speed or top_speed(m) or None,
+        "[operation] speed_range",
+    ),
+    "top pressure": ("pressure", _top_pressure, "an [[operation.point]] with seal_pressure"),
+    "max current": ("current", _least("max_current"), "max_current of a [[bearing]]"),
+    "touchdown gap": ("length", _least("touchdown_gap"), "touchdown_gap of a [[bearing]]"),
+}
+
+
+def read_share(value: Any, dimension: Dimension) -> Share | None:
+    """The share that a text such as "80 % of top speed" says; None for anything else. Raises
+    InvalidInput, ValueError.
+    """
+    found = _PHRASE.fullmatch(value.strip()) if isinstance(value, str) else None
+    if not found:
+        return None
+    names = [name for name, (kind, *_) in _QUANTITIES.items() if DIMENSIONS[kind] is dimension]
+    if found[2] not in names:
+        raise ValueError(
+            f"is {value!r}, but may be a share of {' or '.join(names) or 'nothing'} only; correct "
+            "it"
+        )
+    return Share(read_quantity(found[1], DIMENSIONS["ratio"]), found[2])
+
+
+def relative_values(item: Any) -> Iterator[Share]:
+    """All shares in a dataclass, the tuples in it and their items."""
+    if isinstance(item, Share):
+        yield item
+    elif isinstance(item, tuple):
+        for part in item:
+            yield from relative_values(part)
+    elif is_dataclass(item):
+        for field in fields(item):
+            yield from relative_values(getattr(item, field.name))
+
+
+def with_quantities(item: Any, machine: Machine) -> Any:
+    """The same with the machine's numbers in place of shares. Raises InvalidInput where the machine
+    does not state one.
+    """
+    if isinstance(item, Share):
+        _, value_of, key = _QUANTITIES[item.of]
+        value = value_of(machine)
+        if value is None:
+            raise InvalidInput(
+                f"the scenario needs the {item.of} of machine {machine.name!r}, which states "
+                f"none; add {key}"
+            )
+        return float(item) * value
+    if isinstance(item, tuple):
+        return tuple(with_quantities(part, machine) for part in item)
+    if is_dataclass(item) and not isinstance(item, type) and any(relative_values(item)):
+        return replace(
+            item,
+            **{
+                f.name: with_quantities(getattr(item, f.name), machine)
+                for f in fields(item)
+                if f.init
+            },
+        )
+    return item
+
+
+def at_bearings(items: Sequence[Any], bearings: Sequence[str]) -> tuple[Any, ...]:
+    """Disturbances, unbalances or failures with the names of these bearings in place of "first",
+    "last" and "every".
+    """
+    return tuple(made for item in items for made in _at(item, bearings))
+
+
+def _at(item: Any, bearings: Sequence[str]) -> Iterator[Any]:
+    key = next((name for name in ("signal", "port", "axis") if hasattr(item, name)), "")
+    text = getattr(item, key, None) or ""
+    before, word, after = _parted(text)
+    if word not in BEARING_TERMS:
+        yield item
+        return
+    chosen = {"first": bearings[:1], "last": bearings[-1:], "every": bearings}[word]
+    for number, name in enumerate(chosen):
+        more: dict[str, Any] = {}
+        if isinstance(item, Unbalance):
+            more = (
+                {"amount": item.amount / len(chosen)}
+                if item.amount is not None
+                else {"share": item.share / len(chosen)}
+            )
+        elif isinstance(item, Prbs):
+            more = {"seed": item.seed + _SEEDS * number}
+        yield replace(item, **{key: f"{before}{name}{after}"}, **more)
+
+
+def _parted(text: str) -> tuple[str, str, str]:
+    """ "e_first_zeta" -> "e_", "first", "_zeta"; "first_zeta" and "first" likewise."""
+    found = re.fullmatch(rf"([edrf]_)?({'|'.join(BEARING_TERMS)})(_zeta|_eta)?", text)
+    return (found[1] or "", found[2], found[3] or "") if found else ("", text, "")

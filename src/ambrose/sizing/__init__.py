@@ -1,1 +1,0 @@
-"""How small magnets and amplifiers, how gentle a controller may be, and still guarantee what is asked (thesis, 7.3)."""

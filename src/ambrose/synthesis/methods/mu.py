@@ -1,0 +1,32 @@
+"""Method "mu": D-K iteration over the machine's tolerances."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from ambrose.synthesis.methods.weighted import SCALING_ORDER, Spanning
+
+if TYPE_CHECKING:
+    from ambrose.core.lft import GeneralizedPlant
+    from ambrose.judge.result import Synthesis
+    from ambrose.model.plant import Plant
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mu(Spanning):
+    """D-K iteration over the machine's tolerances, and over the envelope where that is asked."""
+
+    name: ClassVar[str] = "mu"
+    title: ClassVar[str] = "mu"
+    uncertain: ClassVar[bool] = True
+
+    @classmethod
+    def suits(cls, plant: Plant) -> bool:
+        """Whether the machine file has [weights] and a [[tolerance]]."""
+        return plant.machine.weights is not None and bool(plant.machine.tolerances)
+
+    def minimise(self, problem: GeneralizedPlant) -> Synthesis:
+        from ambrose.synthesis.mu.synthesis import mu_synthesis
+
+        return mu_synthesis(problem, order=SCALING_ORDER)

@@ -1,0 +1,474 @@
+"""What the commands share: options, progress, tables, and the one way by which anything reaches the
+terminal.
+
+Whatever a text holds and wherever it goes, the exit status says what was found: a line is one line
+without control characters, what an encoding lacks is spelled (``>=``, ``10^-7``, ``\\u4e00``), and
+output that nobody reads any more is dropped.
+"""
+
+from __future__ import annotations
+
+import codecs
+import errno
+import io
+import json
+import os
+import re
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TextIO
+
+import click
+
+from ambrose.machine.messages import one_line
+
+if TYPE_CHECKING:
+    from ambrose.judge.result import Synthesis
+    from ambrose.machine.machine import Machine
+
+ALL = click.option(
+    "--all", "everything", is_flag=True, help="Show the quantities without a limit as well."
+)
+AS_JSON = click.option(
+    "--json", "as_json", is_flag=True, help="Print one JSON object and nothing else."
+)
+MACHINE = click.argument("machine")
+RATE = click.option(
+    "--rate-hz",
+    type=float,
+    default=None,
+    help="Sample rate; default: the controller's or the machine file's.",
+)
+DELAY = click.option(
+    "--delay-samples",
+    type=int,
+    default=None,
+    help="From measured errors to currents set; default: the controller's, the machine file's, or "
+    "1.",
+)
+PRESSURE_ERROR = click.option(
+    "--pressure-error",
+    metavar="PRESSURE",
+    help='With --fallback: how far off the reading may be, such as "0.4 bar"; an estimate trims '
+    "it by as much.",
+)
+STUCK_AFTER = click.option(
+    "--stuck-after",
+    type=float,
+    metavar="SECONDS",
+    help="With --fallback: how long the very same reading may come; default: not watched.",
+)
+_SUFFIX = {"controller file": ".json", "machine file": ".toml", "report": ".html", "page": ".html"}
+# endings that mean a file of this package, or a record
+_KINDS = {*_SUFFIX.values(), ".h5", ".hdf5", ".csv", ".mat", ".tdms"}
+_SILENCE = 30.0  # s
+_said: list[bool] = []  # whether this command has printed its JSON object
+# nobody reads: as Unix, as Windows, and as a terminal that was closed says it
+_GONE = {errno.EPIPE, errno.EINVAL, errno.EIO}
+_SPELLED = {
+    "≤": "<=",
+    "≥": ">=",
+    "≠": "!=",
+    "±": "+-",
+    "×": "*",
+    "·": "*",
+    "−": "-",
+    "–": "-",
+    "→": "->",
+    "…": "...",
+    "°": " deg",
+    "µ": "u",
+    "μ": "u",
+    "∞": "inf",
+    "✓": "+",
+    "✗": "x",
+    "•": "*",
+    "ζ": "zeta",
+    "η": "eta",
+    "ω": "omega",
+    "γ": "gamma",
+    "σ": "sigma",
+    "Ω": "Omega",
+    "\u00a0": " ",
+    "\u2009": " ",
+    "\u202f": " ",
+}
+_POWER, _DIGITS = re.compile("[⁻⁰¹²³⁴-⁹]+"), str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+
+
+class GroupedCommand(click.Command):
+    """A command whose options stand in groups in its help, those that one begins with first.
+
+    groups: {title: names of parameters}; what is in none of them stands under "More options".
+    """
+
+    def __init__(
+        self, *arguments: Any, groups: Mapping[str, Sequence[str]], **attributes: Any
+    ) -> None:
+        super().__init__(*arguments, **attributes)
+        self.groups = groups
+
+    def grouped(self, ctx: click.Context) -> dict[str, list[click.Parameter]]:
+        """{title: its options}, those without a group last."""
+        options = {
+            item.name: item for item in self.get_params(ctx) if item.param_type_name == "option"
+        }
+        groups = {
+            title or "Options": [options.pop(name) for name in names if name in options]
+            for title, names in self.groups.items()
+        }
+        return {
+            title: rows
+            for title, rows in (*groups.items(), ("More options", list(options.values())))
+            if rows
+        }
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        for title, options in self.grouped(ctx).items():
+            with formatter.section(title):
+                formatter.write_dl([item.get_help_record(ctx) or ("", "") for item in options])
+
+
+def _spell(error: UnicodeError) -> tuple[str, int]:
+    """A codec's error handler: the package's own signs in ASCII, other characters as their
+    escapes.
+    """
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    text = _POWER.sub(
+        lambda power: "^" + power[0].translate(_DIGITS), error.object[error.start : error.end]
+    )
+    spelled = (
+        _SPELLED.get(c) or (c if c.isascii() else c.encode("unicode_escape").decode()) for c in text
+    )
+    return "".join(spelled), error.end
+
+
+codecs.register_error("ambrose.spell", _spell)
+
+
+class _Outlet(io.RawIOBase):
+    """A standard stream that drops what nobody reads; errors of another kind are those of ``name``,
+    or dropped as well.
+    """
+
+    def __init__(self, raw: io.RawIOBase, name: str) -> None:
+        self._raw = raw
+        self._name = name
+        self._lost = False
+
+    def writable(self) -> bool:
+        return True
+
+    def isatty(self) -> bool:
+        return self._raw.isatty()
+
+    def fileno(self) -> int:
+        return self._raw.fileno()
+
+    def write(self, data: Any) -> int:
+        while not self._lost:
+            try:
+                written = self._raw.write(data)
+            except OSError as error:
+                self._lost = True
+                if self._name and error.errno not in _GONE:
+                    raise OSError(error.errno, error.strerror, self._name) from error
+            else:
+                if written is not None:
+                    return written
+                time.sleep(0.01)  # a pipe that does not wait, and is full
+        return len(data)
+
+
+@contextmanager
+def streams_settled() -> Iterator[None]:
+    """Standard output and error as this module promises them, as long as the block runs."""
+    for descriptor in range(3):
+        try:
+            os.fstat(descriptor)
+        except (
+            OSError
+        ):  # closed: the next file that is opened would take its place, and what is printed
+            os.open(os.devnull, os.O_RDWR)
+    before = sys.stdout, sys.stderr
+    _said.clear()
+    try:
+        sys.stdout, sys.stderr = _settled(sys.stdout, "standard output"), _settled(sys.stderr, "")
+        yield
+    finally:
+        sys.stdout, sys.stderr = before
+
+
+def _settled(stream: Any, name: str) -> Any:
+    if stream is None:
+        return io.StringIO()
+    buffered = getattr(stream, "buffer", None)
+    raw = getattr(buffered, "raw", buffered)  # unbuffered, it is the file itself
+    if isinstance(raw, io.RawIOBase):
+        stream.flush()
+        buffer = io.BufferedWriter(_Outlet(raw, name))
+        return io.TextIOWrapper(buffer, _encoding(stream), "ambrose.spell", line_buffering=True)
+    if isinstance(stream, io.TextIOWrapper):
+        stream.reconfigure(encoding=_encoding(stream), errors="ambrose.spell")
+    return stream
+
+
+def _encoding(stream: Any) -> str:
+    """The stream's, but ASCII where LC_ALL=C asks for it, which Python by itself takes for UTF-8
+    (PEP 538, 540).
+    """
+    told = {"PYTHONIOENCODING", "PYTHONUTF8"} & os.environ.keys()
+    return (
+        "ascii" if os.environ.get("LC_ALL") in {"C", "POSIX"} and not told else str(stream.encoding)
+    )
+
+
+def say(text: str, *, err: bool = False) -> None:
+    """Print one line."""
+    _write(sys.stderr if err else sys.stdout, one_line(text) + "\n")
+
+
+def say_json(content: Any, *, unless_said: bool = False) -> None:
+    """Print one JSON object, in ASCII; unless_said: only where a command has not printed its
+    own.
+    """
+    if not (unless_said and _said):
+        say(json.dumps(content))
+        _said.append(True)
+
+
+def _write(stream: TextIO, text: str) -> None:
+    stream.write(text)
+    stream.flush()
+
+
+def _worded(text: str) -> str:
+    """A line as standard output shows it, so that the width of a column is known."""
+    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+    return one_line(text).encode(encoding, "ambrose.spell").decode(encoding)
+
+
+def quantity_given(text: str | None, option: str, dimension: str) -> float | None:
+    """A positive quantity of an option such as "20 bar/s" in SI; None: not given. Raises
+    InvalidInput.
+    """
+    from ambrose.core.checks import InvalidInput
+    from ambrose.machine.units import DIMENSIONS, read_quantity
+
+    if text is None:
+        return None
+    unit = DIMENSIONS[dimension]
+    if text.strip().replace(".", "", 1).isdecimal():
+        raise InvalidInput(
+            f'{option} is {text}, without a unit; write it with one, such as "{unit.example}"'
+        )
+    try:
+        value = read_quantity(text, unit)
+    except ValueError as error:
+        raise InvalidInput(f"{option} {error}") from error
+    if not value > 0:
+        raise InvalidInput(
+            f"{option} is {text}, but must be positive; leave it out where nothing is known"
+        )
+    return value
+
+
+def load(machine: str) -> Machine:
+    from ambrose.machine.file.toml import load_machine
+
+    return load_machine(machine)
+
+
+def load_controller(path: Path, machine: Machine) -> Synthesis:
+    """A controller file; that it was made for another machine, or before the machine file was
+    changed, is noted.
+    """
+    from ambrose.judge.controller_file import read_controller
+    from ambrose.machine.file.toml import machine_hash
+
+    result = read_controller(path)
+    made = result.provenance
+    if made.machine_hash not in {None, machine_hash(machine)}:
+        other = (
+            f"another machine, {made.machine}"
+            if made.machine != machine.name
+            else f"other numbers of {machine.name}"
+        )
+        say(
+            f"note: {path} was made for {other}; what is said here is about {machine.name} as it "
+            "is given",
+            err=True,
+        )
+    return result
+
+
+@contextmanager
+def progress_shown(quiet: bool) -> Iterator[Callable[[str], None]]:
+    """A spinner with the present stage and its time on a terminal; nothing with --json.
+
+    Elsewhere a line per stage, and one every _SILENCE seconds of a stage that lasts.
+    """
+    if quiet:
+        yield lambda stage: None
+        return
+    if not sys.stderr.isatty():
+        with _lines() as line:
+            yield line
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    spinner = SpinnerColumn("dots" if console.encoding.startswith("utf") else "line")
+    columns = (spinner, TextColumn("{task.description}", markup=False), TimeElapsedColumn())
+    with Progress(*columns, console=console) as bar:
+        tasks: list[Any] = []
+
+        def step(stage: str) -> None:
+            if tasks:
+                bar.update(tasks[-1], total=1, completed=1)
+            tasks.append(bar.add_task(one_line(stage), total=None))
+
+        yield step
+        if tasks:
+            bar.update(tasks[-1], total=1, completed=1)
+
+
+@contextmanager
+def _lines() -> Iterator[Callable[[str], None]]:
+    now, over = [("", time.monotonic())], threading.Event()
+
+    def remind() -> None:
+        while not over.wait(_SILENCE):
+            stage, since = now[0]
+            if stage and time.monotonic() - since >= _SILENCE:
+                say(f"  {stage}: since {time.monotonic() - since:.0f} s", err=True)
+
+    def line(stage: str) -> None:
+        now[0] = stage, time.monotonic()
+        say(f"  {stage}", err=True)
+
+    threading.Thread(target=remind, daemon=True).start()
+    try:
+        yield line
+    finally:
+        over.set()
+
+
+def print_table(
+    title: str, columns: Sequence[str], rows: Sequence[tuple[str, ...]], marks: Sequence[str] = ()
+) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(
+        width=None if sys.stdout.isatty() else 140, markup=False, emoji=False, highlight=False
+    )
+    table = Table(title=_worded(title), title_justify="left", title_style="bold")
+    for column in columns:
+        table.add_column(_worded(column), overflow="fold")
+    for i, row in enumerate(rows):
+        table.add_row(*map(_worded, row), style=marks[i] if marks else None)
+    with console.capture() as drawn:
+        console.print(table)
+    _write(sys.stdout, drawn.get())
+
+
+def print_checks(checks: Any, everything: bool) -> None:
+    """One operating point: the verdict in words, then the checks that have a limit (or all),
+    without their sources.
+    """
+    from ambrose.report.tables import checks_table, verdict
+
+    table = checks_table(checks)
+    keep = [i for i, column in enumerate(table.columns) if not column.startswith("Standard")]
+    shown = [i for i, check in enumerate(checks.checks) if everything or check.passed is not None]
+    rows = [
+        tuple(f"{table.cells[k][i].symbol} {table.cells[k][i].text}".strip() for i in keep)
+        for k in shown
+    ]
+    marks = tuple("red" if checks.checks[k].passed is False else "" for k in shown)
+    print_table(
+        f"{checks.label}: {verdict(checks).text}",
+        tuple(table.columns[i] for i in keep),
+        rows,
+        marks,
+    )
+
+
+def shown(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def claim(**places: Path | None) -> None:
+    """Holds the files that a command will write until it ends: what cannot be written, or is being
+    written by another run, is refused before the work begins. Raises InvalidInput.
+    """
+    from ambrose.core.checks import InvalidInput
+    from ambrose.machine.atomic_write import check_file
+    from ambrose.machine.claim import claimed
+
+    known: dict[str, str] = {}
+    for what, path in (
+        (what.replace("_", " "), path) for what, path in places.items() if path is not None
+    ):
+        check_file(path, what)
+        if (other := known.setdefault(os.path.realpath(path), what)) != what:
+            raise InvalidInput(
+                f"{path} is to hold the {other} and the {what}; give one of them another name"
+            )
+        if (
+            (own := _SUFFIX.get(what, "")) != path.suffix.lower()
+            and own
+            and path.suffix.lower() in _KINDS
+        ):
+            raise InvalidInput(
+                f"the {what} is to be {path}, but must be a file *{own}; that ending means "
+                "another kind of file"
+            )
+        click.get_current_context().with_resource(claimed(path, what))
+
+
+def kept(write: Callable[[Path], Any], path: Path) -> Exception | None:
+    """Writes a result at the end of the work; where that fails, into the folder for temporary files
+    instead. Returns what to raise after the other results are printed; None: nothing failed.
+    """
+    from ambrose.core.checks import InvalidInput
+
+    try:
+        write(path)
+    except InvalidInput as error:
+        with suppress(InvalidInput, OSError):
+            elsewhere = Path(tempfile.mkdtemp(prefix="ambrose-")) / path.name
+            write(elsewhere)
+            return InvalidInput(f"{error}; it was written to {elsewhere} instead")
+        return error
+    return None
+
+
+def kept_page(
+    result: Any,
+    path: Path | None,
+    *beside: Any,
+    progress: Callable[[str], None] | None = None,
+    called: str = "page",
+    **options: Any,
+) -> Exception | None:
+    """The page of a result at ``path`` (None: none is wanted), kept as by ``kept``.
+
+    beside, options: as for ``page_of``. progress is told that the page (``called`` otherwise in
+    some commands) is written. Returns what to raise in the end; None: nothing failed.
+    """
+    if path is None:
+        return None
+    from ambrose.report.page import page_of, write
+
+    if progress is not None:
+        progress(f"writing the {called}")
+    return kept(lambda place: write(page_of(result, *beside, **options), place), path)

@@ -1,0 +1,336 @@
+"""Campaigns: plans, keys, arrays against single cases, what survives a kill, results and
+indices.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ambrose as amb
+from ambrose.annexes.campaigns.case import assign, subject
+from ambrose.annexes.campaigns.plan import Times, plan_of
+from ambrose.annexes.campaigns.result import read_campaign
+from ambrose.annexes.campaigns.run import ROWS, bases_of, executors, fixed_of, rows_of, run_plan
+from ambrose.annexes.campaigns.tasks import PEAK, checks_of, compute, full_plant
+from ambrose.annexes.campaigns.variance import main_effects
+from ambrose.judge.loop_response import loop_evaluator
+
+HEAD = {"task": "screen", "machine": "three-bearing-train", "controller": "pid", "model": "reduced"}
+VARY = {
+    "point.speed": {"from": "0 rpm", "to": "9000 rpm", "count": 2},
+    "tolerance.seal.balance-piston.k": {"from": -1.0, "to": 1.0, "count": 3},
+    "tolerance.bearing.*.negative_stiffness": [-1, 1],
+}
+
+
+def plan(head=None, vary=None, **options):
+    return plan_of({"campaign": HEAD | (head or {}), "vary": vary or VARY, "options": options})
+
+
+def computed(wanted, folder, **keywords):
+    return run_plan(wanted, folder, make=lambda: ThreadPoolExecutor(1), **keywords)
+
+
+def rows_in(folder):
+    return {row["key"]: row for row in rows_of(folder / ROWS)}
+
+
+def test_a_grid_has_every_combination_once_and_a_key_for_each():
+    cases = list(plan().drawn())
+    assert len(cases) == plan().size == 12
+    assert len({case.key for case in cases}) == 12
+    assert {case.by_path["point.speed"] for case in cases} == {"0.0 rpm", "9000.0 rpm"}
+
+
+def test_keys_follow_contents_not_places(tmp_path):
+    (tmp_path / "m.toml").write_text("one")
+    document = {
+        "campaign": {"task": "design", "machine": "m.toml"},
+        "vary": {"point.speed": [1, 2]},
+    }
+    first = [case.key for case in plan_of(document, tmp_path).drawn()]
+    (tmp_path / "m.toml").write_text("two")
+    assert not set(first) & {case.key for case in plan_of(document, tmp_path).drawn()}
+    (tmp_path / "m.toml").write_text("one")
+    longer = document | {"vary": {"point.speed": [1, 2, 3]}}
+    assert first == [case.key for case in plan_of(longer, tmp_path).drawn()][:2]
+
+
+def test_a_latin_hypercube_visits_every_stratum_of_every_range():
+    vary = {
+        "point.speed": {"from": "0 Hz", "to": "10 Hz"},
+        "point.seal_pressure": {"from": "1 bar", "to": "2 bar"},
+    }
+    cases = list(plan({"plan": "latin-hypercube", "cases": 10}, vary).drawn())
+    speeds = sorted(float(case.by_path["point.speed"].removesuffix(" Hz")) for case in cases)
+    assert [int(speed) for speed in speeds] == list(range(10))
+
+
+def test_paths_reach_names_numbers_and_lists():
+    document = {"bearing": [{"name": "A", "k": [1.0, "2 N/m"]}, {"name": "B", "k": "3 N/m"}]}
+    assign(document, "bearing.*.k", Times(2.0), "machine")
+    assign(document, "bearing.B.gap", "1 mm", "machine")
+    assert document["bearing"] == [
+        {"name": "A", "k": [2.0, "4.0 N/m"]},
+        {"name": "B", "k": "6.0 N/m", "gap": "1 mm"},
+    ]
+    with pytest.raises(amb.InvalidInput, match="leads nowhere"):
+        assign(document, "bearing.C.k", 1.0, "machine")
+    with pytest.raises(amb.InvalidInput, match="not in the machine file"):
+        assign(document, "bearing.A.gap", Times(2.0), "machine")
+
+
+@pytest.mark.parametrize(
+    ("head", "vary", "words"),
+    [
+        ({"task": "fly"}, VARY, "task is"),
+        ({"plan": "random"}, VARY, "number of its cases"),
+        ({}, {"bearing.gap": [1]}, "leads nowhere"),
+        ({}, {"point.speed": {"from": "1 Hz", "to": "60 rpm", "count": 2}}, "same unit"),
+        ({}, {"point.speed": {"from": "1 Hz", "to": "2 Hz"}}, "no count"),
+        ({}, {"point.speed": {"from": 1, "to": 2, "count": 2, "times": True}}, "times = true"),
+        ({"cases": True}, VARY, "whole number"),
+        ({"task": "simulate"}, VARY, "needs a scenario"),
+        ({}, {f"option.{name}": {"from": 1, "to": 200, "count": 200} for name in "abc"}, "at most"),
+    ],
+)
+def test_wrong_plans_are_refused(head, vary, words):
+    with pytest.raises(amb.InvalidInput, match=words):
+        plan(head, vary)
+
+
+def test_the_array_agrees_with_every_case_alone():
+    """Oracle: the plant perturbed in its matrices, and its sensitivity at the frequency found and
+    around it.
+    """
+    wanted = plan()
+    bases, fixed = bases_of(wanted), fixed_of(wanted)
+    cases = list(wanted.drawn())
+    for case, row in list(zip(cases, compute("screen", cases, bases, fixed), strict=True))[::5]:
+        item = subject(case, bases, fixed)
+        assert row.failure == ""
+        plant = full_plant(item)
+        law = amb.StateSpace(item.controller.law)
+        from ambrose.law.loop import match_controller
+        from ambrose.law.timing import timing_of
+        from ambrose.model.reduce import default_bending_modes, reduce
+
+        late = timing_of(item.machine, item.controller).late(match_controller(law, plant))
+        at = 2 * np.pi * row.values["sensitivity.output.at"]
+        small = reduce(plant, default_bending_modes(plant))
+        curve = loop_evaluator(small, late)(at * np.linspace(0.5, 2.0, 301)).output_sensitivity()
+        peak = np.linalg.norm(curve, 2, axis=(1, 2)).max()
+        assert row.values[PEAK] == pytest.approx(peak, rel=1e-9)  # 6e-14 as measured
+        assert checks_of(item).stable == row.values["stable"]
+
+
+def test_what_a_kill_leaves_is_gone_on_with_bit_for_bit(tmp_path):
+    whole, cut = tmp_path / "whole", tmp_path / "cut"
+    assert computed(plan(), whole).computed == 12
+    assert computed(plan(), cut, most=5).computed == 5
+    text = (cut / ROWS).read_bytes()
+    (cut / ROWS).write_bytes(text[:-20])  # a line half written
+    done = computed(plan(), cut)
+    assert (done.cases, done.computed) == (12, 8)
+    assert rows_in(cut) == rows_in(whole)
+    assert computed(plan(), cut).computed == 0
+
+
+def test_every_task_has_its_row():
+    head = {"machine": "seal-rig", "controller": "pid"}
+    rows = {
+        "verify": one_row("verify", head, {"point.speed": ["0 Hz"]}),
+        "simulate": one_row(
+            "simulate", head | {"scenario": "prbs"}, {"scenario.duration": ["0.3 s"]}
+        ),
+        "identify": one_row(
+            "identify", head | {"scenario": "prbs"}, {"scenario.duration": ["0.6 s"]}
+        ),
+        "design": one_row(
+            "design", {"machine": "seal-rig"}, {"point": ["nominal pressure"]}, method="pid"
+        ),
+    }
+    assert rows["verify"].values["stable"] and rows["verify"].values[PEAK] > 1
+    assert rows["simulate"].values["outcome"] == "completed"
+    found = {
+        name: value
+        for name, value in rows["identify"].values.items()
+        if name.endswith("seal.center.k")
+    }
+    assert found, rows["identify"].values
+    assert rows["design"].values["stable"] and json.loads(rows["design"].files["controller.json"])
+
+
+def one_row(task, head, vary, **options):
+    wanted = plan_of({"campaign": {"task": task, **head}, "vary": vary, "options": options})
+    (row,) = compute(task, list(wanted.drawn()), bases_of(wanted), fixed_of(wanted))
+    assert not row.failure
+    return row
+
+
+def test_failures_are_rows_with_their_reason(tmp_path):
+    wanted = plan(vary={"point.speed": ["100 Hz", "5 kg"], "controller.gain": [1.0]})
+    done = computed(wanted, tmp_path)
+    assert (done.computed, done.failed) == (2, 1)
+    found = read_campaign(wanted, tmp_path)
+    assert found.failures[0] == "" and "must be" in found.failures[1]
+    assert len(found.worst_first) == 1
+
+
+def test_results_as_dataset_and_table(tmp_path):
+    xr = pytest.importorskip("xarray")
+    pytest.importorskip("h5netcdf")
+    computed(plan(), tmp_path)
+    found = read_campaign(plan(), tmp_path)
+    found.write(tmp_path)
+    with xr.open_dataset(tmp_path / "results.nc", engine="h5netcdf") as data:
+        assert dict(data.sizes) == {
+            "point.speed": 2,
+            "tolerance.seal.balance-piston.k": 3,
+            "tolerance.bearing.all.negative_stiffness": 2,
+        }
+        assert data["point.speed"].attrs["units"] == "rpm"
+        assert np.array_equal(data[PEAK].values.ravel(), found.values[PEAK])
+    assert len((tmp_path / "table.csv").read_text().splitlines()) == 13
+    assert found.effects()["point.speed"] > 0.5
+
+
+def test_indices_are_those_of_ishigami_and_homma_1990():
+    x = np.random.default_rng(1).uniform(-np.pi, np.pi, (20_000, 3))
+    y = np.sin(x[:, 0]) + 7 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
+    a, b = 7.0, 0.1
+    first, second = 0.5 * (1 + b * np.pi**4 / 5) ** 2, a**2 / 8
+    total = 0.5 + a**2 / 8 + b * np.pi**4 / 5 + b**2 * np.pi**8 / 18
+    assert main_effects(x, y) == pytest.approx([first / total, second / total, 0.0], abs=0.012)
+
+
+def test_indices_of_a_whole_grid_are_exact():
+    x = np.stack(np.meshgrid(np.arange(3.0), np.arange(4.0), indexing="ij"), axis=-1).reshape(-1, 2)
+    variances = 4 * np.arange(3.0).var(), np.arange(4.0).var()
+    assert main_effects(x, 2 * x[:, 0] + x[:, 1], complete=True) == pytest.approx(
+        np.array(variances) / sum(variances)
+    )
+    assert not main_effects(x, np.ones(12)).any()
+
+
+def test_a_process_pool_gives_the_same_and_survives_a_killed_worker(tmp_path):
+    import multiprocessing
+
+    killed = []
+
+    def told(stage):
+        if not killed and (children := multiprocessing.active_children()):
+            os.kill(children[0].pid, signal.SIGKILL)
+            killed.append(children[0].pid)
+
+    with executors("processes", 1) as (make, workers):
+
+        def make_and_kill():
+            pool = make()
+            if not killed:
+                pool.submit(time.sleep, 0).result()
+                told("")
+            return pool
+
+        run_plan(plan(), tmp_path / "pool", make=make_and_kill, workers=workers)
+    assert killed
+    computed(plan(), tmp_path / "here")
+    assert rows_in(tmp_path / "pool") == rows_in(tmp_path / "here")
+
+
+def test_dask_gives_the_same_and_survives_a_killed_worker(tmp_path):
+    """Three workers of a real local cluster; one is killed while it computes."""
+    distributed = pytest.importorskip("distributed")
+    wanted = plan(
+        vary=VARY
+        | {"machine.bearing.MID.bias_current": {"from": 0.9, "to": 1.1, "count": 12, "times": True}}
+    )
+    killed = []
+    with (
+        distributed.LocalCluster(
+            n_workers=3, threads_per_worker=1, dashboard_address=None
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+
+        def told(stage):
+            if not killed and "of 144 cases" in stage:
+                busy = [name for name, tasks in client.processing().items() if tasks]
+                killed.append(
+                    next(w.pid for w in cluster.workers.values() if w.worker_address in busy)
+                )
+                os.kill(killed[0], signal.SIGKILL)
+
+        run_plan(wanted, tmp_path / "dask", make=client.get_executor, workers=3, progress=told)
+    assert killed
+    computed(wanted, tmp_path / "here")
+    assert rows_in(tmp_path / "dask") == rows_in(tmp_path / "here")
+
+
+def test_the_command(tmp_path):
+    file = tmp_path / "plan.toml"
+    file.write_text(
+        '[campaign]\ntask = "screen"\nmachine = "three-bearing-train"\ncontroller = "pid"\nmodel '
+        '= "reduced"\n'
+        '[vary]\n"tolerance.seal.balance-piston.k" = [-1, 1]\n'
+    )
+    run = [
+        sys.executable,
+        "-m",
+        "ambrose",
+        "campaign",
+        str(file),
+        "--workers",
+        "1",
+        "--pages",
+        "1",
+        "--json",
+    ]
+    ended = subprocess.run(run, capture_output=True, text=True, check=False, env=os.environ)
+    assert ended.returncode == 0, ended.stderr
+    found = json.loads(ended.stdout)
+    assert (found["cases"], found["computed_now"], found["missing"]) == (2, 2, 0)
+    page = (tmp_path / "plan" / "report.html").read_text()
+    (case,) = (tmp_path / "plan" / "cases").glob("*.html")
+    assert f'href="cases/{case.name}"' in page
+    assert Path(tmp_path / "plan" / "table.csv").exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="an interrupt is sent as a signal")
+def test_ctrl_c_keeps_what_is_done_and_the_front_door_goes_on(tmp_path):
+    document = {
+        "campaign": HEAD,
+        "vary": VARY | {"tolerance.seal.balance-piston.k": {"from": -1.0, "to": 1.0, "count": 400}},
+    }
+    (tmp_path / "plan.json").write_text(json.dumps(document))
+    code = (
+        "import json, sys, ambrose as amb\n"
+        "amb.campaign(json.load(open(sys.argv[1])), sys.argv[2], workers=1, progress=lambda text: "
+        "print(text, flush=True))"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / "plan.json"), str(tmp_path / "out")]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as run:
+        deadline = time.monotonic() + 60
+        while (
+            not ((tmp_path / "out" / ROWS).exists() and (tmp_path / "out" / ROWS).stat().st_size)
+            and run.poll() is None
+        ):
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        run.send_signal(signal.SIGINT)
+        run.communicate(timeout=60)
+    before = (tmp_path / "out" / ROWS).read_bytes()
+    assert before
+    again = amb.campaign(document, tmp_path / "out", workers=1)
+    assert (tmp_path / "out" / ROWS).read_bytes().startswith(before)
+    assert len(again.values[PEAK]) == 1600

@@ -1,0 +1,79 @@
+"""Proofs while the speed changes, of a fixed PID on a rig made by hand: against norms at rest,
+corners, and what is refused.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ambrose.annexes.scheduled.moving.speed import check_speed, speed_spans
+from ambrose.core.checks import InvalidInput
+from ambrose.core.norms import hinf_norm
+from ambrose.core.scheduled import ScheduledSystem
+from ambrose.core.statespace import StateSpace, select
+from ambrose.judge.verdict import verify_controller
+from ambrose.law.loop import closed_loop
+from ambrose.machine.description import OperatingPoint, Requirements, Tolerance
+from ambrose.machine.machine import Machine
+from ambrose.model.assemble import assemble
+from ambrose.model.uncertainty import perturbed
+from ambrose.synthesis.pid import pid_controller
+from judge.conftest import PID, make_rig
+
+TOP = 2 * np.pi * 50
+PRESSURE = 3e4
+RATE = 100.0
+
+
+@pytest.fixture(scope="module")
+def rig() -> Machine:
+    machine = make_rig()
+    points = (
+        OperatingPoint(speed=0.0, seal_pressure=PRESSURE, label="standstill"),
+        OperatingPoint(speed=TOP, seal_pressure=PRESSURE, label="top speed"),
+    )
+    return replace(
+        machine,
+        operation=replace(
+            machine.operation, points=points, design_point="", speed_range=(0.0, TOP)
+        ),
+        tolerances=(Tolerance("seal.center.k", relative=0.5),),
+        requirements=Requirements(sensitivity_peak=4.5),
+    )
+
+
+def peak(machine: Machine, law: StateSpace, speed: float, k: float = 0.0) -> float:
+    """sigma_max(S_o) of the full plant at a steady speed, k moved within its tolerance."""
+    plant = perturbed(
+        assemble(machine, OperatingPoint(speed=speed, seal_pressure=PRESSURE)), {"seal.center.k": k}
+    )
+    inputs, outputs = ([f"{kind}_{axis}" for axis in plant.axes] for kind in "dy")
+    return hinf_norm(select(closed_loop(plant, law), inputs, outputs)).value
+
+
+def test_the_proofs_are_just_above_steady_speeds_and_above_the_worst_corner(rig: Machine) -> None:
+    law = pid_controller(PID, rig)
+    (span,) = speed_spans(rig, law)
+    checks = {check.name: check for check in check_speed(rig, span, law, None, RATE).checks}
+    speeds = np.linspace(0.0, TOP, 5)
+    rest = max(peak(rig, law, v) for v in speeds)
+    corner = max(peak(rig, law, v, k) for v in speeds for k in (-1.0, 1.0))
+    assert checks["moving.speed.frozen"].value == pytest.approx(rest, rel=1e-3)
+    assert rest < checks["moving.speed.rate"].value < 1.03 * rest
+    assert rest < corner < checks["moving.speed.tolerances"].value < 1.03 * corner
+    assert "1 tolerances, standing still" in checks["moving.speed.tolerances"].detail
+
+
+def test_what_it_does_not_cover_is_refused(rig: Machine) -> None:
+    law = pid_controller(PID, rig)
+    along = ScheduledSystem((0.0, 6e4), (law, law), "pressure", "Pa")
+    with pytest.raises(
+        InvalidInput, match="scheduled over pressure is not proved while the speed changes"
+    ):
+        verify_controller(rig, along, tolerances=False, speed_rate=RATE)
+    alone = replace(rig, operation=replace(rig.operation, points=rig.operation.points[:1]))
+    with pytest.raises(InvalidInput, match="no two operating points differ in speed alone"):
+        verify_controller(alone, law, tolerances=False, speed_rate=RATE)

@@ -1,0 +1,213 @@
+"""Acceptance by measurement, on the linear loop whose sensitivity is known, its refusals, its page
+and its command.
+"""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import ambrose as amb
+from ambrose.annexes.site.acceptance import accept
+from ambrose.annexes.site.acceptance_page import acceptance_page
+from ambrose.cli import main
+from ambrose.core.checks import InvalidInput
+from ambrose.machine.description import OperatingPoint, Requirements
+from ambrose.report.page import render
+from ambrose.rig.disturbances import Unbalance
+from ambrose.rig.scenario import load_scenario
+
+NAME = "overhung-blower"
+
+
+@cache
+def machine():
+    return replace(amb.load_machine(NAME), tolerances=())
+
+
+@cache
+def law():
+    return amb.design(machine(), "pid")
+
+
+@cache
+def record(speed=0.0, kind="e", noise=2e-8):
+    """The linear loop under the bundled sequences, as currents or as references, with noise on what
+    is recorded of y.
+    """
+    scenario = load_scenario("acceptance")
+    sequences = scenario.sequences
+    if kind == "r":
+        sequences = tuple(
+            replace(item, signal=f"r_{item.signal[2:]}", amplitude=1e-6) for item in sequences
+        )
+    heavy = (Unbalance("impeller", 2e-5),) if speed else ()
+    scenario = replace(scenario, duration=4.0, sequences=sequences, speed=speed, unbalances=heavy)
+    found = amb.simulate(
+        machine(), law(), scenario, linear=True, point=OperatingPoint(speed=speed)
+    ).record
+    found = found.select(
+        [
+            name
+            for name in found.signals
+            if name[:2] in {"y_", f"{kind}_"} or (name[:2] == "u_" and not noise)
+        ]
+    )
+    shown = np.array([name.startswith("y_") for name in found.signals])[:, None]
+    return replace(
+        found,
+        values=found.values
+        + shown * noise * np.random.default_rng(1).standard_normal(found.values.shape),
+    )
+
+
+@pytest.mark.parametrize("speed", [0.0, 2 * np.pi * 120])
+@pytest.mark.parametrize("kind", ["e", "r"])
+def test_the_measured_sensitivity_is_the_true_one(speed, kind):
+    """At standstill, and running with unbalance; by currents and by references."""
+    loop = accept(machine(), law(), record(speed, kind)).points[0]
+    label, S = loop.predicted[0]
+    assert label == "predicted"
+    own = np.abs(np.einsum("wii->wi", S))
+    assert np.mean(np.abs(loop.modulus - own) <= loop.half) > 0.93
+    largest = np.linalg.norm(S, 2, axis=(1, 2))
+    assert np.mean((loop.low <= largest) & (largest <= loop.high)) > 0.95
+    peak = loop.checks.checks[0]
+    assert peak.name == "sensitivity.output.impeller-side_zeta" and peak.value == pytest.approx(
+        own[:, 0].max(), rel=0.03
+    )
+    for i, (low, high) in enumerate(loop.peaks):
+        assert low <= own[:, i].max() <= high
+    np.testing.assert_allclose(loop.loops, 1 / np.einsum("wii->wi", loop.S) - 1)
+
+
+def test_zones_judge_the_outer_end_of_the_interval():
+    loop = accept(machine(), law(), record()).points[0]
+    value, high = loop.checks.checks[0].value, loop.peaks[0][1]
+    for limit, met in ((1.05 * high, True), ((value + high) / 2, False), (0.5 * value, False)):
+        judged = replace(
+            machine(), requirements=replace(machine().requirements, sensitivity_peak=limit)
+        )
+        check = accept(judged, law(), record()).points[0].checks.checks[0]
+        assert check.passed is met
+        assert ("record longer" in check.detail) == (value < limit < high)
+    bare = accept(replace(machine(), requirements=Requirements()), law(), record()).points[0]
+    assert bare.checks.checks[0].zone == "A" and bare.checks.checks[0].passed
+
+
+def test_another_controller_than_the_file_says_is_noticed():
+    louder = replace(
+        law(),
+        controller=replace(
+            law().controller, C=1.2 * law().controller.C, D=1.2 * law().controller.D
+        ),
+    )
+    own, other = (
+        next(
+            c
+            for c in accept(machine(), item, record(noise=0.0)).points[0].checks.checks
+            if c.name == "controller.difference"
+        )
+        for item in (law(), louder)
+    )
+    assert own.passed and own.value < 0.01
+    assert not other.passed and other.value == pytest.approx(0.2, abs=0.05)
+
+
+def test_another_delay_than_was_told_fails_and_can_be_told():
+    """One sample more turns the currents by less than the tenth that is allowed in size: the delay
+    is judged by itself.
+    """
+    late = amb.simulate(
+        machine(),
+        law(),
+        replace(load_scenario("acceptance"), duration=4.0),
+        linear=True,
+        delay_samples=2,
+    ).record
+    late = late.select([name for name in late.signals if name[:2] in {"y_", "e_", "u_"}])
+    told, right = (
+        {
+            c.name: c
+            for c in accept(machine(), law(), late, delay_samples=delay).points[0].checks.checks
+        }
+        for delay in (None, 2)
+    )
+    assert (
+        not told["controller.delay"].passed
+        and "with 2 samples instead of 1" in told["controller.delay"].detail
+    )
+    assert right["controller.delay"].passed and right["controller.difference"].value < 0.01
+
+
+def test_operating_points_are_told_apart():
+    both = accept(machine(), law(), [record(), record(2 * np.pi * 120)])
+    assert [loop.point.speed for loop in both.points] == [0.0, 2 * np.pi * 120]
+    assert both.passed == all(loop.checks.passed for loop in both.points)
+    page = render(acceptance_page(both))
+    assert (
+        "Acceptance of the magnetic bearing loop" in page
+        and page.count("Measured over predicted,") >= 2
+    )
+
+
+def with_pressure(data):
+    rising = np.linspace(2e5, 3e5, data.values.shape[1])
+    return replace(
+        data,
+        signals=(*data.signals, "p_seal"),
+        units=(*data.units, "Pa"),
+        values=np.vstack([data.values, rising]),
+    )
+
+
+def test_what_cannot_be_accepted_is_refused():
+    data = record()
+    still = replace(
+        data, values=data.values * np.array([not n.startswith("e_") for n in data.signals])[:, None]
+    )
+    one = replace(
+        data,
+        values=data.values
+        * np.array([n[:2] != "e_" or n == "e_free-end_eta" for n in data.signals])[:, None],
+    )
+    touched = replace(data, notes=(("outcome", "touchdown at 0.3 s"),))
+    for item, words in (
+        (still, "no excitation"),
+        (one, "on every axis"),
+        (touched, "did not stay free"),
+        (data.select([n for n in data.signals if n != "y_free-end_eta"]), "y_free-end_eta"),
+        ([], "no record"),
+        (replace(data, sample_rate_hz=5000.0), "the controller's"),
+        (replace(data, machine="another"), "machine of record 1 is 'another'"),
+        ([data, replace(data)], "record 2 is the same as one before"),
+        (with_pressure(data), "the operating point changes"),
+    ):
+        with pytest.raises(InvalidInput, match=words):
+            accept(machine(), law(), item)
+
+
+def test_the_command_writes_the_page_to_sign(tmp_path):
+    files = {name: str(tmp_path / name) for name in ("law.json", "run.h5", "page.html", "m.toml")}
+    amb.write_controller(files["law.json"], law(), machine())
+    amb.write_record(record(), files["run.h5"])
+    amb.save_machine(machine(), files["m.toml"])
+    call = ["accept", files["m.toml"], files["law.json"], files["run.h5"]]
+    printed = CliRunner().invoke(main, [*call, "-o", files["page.html"], "--all"])
+    assert printed.exit_code == 0, printed.output
+    assert "Measured peak sensitivity" in printed.output
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert all(
+        words in page
+        for words in (
+            "at least one operating point" if printed.exit_code else "every operating point",
+            "Open loop",
+            "Closed loop",
+            "Prepared",
+        )
+    )
+    told = json.loads(CliRunner().invoke(main, [*call, "--json"]).output)
+    assert told["passed"] and len(told["points"][0]["sensitivity"]) == 4

@@ -1,0 +1,243 @@
+"""What `ambrose check` says about implausible machines: each doubt with cause and remedy; none
+about those that are sound.
+"""
+
+import json
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import ambrose as amb
+from ambrose.chain.check import critical_speeds, shares
+from ambrose.chain.plants import facts
+from ambrose.cli import main
+from ambrose.judge.unavoidable import unavoidable_sensitivity
+from ambrose.machine.description import OperatingPoint, Operation, Tolerance
+from ambrose.machine.file.toml import read_machine_text
+from ambrose.machine.rotor_model import Material
+from ambrose.machine.units import DIMENSIONS, read_quantity
+from coarse import coarse
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return coarse("seal-rig")
+
+
+def doubts(machine):
+    return facts(machine)["doubts"]
+
+
+@pytest.mark.parametrize("name", sorted(amb.bundled_machines()))
+def test_bundled_machines_raise_no_doubt(name):
+    assert doubts(amb.load_machine(name)) == []
+
+
+def bearings(machine, **changes):
+    return replace(machine, bearings=tuple(replace(item, **changes) for item in machine.bearings))
+
+
+def scaled(machine, factor):
+    """Lengths as if one had left out a unit."""
+    shaft = tuple(
+        replace(
+            s,
+            outer_diameter=factor * s.outer_diameter,
+            mass_diameter=s.mass_diameter and factor * s.mass_diameter,
+        )
+        for s in machine.shaft
+    )
+    return replace(machine, shaft=shaft)
+
+
+def sensor_at(machine, place):
+    return replace(
+        machine, sensors=(replace(machine.sensors[0], position=place), *machine.sensors[1:])
+    )
+
+
+def alone(machine):
+    return replace(
+        machine,
+        bearings=machine.bearings[:1],
+        sensors=machine.sensors[:1],
+        controller=replace(machine.controller, gain=(18250.0,)),
+    )
+
+
+def material(machine, **changes):
+    return replace(
+        machine,
+        shaft=tuple(
+            replace(item, material=replace(Material(), **changes)) for item in machine.shaft
+        ),
+    )
+
+
+def points(machine, speed):
+    return replace(
+        machine,
+        operation=Operation((OperatingPoint(speed, label="fast"),), (0.0, 100.0)),
+        tolerances=(),
+    )
+
+
+CASES = {
+    "mass": (
+        lambda m: scaled(m, 15),
+        r"the rotor weighs [\d,.e+]+ kg, unheard of .*; look for a length without its unit",
+    ),
+    "diameter": (lambda m: scaled(m, 1000), r"the shaft is 1[\d,.]+ m in diameter; look for"),
+    "density": (lambda m: material(m, density=7.85), r"a density of 7.85 kg/m\^3; steel has 7850"),
+    "modulus": (lambda m: material(m, youngs_modulus=210.0), r"E = 210 Pa; steel has 210 GPa"),
+    "tolerance": (
+        lambda m: replace(m, tolerances=(Tolerance("seal.center.k", relative=50.0),)),
+        r'the tolerance of seal.center.k is 5,000 %, beyond all of it; write per cent as "50 %"',
+    ),
+    "point": (
+        lambda m: points(m, 200 * math.pi),
+        r'point "fast" turns at 6000 rpm, outside of speed_range, 0 to 954',
+    ),
+    "tip": (lambda m: points(m, 1e5), r"surface runs at [\d,.e+]+ m/s"),
+    "one bearing": (
+        alone,
+        r"one bearing cannot hold the tilting of a rotor 0.86 m long; add a second",
+    ),
+    "node": (
+        lambda m: sensor_at(m, 0.196),
+        r"sensor of bearing A is at a node of the first bending mode \(550",
+    ),
+    "across": (
+        lambda m: sensor_at(m, 0.3),
+        r"sensor of bearing A is across a node of the first bending mode \(550",
+    ),
+    "weak": (
+        lambda m: bearings(m, max_force=300.0),
+        r"A reaches 300 N and carries 338.2 N of the weight: .* cannot be lifted",
+    ),
+    "scarce": (
+        lambda m: bearings(m, max_force=400.0),
+        r"bearing A reaches 400 N and carries 338.2 N .*three times the load",
+    ),
+    "unit of force": (
+        lambda m: replace(bearings(m, max_force=7.5), gravity_direction=None),
+        r"bearing A reaches 7.5 N .* if the rotor lies: check the units",
+    ),
+    "gain": (
+        lambda m: replace(m, controller=replace(m.controller, gain=(4000.0,))),
+        r"K_p k_i is below k_s \(0.5\d* of it\).*raise gain 2.8 times",
+    ),
+    "scant gain": (
+        lambda m: replace(m, controller=replace(m.controller, gain=(8000.0,))),
+        r"only 1.07 times k_s",
+    ),
+    "gap": (lambda m: bearings(m, gap=0.5), r"a gap of 500 mm, where 0.2 to 1 mm are usual"),
+    "coefficients": (
+        lambda m: bearings(m, force_per_current=(0.144, 0.139)),
+        r"times k_i bias / gap; .*check the units",
+    ),
+    "delay": (
+        lambda m: replace(m, controller=replace(m.controller, sample_time=1e-3, delay=8e-3)),
+        r"no controller can: the unstable pole at 23.9 Hz and the delay of 8.5 ms keep S above "
+        r"5.29, and 3 is asked; sample",
+    ),
+    "rate": (
+        lambda m: replace(m, controller=replace(m.controller, sample_time=1e-2)),
+        r"at 100 Hz, less than 10 times the 2",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", sorted(CASES))
+def test_what_is_implausible_is_said_with_its_remedy(rig, case):
+    change, pattern = CASES[case]
+    found = doubts(change(rig))
+    assert any(re.search(pattern, line) for line in found), found
+    assert all("\n" not in line and (";" in line or ":" in line) for line in found)
+
+
+def test_the_command_says_doubts_and_ends_with_one(tmp_path):
+    path = tmp_path / "typo.toml"
+    path.write_text(
+        read_machine_text("seal-rig").replace('"18250 A/m"', '"4000 A/m"'), encoding="utf-8"
+    )
+    shown = CliRunner().invoke(main, ["check", str(path)])
+    assert (
+        shown.exit_code == 1
+        and "implausible: K_p k_i is below k_s" in shown.output
+        and "bearing A" in shown.output
+    )
+    told = CliRunner().invoke(main, ["check", str(path), "--json"])
+    assert told.exit_code == 1 and len(json.loads(told.output)["doubts"]) == 1
+    sound = CliRunner().invoke(main, ["check", "seal-rig"])
+    assert (
+        sound.exit_code == 0
+        and "note: no sample_time in [controller]" in sound.output
+        and "implausible" not in sound.output
+    )
+
+
+def test_what_is_missing_is_noted_but_no_doubt(rig):
+    bare = replace(
+        rig, requirements=type(rig.requirements)(), weights=None, controller=None, tolerances=()
+    )
+    known = facts(bare)
+    assert known["doubts"] == [] and known["stiffness_margin"] is None
+    assert {"no [requirements]", "no [weights]", "no reference controller"} <= {
+        line.split(":")[0] for line in known["remarks"]
+    }
+
+
+def test_loads_of_two_bearings_follow_the_lever_and_of_three_sum_up():
+    assert shares(100.0, 0.3, [0.1, 0.9]) == pytest.approx([75.0, 25.0])
+    assert shares(100.0, 0.5, [0.1, 0.5, 0.9]) == pytest.approx([100 / 3] * 3)
+    assert shares(100.0, 0.5, [0.2]) == pytest.approx([100.0])
+
+
+def test_critical_speeds_are_where_a_forward_mode_turns_as_fast_as_the_rotor():
+    """Without gyroscopics they are the natural frequencies on the springs: assembled with the
+    magnets as those springs.
+    """
+    machine = coarse("turboexpander")
+    found = critical_speeds(machine)
+    k = read_quantity("60 A/mm", DIMENSIONS["current per displacement"]) * 160 - 2.4e6
+    rotor = amb.finite_element_rotor(machine)
+    from ambrose.model.effects.rotor import plane_rows
+
+    w = plane_rows(rotor, [b.position for b in machine.bearings])[0]
+    K = rotor.plane_stiffness + k * w.T @ w
+    for speed in found[:3]:
+        values = np.linalg.eigvals(
+            np.linalg.solve(
+                rotor.plane_mass, K - speed**2 * (rotor.plane_mass - rotor.plane_gyroscopic)
+            )
+        )
+        assert np.abs(values).min() < 1e-3 * speed**2
+
+
+def test_the_limit_holds_for_every_controller_that_was_designed(rig):
+    plant = amb.assemble(
+        replace(rig, controller=replace(rig.controller, sample_time=1e-3, delay=1e-3))
+    )
+    least, pole, delay = unavoidable_sensitivity(plant)
+    assert delay == pytest.approx(1.5e-3) and pole == pytest.approx(150.5, rel=0.01)
+    assert math.exp(0.9 * pole * delay) < least < 2
+    peak = amb.design(plant, "pid").certificate.margins["sampled_sensitivity_peak"]
+    assert peak > least
+
+
+def test_a_controller_that_loses_a_point_is_told_and_no_fault():
+    """The PID of the seal rig is unstable at twice its nominal pressure, and `check` said nothing
+    of it.
+    """
+    known = facts(coarse("seal-rig"))
+    (line,) = [text for text in known["remarks"] if "does not hold" in text]
+    assert "twice nominal pressure" in line and "zero pressure" not in line
+    assert not known["doubts"]
+    assert not [
+        text for text in facts(amb.load_machine("flywheel"))["remarks"] if "does not hold" in text
+    ]

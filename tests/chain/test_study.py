@@ -1,0 +1,109 @@
+"""What a study leaves in its folder: when it fails, beside an earlier one, beside another run,
+without room at the end.
+
+Designs and their evaluation have their own tests; here they are stubs.
+"""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+
+import pytest
+from click.testing import CliRunner
+
+from ambrose import load_machine
+from ambrose.chain import study as workflow
+from ambrose.cli import main
+from ambrose.core.checks import InvalidInput
+from ambrose.core.statespace import static_gain
+from ambrose.judge.checks import Checks
+from ambrose.judge.controller_file import write_controller
+from ambrose.judge.result import Synthesis
+from ambrose.machine.atomic_write import write_text
+from ambrose.rig.candidate import Candidate
+
+LAW = Synthesis(static_gain([[1.0]], ["err_A"], ["u_A"]), "pid")
+
+
+@pytest.fixture
+def stubs(monkeypatch):
+    plant = SimpleNamespace(machine=SimpleNamespace(name="rig"))
+
+    def designed(plant, method, path, progress):
+        write_controller(path, LAW)
+        return LAW
+
+    made = {
+        "full_plants": lambda machine: (plant,),
+        "reduce": lambda plant: plant,
+        "study_methods": lambda plant: ("pid",),
+        "resume_or_design": designed,
+        "evaluate": lambda name, law, plants, progress: Candidate(
+            name, law, (Checks("p", True, ()),)
+        ),
+        "campbell_map": lambda *rest: (),
+        "run_ups": lambda *rest: (),
+        "write_report": lambda result, path: write_text(path, "report", "report"),
+    }
+    for name, stub in made.items():
+        monkeypatch.setattr(workflow, name, stub)
+    return monkeypatch
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def run(folder, progress=lambda stage: None):
+    return workflow.study(load_machine("seal-rig"), folder, progress)
+
+
+def test_a_study_that_fails_leaves_no_older_report_under_its_name(stubs, tmp_path):
+    """The report of the first study stood beside the controllers of the second."""
+    run(tmp_path)
+    assert names(tmp_path) == ["checks.json", "controller-pid.json", "report.html"]
+    (tmp_path / "commissioned" / "code").mkdir(parents=True)
+    stubs.setattr(workflow, "campbell_map", lambda *rest: 1 / 0)
+    for _ in range(2):
+        with pytest.raises(ZeroDivisionError):
+            run(tmp_path)
+    earlier = ["earlier-checks.json", "earlier-report.html"]
+    assert names(tmp_path) == ["commissioned", "controller-pid.json", *earlier]
+    assert names(tmp_path / "commissioned") == ["earlier-code"]
+
+
+def test_a_second_study_of_the_same_folder_is_refused(stubs, tmp_path):
+    """Both ran, and the report was of one, the controllers of the other."""
+    told = []
+
+    def second(stage):
+        if stage == "reducing it":
+            with pytest.raises(InvalidInput, match="another run is writing"):
+                run(tmp_path / "." / "study")
+            told.append(stage)
+
+    run(tmp_path / "study", second)
+    assert told and names(tmp_path) == ["study"]
+
+
+def test_what_cannot_be_written_at_the_end_is_told_beside_the_results(stubs, tmp_path):
+    """All results were lost with the report."""
+
+    def full(result, path):
+        raise InvalidInput("cannot write the report: No space left on device")
+
+    stubs.setattr(workflow, "write_report", full)
+    result = run(tmp_path / "api")
+    assert result.unwritten == ("cannot write the report: No space left on device",)
+    assert json.loads((tmp_path / "api" / "checks.json").read_text())["best"] == "PID"
+    done = CliRunner().invoke(main, ["study", "seal-rig", "-o", str(tmp_path / "cli"), "--json"])
+    assert done.exit_code == 2
+    assert json.loads(done.stdout)["best"] == "PID" and "No space left" in done.stderr
+
+
+def test_an_unwritable_folder_is_refused_before_the_work(stubs, tmp_path):
+    (tmp_path / "file").write_text("")
+    for place in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(InvalidInput, match="cannot make the folder"):
+            run(place, lambda stage: 1 / 0)

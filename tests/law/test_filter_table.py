@@ -1,0 +1,218 @@
+"""Tables of filters, CSV or JSON, are the controller that scipy says they are; what is no filter is
+refused in a sentence.
+"""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import scipy.signal
+from click.testing import CliRunner
+
+import ambrose as amb
+from ambrose.cli import main
+from ambrose.core.checks import InvalidInput
+from ambrose.core.frequency import frequency_response
+
+RATE = 1e4
+OMEGA = np.geomspace(1.0, 2e4, 30)
+LOW = scipy.signal.iirfilter(4, [200, 900], fs=RATE, ftype="butter", output="sos")
+ZEROS = [-5.0, -40 + 300j, -40 - 300j]
+POLES = [0.0, -700 + 900j, -700 - 900j, -3000.0]
+GAIN = 2e7
+
+
+def digital(sos):
+    return scipy.signal.freqz_sos(sos, worN=OMEGA, fs=2 * np.pi * RATE)[1]
+
+
+def analog(zeros, poles, gain):
+    return scipy.signal.freqs_zpk(zeros, poles, gain, worN=OMEGA)[1]
+
+
+def direct(controller):
+    values = frequency_response(controller, OMEGA).values
+    assert not np.any(values[:, ~np.eye(values.shape[1], dtype=bool)])
+    return np.diagonal(values, axis1=1, axis2=2).T
+
+
+def test_digital_sections_in_csv(tmp_path):
+    rows = ["channel,b0,b1,b2,a0,a1,a2,rate_hz"]
+    rows += [
+        f"{axis},{','.join(map(repr, map(float, row)))},10000"
+        for axis in ("A_zeta", "A_eta")
+        for row in LOW
+    ]
+    rows += ["A_eta,2,0,0,1,0,0,10000"]
+    (tmp_path / "vendor.csv").write_text("\n".join(rows) + "\n")
+    read = amb.read_controller(tmp_path / "vendor.csv")
+    assert read.controller.dt == 1 / RATE and read.controller.inputs == ("err_A_zeta", "err_A_eta")
+    assert read.status == "uncertified"
+    np.testing.assert_allclose(
+        direct(read.controller), [digital(LOW), 2 * digital(LOW)], rtol=1e-9, atol=1e-12
+    )
+    done = CliRunner().invoke(
+        main, ["convert", str(tmp_path / "vendor.csv"), "-o", str(tmp_path / "k.json")]
+    )
+    assert done.exit_code == 0 and "sampled at 10000 Hz" in done.output
+    assert amb.read_controller(tmp_path / "k.json") == read
+
+
+def test_analog_zeros_and_poles_in_csv_and_json(tmp_path):
+    text = "channel, zeros, poles, gain\n"
+    text += "A_zeta, -5 -40+300j -40-300j, 0 -700+900i -700-900i -3000, 2e7\n"
+    (tmp_path / "vendor.csv").write_text(text)
+    pairs = [[value.real, value.imag] if isinstance(value, complex) else value for value in POLES]
+    item = {"zeros": [str(value) for value in ZEROS], "poles": pairs, "gain": GAIN}
+    (tmp_path / "vendor.json").write_text(
+        json.dumps({"channels": {"A_zeta": item, "B_eta": {"sos": [[0, 0, 3, 0, 2, 8]]}}})
+    )
+    from_csv, from_json = (
+        amb.read_controller(tmp_path / f"vendor.{kind}").controller for kind in ("csv", "json")
+    )
+    assert from_csv.dt is None and from_csv.n_states == 4
+    np.testing.assert_allclose(direct(from_csv)[0], analog(ZEROS, POLES, GAIN), rtol=1e-9)
+    np.testing.assert_allclose(
+        direct(from_json), [analog(ZEROS, POLES, GAIN), 3 / (2j * OMEGA + 8)], rtol=1e-9
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_any_zeros_and_poles(seed, tmp_path):
+    """Fewer zeros than poles, as a sampled controller with delays has them: no zero at z = 0 may be
+    made up.
+    """
+    rng = np.random.default_rng(seed)
+
+    def roots(pairs, single):
+        half = rng.uniform(0.1, 0.9, pairs) * np.exp(1j * rng.uniform(0.1, 3, pairs))
+        return [*half, *half.conj(), *rng.uniform(-0.9, 0.9, single)]
+
+    zeros, poles = roots(seed % 2, 1), roots(1 + seed % 2, seed)
+    item = {"zeros": list(map(str, zeros)), "poles": list(map(str, poles)), "gain": -0.3}
+    (tmp_path / "k.json").write_text(json.dumps({"rate_hz": RATE, "channels": {"A": item}}))
+    z = np.exp(1j * OMEGA / RATE)[:, None]
+    expected = -0.3 * np.prod(z - np.array(zeros), axis=1) / np.prod(z - np.array(poles), axis=1)
+    np.testing.assert_allclose(
+        direct(amb.read_controller(tmp_path / "k.json").controller)[0], expected, rtol=1e-8
+    )
+
+
+WRONG = {
+    "columns": ("k.csv", "axis,b0\nA,1\n", "first line must name the columns"),
+    "empty": ("k.csv", "", "first line must name the columns"),
+    "no number": (
+        "k.csv",
+        "channel,b0,b1,b2,a0,a1,a2\nA,1,0,x,1,0,0\n",
+        "line 2: 'x' is no finite number",
+    ),
+    "short row": ("k.csv", "channel,b0,b1,b2,a0,a1,a2\nA,1,0\n", "line 2"),
+    "improper": (
+        "k.csv",
+        "channel,b0,b1,b2,a0,a1,a2\nA,1,0,0,0,1,0\n",
+        "degree is above the denominator's",
+    ),
+    "two rates": (
+        "k.csv",
+        "channel,zeros,poles,gain,rate_hz\nA,,0.5,1,10\nA,,0.5,1,20\n",
+        "give all sections one rate",
+    ),
+    "no text": (
+        "k.csv",
+        'channel,zeros,poles,gain\n"' + "A" * 200_000 + '",,-5,1\n',
+        "is no table in CSV",
+    ),
+    "400 digits": (
+        "k.json",
+        '{"channels": {"A": {"sos": [[1' + "0" * 400 + ", 0, 0, 1, 0, 0]]}}}",
+        "no finite number",
+    ),
+    "overflow": ("k.csv", "channel,zeros,poles,gain\nA,,1e300 1e300,1e300\n", "finite"),
+    "no name": ("k.csv", "channel,zeros,poles,gain\n,,-5,1\n", "a channel has no name"),
+    "conjugate": ("k.csv", "channel,zeros,poles,gain\nA,,-5+3j,1\n", "lacks its conjugate"),
+    "more zeros": (
+        "k.json",
+        '{"channels": {"A": {"zeros": [1, 2], "poles": [-1], "gain": 1}}}',
+        "2 zeros and 1 poles",
+    ),
+    "rate": (
+        "k.json",
+        '{"rate_hz": -1, "channels": {"A": {"zeros": [], "poles": [-1], "gain": 1}}}',
+        "rate_hz is -1",
+    ),
+    "both": ("k.json", '{"channels": {"A": {"sos": [], "poles": [-1]}}}', "write one of the two"),
+    "unknown key": ("k.json", '{"chanels": 1, "channels": {}}', "unknown key 'chanels'"),
+    "no channel": ("k.json", '{"channels": {}}', "a channel has no name"),
+    "no table": ("k.json", '{"channels": [1]}', "channels is no table"),
+    "five": (
+        "k.json",
+        '{"channels": {"A": {"sos": [[1, 2, 3, 4, 5]]}}}',
+        "has 5 numbers, but must have six",
+    ),
+    "no list": ("k.json", '{"channels": {"A": {"sos": 3}}}', "3 is no list"),
+    "boolean": (
+        "k.json",
+        '{"channels": {"A": {"sos": [[true, 0, 0, 1, 0, 0]]}}}',
+        "True is no finite number",
+    ),
+    "infinite": (
+        "k.json",
+        '{"channels": {"A": {"sos": [[1e999, 0, 0, 1, 0, 0]]}}}',
+        "inf is no finite number",
+    ),
+    "too many": (
+        "k.json",
+        json.dumps({"channels": {"A": {"sos": [[1, 0, 0, 1, 0, 0]] * 251}}}),
+        "502 states",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_no_filter_is_refused_in_a_sentence(name, tmp_path):
+    file, text, message = WRONG[name]
+    (tmp_path / file).write_text(text)
+    with pytest.raises(InvalidInput, match=message) as caught:
+        amb.read_controller(tmp_path / file)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "lacking"),
+    [
+        (
+            "channel, b0, b1, b2, a0, a1\nA_zeta,1,2,3,1,2\n",
+            "it lacks a2; its first line must name",
+        ),
+        (
+            "b0, b1, b2, a0, a1, a2, gain\n1,2,3,1,2,1,1\n",
+            "it lacks channel; its first line must name",
+        ),
+        ("channel, zeros, gain\nA_zeta,1,2\n", "it lacks poles; its first line must name"),
+        ("x, y\n1, 2\n", "it is no table of filters; its first line must name"),
+    ],
+)
+def test_a_table_names_the_columns_that_it_lacks(text, lacking, tmp_path):
+    (tmp_path / "vendor.csv").write_text(text)
+    with pytest.raises(InvalidInput, match=lacking):
+        amb.read_controller(tmp_path / "vendor.csv")
+
+
+def test_an_unstable_table_is_converted_with_a_warning(tmp_path):
+    (tmp_path / "v.csv").write_text(
+        "channel,b0,b1,b2,a0,a1,a2,rate_hz\nA_zeta,1,2,3,1,-2.1,1.2,10000\n"
+    )
+    words = ["convert", str(tmp_path / "v.csv"), "-o", str(tmp_path / "k.json")]
+    done = CliRunner().invoke(main, words)
+    assert (
+        done.exit_code == 0
+        and "careful: the controller itself is unstable (a pole at +911.6 rad/s)" in done.stderr
+    )
+    problems = json.loads(CliRunner().invoke(main, [*words, "--json"]).stdout)["problems"]
+    assert len(problems) == 1 and "unstable" in problems[0]
+    (tmp_path / "v.csv").write_text(
+        "channel,b0,b1,b2,a0,a1,a2,rate_hz\nA_zeta,1,2,3,1,-1.9,0.95,10000\n"
+    )
+    assert "careful" not in CliRunner().invoke(main, words).stderr

@@ -1,0 +1,224 @@
+"""Text tables and universal files of other programs through a column map: any separator, either
+decimal mark, or a refusal.
+"""
+
+from contextlib import nullcontext
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from ambrose.cli import main
+from ambrose.core.checks import InvalidInput
+from ambrose.record import foreign
+from ambrose.record.foreign import read_foreign
+from ambrose.record.mat_tdms import read_variables
+
+POINT = {"speed": 0, "seal_pressure": 0}
+
+
+@pytest.fixture(autouse=True)
+def in_this_process(monkeypatch):
+    monkeypatch.setattr(
+        foreign, "variables_of", lambda path, names: nullcontext(list(read_variables(path, names)))
+    )
+
+
+def columns(displacement, current, time=None, **more):
+    signals = [
+        {"name": "y_A_zeta", "source": displacement},
+        {"name": "i_A_zeta", "source": current},
+    ]
+    signals[0] |= {key: value for key, value in more.items() if key == "unit"}
+    signals[1] |= {"unit": "A"} if "unit" in more else {}
+    rate = {"sample_rate_hz": more["rate"]} if "rate" in more else {}
+    return {
+        "machine": "m",
+        "point": POINT,
+        "signal": signals,
+        **rate,
+        **({"time": {"source": time}} if time else {}),
+    }
+
+
+VENDOR = """Messung 17; Pruefstand
+Datum: 12.3.2024
+Zeit;Weg A;Strom A;
+s;µm;A;
+0,0000;1,5;0,25;
+0,0001;2,5;-0,25;
+0,0002;-1,5;0,5;
+0,0003;0;1e-1;
+"""
+TABLES = {
+    "semicolons, commas, a line of units": (VENDOR, columns("Weg A", "Strom A", "Zeit")),
+    "by place": (VENDOR, columns("column 2", "column 3", "column 1")),
+    "tabs, points, units in brackets": (
+        "# t [ms]\tx [mm]\ti [A]\n0\t1.5e-3\t.25\n0.1\t2.5e-3\t-.25\n0.2\t-1.5e-3\t.5\n0.3\t0\t.1\n",
+        columns("x", "i", "t"),
+    ),
+    "commas": (
+        '"t (s)","x (um)","i (A)"\r\n0,1.5,.25\r\n1e-4,2.5,-.25\r\n2e-4,-1.5,.5\r\n3e-4,0,.1\r\n',
+        columns("x", "i", "t"),
+    ),
+    "spaces, decimal commas, no header": (
+        "1,5  0,25\n2,5  -0,25\n-1,5  0,5\n0  0,1\n",
+        columns("column 1", "column 2", unit="um", rate=1e4),
+    ),
+}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252"])
+@pytest.mark.parametrize("kind", TABLES)
+def test_tables_of_vendors_are_read(tmp_path, kind, encoding):
+    text, wanted = TABLES[kind]
+    path = tmp_path / "log.txt"
+    path.write_bytes(text.encode(encoding))
+    record = read_foreign(path, wanted)
+    assert record.sample_rate_hz == pytest.approx(1e4) and record.units == ("m", "A")
+    np.testing.assert_allclose(
+        record.values, [[1.5e-6, 2.5e-6, -1.5e-6, 0], [0.25, -0.25, 0.5, 0.1]], rtol=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("t;x;i\n0;1;2\n1;2\n", "equally many columns"),
+        ("t;x;i\n" + "0;1;2\n" * 50 + "0;1\n" + "0;1;2\n" * 50, "no table of 3 numbers"),
+        (
+            "t;x;i\n" + "0;1;2\n" * 50 + "0;1;2;3\n" + "0;1;2\n" * 50,
+            "no table of 3 numbers|not 3 numbers",
+        ),
+        ("t;x;i\nnothing here\n", "are no numbers"),
+        ("", "the file is empty"),
+        ("t;x;x\n0;1;2\n1;2;3\n", "'x' stands there 2 times"),
+        ("t;y;i\n0;1;2\n1;2;3\n", "there is no column 'x' in the file; it has t, y, i"),
+        ("t [s];x;i [A]\n0;1;2\n1;2;3\n", "no unit"),
+        ("t [s];x [um];i [A]\n0;1;2\n1;nan;3\n", "must be finite"),
+        ("a\0b", "it is no text"),
+    ],
+)
+def test_tables_that_are_none_are_refused(tmp_path, text, words):
+    path = tmp_path / "log.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InvalidInput, match=words) as error:
+        read_foreign(path, columns("x", "i", "t"))
+    assert "\n" not in str(error.value) and "; " in str(error.value)
+
+
+# Written by pyuff 2.5.8: time signals in double and in single precision, the second of another node
+# and direction.
+UNIVERSAL = """    -1
+    58
+y_A_zeta
+NONE
+NONE
+NONE
+NONE
+    1         0    0         0                    1   1                    1   1
+         4         5         1  0.00000e+00  1.00000e-04  0.00000e+00
+        17    0    0    0 NONE                 NONE
+         8    0    0    0 NONE                 um
+         0    0    0    0 NONE                 NONE
+         0    0    0    0 NONE                 NONE
+   1.50000000000e+00  -2.25000000000e+00   3.00000000000e-03   0.00000000000e+00
+   7.00000000000e+00
+    -1
+    -1
+    58
+current
+NONE
+NONE
+NONE
+NONE
+    1         0    0         0                    2  -3                    1   1
+         2         5         1  0.00000e+00  1.00000e-04  0.00000e+00
+        17    0    0    0 NONE                 NONE
+         8    0    0    0 NONE                 A
+         0    0    0    0 NONE                 NONE
+         0    0    0    0 NONE                 NONE
+  3.00000e+00 -4.50000e+00  6.00000e-03  0.00000e+00 -1.40000e+01
+    -1
+"""
+NUMBERS = [[1.5e-6, -2.25e-6, 3e-9, 0, 7e-6], [3, -4.5, 6e-3, 0, -14]]
+
+
+def binary(text):
+    """The same with the numbers as bytes, as dataset 58b."""
+    first, second = text.encode().split(b"    -1\n    -1\n")
+    parts = []
+    for part, numbers, kind in (
+        (first, [1.5, -2.25, 3e-3, 0, 7], "<f8"),
+        (second, NUMBERS[1], "<f4"),
+    ):
+        lines = part.split(b"\n")
+        start = 2 if lines[0].strip() == b"-1" else 1
+        raw = np.array(numbers, kind).tobytes()
+        head = b"    58b     1     2          11%12d     0     0           0           0" % len(raw)
+        parts.append(
+            b"\n".join([b"    -1", head, *lines[start : start + 11]]) + b"\n" + raw + b"    -1\n"
+        )
+    return b"".join(parts)
+
+
+@pytest.mark.parametrize(
+    "made", [lambda text: text.encode(), lambda text: text.replace("\n", "\r\n").encode(), binary]
+)
+@pytest.mark.parametrize("names", [("y_A_zeta", "current"), ("1:+X", "2:-Z"), ("set 1", "set 2")])
+def test_universal_files_are_read(tmp_path, made, names):
+    path = tmp_path / "run.uff"
+    path.write_bytes(made(UNIVERSAL))
+    record = read_foreign(path, columns(*names))
+    assert record.sample_rate_hz == pytest.approx(1e4) and record.units == ("m", "A")
+    np.testing.assert_allclose(record.values, NUMBERS, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (
+            "    1         0    0         0                    1",
+            "    4         0    0         0                    1",
+            "time response",
+        ),
+        ("         4         5", "         6         5", "complex numbers"),
+        ("         4         5         1", "         4         5         0", "not evenly spaced"),
+        ("         4         5", "         4         6", "states 6 numbers and holds 5"),
+        ("         4         5", "         4        -5", "states -5 numbers"),
+        ("         4         5", "         4         x", "cannot be read"),
+        ("7.00000000000e+00\n    -1", "7.00000000000e+00", "no dataset 'current'"),
+        ("   1.5000", "   1.x000", "cannot be read"),
+        ("y_A_zeta", "current", "2 datasets are called 'current'"),
+        ("    58\n", "    55\n", "no dataset 58"),
+    ],
+)
+def test_universal_files_that_are_none_are_refused(tmp_path, old, new, words):
+    path = tmp_path / "run.unv"
+    assert old in UNIVERSAL
+    path.write_text(UNIVERSAL.replace(old, new), encoding="utf-8")
+    with pytest.raises(InvalidInput, match=words) as error:
+        read_foreign(
+            path,
+            columns("current", "current") if "called" in words else columns("y_A_zeta", "current"),
+        )
+    assert "\n" not in str(error.value) and "; " in str(error.value)
+
+
+def test_a_cut_file_is_refused_wherever_it_is_cut(tmp_path):
+    path = tmp_path / "run.uff"
+    for whole in (UNIVERSAL.encode(), binary(UNIVERSAL)):
+        for length in range(20, len(whole) - 8, 37):
+            path.write_bytes(whole[:length])
+            with pytest.raises(InvalidInput):
+                read_foreign(path, columns("y_A_zeta", "current"))
+
+
+def test_a_file_of_unknown_kind_leads_to_the_page(tmp_path):
+    (tmp_path / "run.xyz").write_text("1 2", encoding="utf-8")
+    (tmp_path / "run.csv").write_text(VENDOR, encoding="utf-8")
+    for name in ("run.xyz", "run.csv"):
+        result = CliRunner().invoke(
+            main, ["convert", str(tmp_path / name), "-o", str(tmp_path / "a.h5")]
+        )
+        assert result.exit_code == 2 and "docs/records.md" in result.output, result.output
