@@ -194,7 +194,9 @@ def results_page(results):
     columns = list(commands("", PAGE))
     head = f"| machine | {' | '.join(columns)} |\n|---|{'---|' * len(columns)}"
     table = "\n".join(
-        f"| `{name}` | " + " | ".join(cell(found[c]) if c in found else "not run" for c in columns) + " |"
+        f"| `{name}` | "
+        + " | ".join(cell(found[c]) if c in found else "not run" for c in columns)
+        + " |"
         for name, found in results.items()
     )
     odd = "\n".join(
@@ -241,4 +243,6 @@ if __name__ == "__main__":
         STORED.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
     machines = amb.bundled_machines()
     PAGE.write_text(page(machines), encoding="utf-8")
-    RESULTS.write_text(results_page({name: stored.get(name, {}) for name in machines}), encoding="utf-8")
+    RESULTS.write_text(
+        results_page({name: stored.get(name, {}) for name in machines}), encoding="utf-8"
+    )

@@ -51,7 +51,9 @@ def table(title, options, context):
 
 def row(option, context):
     names, meaning = option.get_help_record(context)
-    choices = html.escape(names).replace("|", "&#124;<wbr>")  # a long list of choices breaks after a bar
+    choices = html.escape(names).replace(
+        "|", "&#124;<wbr>"
+    )  # a long list of choices breaks after a bar
     meaning = escaped(meaning.replace("|", "\\|"))
     return f"| <code>{choices}</code> | {meaning} |"
 

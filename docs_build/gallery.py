@@ -24,9 +24,17 @@ def page():
 
     examples = sorted(EXAMPLES.glob("[0-9]*.py"))
     pictured = thumbnails.with_picture()
-    pages = [card(thumbnails.thumbnail(item.name), item.title, item.text, item.link) for item in thumbnails.CARDS]
+    pages = [
+        card(thumbnails.thumbnail(item.name), item.title, item.text, item.link)
+        for item in thumbnails.CARDS
+    ]
     figures = [
-        card(thumbnails.thumbnail(thumbnails.number(path)), split(path.read_text(encoding="utf-8"))[0], "", f"#{anchor(path)}")
+        card(
+            thumbnails.thumbnail(thumbnails.number(path)),
+            split(path.read_text(encoding="utf-8"))[0],
+            "",
+            f"#{anchor(path)}",
+        )
         for path in pictured
     ]
     parts = [

@@ -227,7 +227,16 @@ def tuned_designs():
     for name, (machine, *options) in TUNED.items():
         with tempfile.TemporaryDirectory() as folder:
             start = time.process_time()
-            ambrose("synthesize", machine, "--method", "tuned", *options, "-o", "controller.json", folder=folder)
+            ambrose(
+                "synthesize",
+                machine,
+                "--method",
+                "tuned",
+                *options,
+                "-o",
+                "controller.json",
+                folder=folder,
+            )
             seconds = time.process_time() - start
             law = json.loads((Path(folder) / "controller.json").read_text(encoding="utf-8"))
         figures |= {
@@ -249,8 +258,13 @@ def processor():
 
 def lowering():
     """docs/research/code.md: the worst sampled sensitivity at every order that --loss tries, as its progress shows it."""
-    progress = run("synthesize", "seal-rig-k-only", "--method", "mu", "--rate-hz", "10000", "--loss", "5").stderr
-    return {f"{how}{order}": float(worst) for order, how, worst in re.findall(r"order (\d+), (\w+): ([\d.]+)", progress)}
+    progress = run(
+        "synthesize", "seal-rig-k-only", "--method", "mu", "--rate-hz", "10000", "--loss", "5"
+    ).stderr
+    return {
+        f"{how}{order}": float(worst)
+        for order, how, worst in re.findall(r"order (\d+), (\w+): ([\d.]+)", progress)
+    }
 
 
 def printed_controller():
@@ -263,7 +277,9 @@ def printed_controller():
 
     from ambrose import StateSpace, frequency_response, hinf_synthesis, load_machine, simulate
 
-    print_ = json.loads((ROOT / "tests" / "literature" / "published_hinf.json").read_text(encoding="utf-8"))
+    print_ = json.loads(
+        (ROOT / "tests" / "literature" / "published_hinf.json").read_text(encoding="utf-8")
+    )
     A, B, C, D = (np.array(print_[letter], dtype=float) for letter in "ABCD")
     axes = print_["axes"]
     printed = StateSpace(A, B / 20e-6, C, D, [f"err_{a}" for a in axes], [f"u_{a}" for a in axes])

@@ -23,7 +23,13 @@ from ambrose.cli import main
 
 MINUTES = {  # long ones
     *("index.md", "start/own-machine.md", "identification.md", "records.md"),
-    *("how-to/accept.md", "how-to/balance.md", "how-to/calibrate.md", "how-to/deploy.md", "how-to/frf.md"),
+    *(
+        "how-to/accept.md",
+        "how-to/balance.md",
+        "how-to/calibrate.md",
+        "how-to/deploy.md",
+        "how-to/frf.md",
+    ),
     *("how-to/identify.md", "how-to/map.md", "how-to/monitor.md", "how-to/own-controller.md"),
     *("how-to/simulate.md", "how-to/verify.md"),
 }
