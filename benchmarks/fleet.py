@@ -1,6 +1,7 @@
-"""Every bundled machine through every command, and the page that says what came out.
+"""Every bundled machine through every command, and the pages that list the machines and say what came out.
 
-    python -m benchmarks.fleet      everything anew, an hour on two cores: benchmarks/fleet.json, docs/reference/machines.md
+    python -m benchmarks.fleet      everything anew, an hour on two cores: benchmarks/fleet.json, docs/reference/machines.md,
+                                    docs/research/machines.md
     python -m benchmarks.fleet NAME ... --only pid,cycle      some rows, some columns; the rest stays as it is stored
 
 The fleet is discovered: a file more in src/ambrose/machines is a row more here, and a case more in
@@ -27,9 +28,12 @@ from ambrose.model.effects.rotor import (
 )
 
 STORED = Path(__file__).with_name("fleet.json")
-PAGE = Path(__file__).parents[1] / "docs" / "reference" / "machines.md"
+DOCS = Path(__file__).parents[1] / "docs"
+PAGE = DOCS / "reference" / "machines.md"
+RESULTS = DOCS / "research" / "machines.md"
 _WORDS = 260  # characters on the page; the whole text is in fleet.json
-OUTCOMES = {0: "passed", 1: "fails a check", 2: "**refused**"}
+OUTCOMES = {0: "passed", 1: "fails a check", 2: "refused"}
+MARKS = {0: "+", 1: "**1**", 2: "**2**"}
 
 
 def commands(machine, folder, levitation="levitation"):
@@ -168,17 +172,30 @@ def description(name):
     )
 
 
-def page(results):
-    """The page: results {machine: outcomes}."""
-    rows = "\n".join(description(name) for name in results)
+def page(names):
+    """The page of the bundled machines, for users."""
+    rows = "\n".join(description(name) for name in names)
+    return f"""# Bundled machines
+
+`ambrose machines` lists them. Each is a [machine file](../machine-file.md) to start from,
+`src/ambrose/machines/NAME.toml`, and says under `[machine.assumed]` which of its figures were chosen. Rotors from
+books have magnets of our own sizing in place of the books' bearings. Mass, first free-free bending frequency and top
+speed are computed from the files. What every command gives on every machine: [All commands on all
+machines](../research/machines.md).
+
+| machine | what it is | mass | first bending | top speed | bearings | seals | source |
+|---|---|---|---|---|---|---|---|
+{rows}
+"""
+
+
+def results_page(results):
+    """The page of what came out: results {machine: outcomes}."""
     columns = list(commands("", PAGE))
     head = f"| machine | {' | '.join(columns)} |\n|---|{'---|' * len(columns)}"
     table = "\n".join(
         f"| `{name}` | "
-        + " | ".join(
-            f"{OUTCOMES[found[c][0]]}, {found[c][1]:.1f} s" if c in found else "not run"
-            for c in columns
-        )
+        + " | ".join(cell(found[c]) if c in found else "not run" for c in columns)
         + " |"
         for name, found in results.items()
     )
@@ -188,36 +205,29 @@ def page(results):
         for what, (_, _, text) in found.items()
         if text
     )
-    return f"""# Bundled machines
+    return f"""# All commands on all machines
 
-`ambrose machines` lists them. Each is a [machine file](../machine-file.md) to start from, `src/ambrose/machines/NAME.toml`, and
-says under `[machine.assumed]` which of its figures were chosen. Rotors from books have magnets of our own sizing in place of
-the books' bearings; `tests/literature/` compares them with what is printed for those. Mass, first free-free bending frequency
-and top speed are computed from the files.
-
-| machine | what it is | mass | first bending | top speed | bearings | seals | source |
-|---|---|---|---|---|---|---|---|
-{rows}
-
-## Every command on every machine
-
-What comes out, and how long it takes on two slow cores that were busy with other work, too. `pid` is the machine file's own
-`[controller]`, meant to levitate and no more: the requirements that it fails are what the tuned controller is for. Those
-of turboexpander and seal rigs are published continuous ones; at the 10 kHz that are assumed the first does not levitate.
-`python -m benchmarks.fleet` makes this page, some rows or columns at a time if asked; what takes minutes was not run for every
-machine yet. `tests/test_fleet.py` runs the same commands.
+What comes out on the [bundled machines](../reference/machines.md), and how many seconds it takes on two slow cores
+that were busy with other work, too: **+** all checks passed, **1** done, but a check failed, **2** refused. `pid` is
+the machine file's own `[controller]`, meant to levitate and no more: the requirements that it fails are what the tuned
+controller is for. Those of turboexpander and seal rigs are published continuous ones; at the 10 kHz that are assumed
+the first does not levitate. `python -m benchmarks.fleet` makes this page; `tests/test_fleet.py` runs the same commands.
 
 {head}
 {table}
 
-## What is odd
-
-Checks that fail, and why a command refuses.
+## Checks that fail, and why a command refuses
 
 | machine | command | what |
 |---|---|---|
 {odd}
 """
+
+
+def cell(outcome):
+    """How a command ended, and its seconds."""
+    status, seconds, _ = outcome
+    return f"{MARKS[status]}&nbsp;{seconds:.1f}"
 
 
 if __name__ == "__main__":
@@ -231,6 +241,8 @@ if __name__ == "__main__":
             name, tuple(filter(None, asked.only.split(",")))
         )
         STORED.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
-    PAGE.write_text(
-        page({name: stored.get(name, {}) for name in amb.bundled_machines()}), encoding="utf-8"
+    machines = amb.bundled_machines()
+    PAGE.write_text(page(machines), encoding="utf-8")
+    RESULTS.write_text(
+        results_page({name: stored.get(name, {}) for name in machines}), encoding="utf-8"
     )

@@ -1,5 +1,6 @@
 """The page of the command line, from click's own description of every command."""
 
+import html
 import importlib
 import inspect
 
@@ -50,8 +51,11 @@ def table(title, options, context):
 
 def row(option, context):
     names, meaning = option.get_help_record(context)
-    names, meaning = (text.replace("|", "\\|") for text in (names, meaning))
-    return f"| `{names}` | {escaped(meaning)} |"
+    choices = html.escape(names).replace(
+        "|", "&#124;<wbr>"
+    )  # a long list of choices breaks after a bar
+    meaning = escaped(meaning.replace("|", "\\|"))
+    return f"| <code>{choices}</code> | {meaning} |"
 
 
 def escaped(text):

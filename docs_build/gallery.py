@@ -1,9 +1,8 @@
-"""examples/*.py -> the gallery: each program with what it prints and its pictures, made while the
-site is built.
+"""The gallery: thumbnails of the pages that commands write, and examples/*.py with what they print and their pictures.
 
-An example that has a picture defines ``picture()``, which gives a plotly figure. Results are kept
-in .site_cache/ until the example or the package changes. DRAFT=1 in the environment builds the
-pages without running anything.
+The thumbnails are stored (docs_build/thumbnails.py); the examples run while the site is built.
+An example that has a picture defines ``picture()``, which gives a plotly figure. Results are kept in .site_cache/ until the
+example or the package changes. DRAFT=1 in the environment builds the pages without running anything.
 """
 
 import contextlib
@@ -21,21 +20,56 @@ CACHE = ROOT / ".site_cache"
 
 def page():
     """gallery.md."""
+    from docs_build import thumbnails
+
+    examples = sorted(EXAMPLES.glob("[0-9]*.py"))
+    pictured = thumbnails.with_picture()
+    pages = [
+        card(thumbnails.thumbnail(item.name), item.title, item.text, item.link)
+        for item in thumbnails.CARDS
+    ]
+    figures = [
+        card(
+            thumbnails.thumbnail(thumbnails.number(path)),
+            split(path.read_text(encoding="utf-8"))[0],
+            "",
+            f"#{anchor(path)}",
+        )
+        for path in pictured
+    ]
     parts = [
-        "# Examples\n",
-        "One page of Python each. They run as tests; what they print and their pictures come from "
-        "the build of this site.\n",
+        "# Gallery\n",
+        "## Pages that the commands write\n",
+        grid(pages),
+        "## Examples\n",
+        "One page of Python each. They run as tests; what they print and their pictures come from the build of this site.\n",
+        grid(figures),
         '<script src="assets/plotly.min.js"></script>\n',
     ]
-    for path in sorted(EXAMPLES.glob("[0-9]*.py")):
+    for path in examples:
         run = run_of(path)
         title, body = split(path.read_text(encoding="utf-8"))
-        parts.append(f"## {title}\n\n`examples/{path.name}`\n")
+        parts.append(f"### {title} {{ #{anchor(path)} }}\n\n`examples/{path.name}`\n")
         if run["picture"]:
             parts.append(f'<div class="plotly-figure" markdown="0">{run["picture"]}</div>\n')
         parts.append(f"It prints\n\n```text\n{run['printed'].rstrip()}\n```\n")
         parts.append(f'??? example "The program"\n\n{indented(fenced(body))}\n')
     return "\n".join(parts)
+
+
+def card(image, title, text, link):
+    """A picture, its title and a sentence, all leading to ``link``."""
+    words = f"**[{title}]({link})**" + (f"<br>{text}" if text else "")
+    return f"-   [![{title}]({image})]({link})\n\n    {words}\n"
+
+
+def grid(cards):
+    return '<div class="grid cards gallery" markdown>\n\n' + "\n".join(cards) + "\n</div>\n"
+
+
+def anchor(path):
+    """Of an example's section: "example-02"."""
+    return f"example-{path.name.partition('_')[0]}"
 
 
 def run_of(path):

@@ -4,7 +4,9 @@ its number.
 docs_build/figures.py      stored results, and the numbers in the text that come from them
 docs_build/blocks.py       code blocks of the pages, run by tests/docs/test_blocks.py
 docs_build/ahead.py        runs examples and notebooks on all processors, before their pages are made
-docs_build/gallery.py      examples/*.py -> gallery.md, with what they print and their pictures
+docs_build/gallery.py      thumbnails and examples/*.py -> gallery.md, with what they print and their pictures
+docs_build/thumbnails.py   the thumbnails, photographed from the pages that commands write
+docs_build/words.py        words by tab, which tests/docs/test_words.py limits
 docs_build/notebooks.py    notebooks/*.ipynb -> a page each, executed
 docs_build/reference.py    the front door and the packages -> pages for mkdocstrings
 """
