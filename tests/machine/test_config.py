@@ -548,9 +548,7 @@ def seals(draw, name, place):
         )
     axes = draw(st.lists(st.sampled_from(SEAL_AXES), max_size=3, unique=True))
     names = (
-        draw(st.lists(st.sampled_from(SEAL_COEFFICIENTS), min_size=1, unique=True))
-        if axes
-        else []
+        draw(st.lists(st.sampled_from(SEAL_COEFFICIENTS), min_size=1, unique=True)) if axes else []
     )
     table = None
     if axes:
@@ -560,9 +558,7 @@ def seals(draw, name, place):
             return tuple(nested(sizes[1:]) for _ in range(sizes[0])) if sizes else draw(signed)
 
         sizes = [len(grid) for _, grid in grids]
-        table = SealTable(
-            grids, tuple((n, nested(sizes)) for n in SEAL_COEFFICIENTS if n in names)
-        )
+        table = SealTable(grids, tuple((n, nested(sizes)) for n in SEAL_COEFFICIENTS if n in names))
     constants = {n: draw(signed) for n in SEAL_COEFFICIENTS if n not in names}
     scaled = tuple(draw(st.lists(st.sampled_from(SEAL_COEFFICIENTS), unique=True)))
     scaled = tuple(n for n in scaled if not ("pressure" in axes and n in names))

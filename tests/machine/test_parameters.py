@@ -121,9 +121,7 @@ def test_any_path_is_parsed_or_refused(path):
 
 def test_every_quantity_of_the_grammar_is_covered_above():
     listed = {(p[0], p[2]) for p in GOOD.values()}
-    assert listed == {
-        (table, quantity) for table, of in quantities().items() for quantity in of
-    }
+    assert listed == {(table, quantity) for table, of in quantities().items() for quantity in of}
 
 
 def test_overlap():
