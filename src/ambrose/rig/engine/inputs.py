@@ -389,11 +389,11 @@ def _attached_mass(rig: Rig) -> np.ndarray:
     coordinates.
     """
     k = rig.constants
+    count = rig.attached_stations
     first = len(rig.machine.bearings)
-    last = rig.attached_stations
-    here = slice(first, first + last)
+    here = slice(first, first + count)
     turn = np.array([[[c, s], [-s, c]] for c, s in k.direction[here]]).reshape(-1, 2, 2)
-    plane = np.einsum("sp,de->sdpe", k.shape[here], np.eye(2)).reshape(last, 2, 2 * rig.modes)
+    plane = np.einsum("sp,de->sdpe", k.shape[here], np.eye(2)).reshape(count, 2, 2 * rig.modes)
     rows = np.concatenate([plane, -k.support_shape[here]], axis=2)
-    rows = (turn @ rows).reshape(2 * last, -1)
+    rows = (turn @ rows).reshape(2 * count, -1)
     return np.asarray(rows.T @ k.reaction_mass @ rows)
