@@ -52,9 +52,9 @@ docs: $(BIN)/.installed  ## the documentation as a site in site/; a broken link 
 coverage: $(BIN)/.installed  ## all tests with the lines that none of them reaches, in OUT/coverage
 	$(PYTEST) --cov --cov-report=term --cov-report=html:$(OUT)/coverage --cov-report=xml:$(OUT)/coverage.xml
 
-snapshot: $(BIN)/.installed  ## every number of both machines through every command, to compare before and after a change
+snapshot: $(BIN)/.installed  ## every number of every command, to compare before and after a change (LEVEL=--quick: minutes)
 	@mkdir -p $(OUT)
-	$(BIN)/python -m benchmarks.snapshot -o $(OUT)/snapshot.json
+	$(BIN)/python -m benchmarks.snapshot $(LEVEL) -o $(OUT)/snapshot.json
 
 wheel: $(BIN)/.installed  ## the wheel in OUT/dist, built and used outside the checkout
 	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation --wheel-dir $(OUT)/dist .
