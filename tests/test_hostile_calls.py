@@ -221,9 +221,8 @@ def test_one_argument_hostile(sensible, tmp_path, monkeypatch):
         ("Tolerance", {"relative": -5}, "relative of the tolerance of seal.center.k"),
         ("Tolerance", {"absolute": float("nan")}, "finite"),
         ("ExportOptions", {"force": "yes"}, "force is 'yes', but must be True or False"),
-        ("OperatingPoint", {"speed": 1e300}, "at most 1e.06 rad/s"),
+        ("OperatingPoint", {"speed": 1e300}, "at most 1e.09 rad/s"),
         ("Record", {"sample_rate_hz": 1e300}, "0.0001 to 1e.07 Hz"),
-        ("Record", {"values": np.full((1, 3), 1e300)}, "at most 1e.30"),
     ],
 )
 def test_what_was_taken_or_ended_in_a_traceback_is_refused(

@@ -7,12 +7,13 @@ Designs and their evaluation have their own tests; here they are stubs.
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 from click.testing import CliRunner
 
-from ambrose import load_machine
+from ambrose import bundled_machines, load_machine
 from ambrose.chain import study as workflow
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
@@ -21,7 +22,7 @@ from ambrose.judge.checks import Checks
 from ambrose.judge.controller_file import write_controller
 from ambrose.judge.result import Synthesis
 from ambrose.machine.atomic_write import write_text
-from ambrose.rig.candidate import Candidate
+from ambrose.rig.candidate import Candidate, check_trials
 
 LAW = Synthesis(static_gain([[1.0]], ["err_A"], ["u_A"]), "pid")
 
@@ -39,6 +40,7 @@ def stubs(monkeypatch):
         "reduce": lambda plant: plant,
         "study_methods": lambda plant: ("pid",),
         "resume_or_design": designed,
+        "check_trials": lambda machine: None,
         "evaluate": lambda name, law, plants, progress: Candidate(
             name, law, (Checks("p", True, ()),)
         ),
@@ -64,7 +66,7 @@ def test_a_study_that_fails_leaves_no_older_report_under_its_name(stubs, tmp_pat
     run(tmp_path)
     assert names(tmp_path) == ["checks.json", "controller-pid.json", "report.html"]
     (tmp_path / "commissioned" / "code").mkdir(parents=True)
-    stubs.setattr(workflow, "campbell_map", lambda *rest: 1 / 0)
+    stubs.setattr(workflow, "evaluate", lambda *rest: 1 / 0)
     for _ in range(2):
         with pytest.raises(ZeroDivisionError):
             run(tmp_path)
@@ -107,3 +109,51 @@ def test_an_unwritable_folder_is_refused_before_the_work(stubs, tmp_path):
     for place in (tmp_path / "file", tmp_path / "file" / "below"):
         with pytest.raises(InvalidInput, match="cannot make the folder"):
             run(place, lambda stage: 1 / 0)
+
+
+def test_what_a_trial_would_refuse_is_refused_before_the_first_computation(stubs, tmp_path):
+    """A study ended after minutes of computing on what its scenarios asked of the machine."""
+
+    def computed(machine):
+        raise AssertionError("something was computed before")
+
+    stubs.setattr(workflow, "full_plants", computed)
+    stubs.setattr(workflow, "check_trials", check_trials)
+    slow = replace(
+        load_machine("seal-rig"),
+        controller=replace(load_machine("seal-rig").controller, sample_time=7e-3),
+    )
+    with pytest.raises(InvalidInput, match=r"within a tenth of whole samples of 0\.007 s"):
+        workflow.study(slow, tmp_path)
+    for machine in bundled_machines():
+        check_trials(load_machine(machine))
+
+
+@pytest.mark.parametrize("stage", ["commission", "campbell_map", "run_ups"])
+@pytest.mark.parametrize(
+    "error", [InvalidInput("an edge lies between samples"), ValueError("a defect")]
+)
+def test_a_study_that_fails_in_a_late_stage_keeps_its_report(stubs, tmp_path, stage, error):
+    """Everything that was computed before was lost with it."""
+
+    def failing(*rest):
+        raise error
+
+    stubs.setattr(workflow, stage, failing)
+    result = run(tmp_path)
+    assert any(str(error) in why for _, why in result.failed)
+    assert {"checks.json", "report.html"} <= set(names(tmp_path)) and result.best.name == "PID"
+
+
+def test_a_controller_that_cannot_be_judged_leaves_the_others_their_report(stubs, tmp_path):
+    def judged(name, law, plants, progress):
+        if name == "mu":
+            raise InvalidInput("cannot be judged")
+        return Candidate(name, law, (Checks("p", True, ()),))
+
+    stubs.setattr(workflow, "methods_for", lambda plant: ("mu", "pid"))
+    stubs.setattr(workflow, "evaluate", judged)
+    result = run(tmp_path)
+    assert ("mu", "cannot be judged") in result.failed and [c.name for c in result.candidates] == [
+        "PID"
+    ]

@@ -219,6 +219,7 @@ def test_every_value_of_the_small_machine():
                     ),
                 ),
             ),
+            10000.1,
         ),
         operation=d.Operation(
             (

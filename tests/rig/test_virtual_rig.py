@@ -289,7 +289,8 @@ def test_bad_input_is_refused():
     refused("computing delay", computing_delay=-1)
     refused("bending_modes", bending_modes=-1)
     refused(
-        "multiple of dt", scenario=Scenario("x", 0.1, pulses=(Pulse("e_A_zeta", 1.0, 0.01234567),))
+        "a tenth of whole samples",
+        scenario=Scenario("x", 0.1, pulses=(Pulse("e_A_zeta", 1.0, 0.01, 1.5e-4),)),
     )
     refused(
         "unbalance is at port 'Q'",

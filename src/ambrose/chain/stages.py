@@ -12,29 +12,49 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from ambrose.core.checks import AmbroseError
+
+REQUIRED = object()
+# what a stage may end with besides a refusal: a defect of one is none of the others' results
+_FAILURES = (AmbroseError, ArithmeticError, LookupError, TypeError, ValueError, OSError)
+
 
 @dataclass(frozen=True, slots=True)
 class Stage:
     """name: of what it makes; needs: the names of its arguments, in order; make: the function;
-    announced: what progress is told before it begins ("": the function tells it itself).
+    announced: what progress is told before it begins ("": the function tells it itself);
+    otherwise: what stands in its place where it fails (REQUIRED: the chain ends there).
     """
 
     name: str
     needs: tuple[str, ...]
     make: Callable[..., Any]
     announced: str = ""
+    otherwise: Any = REQUIRED
 
 
 def walk(stages: Sequence[Stage], given: Mapping[str, Any]) -> dict[str, Any]:
-    """All that the stages make, in order, beside what was given, by name.
+    """All that the stages make, in order, beside what was given, by name; and "failures", a list of
+    (stage, why) of those that failed and have something else in their place.
 
     stages: each needs only what was given or made before it. given: the results at the beginning,
     with ``progress`` among them, a function that is told the stages' announcements. Raises what
-    the stages raise.
+    the required stages raise.
     """
-    made = dict(given)
+    failures: list[tuple[str, str]] = []
+    made = {**given, "failures": failures}
     for stage in stages:
         if stage.announced:
             made["progress"](stage.announced)
-        made[stage.name] = stage.make(*(made[name] for name in stage.needs))
+        try:
+            made[stage.name] = stage.make(*(made[name] for name in stage.needs))
+        except _FAILURES as error:
+            if stage.otherwise is REQUIRED:
+                raise
+            known = isinstance(error, AmbroseError)
+            why = str(error) if known else f"{type(error).__name__}: {error}"
+            name = stage.name.replace("_", " ")
+            made["progress"](f"no {name}; {why}")
+            failures.append((name, why))
+            made[stage.name] = stage.otherwise
     return made

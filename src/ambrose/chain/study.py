@@ -29,7 +29,7 @@ from ambrose.model.plant import Plant
 from ambrose.model.reduce import reduce
 from ambrose.model.uncertainty import not_varied
 from ambrose.registry import registered
-from ambrose.rig.candidate import Candidate, evaluate, points_of, run_ups
+from ambrose.rig.candidate import Candidate, check_trials, evaluate, points_of, run_ups
 from ambrose.rig.trial import RunUp
 from ambrose.synthesis.design import methods_for
 from ambrose.synthesis.methods.choice import methods
@@ -155,15 +155,16 @@ def study(
 
 
 def _study(machine: Machine, directory: Path, progress: Progress) -> Study:
+    check_trials(machine)
     made = walk(STAGES, {"machine": machine, "directory": directory, "progress": progress})
-    failed, (commissioned, refused) = made["designs"][1], made["commissioning"]
+    commissioned = made["commissioning"]
     result = Study(
         machine,
         made["plants"],
         made["reduced"],
         made["candidates"],
         made["speed_curves"],
-        (*failed, *refused),
+        (*made["designs"][1], *made["failures"]),
         commissioned,
         made["run_ups"],
     )
@@ -190,19 +191,12 @@ Designs = tuple[list[Candidate], list[tuple[str, str]]]
 
 def _commissioning(
     plants: tuple[Plant, ...], designs: Designs, directory: Path, progress: Progress
-) -> tuple[Commissioning | None, list[tuple[str, str]]]:
-    """What commissioning gave, or None; and ("commissioning", why) where it was refused."""
-    try:
-        return commission(plants, _reference(designs[0]), directory / "commissioned", progress), []
-    except AmbroseError as error:
-        progress(f"not commissioned; {error}")
-        return None, [("commissioning", str(error))]
+) -> Commissioning:
+    """What commissioning gave on the rig, under the controller that is taken for the site's."""
+    return commission(plants, _reference(designs[0]), directory / "commissioned", progress)
 
 
-def _all_candidates(
-    designs: Designs, commissioning: tuple[Commissioning | None, Any]
-) -> tuple[Candidate, ...]:
-    done = commissioning[0]
+def _all_candidates(designs: Designs, done: Commissioning | None) -> tuple[Candidate, ...]:
     return (*designs[0], *([done.candidate] if done is not None else []))
 
 
@@ -224,11 +218,11 @@ def _candidates(plants: tuple[Plant, ...], directory: Path, progress: Progress) 
             synthesis = resume_or_design(
                 plants[0], methods()[method](), directory / f"controller-{method}.json", progress
             )
-        except AmbroseError as error:  # one infeasible design leaves the others their verdict
+            candidates.append(evaluate(name, synthesis, plants, _prefixed(name, progress)))
+        # one infeasible design, or one that cannot be judged, leaves the others their verdict
+        except AmbroseError as error:
             progress(f"{name}: no controller; {error}")
             failed.append((name, str(error)))
-        else:
-            candidates.append(evaluate(name, synthesis, plants, _prefixed(name, progress)))
     if not candidates:
         machine = plants[0].machine.name
         why = (
@@ -261,13 +255,19 @@ STAGES = (
     Stage(
         "plants",
         ("machine",),
-        full_plants,
+        lambda machine: full_plants(machine),
         "assembling the finite-element plant at every operating point",
     ),
     Stage("reduced", ("plants",), lambda plants: reduce(plants[0]), "reducing it"),
     Stage("earlier", ("directory",), _set_earlier_aside),
     Stage("designs", ("plants", "directory", "progress"), _candidates),
-    Stage("commissioning", ("plants", "designs", "directory", "progress"), _commissioning),
+    # the late stages: one that fails leaves the others their report
+    Stage(
+        "commissioning",
+        ("plants", "designs", "directory", "progress"),
+        _commissioning,
+        otherwise=None,
+    ),
     Stage("candidates", ("designs", "commissioning"), _all_candidates),
     Stage(
         "speed_curves",
@@ -275,11 +275,13 @@ STAGES = (
         lambda plants, candidates, progress: campbell_map(
             plants[0], candidates[0].synthesis.controller, progress
         ),
+        otherwise=(),
     ),
     Stage(
         "run_ups",
         ("plants", "candidates", "progress"),
         lambda plants, candidates, progress: run_ups(plants[0], candidates, progress),
+        otherwise=(),
     ),
 )
 

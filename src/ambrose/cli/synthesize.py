@@ -170,7 +170,10 @@ def synthesize(
         settings = result.filters
         if runs is not None:  # or the loop would be judged continuous, read back from the file
             settings = replace(
-                settings, sample_time=runs.sample_time, delay=runs.delay_samples * runs.sample_time
+                settings,
+                sample_rate=None,
+                sample_time=runs.sample_time,
+                delay=runs.delay_samples * runs.sample_time,
             )
         # of [machine.assumed]; the rest speaks of other settings
         stays = {"controller.sample_time", "controller.delay"}

@@ -30,7 +30,7 @@ from ambrose.code.sampled import (
     unmet_limits,
 )
 from ambrose.code.targets import TARGETS, C, Fmu, Target
-from ambrose.core.checks import UnstableSystem, invalid
+from ambrose.core.checks import UnstableSystem, invalid, same_clock
 from ambrose.core.presentation import Presented
 from ambrose.core.statespace import StateSpace, rename
 from ambrose.judge.result import Synthesis, synthesis_of
@@ -207,9 +207,8 @@ def _fallback(
         controller=match_axes(found.controller, axes, found.provenance.machine or "this machine"),
     )
     own, given = timing_of(machine, synthesis) or DEFAULT, timing_of(machine, found)
-    alike = given is None or (own.sample_time, own.delay_samples) == (
-        given.sample_time,
-        given.delay_samples,
+    alike = given is None or (
+        same_clock(own.sample_time, given.sample_time) and own.delay_samples == given.delay_samples
     )
     if target.rate is None and not alike:
         remedy = f"design it with --rate-hz {own.rate:g}, or say at which rate both run"

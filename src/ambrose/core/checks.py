@@ -18,6 +18,8 @@ from numpy.typing import ArrayLike
 
 _LONGEST = 300  # characters of a value in a message
 
+SAME_CLOCK = 1e-4  # by which two sample times may differ, relatively
+
 
 class AmbroseError(Exception):
     """Anything this package refuses or fails to do; the message names quantity, value and
@@ -106,6 +108,15 @@ def check_finite(x: ArrayLike, name: str) -> np.ndarray:
             where, array[index], "finite", "look for a missing value or a division by zero upstream"
         )
     return array
+
+
+def same_clock(one: float, other: float) -> bool:
+    """Whether two sample times [s], or two rates, are those of one clock: to 100 parts per million.
+
+    Crystals are off by tens of ppm, and a rate is written with few digits (66.667 us for 15 kHz: 5
+    ppm).
+    """
+    return abs(one - other) <= SAME_CLOCK * abs(other)
 
 
 def check_path(path: Any, what: str) -> Path:

@@ -22,7 +22,14 @@ import numpy as np
 import scipy.linalg as sla
 from numpy.typing import ArrayLike
 
-from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, check_shape, invalid
+from ambrose.core.checks import (
+    InvalidInput,
+    NumericalFailure,
+    check_positive,
+    check_shape,
+    invalid,
+    same_clock,
+)
 from ambrose.core.statespace import StateSpace, as_statespace, balance
 
 _CHUNK = 2_000_000  # numbers held for one batch of blocks: 16 MB, whatever the record length
@@ -256,7 +263,7 @@ def _sampled(system: Any, dt: float | None) -> tuple[StateSpace, np.ndarray]:
     """
     system = as_statespace(system)
     if system.dt is not None:
-        if dt is not None and abs(dt - system.dt) > 1e-9 * system.dt:
+        if dt is not None and not same_clock(dt, system.dt):
             raise invalid(
                 "dt",
                 dt,

@@ -23,6 +23,7 @@ from ambrose.core.checks import (
     check_shape,
     invalid,
     named_failure,
+    same_clock,
 )
 from ambrose.core.presentation import Presented
 from ambrose.core.realisation.balancing import balance as balance  # noqa: PLC0414 (re-exported)
@@ -420,13 +421,11 @@ def _side_by_side(blocks: list[np.ndarray]) -> np.ndarray:
 
 def _common_dt(systems: Iterable[StateSpace]) -> float | None:
     """The sample time shared by all systems that have one; static gains go with any."""
-    times = {s.dt for s in systems if s.n_states or s.dt is not None}
+    times = list(dict.fromkeys(s.dt for s in systems if s.n_states or s.dt is not None))
     first = next(iter(times), None)
     sampled = [t for t in times if t is not None]
     if len(times) > 1 and (
-        first is None
-        or len(sampled) < len(times)
-        or not all(np.isclose(t, first, rtol=1e-9, atol=0) for t in sampled)
+        first is None or len(sampled) < len(times) or not all(same_clock(t, first) for t in sampled)
     ):
         raise invalid(
             "the sample times", sorted(map(str, times)), "equal", "resample with sampling.c2d first"

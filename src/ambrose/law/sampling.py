@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import check_positive, invalid
+from ambrose.core.checks import SAME_CLOCK, check_positive, invalid, same_clock
 from ambrose.core.realisation.modal_form import modal_form
 from ambrose.core.sampling import Method, c2d
 from ambrose.core.scheduled import ScheduledSystem, grid_points
@@ -27,7 +27,7 @@ def whole_samples(delay: float, sample_time: float) -> int:
     """``delay`` [s] as a number of samples. Raises InvalidInput for a fraction."""
     check_positive(delay, "the computing delay", "give it in seconds", zero_allowed=True)
     count = round(delay / sample_time)
-    if abs(delay - count * sample_time) > 1e-6 * sample_time:
+    if abs(delay - count * sample_time) > SAME_CLOCK * max(count, 1) * sample_time:
         remedy = "round it up: outputs are written when the next sample is taken"
         raise invalid(
             "the computing delay",
@@ -44,7 +44,7 @@ def check_rate(source: StateSpace | ScheduledSystem, dt: float) -> None:
     InvalidInput.
     """
     if source.dt is not None:
-        if abs(source.dt - dt) > 1e-9 * dt:
+        if not same_clock(source.dt, dt):
             raise invalid(
                 "the sample time",
                 f"{dt:g} s",

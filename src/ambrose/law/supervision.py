@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, invalid
+from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, invalid, same_clock
 from ambrose.core.sampling import c2d
 from ambrose.core.scheduled import ScheduledSystem, interval_points
 from ambrose.core.statespace import StateSpace
@@ -458,7 +458,7 @@ def supervision_limits(
 def _sampled(law: StateSpace, sample_time: float) -> Matrices:
     if law.dt is None:
         law = c2d(law, sample_time, method="tustin")
-    elif abs(law.dt - sample_time) > 1e-9 * law.dt:
+    elif not same_clock(law.dt, sample_time):
         raise invalid(
             "the sample time",
             f"{sample_time:g} s",

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from ambrose.core.checks import check_positive, invalid
+from ambrose.core.checks import SAME_CLOCK, check_positive, invalid, same_clock
 from ambrose.core.sampling import c2d, delayed, pade
 from ambrose.core.statespace import StateSpace, append, series
 from ambrose.law.law import Law, LawLike, law_of
@@ -65,14 +65,13 @@ class Timing:
         """A fixed law as the loop sees it: sampled by Tustin's map unless it is, and late. Raises
         InvalidInput.
         """
-        if law.dt is not None and abs(law.dt - self.sample_time) > 1e-9 * self.sample_time:
+        if law.dt is not None and not same_clock(law.dt, self.sample_time):
             remedy = "leave the rate out, or give the continuous controller"
             raise invalid(
                 "the controller's sample time", f"{law.dt:g} s", f"{self.sample_time:g} s", remedy
             )
-        return delayed(
-            law if law.dt is not None else c2d(law, self.sample_time, "tustin"), self.delay_samples
-        )
+        sampled = law if law.dt is not None else c2d(law, self.sample_time, "tustin")
+        return delayed(sampled, self.delay_samples)
 
     def late(self, law: StateSpace) -> StateSpace:
         """A continuous law with the loop's mean delay as a second-order Pade all-pass on every
@@ -100,8 +99,8 @@ def machine_timing(machine: Machine | None) -> Timing | None:
     if settings is None or settings.sample_time is None:
         return None
     late = 1.0 if settings.delay is None else settings.delay / settings.sample_time
-    whole = math.ceil(late - 1e-6)
-    rounded = f", {late:.3g} rounded up" if abs(late - whole) > 1e-6 else ""
+    whole = math.ceil(late - SAME_CLOCK * max(late, 1.0))
+    rounded = f", {late:.3g} rounded up" if abs(late - whole) > SAME_CLOCK * max(late, 1.0) else ""
     return Timing(settings.sample_time, whole, f"machine file{rounded}")
 
 

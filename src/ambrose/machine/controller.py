@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated
+from math import inf
+from typing import Annotated, Any
 
 from ambrose.machine.kinds import Angle, Choice, ListOf, PairOf, Quantity, Rate, Ratio, Texts, Time
 from ambrose.machine.part import Part
@@ -139,3 +140,19 @@ class PidSettings(Part):
     synchronous: Annotated[tuple[Synchronous, ...], "blocks that reject the unbalance's signal"] = (
         field(default=(), metadata={"key": "synchronous"})
     )
+    sample_rate: Annotated[
+        float | None, Quantity("frequency"), "in place of sample_time: samples per second"
+    ] = None
+
+    def __post_init__(self) -> None:
+        rate = self.sample_rate
+        if self.sample_time is None and isinstance(rate, int | float) and 0 < rate < inf:
+            object.__setattr__(self, "sample_time", 1 / rate)
+
+    def to_dict(self, *, defaults: bool = False) -> dict[str, Any]:
+        """As of every part; a sample time that follows from the rate is not said a second time."""
+        # slots: the class that super() means is another one
+        table = super(PidSettings, self).to_dict(defaults=defaults)
+        if self.sample_rate and self.sample_time == 1 / self.sample_rate:
+            del table["sample_time"]
+        return table

@@ -24,12 +24,11 @@ DELAY_SAMPLES = 100
 SAMPLE_TIME = 1e-7  # [s] the least
 LONGEST_SAMPLE = 1e4  # [s] of a record; a value every three hours
 LARGEST_OF_A_POINT: Mapping[str, tuple[float, str]] = {
-    "speed": (1e6, "rad/s"),
-    "seal_pressure": (1e10, "Pa"),
-    "bias_current": (1e6, "A"),
-    "whirl_frequency": (1e7, "rad/s"),
+    "speed": (1e9, "rad/s"),
+    "seal_pressure": (1e12, "Pa"),
+    "bias_current": (1e9, "A"),
+    "whirl_frequency": (1e9, "rad/s"),
 }
-LARGEST_VALUE = 1e30  # of a signal, in its SI unit: what is larger overflows where it is squared
 LARGEST_TIME = 1e12  # [s] at which a record starts
 TABLES: Mapping[str, int] = {
     "shaft": ELEMENTS,

@@ -18,7 +18,6 @@ from ambrose.core.presentation import Presented, data_frame, html_table
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.limits import (
     LARGEST_TIME,
-    LARGEST_VALUE,
     LONGEST_SAMPLE,
     NAME,
     NOTES,
@@ -238,12 +237,11 @@ def check_samples(name: str, values: np.ndarray, first: int, start: float, rate:
     InvalidInput.
     """
     for begin in range(0, len(values), _BLOCK):  # a long record has no second array of its length
-        usable = np.abs(values[begin : begin + _BLOCK]) <= LARGEST_VALUE  # not so for NaN either
-        if not usable.all():
-            j = begin + int(np.argmin(usable))
+        finite = np.isfinite(values[begin : begin + _BLOCK])
+        if not finite.all():
+            j = begin + int(np.argmin(finite))
             at = f"{name} at sample {first + j} (t = {start + (first + j) / rate:g} s)"
-            wanted = f"at most {LARGEST_VALUE:g} in size" if np.isfinite(values[j]) else "finite"
-            raise invalid(at, values[j], wanted, "cut the record before it, or measure again")
+            raise invalid(at, values[j], "finite", "cut the record before it, or measure again")
 
 
 def _check_texts(record: Record) -> None:

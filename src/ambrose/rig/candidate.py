@@ -16,7 +16,7 @@ from ambrose.judge.result import Synthesis
 from ambrose.judge.verdict import verify_points, verify_ranges, verify_tolerances
 from ambrose.judge.verification import CONTINUOUS
 from ambrose.law.law import LawLike
-from ambrose.law.timing import Timing, timing_of
+from ambrose.law.timing import DEFAULT, Timing, machine_timing, timing_of
 from ambrose.machine.description import Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.model.plant import Plant
@@ -168,15 +168,26 @@ def evaluate(
     return Candidate(name, synthesis, checks, boxes, tuple(traces), left_out, words, ranges)
 
 
+def check_trials(machine: Machine) -> None:
+    """Raises InvalidInput for a machine on which a scenario that ``evaluate`` runs is refused,
+    before anything is computed.
+    """
+    timing = machine_timing(machine) or DEFAULT
+    for name in SCENARIOS:
+        virtual_rig.check_scenario(machine, load_scenario(name), timing.sample_time)
+
+
 def run_ups(
     plant: Plant, candidates: tuple[Candidate, ...], progress: Progress
 ) -> tuple[RunUp, ...]:
     """The scheduled candidates and the robust ones beside them while the machine runs up, on the
     linear loop and on the virtual rig; none where no schedule covers the scenario's speeds.
     """
+    schedules = [c.synthesis.scheduled for c in candidates if c.synthesis.scheduled is not None]
+    if not schedules:  # nor need the machine state what the scenario's speeds are shares of
+        return ()
     scenario = load_scenario(RUN_UP).on(plant.machine)
     low, high = scenario.speed_at(0.0), scenario.speed_at(scenario.duration)
-    schedules = [c.synthesis.scheduled for c in candidates if c.synthesis.scheduled is not None]
     if not any(
         s.axes[0][0] <= low * (1 + 1e-9) and high <= s.axes[0][-1] * (1 + 1e-9) for s in schedules
     ):

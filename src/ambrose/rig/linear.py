@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, invalid
+from ambrose.core.checks import InvalidInput, NumericalFailure, check_positive, invalid, same_clock
 from ambrose.core.response import sample_polynomial, simulate_piecewise
 from ambrose.core.statespace import StateSpace, as_statespace, index_of, poles, select
 from ambrose.law.scheduling import PRESSURE, SPEED, Scheduling
@@ -216,7 +216,7 @@ def _sample_time(loop: StateSpace, scenario: Scenario, dt: float | None) -> floa
         else check_positive(dt, "dt", "give the sample time in seconds")
     )
     if loop.dt is not None:
-        if given is not None and abs(given - loop.dt) > 1e-9 * loop.dt:
+        if given is not None and not same_clock(given, loop.dt):
             raise invalid(
                 "the sample time", given, f"the loop's own {loop.dt:g} s, or None", "leave it out"
             )

@@ -47,11 +47,21 @@ from ambrose.rig.engine.record import Recorder
 from ambrose.rig.engine.state import Rig, build, compiled
 from ambrose.rig.scenario import LEVITATED, Scenario
 from ambrose.rig.trace import Trace
+from ambrose.rig.waveforms import waveforms
 
 _STRETCH = 4000  # control samples computed at once
 _SCHEDULED_STRETCH = {SPEED: 50, PRESSURE: 10}  # while what a controller is scheduled over changes
 _MEMORY = 256  # samples from which a second controller learns where to take over
 _REPORT_EVERY = 2.0  # [s] between two progress messages
+
+
+def check_scenario(machine: Machine, scenario: Scenario, dt: float) -> None:
+    """Raises InvalidInput for what a run of a scenario at a control sample time [s] would refuse,
+    without running it.
+    """
+    scenario = scenario.on(machine)
+    task = plan(build(machine), scenario, dt, 0)
+    waveforms(scenario, task.inputs, dt, 1, task.rig.mass)
 
 
 def run(

@@ -4,6 +4,7 @@ all that turns.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from itertools import pairwise
@@ -16,6 +17,7 @@ from ambrose.core.statespace import index_of
 from ambrose.rig.disturbances import Chirp, Disturbance, Prbs, Pulse, Unbalance
 from ambrose.rig.scenario import Scenario
 
+_STRETCHED = 0.1  # share by which a duration or a bit may be rounded to whole samples
 FASTEST = 0.32  # largest (w dt) of a sine between samples: an error of 3e-5
 
 
@@ -31,8 +33,9 @@ def waveforms(
     (core/response.py: hermite).
 
     inputs: the names that the loop has. dt [s], k samples from number ``first`` on; mass [kg] of
-    the rotor. Raises InvalidInput for an unknown signal (listing the known ones), an edge that is
-    no multiple of dt, or a sine too fast for dt.
+    the rotor. Raises InvalidInput for an unknown signal (listing the known ones), a length of few
+    samples that rounding would stretch, or a sine too fast for dt. Edges move to the nearest
+    sample.
     """
     rows: dict[str, np.ndarray] = {}
 
@@ -76,16 +79,26 @@ def waveforms(
     )
 
 
-def sample_of(time: float, dt: float, what: str) -> int:
-    """The sample number of an edge at a time [s]; raises InvalidInput where it falls between
-    samples.
+def sample_of(time: float, dt: float) -> int:
+    """The number of the sample that is nearest to an edge at a time [s]: an edge moves by half a
+    sample at most.
     """
-    ratio = min(time / dt, 1e15)
-    index = round(ratio)
-    if abs(index - ratio) > 1e-6 * max(1.0, index):
-        remedy = "move it or choose another sample time"
-        raise invalid(what, f"{time:g} s", f"a multiple of dt = {dt:g} s", remedy)
-    return index
+    return round(min(time / dt, 1e15))
+
+
+def samples_in(length: float, dt: float, what: str) -> int:
+    """How many samples a length [s] is, to the nearest. Raises InvalidInput where that changes it
+    by more than a tenth.
+    """
+    count = sample_of(length, dt)
+    if abs(count * dt - length) > _STRETCHED * length:
+        least = f"{math.ceil(0.5 / _STRETCHED) * dt:.3g} s"
+        remedy = (
+            f"choose a shorter sample time, or a multiple of it ({least} and more are met well "
+            "enough)"
+        )
+        raise invalid(what, f"{length:g} s", f"within a tenth of whole samples of {dt:g} s", remedy)
+    return count
 
 
 def directions(port: str, inputs: Sequence[str]) -> tuple[str, str]:
@@ -104,11 +117,13 @@ def _windows(item: Disturbance, dt: float, first: int, k: int) -> Iterator[tuple
     """First and past-the-last column of a disturbance and of its repetitions, and how long it then
     has been on [samples].
     """
-    what = f"an edge of the disturbance on {item.signal}"
-    begin, end = sample_of(item.start, dt, what), first + k
-    length = end if item.duration is None else sample_of(item.duration, dt, what)
+    what = f"of the disturbance on {item.signal}"
+    begin, end = sample_of(item.start, dt), first + k
+    length = end if item.duration is None else samples_in(item.duration, dt, f"the duration {what}")
     every = (
-        sample_of(item.every, dt, what) if isinstance(item, Pulse) and item.every is not None else 0
+        samples_in(item.every, dt, f"the period {what}")
+        if isinstance(item, Pulse) and item.every is not None
+        else 0
     )
     if every and begin < first:
         begin += (first - begin) // every * every
@@ -133,7 +148,7 @@ def _sequence(order: int, shift: int) -> np.ndarray:
 
 def _levels(prbs: Prbs, dt: float, offset: int, count: int) -> np.ndarray:
     """+-1 for ``count`` samples of a sequence that has been on for ``offset`` samples."""
-    held = sample_of(prbs.bit_time, dt, f"the bit_time on {prbs.signal}")
+    held = samples_in(prbs.bit_time, dt, f"the bit_time on {prbs.signal}")
     if held < 1:
         raise invalid(
             f"the bit_time on {prbs.signal}",

@@ -365,7 +365,7 @@ def test_ranges_are_counted_before_they_are_built():
             'no option .delay_sample.; did you mean "delay_samples"',
         ),
         ({}, VARY, {"frobnicate": 1}, "no option 'frobnicate'; known: delay_samples, rate"),
-        ({}, VARY, {"rate": "often"}, "option rate is 'often', but must be a number or None"),
+        ({}, VARY, {"rate": "often"}, "option rate is .often., but must be a number or None"),
         (
             {},
             {"option.delay_samples": [1, 1.5]},

@@ -285,8 +285,9 @@ def _computed(
     """The rows of every block in the order in which they are ready, or that it is lost.
 
     Where a worker's death takes a process pool with it, the blocks that were under way are computed
-    one at a time in a new one, so that the one at fault is known. Raises NumericalFailure where two
-    blocks, or the only one, are lost before any row.
+    one at a time in a new one, so that the one at fault is known; it is halved until the case at
+    fault is alone. Raises NumericalFailure where two cases, or the only one, are lost before any
+    row.
     """
     blocks_lost, rows_there = 0, False
 
@@ -297,7 +298,7 @@ def _computed(
             raise NumericalFailure(f"no case was computed: {_DIED}")
         return _Lost(len(block))
 
-    attempts: Counter[str] = Counter()
+    attempts: Counter[tuple[str, int]] = Counter()  # by the first case of a block, and its length
     # the first block compiles the rig into the cache of all
     compiled = task not in {"simulate", "identify"}
     suspects: deque[list[Case]] = deque()
@@ -328,11 +329,16 @@ def _computed(
                         compiled = rows_there = True
                     except (BrokenProcessPool, CancelledError):
                         broken = True
-                        attempts[block[0].key] += 1
-                        if attempts[block[0].key] < _ATTEMPTS:
+                        attempts[block[0].key, len(block)] += 1
+                        if attempts[block[0].key, len(block)] < (
+                            _ATTEMPTS if len(block) == 1 else _ATTEMPTS - 1
+                        ):
                             suspects.append(block)
-                        else:
+                        elif len(block) == 1:
                             yield lost(block)
+                        else:  # one of them is at fault
+                            half = len(block) // 2
+                            suspects += [block[:half], block[half:]]
                     except MemoryError:
                         yield lost(block)
                     except Exception as error:  # as Dask says that a block's workers died

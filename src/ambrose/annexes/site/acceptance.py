@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.checks import InvalidInput, invalid, same_clock
 from ambrose.core.frequency import frequency_response
 from ambrose.core.presentation import Presented
 from ambrose.core.sampling import c2d
@@ -177,7 +177,7 @@ def accept(
     timing = timing_of(machine, controller) or Timing(read[0].dt)
     if delay_samples is not None:
         timing = Timing(timing.sample_time, delay_samples)
-    if any(abs(record.dt / timing.sample_time - 1) > 1e-6 for record in read):
+    if not all(same_clock(record.dt, timing.sample_time) for record in read):
         rates = ", ".join(sorted({f"{record.sample_rate_hz:g} Hz" for record in read}))
         raise invalid(
             "the sample rate of the records",

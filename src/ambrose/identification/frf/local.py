@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 import scipy.fft
 
-from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.checks import InvalidInput, invalid, same_clock
 from ambrose.core.statespace import Names
 from ambrose.identification.excitation import signal_rows
 from ambrose.identification.frf.spectral import Frf
@@ -52,7 +52,7 @@ def local_response(
     u, y = (tuple([names] if isinstance(names, str) else names) for names in (inputs, outputs))
     records = (records,) if isinstance(records, Record) else tuple(records)
     dt, m = records[0].dt, len(u)
-    if any(abs(record.dt - dt) > 1e-9 * dt for record in records):
+    if not all(same_clock(record.dt, dt) for record in records):
         raise InvalidInput(
             "the records have different sample rates; estimate a response from records of one rate"
         )

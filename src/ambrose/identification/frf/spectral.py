@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import scipy.fft
 
-from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.checks import InvalidInput, invalid, same_clock
 from ambrose.core.frequency import FrequencyResponse
 from ambrose.core.statespace import Names, index_of
 from ambrose.identification.excitation import signal_rows
@@ -309,7 +309,7 @@ def _frames(records: tuple[Record, ...], segment: float, overlap: float, window:
         raise InvalidInput("no record was given; a frequency response needs at least one")
     dt = records[0].dt
     for number, record in enumerate(records, 1):
-        if abs(record.dt - dt) > 1e-9 * dt:
+        if not same_clock(record.dt, dt):
             have = f"{record.sample_rate_hz:g} Hz"
             raise invalid(
                 f"the sample rate of record {number}",

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, check_finite, invalid
+from ambrose.core.checks import InvalidInput, check_finite, invalid, same_clock
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import StateSpace, poles
 from ambrose.identification.excitation import excitation_order, signal_rows
@@ -239,10 +239,7 @@ def operating_points(
     first, points = records[0], []
     for number, record in enumerate(records, 1):
         check_machine(machine, record, f"record {number}")
-        if (
-            one_rate
-            and abs(record.sample_rate_hz - first.sample_rate_hz) > 1e-9 * first.sample_rate_hz
-        ):
+        if one_rate and not same_clock(record.dt, first.dt):
             raise invalid(
                 f"the sample rate of record {number}",
                 f"{record.sample_rate_hz:g} Hz",
@@ -348,7 +345,7 @@ def deployed_controller(plant: Plant, controller: LawLike, dt: float, delay: flo
     law = match_controller(controller, plant)
     if law.dt is None:
         law = c2d(law, dt, method="tustin")
-    elif abs(law.dt - dt) > 1e-6 * dt:
+    elif not same_clock(law.dt, dt):
         raise invalid(
             "the records' sample rate",
             f"{1 / dt:g} Hz",

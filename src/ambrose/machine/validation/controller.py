@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from ambrose.core.checks import same_clock
 from ambrose.machine.controller import (
     CONTROLLER_COORDINATES,
     MODES,
@@ -37,6 +38,20 @@ def controller(machine: MachineDescription) -> Iterator[str]:
     )
     yield from not_positive(where, pid, "a controller cannot see ahead", "delay", zero=True)
     sample = pid.sample_time
+    yield from not_positive(where, pid, "give it in Hz", "sample_rate")
+    if (
+        pid.sample_rate is not None
+        and pid.sample_rate > 0
+        and sample
+        and not same_clock(sample * pid.sample_rate, 1.0)
+    ):
+        yield complaint(
+            where,
+            "sample_time",
+            f"{sample:g} s",
+            f"1 / sample_rate, {1 / pid.sample_rate:g} s",
+            "leave one out",
+        )
     if sample is not None and 0 < sample < SAMPLE_TIME:
         yield complaint(
             where, "sample_time", f"{sample:g} s", f"at least {SAMPLE_TIME:g} s", "1e-4 s is usual"
@@ -64,8 +79,8 @@ def controller(machine: MachineDescription) -> Iterator[str]:
             "left out",
             "one bearing cannot tilt the rotor, add a second",
         )
-    # which may stand alone: when controllers run, and no reference
-    if pid.to_dict().keys() - {"sample_time", "delay", "synchronous"}:
+    # what says when controllers run, and the blocks beside them, may stand alone, without a reference
+    if pid.to_dict().keys() - {"sample_time", "sample_rate", "delay", "synchronous"}:
         yield from channel_problems(pid, machine.axes)
 
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from ambrose.core.checks import check_positive, invalid
+from ambrose.core.checks import check_positive, invalid, same_clock
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import StateSpace
 from ambrose.law.law import LawLike, law_of
@@ -111,7 +111,7 @@ def sample_time(law: LawLike, machine: Machine, wanted: float | None) -> float:
     """
     own = law_of(law).sample_time
     if own is not None:
-        if wanted is not None and abs(own - wanted) > 1e-9 * own:
+        if wanted is not None and not same_clock(own, wanted):
             raise invalid(
                 "the sample time",
                 f"{wanted:g} s",

@@ -83,7 +83,7 @@ class Plan:
     def switch(self) -> int:
         """The sample at which the second controller takes over; past the end without one."""
         at = self.scenario.switch_at
-        return self.samples if at is None else sample_of(at, self.dt, "switch_at")
+        return self.samples if at is None else sample_of(at, self.dt)
 
     def speeds(self, time: np.ndarray) -> np.ndarray:
         """Speed [rad/s] at times (n,) [s]."""
@@ -251,7 +251,7 @@ def _spread(mean: np.ndarray) -> np.ndarray:
 def _powered(plan: Plan, first: int, count: int) -> np.ndarray:
     powered = np.ones((len(plan.rig.axes), count))
     for failure in plan.scenario.failures:
-        since = max(sample_of(failure.time, plan.dt, "the time of a failure") - first, 0)
+        since = max(sample_of(failure.time, plan.dt) - first, 0)
         powered[
             slice(None) if failure.axis is None else plan.rig.axes.index(failure.axis), since:
         ] = 0.0
