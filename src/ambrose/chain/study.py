@@ -181,6 +181,10 @@ def _study(machine: Machine, directory: Path, progress: Progress) -> Study:
     return replace(result, unwritten=tuple(unwritten))
 
 
+def _plants(machine: Machine) -> tuple[Plant, ...]:
+    return full_plants(machine)
+
+
 def _set_earlier_aside(directory: Path) -> None:
     for name in ("checks.json", "report.html", "commissioned/code"):
         set_aside(directory / name)
@@ -255,7 +259,7 @@ STAGES = (
     Stage(
         "plants",
         ("machine",),
-        lambda machine: full_plants(machine),
+        _plants,
         "assembling the finite-element plant at every operating point",
     ),
     Stage("reduced", ("plants",), lambda plants: reduce(plants[0]), "reducing it"),

@@ -79,7 +79,7 @@ def controller(machine: MachineDescription) -> Iterator[str]:
             "left out",
             "one bearing cannot tilt the rotor, add a second",
         )
-    # what says when controllers run, and the blocks beside them, may stand alone, without a reference
+    # what says when controllers run, and the blocks beside them, may stand alone
     if pid.to_dict().keys() - {"sample_time", "sample_rate", "delay", "synchronous"}:
         yield from channel_problems(pid, machine.axes)
 
