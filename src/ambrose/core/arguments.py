@@ -12,6 +12,7 @@ import inspect
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from functools import cache, wraps
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
@@ -46,15 +47,27 @@ def names_wrong_types(function: Function) -> Function:
 
     @wraps(function)
     def named(*args: Any, **keywords: Any) -> Any:
-        try:
-            return function(*args, **keywords)
-        except AmbroseError:
-            raise
-        except (TypeError, AttributeError, ValueError, LookupError, OverflowError) as error:
-            check_types(named, args, keywords, error)
-            raise
+        return _named(named, function, args, keywords)
 
     return named  # type: ignore[return-value]
+
+
+def _named(
+    shown: Callable[..., Any],
+    function: Callable[..., Any],
+    args: tuple[Any, ...],
+    keywords: Mapping[str, Any],
+) -> Any:
+    """The call of a function; where it fails, an argument of a wrong type is named. shown: the
+    function as callers know it.
+    """
+    try:
+        return function(*args, **keywords)
+    except AmbroseError:
+        raise
+    except (TypeError, AttributeError, ValueError, LookupError, OverflowError) as error:
+        check_types(shown, args, keywords, error)
+        raise
 
 
 def checks_plain_types(function: Function) -> Function:
@@ -69,16 +82,13 @@ def checks_plain_types(function: Function) -> Function:
 
     @wraps(function)
     def checked(*args: Any, **keywords: Any) -> Any:
-        try:
+        with suppress(TypeError):  # Python's own message says which argument is missing or unknown
             values = signature.bind(*args, **keywords).arguments
-        except TypeError:  # Python's own message says which argument is missing or unknown
-            return guarded(*args, **keywords)
-        for name, hint in _plain_hints(function):
-            if name in values and (misfit := _misfit(values[name], hint)) is not None:
-                raise _wrong(name, misfit, function.__name__)
-        return guarded(*args, **keywords)
+            for name, hint in _plain_hints(function):
+                if name in values and (misfit := _misfit(values[name], hint)) is not None:
+                    raise _wrong(name, misfit, checked.__name__)
+        return _named(checked, function, args, keywords)
 
-    guarded = names_wrong_types(function)
     return checked  # type: ignore[return-value]
 
 
