@@ -52,6 +52,7 @@ from ambrose.machine.seals import (
     SealTable,
 )
 from ambrose.machine.stator import CasingMode, Runout, Sensor, Support
+from ambrose.machine.synchronous import Synchronous
 from ambrose.model.effects.journal_bearing import JournalBearing
 from physical_numbers import physical
 
@@ -100,6 +101,7 @@ def test_every_value_of_the_small_machine():
         viscosity=17.6e-6,
         compressibility=0.99,
     )
+    eye, zero = (tuple(map(tuple, rows.tolist())) for rows in (np.eye(4), np.zeros((4, 4))))
     expected = Machine(
         name="small",
         description="Two bearings, a disc, a seal and a coupling",
@@ -217,6 +219,32 @@ def test_every_value_of_the_small_machine():
                         Section("phase-bump", frequency=210 * hz, phase=20 * deg, damping=0.3),
                         Section("sos", numerator=(1.0, 4e3), denominator=(1.0, 8e3)),
                     ),
+                ),
+            ),
+            (
+                Synchronous(
+                    "current-free",
+                    (6000 * rpm, 12000 * rpm),
+                    0.5,
+                    (6000 * rpm, 12000 * rpm),
+                    (eye, eye),
+                    (zero, zero),
+                    None,
+                    "axes",
+                    1,
+                    hz,
+                    20e-6,
+                    0.4,
+                    0.1,
+                    0.01,
+                ),
+                Synchronous(
+                    "vibration-free",
+                    (6000 * rpm, 12000 * rpm),
+                    1.0,
+                    (6000 * rpm, 12000 * rpm),
+                    phase=(30 * deg, 40 * deg),
+                    harmonic=2,
                 ),
             ),
             10000.1,

@@ -14,6 +14,8 @@ from ambrose.terminal import (
     MACHINE,
     RATE,
     GroupedCommand,
+    claim,
+    kept,
     load,
     load_controller,
     print_checks,
@@ -62,6 +64,13 @@ _GROUPS = {
     help="Fastest run-up, rad/s^2, for a proof while the speed changes, over the tolerances as "
     "well; default: none is tried.",
 )
+@click.option(
+    "--page",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="A page of the synchronous blocks: current, force, orbit and margin over speed, before "
+    "and after.",
+)
 @ALL
 @AS_JSON
 def verify(
@@ -72,6 +81,7 @@ def verify(
     pressure_rate: str | None,
     pressure_error: str | None,
     speed_rate: float | None,
+    page: Path | None,
     everything: bool,
     as_json: bool,
 ) -> None:
@@ -93,6 +103,14 @@ def verify(
             "given with --pressure-rate",
             "say how fast the pressure changes",
         )
+    if page is not None:
+        settings = description.controller
+        if not controller.synchronous and not (settings is not None and settings.synchronous):
+            remedy = "design one with ambrose synthesize --synchronous current-free"
+            raise invalid(
+                "--page", str(page), "given for a controller with a synchronous block", remedy
+            )
+        claim(page=page)
     if speed_rate is not None:
         check_positive(speed_rate, "--speed-rate", "give the fastest run-up in rad/s^2")
     motion = Motion(fastest, error or 0.0, speed_rate)
@@ -108,6 +126,13 @@ def verify(
             speed_rate=speed_rate,
             progress=progress,
         )
+    failure = None
+    if page is not None:
+        from ambrose.report.page import write
+        from ambrose.report.synchronous import synchronous_page
+
+        report = synchronous_page(description, result.synchronous, loop=result.timing)
+        failure = kept(lambda path: write(report, path), page)
     if as_json:
         say_json({"machine": description.name, **result.to_dict()})
     else:
@@ -128,4 +153,6 @@ def verify(
                 "designed at"
             )
             say(f"Not judged, which does not pass: {'; '.join(result.left_out)}; {why}.")
+    if failure is not None:
+        raise failure
     sys.exit(0 if result.passed else 1)

@@ -66,6 +66,7 @@ _SPEEDS = 61  # at which curves are drawn
 _POLES = 4  # speeds at which exact poles are computed
 _GRID = 49  # speeds between which borders of stability are looked for
 _NOTHING = 1e-15  # A, N, m: below it a signal is called zero
+_VANISHED = 1e-6  # of the signal without the block, -120 dB: below it nothing is left but rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +198,7 @@ def _margin_checks(item: BlockLoop, progress: Progress, members: int, seed: int)
     cells = sum(one.cells for one, _ in shown)
     detail = (
         f"at {proof.worst:.4g} rad/s, {condition.label}; proved at every speed of the band and "
-        f"{len(shown)} pressures, {cells} cells, on the full plant without aliasing, which is "
+        f"{_pressures(len(shown))}, {cells} cells, on the full plant without aliasing, which is "
         "allowed for"
     )
     checks.append(_angle("synchronous.margin", title, proof.angle, wanted, detail))
@@ -279,6 +280,10 @@ def member_margins(
     return float(worst), at, where, unstable
 
 
+def _pressures(count: int) -> str:
+    return "1 pressure" if count == 1 else f"{count} pressures"
+
+
 def _angle(name: str, title: str, angle: float, wanted: Demand, detail: str) -> Check:
     return judge(name, title, float(np.degrees(angle)), "deg", wanted, detail)
 
@@ -350,7 +355,7 @@ def _gain_checks(item: BlockLoop) -> list[Check]:
             ratio,
             "-",
             Demand(1.0, "<", "stability"),
-            f"{where}{limit:.4g} 1/s; at {_POLES} speeds and {len(item.conditions)} pressures",
+            f"{where}{limit:.4g} 1/s; at {_POLES} speeds and {_pressures(len(item.conditions))}",
         ),
         information(
             "synchronous.time", "Slowest convergence", time, "s", f"at {slow_at:.4g} rad/s"
@@ -403,7 +408,7 @@ def _unbalance_checks(item: BlockLoop) -> tuple[list[Check], list[Curve]]:
         (2, "force", "1x force on the housing", "N"),
     ):
         checks.append(_change_check(name, title, unit, speeds, before[row], after[row]))
-    lines = ("without the block", "with the block converged")
+    lines = ("without the block", "block converged")
     curves = [
         Curve(
             "synchronous.orbit",
@@ -443,12 +448,11 @@ def _unbalance_checks(item: BlockLoop) -> tuple[list[Check], list[Curve]]:
 def _change_check(
     name: str, title: str, unit: str, speeds: np.ndarray, before: np.ndarray, after: np.ndarray
 ) -> Check:
-    """The change of a signal in dB where it is least favourable; a signal that vanishes is told as
-    -300 dB.
+    """The change of a signal in dB where it is least favourable; one that vanishes in the model is
+    told as -120 dB.
     """
-    change = 20 * np.log10(
-        np.maximum(after, 1e-15 * np.maximum(before, _NOTHING)) / np.maximum(before, _NOTHING)
-    )
+    ratio = after / np.maximum(before, _NOTHING)
+    change = 20 * np.log10(np.maximum(ratio, _VANISHED))
     k = int(np.argmax(change))
     m = int(np.argmax(before))
     detail = (
@@ -456,6 +460,11 @@ def _change_check(
         "largest, at "
         f"{speeds[m]:.4g} rad/s, {before[m]:.3g} to {after[m]:.3g} {unit}"
     )
+    if ratio[k] <= _VANISHED:
+        detail = (
+            f"it vanishes in the model; without the block up to {before[m]:.3g} {unit}, at "
+            f"{speeds[m]:.4g} rad/s"
+        )
     return information(
         f"synchronous.{name}",
         f"{title}, block converged over without",

@@ -67,10 +67,8 @@ class Verification(Presented):
         """Every point's label with its checks, then those over the tolerances, over the ranges and
         of what changes.
         """
-        return tuple(
-            (checks.label, checks)
-            for checks in (*self.points, *self.boxes, *self.ranges, *self.moving, *self.synchronous)
-        )
+        every = (*self.points, *self.boxes, *self.ranges, *self.moving, *self.synchronous)
+        return tuple((checks.label, checks) for checks in every)
 
     @property
     def tolerances(self) -> Checks | None:

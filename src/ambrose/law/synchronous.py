@@ -173,7 +173,9 @@ class SynchronousLoop:
             return np.eye(n, dtype=complex)
         plant = self.plant(speed, condition)
         k_i, k_s = magnet_coefficients(self.machine, plant.point)
-        coil = _at(select(plant.system, plant.named("u"), plant.named("i")), self.harmonic * speed)
+        coil = response_at(
+            select(plant.system, plant.named("u"), plant.named("i")), self.harmonic * speed
+        )
         return np.hstack([at_bearings(self.machine), np.diag(k_i / k_s) @ coil * self._late(speed)])
 
     def response(self, mode: str, speed: float, condition: Condition) -> np.ndarray:
@@ -185,7 +187,7 @@ class SynchronousLoop:
     def base_band(self, speed: float, condition: Condition) -> np.ndarray:
         """S (a, a) at 1x with the base band of the hold alone: the exact one but for aliasing."""
         plant = self.plant(speed, condition)
-        G = _at(
+        G = response_at(
             select(plant.system, plant.named("u"), plant.named("y")), self.harmonic * speed
         ) * self._late(speed)
         K = _sampled_at(
@@ -216,7 +218,7 @@ class SynchronousLoop:
         plant, n = self.plant(speed, condition), len(self.axes)
         names = [*plant.named("u"), *plant.bearing_named("f")]
         rows = [*plant.named("y"), *plant.bearing_named("q"), *plant.named("i")]
-        P = _at(select(plant.system, names, rows), self.harmonic * speed)
+        P = response_at(select(plant.system, names, rows), self.harmonic * speed)
         late = self._late(speed)
         K = _sampled_at(
             self.controller(plant), np.exp(1j * self.harmonic * speed * self.timing.sample_time)
@@ -336,7 +338,7 @@ def _held(machine: Machine, delta: Sequence[tuple[str, float]]) -> tuple[Toleran
     return tuple(known[name] for name, _ in delta)
 
 
-def _at(system: StateSpace, omega: float) -> np.ndarray:
+def response_at(system: StateSpace, omega: float) -> np.ndarray:
     """A continuous system at j omega."""
     inner = 1j * omega * np.eye(system.n_states) - system.A
     return np.asarray(system.C @ np.linalg.solve(inner, system.B.astype(complex)) + system.D)

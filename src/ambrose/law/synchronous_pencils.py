@@ -111,8 +111,9 @@ class LoopPencils:
         rest[: n + q, x] += segment.rest[:, :n]
 
         # the hold and the delay of whole samples: g(W) = int_0^1 exp(-j (W + d) Ts s) ds
-        # z and g are functions of the harmonic's frequency
-        dt = harmonic * self.loop.timing.sample_time
+        dt = (
+            harmonic * self.loop.timing.sample_time
+        )  # z and g are functions of the harmonic's frequency
         g = _hold_series(middle, dt)
         drive = [np.vstack([M[:n, n + q :], M[n:, n + q :]]) for M in (M0, M1, M2)]
         P0[: n + q, u] = -g[0] * drive[0]

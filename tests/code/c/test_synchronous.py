@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 from ambrose.code.c.compiler import has_compiler
-from ambrose.code.c.synchronous import CompiledSynchronous, generate_synchronous, write_synchronous
+from ambrose.code.c.synchronous import (
+    CompiledSynchronous,
+    generate_synchronous,
+    write_synchronous,
+)
 from ambrose.core.checks import InvalidInput
 from ambrose.law.synchronous_block import (
     BlockFault,
