@@ -294,7 +294,7 @@ def printed_controller():
 
 def gas_seal():
     """docs/research/models.md: the hole-pattern seal of the thesis, its coefficients and what the rational fit leaves."""
-    from ambrose.physics.bulkflow import Friction, SealCondition, SealGeometry, air, bulk_flow
+    from ambrose.model.effects.bulkflow import Friction, SealCondition, SealGeometry, air, bulk_flow
 
     seal = SealGeometry(
         length=0.0857,

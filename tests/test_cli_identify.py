@@ -457,7 +457,7 @@ def test_gaps_and_uneven_times_are_refused_when_reading(place, tmp_path):
             "the loop at the start values is unstable",
         ),
         (("--signals", "y_C"), "a fitted signal is 'y_C'"),
-        (("--delay-samples", "-1"), "computing_delay is -1"),
+        (("--delay-samples", "-1"), "--delay-samples is -1"),
         (("--bending-modes", "-1"), "bending"),
         (("--repeats",), "at least 2 for repeats"),
         (("-o", "missing/m.toml"), "missing is not a directory"),

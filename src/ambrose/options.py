@@ -54,6 +54,9 @@ class Options:
     why: ClassVar[str] = ""  # why it has no others, told where one of them is refused
 
     def __post_init__(self) -> None:
+        from ambrose.core.arguments import check_plain_fields
+
+        check_plain_fields(self)  # "no" is as good as True, and ends in no error
         for item in fields(self):
             check_option(item, getattr(self, item.name), item.name)
 

@@ -151,7 +151,7 @@ def test_a_controller_that_cannot_be_judged_leaves_the_others_their_report(stubs
             raise InvalidInput("cannot be judged")
         return Candidate(name, law, (Checks("p", True, ()),))
 
-    stubs.setattr(workflow, "methods_for", lambda plant: ("mu", "pid"))
+    stubs.setattr(workflow, "study_methods", lambda plant: ("mu", "pid"))
     stubs.setattr(workflow, "evaluate", judged)
     result = run(tmp_path)
     assert ("mu", "cannot be judged") in result.failed and [c.name for c in result.candidates] == [

@@ -25,7 +25,7 @@ from ambrose.judge.controller_file import read_controller, write_controller
 from ambrose.judge.result import Certificate, Synthesis
 from example_blocks import CURRENT, DT, ERROR, rig_controller, small_controller
 
-GUIDE = Path(__file__).parents[2] / "docs" / "integrator.md"
+GUIDE = Path(__file__).parents[2] / "docs" / "reference" / "targets.md"
 octave = pytest.mark.skipif(shutil.which("octave-cli") is None, reason="no Octave")
 
 
@@ -198,7 +198,7 @@ def _response(K: StateSpace, w: np.ndarray) -> np.ndarray:
 
 
 def test_the_guides_recipe_for_plain_json(written, monkeypatch):
-    """The recipe in docs/integrator.md needs json and python-control only."""
+    """The recipe in docs/reference/targets.md needs json and python-control only."""
     folder, _, _, file = written
     recipe = re.search(
         r"```python\n(import json\n.*?)```", GUIDE.read_text(encoding="utf-8"), re.DOTALL

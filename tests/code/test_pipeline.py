@@ -347,7 +347,7 @@ def test_what_is_no_controller_of_the_machine(rig, tmp_path, controller, message
     ("settings", "message"),
     [
         ({"rate": 0.0}, "rate is 0.0, but must be positive"),
-        ({"delay_samples": 1.5}, r"delay_samples is 1\.5"),
+        ({"delay_samples": 1.5}, r"delay_samples.* is 1\.5"),
         ({"name": "1"}, "name of"),
     ],
 )

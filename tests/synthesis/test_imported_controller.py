@@ -15,7 +15,7 @@ import scipy.io
 import scipy.signal
 
 import ambrose as amb
-from ambrose.code.pipeline import ExportOptions, export
+from ambrose.code.pipeline import export
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.law.timing import timing_of
@@ -202,7 +202,7 @@ def test_what_export_writes_for_matlab_comes_back(tmp_path):
         tmp_path,
         to="mat",
         machine=amb.load_machine("seal-rig"),
-        options=ExportOptions(force=True),
+        force=True,
     )
     back = amb.read_controller(tmp_path / "controller.mat")
     assert (

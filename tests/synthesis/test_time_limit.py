@@ -119,7 +119,7 @@ def test_the_title_of_ambrose_synthesize_says_it_and_the_exit_status_stays(monke
     monkeypatch.setattr(
         design,
         "design",
-        lambda plant, method, **_: stopped(replace(pid_synthesis(plant), method=method)),
+        lambda plant, method, **_: stopped(replace(pid_synthesis(plant), method=method.name)),
     )
     done = CliRunner().invoke(
         main, ["synthesize", "seal-rig", "--method", "mu", "-o", str(tmp_path / "c.json")]

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, ClassVar
 
-from ambrose.options import Options, option
+from ambrose.options import Options, option, positive
 
 if TYPE_CHECKING:
     from ambrose.identification.output_error.problem import FitOptions
@@ -51,6 +51,7 @@ class LoopMethod(Identifying):
         None,
         "From measured errors to acting currents; default: the controller file's, or 1.",
         flag="--delay-samples",
+        check=positive("1 is usual", zero_allowed=True),
     )
     bending_modes: int = option(3, "Bending modes per plane in the model.")
     harmonics: int = option(3, "Multiples of the speed that unbalance may hold.")

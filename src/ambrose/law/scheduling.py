@@ -92,7 +92,7 @@ def scheduling_named(name: str, unit: str | None = None, words: str = "") -> Sch
         known = " or ".join(f"{item.name} [{item.unit}]" for item in SCHEDULINGS.values())
         raise invalid(
             "the scheduling parameter",
-            words or repr(name),
+            words or (name if unit is None else f"{name} [{unit}]"),
             known,
             "make the schedule over one of them",
         )

@@ -74,7 +74,7 @@ def test_refusals(machine):
         match="the same at every operating point of the machine; leave envelope out",
     ):
         envelope_model(reduced(same))
-    with pytest.raises(amb.InvalidInput, match="'hinf' and 'mu' can span it; 'tuned' always does"):
+    with pytest.raises(amb.InvalidInput, match="left out with method pid; it goes with hinf or mu"):
         amb.design(machine, "pid", envelope=True)
 
 

@@ -286,7 +286,7 @@ def test_the_filters_found_are_a_controller_table(found, tmp_path):
 def test_the_command_line_tells_the_chains_and_writes_the_machine(found, monkeypatch, tmp_path):
     asked = []
     monkeypatch.setattr(
-        design, "design", lambda plant, method, options, progress: asked.append(options) or found
+        design, "design", lambda plant, method, progress: asked.append(method) or found
     )
     words = ["synthesize", FILE, "--method", "tuned", "--structure", "pid", "--rate-hz", 20000]
     words += ["-o", tmp_path / "k.json", "--machine-file", tmp_path / "with.toml"]

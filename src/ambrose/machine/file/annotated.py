@@ -95,7 +95,7 @@ class _Writer:
     def _entry(
         self, model: type[Table], header: str, path: str, entry: Mapping[str, Any]
     ) -> Iterator[str]:
-        meaning = (model.__doc__ or "").partition(". ")[0].rstrip(".")
+        meaning = " ".join((model.__doc__ or "").split()).partition(". ")[0].rstrip(".")
         yield from ["", *([f"# {meaning}."] if path not in self.seen else []), header]
         self.seen.add(path)
         names = {field.alias or name: name for name, field in model.model_fields.items()}

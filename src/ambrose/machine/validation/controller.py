@@ -42,7 +42,8 @@ def controller(machine: MachineDescription) -> Iterator[str]:
     if (
         pid.sample_rate is not None
         and pid.sample_rate > 0
-        and sample
+        and sample is not None
+        and sample >= SAMPLE_TIME
         and not same_clock(sample * pid.sample_rate, 1.0)
     ):
         yield complaint(
