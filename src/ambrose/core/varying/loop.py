@@ -157,19 +157,24 @@ def widen(loop: VaryingLoop, poles: Sequence[complex] = (), rates: Sequence[floa
     r = loop.channels
     n = len(loop.A)
     p = loop.B.shape[1] - loop.channels
+
+    # Channels of a parameter with a finite rate get the filters; the others may move at any speed.
     bound = np.asarray(rates if len(rates) else [np.inf] * loop.parameters, float)[loop.owner]
     filtered = np.flatnonzero(np.isfinite(bound)) if len(poles) else np.empty(0, int)
-    parts = [_section(complex(pole)) for pole in poles] if len(filtered) else []
-    count = sum(len(b) for _, b in parts)
-    F = (
-        np.kron(sla.block_diag(*[a for a, _ in parts]), np.eye(len(filtered)))
-        if parts
-        else np.zeros((0, 0))
-    )
-    pick = np.eye(r)[filtered]
-    H = np.kron(np.concatenate([b for _, b in parts]), pick) if parts else np.zeros((0, r))
-    m, N = len(F), n + 3 * len(F)
-    A, B = np.zeros((N, N)), np.zeros((N, r + m + p))
+    sections = [_section(complex(pole)) for pole in poles] if len(filtered) else []
+    count = sum(len(b) for _, b in sections)
+
+    # F = diag(F_1, F_2, ...) (x) I over the filtered channels, H the filters' inputs from z.
+    if sections:
+        F = np.kron(sla.block_diag(*[a for a, _ in sections]), np.eye(len(filtered)))
+        H = np.kron(np.concatenate([b for _, b in sections]), np.eye(r)[filtered])
+    else:
+        F = np.zeros((0, 0))
+        H = np.zeros((0, r))
+    m = len(F)
+
+    # States (x, xi, eta, zeta), inputs (w, w2 = delta' xi / rate, v).
+    N = n + 3 * m
     x = slice(0, n)
     xi = slice(n, n + m)
     eta = slice(n + m, n + 2 * m)
@@ -177,23 +182,51 @@ def widen(loop: VaryingLoop, poles: Sequence[complex] = (), rates: Sequence[floa
     w = slice(0, r)
     w2 = slice(r, r + m)
     v = slice(r + m, r + m + p)
-    A[x, x], A[xi, x] = loop.A, H @ loop.C[:r]
-    A[xi, xi] = A[eta, eta] = A[zeta, zeta] = F
-    B[x, w], B[x, v] = loop.B[:, :r], loop.B[:, r:]
+    A = np.zeros((N, N))
+    B = np.zeros((N, r + m + p))
+
+    # x' = A x + B_w w + B_v v, as without filters
+    A[x, x] = loop.A
+    B[x, w] = loop.B[:, :r]
+    B[x, v] = loop.B[:, r:]
+
+    # xi' = F xi + H z,   z = C_z x + D_zw w + D_zv v
+    A[xi, x] = H @ loop.C[:r]
+    A[xi, xi] = F
     B[xi, w] = H @ loop.D[:r, :r]
     B[xi, v] = H @ loop.D[:r, r:]
+
+    # eta' = F eta + H w
+    A[eta, eta] = F
     B[eta, w] = H
+
+    # zeta' = F zeta + delta' xi = F zeta + rate w2,   |w2| <= |xi|
+    A[zeta, zeta] = F
     B[zeta, w2] = np.diag(np.tile(bound[filtered], count)) if count else np.zeros((0, 0))
-    R, y = r + m, 2 * (r + 2 * m)
-    C, D = np.zeros((y + len(loop.C) - r, N)), np.zeros((y + len(loop.C) - r, r + m + p))
-    # z
+
+    # Outputs in pairs: (z, xi) before delta, (w, eta + zeta) after it; (xi, w2) for the rate; then
+    # the loop's own y.
+    R = r + m
+    y = 2 * (r + 2 * m)
+    C = np.zeros((y + len(loop.C) - r, N))
+    D = np.zeros((y + len(loop.C) - r, r + m + p))
+
+    # what delta acts on: z, and xi
     C[:r, x] = loop.C[:r]
     D[:r, w] = loop.D[:r, :r]
     D[:r, v] = loop.D[:r, r:]
     C[r:R, xi] = np.eye(m)
-    D[R : R + r, w] = np.eye(r)  # w
-    C[R + r : 2 * R, eta] = C[R + r : 2 * R, zeta] = np.eye(m)
-    C[2 * R : 2 * R + m, xi], D[2 * R + m : y, w2] = np.eye(m), np.eye(m)
+
+    # what delta makes of it: w = delta z, and eta + zeta = delta xi
+    D[R : R + r, w] = np.eye(r)
+    C[R + r : 2 * R, eta] = np.eye(m)
+    C[R + r : 2 * R, zeta] = np.eye(m)
+
+    # xi, and what delta' makes of it
+    C[2 * R : 2 * R + m, xi] = np.eye(m)
+    D[2 * R + m : y, w2] = np.eye(m)
+
+    # y = C_y x + D_yw w + D_yv v
     C[y:, x] = loop.C[r:]
     D[y:, w] = loop.D[r:, :r]
     D[y:, v] = loop.D[r:, r:]
