@@ -8,9 +8,9 @@ import pytest
 from ambrose.annexes.site.balancing.synchronous import unbalance_from_amplitudes
 from ambrose.code.c.compiler import has_compiler
 from ambrose.core.checks import InvalidInput
+from ambrose.law.pid import pid_controller
 from ambrose.law.synchronous import Condition, forward_patterns, synchronous_loop
 from ambrose.machine.file.toml import load_machine
-from ambrose.synthesis.pid import pid_controller
 
 REST = Condition(0.0)
 TRUE = np.array([40e-6, 28e-6 * np.exp(1.0j)])
