@@ -64,6 +64,8 @@ def product(p: np.ndarray, net: np.ndarray) -> np.ndarray:
     """
     (a, c), (b, d) = p.shape, net.shape[:2]
     found = np.zeros((a + b - 1, c + d - 1, *net.shape[2:]))
+    # Bernstein: B_i^m B_j^n = (m over i) (n over j) / (m + n over i + j) B_(i + j)^(m + n), in both
+    # coordinates.
     weights = [_binomials(size - 1) for size in (a, c, b, d, a + b - 1, c + d - 1)]
     for i in range(a):
         for k in range(c):
@@ -104,20 +106,30 @@ class CellSearch:
         coordinates: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> None:
         A, B = middle_of(cells)
+
+        # x = T x': X = I for the loop in the middle; an orthonormal turn leaves it so
         if coordinates is None:
             T, inverse = own_coordinates(A, B, C)
             turn = _reached_first(inverse @ A @ T, inverse @ B)
             coordinates = T @ turn, turn.T @ inverse
         T, inverse = coordinates
+
+        # time in units of 1/pace, the geometric mean of the poles' moduli
         pace = float(np.exp(np.log(np.abs(np.linalg.eigvals(A)) + 1e-9).mean()))
         off = accurate_product(inverse, T)
         # inverse T = I + F, so that T^-1 A T = (I - F + F^2) inverse A T but for F^3
         F = off[0] - np.eye(len(A)) + off[1]
+
+        # left out: F^3, and the rounding of the products with F
         size = float(np.linalg.norm(F, 2))
         skew = size**3 + np.finfo(float).eps * len(A) * size
         self.error = 0.0  # by which rounding in the change of coordinates moves A
+
+        # x in units of 1/sqrt(pace) as well: A / pace, B / sqrt(pace), C / sqrt(pace) keep the gain
         self.T, self.pace = T, pace
         self.C = C @ T / np.sqrt(pace)
+
+        # X_0 has all entries as variables; X_1 .. X_D only the rows and columns of the first states
         self.entries: list[_Entry] = []
         self.degree = degree if np.isfinite(rate) else 0
         self.variables: list[MatrixVariable] = []
@@ -127,12 +139,15 @@ class CellSearch:
                 MatrixVariable(start, len(A), int(np.ceil(share * len(A))) if start else len(A))
             )
         for cell in cells:
+            # inverse A T and inverse B in twice the precision
             high, low = accurate_product(cell.A, T)
             turned_A, rest = accurate_product(inverse, high)
             nets = [
                 (turned_A + (rest + inverse @ low)) / pace,
                 sum(accurate_product(inverse, cell.B)) / np.sqrt(pace),
             ]
+
+            # T^-1 = (I + F)^-1 inverse = (I - F + F^2) inverse, but for F^3
             nets = [net - F @ (net - F @ net) for net in nets]
             largest = float(np.linalg.norm(nets[0], 2, axis=(2, 3)).max())
             self.error = max(self.error, (2 * skew + np.finfo(float).eps * len(A)) * largest)
@@ -144,6 +159,8 @@ class CellSearch:
         return self.variables[-1].stop + 1
 
     def inequality(self, entry: _Entry) -> Inequality:
+        # -(V' + |C x + d|^2 - gamma^2 |d|^2) >= 0 over (x, inputs), d the last q of them: corner is
+        # the factor of gamma^2, F0 the part without variables.
         (n, m), q = entry.B.shape[1:], len(self.C)
         corner, F0 = np.zeros((n + m, n + m)), np.zeros((n + m, n + m))
         corner[-q:, -q:] = np.eye(q)
@@ -153,6 +170,8 @@ class CellSearch:
             -self.C,
             -np.eye(q),
         )
+
+        # V' = 2 x^T X (A x + B d) + x^T X' x, X = sum T_d X_d and X' = sum p' T_d' X_d (slope)
         one = np.eye(n, n + m)
         terms = tuple(
             Term(X, -one, np.hstack([A, B]) + slope / 2 * one)
@@ -178,6 +197,7 @@ class CellSearch:
         """Entries to begin with: the largest gains at rest, and those that the middle loop's own X
         fails most.
         """
+        # X = X_0 = I, and the loops with p at rest: T_0 = 1, so e.A[0] and e.B[0] are A and B
         X = np.zeros((len(self.variables), *self.entries[0].A.shape[1:]))
         X[0] = np.eye(len(X[0]))
         excess = self.excess(X, 1.0)
@@ -197,6 +217,7 @@ class CellSearch:
         corner = (1 - gamma**2) * np.eye(q)
         found = []
         for e in self.entries:
+            # over (x, d): [X A + A^T X + X' + C^T C, X B + C^T; B^T X + C, (1 - gamma^2) I]
             Y, Z = (X @ e.A).sum(0) + np.tensordot(e.slope / 2, X, 1), (X @ e.B).sum(0) + C.T
             found.append(np.linalg.eigvalsh(np.block([[Y + Y.T + C.T @ C, Z], [Z.T, corner]]))[-1])
         return np.array(found)
@@ -212,6 +233,7 @@ def _entries(p: np.ndarray, A: np.ndarray, B: np.ndarray, degree: int, rate: flo
     """All of a cell: nets of T_d(p) A, T_d(p) B and p' T_d'(p), of one size, for p' = -rate and
     rate.
     """
+    # p^0 .. p^D; size: of the net of p^D
     size = (degree * (p.shape[0] - 1) + 1, degree * (p.shape[1] - 1) + 1)
     powers = [np.ones((1, 1, 1, 1))]
     for _ in range(degree):
@@ -223,6 +245,7 @@ def _entries(p: np.ndarray, A: np.ndarray, B: np.ndarray, degree: int, rate: flo
             :, :, 0, 0
         ]
 
+    # T_0 .. T_D; whole: the net's size of T_D A and T_D B, to which all others are elevated
     series = [np.polynomial.Chebyshev.basis(d) for d in range(degree + 1)]
     whole = tuple(max(A.shape[k], B.shape[k]) + size[k] - 1 for k in (0, 1))
     factors = [net(T) for T in series]
@@ -230,6 +253,8 @@ def _entries(p: np.ndarray, A: np.ndarray, B: np.ndarray, degree: int, rate: flo
     slopes = np.stack(
         [elevated(net(T.deriv())[:, :, None, None], whole)[:, :, 0, 0] for T in series], 2
     )
+
+    # one entry for each point of the net; p' enters affinely, so its two ends suffice
     flat = (M.reshape(-1, *M.shape[2:]) for M in (of_A, of_B, slopes))
     signs = (-rate, rate) if degree else (0.0,)
     return [_Entry(a, b, sign * slope) for a, b, slope in zip(*flat, strict=True) for sign in signs]
@@ -242,7 +267,10 @@ def accurate_product(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarr
     shape = np.broadcast_shapes(A.shape[:-2], B.shape[:-2])
     high, low = np.zeros((2, *shape, A.shape[-2], B.shape[-1]))
     for k in range(A.shape[-1]):
+        # A_ik B_kj exactly, as product + error
         product, error = _product_and_error(A[..., :, k, None], B[..., k, None, :])
+
+        # high + product exactly, as total and the rest (two-sum of Knuth)
         total = high + product
         kept = total - high
         low += error + ((high - (total - kept)) + (product - kept))
@@ -273,9 +301,13 @@ def own_coordinates(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> tuple[np.nda
     """T and its inverse, x = T x', in which the loop's own bounded-real X, 5 % above its gain, is
     about I.
     """
+    # x = t x_b, in which A is balanced
     A, t = balance(A)
     B, C, q = B / t[:, None], C * t, len(C)
     gamma = 1.05 * hinf_norm(StateSpace(A, B, C, np.eye(q))).value
+
+    # A^T X + X A + C^T C + (X B + C^T) R^-1 (B^T X + C) = 0 with R = (gamma^2 - 1) I; 1e-9 I keeps
+    # X positive where y does not show a state.
     R = (gamma**2 - 1) * np.eye(q)
     inner = np.linalg.solve(R, C)
     try:
@@ -286,6 +318,8 @@ def own_coordinates(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> tuple[np.nda
         raise NumericalFailure(
             "the loop at rest in the middle of the range has no bounded-real function"
         ) from error
+
+    # X = V diag(values) V^T: x_b = V / root x' makes it I
     values, V = np.linalg.eigh((X + X.T) / 2)
     root = np.sqrt(np.maximum(values, _FLOOR * values.max()))
     return t[:, None] * (V / root), (V * root).T / t
@@ -319,6 +353,7 @@ def proved_on_cells(
     bounded = True
     end = time.monotonic() + time_limit
     for step in range(_ROUNDS):
+        # the smallest gamma^2 at the entries chosen so far
         items = [search.inequality(search.entries[i]) for i in chosen] + [search.bound()] * bounded
         found = minimise(
             np.eye(1, search.size, search.size - 1)[0],
@@ -332,6 +367,8 @@ def proved_on_cells(
                 "grid points help"
             )
             break
+
+        # the bound on X_0 may be what makes it infeasible: once more without
         if found.status == "infeasible" and bounded:
             bounded = False
             continue
@@ -347,6 +384,8 @@ def proved_on_cells(
             f"round {step + 1}: gain below {least:.4f} at {len(chosen)} of {len(search.entries)} "
             "entries"
         )
+
+        # at every entry, a little above: at the least gamma the inequality holds with no slack
         for room in _ROOMS:
             gamma = least * (1 + room)
             excess = search.excess(X, gamma)
@@ -355,6 +394,8 @@ def proved_on_cells(
                 break
         if best is not None and best.gamma <= least * (1 + _ENOUGH):
             break
+
+        # entries that fail, the worst first, join the next round
         excess = search.excess(X, least * (1 + _ENOUGH))
         worst = [int(i) for i in np.argsort(-excess) if excess[i] >= 0 and i not in chosen]
         if not worst:

@@ -78,22 +78,28 @@ class VaryingLoop:
         """The loop with the parameters held at delta (k,): d -> y, or y + d at the samples."""
         r = self.channels
         S = np.diag(np.asarray(delta, float)[self.owner])
+        # w = S z, z = C_z x + D_zw w + D_zv v: w = W (C_z x + D_zv v), W = (I - S D_zw)^-1 S
         W = np.linalg.solve(np.eye(r) - S @ self.D[:r, :r], S)
         B_w = self.B[:, :r]
         B_v = self.B[:, r:]
         C_z = self.C[:r]
         C_y = self.C[r:]
         D = self.D
+
+        # w inserted into x' and into y
         A, B = self.A + B_w @ W @ C_z, B_v + B_w @ W @ D[:r, r:]
         C, D = C_y + D[r:, :r] @ W @ C_z, D[r:, r:] + D[r:, :r] @ W @ D[:r, r:]
         if self.controller is None:
             return StateSpace(A, B, C, D)
+
+        # the plant from sample to sample with v held, and the controller around it
         plant = c2d(StateSpace(A, B, C, D), self.dt)
         A, B, C = sampled_closure(plant.A, plant.B, plant.C, self.controller)
         return StateSpace(A, B, C, np.eye(len(C)), dt=self.dt)
 
     def scaled(self, factor: float) -> VaryingLoop:
         """The same loop with w and z in units 1/factor as large."""
+        # w' = factor w and z' = factor z: D_zw, from w to z, stays
         B = self.B.copy()
         C = self.C.copy()
         D = self.D.copy()
@@ -109,6 +115,7 @@ def sampled_closure(
     P: np.ndarray, Q: np.ndarray, C: np.ndarray, K: StateSpace
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """States (x, x_K) from sample to sample with u = K(-(C x + d)): A, B of d, C of y + d."""
+    # u = C_K x_K - D_K (C x + d),   x_K+ = A_K x_K - B_K (C x + d)
     A = np.block([[P - Q @ K.D @ C, Q @ K.C], [-K.B @ C, K.A]])
     return A, np.vstack([-Q @ K.D, -K.B]), np.hstack([C, np.zeros((len(C), K.n_states))])
 
@@ -143,6 +150,7 @@ class Widened:
 
 def _section(pole: complex) -> tuple[np.ndarray, np.ndarray]:
     """A (k, k), b (k, 1) of a filter with the pole [rad/s] (and its conjugate), of gain about 1."""
+    # xi' = pole (xi - z); for a pair a +- j b of modulus c: [a, b; -b, a] with [0; c]
     if pole.imag == 0:
         return np.array([[pole.real]]), np.array([[-pole.real]])
     return np.array([[pole.real, pole.imag], [-pole.imag, pole.real]]), np.array(
@@ -257,6 +265,8 @@ class Responder:
         M = evaluate(self.driven, 1j * omega)
         if self.sampled is None:
             return M[:, None, : self.rows], M[:, self.rows :]
+
+        # d at the samples -> the constraints' outputs at the nodes, and y + d
         g = len(self.nodes)
         over_d = evaluate(self.sampled, np.exp(1j * omega * self.dt))
         constraint, y = (
@@ -265,6 +275,8 @@ class Responder:
         )
         # a w alone is measured like a d of this size
         free, measured = M[:, None, : self.rows], M[:, self.rows :]
+
+        # a sine w e^(j omega t) has turned by omega t at the node t
         turn = np.exp(1j * omega[:, None] * self.nodes)[:, :, None, None]
         both = np.concatenate([free * turn + constraint @ measured[:, None], constraint], axis=3)
         return both, np.concatenate([y @ measured, y], axis=2)
@@ -287,10 +299,14 @@ def responder(wide: Widened) -> Responder:
         whole = schur_form(wide.A, wide.B, wide.C, wide.D, expand=True)
         return Responder(whole, None, rows, wide.B.shape[1], np.zeros(1), np.ones(1), 0.0)
     dt, C_y = float(K.dt or 0.0), wide.C[rows:]
+
+    # plant from sample to sample with u held, closed: states (x, x_K), input d
     by_u = StateSpace(wide.A, wide.B[:, q:], wide.C, wide.D[:, q:])
     over = c2d(by_u, dt)
     A, B, C_d = sampled_closure(over.A, over.B, C_y, K)
     u_x, u_d = np.hstack([-K.D @ C_y, K.C]), -K.D  # u = C_K x_K - D_K (C x + d)
+
+    # at a node t: x(t) = P(t) x + Q(t) u, and C x(t) + D u with u inserted; y + d last
     C = []
     D = []
     nodes = dt * (1 + _NODES) / 2

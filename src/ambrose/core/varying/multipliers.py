@@ -87,15 +87,21 @@ class _Entries:
         begins in the rows.
         """
         size = len(self.owner)
+
+        # sigma is integrated over the sample: signals times the roots of the nodes' weights
         z, w = (
             np.sqrt(weights)[:, None, None] * constraint[:, :, a : a + size]
             for a in (first, first + size)
         )
 
+        # a_i^* b_j, summed over the nodes g, for each pair (i, j)
         def outer(a: np.ndarray, b: np.ndarray, i: np.ndarray, j: np.ndarray) -> np.ndarray:
             return np.einsum("fgkp,fgkq->fkpq", a[:, :, i].conj(), b[:, :, j], optimize=True)
 
         (i, j), (k, m) = self.pairs(strict=False), self.pairs(strict=True)
+
+        # by D_ij = D_ji: z_i^* z_j - w_i^* w_j + h.c. (half where i = j);
+        # by G_km = -G_mk: z_k^* w_m - z_m^* w_k + h.c.
         D = (outer(z, z, i, j) - outer(w, w, i, j)) * np.where(i == j, 0.5, 1.0)[:, None, None]
         G = outer(z, w, k, m) - outer(z, w, m, k)
         both = np.concatenate([D, G], axis=1)
@@ -109,6 +115,7 @@ class _Entries:
             place = np.searchsorted(group, i[inside]), np.searchsorted(group, j[inside])
             basis = np.zeros((len(inside), len(group), len(group)))
             at = np.arange(len(inside))
+            # D = sum of d_ij (E_ij + E_ji), E_ii once
             basis[at, place[0], place[1]] = basis[at, place[1], place[0]] = 1.0
             rows = svec(basis).T
             yield Inequality(rows, np.zeros(len(rows)), self.start + inside)
@@ -121,12 +128,17 @@ class _Entries:
             g = np.flatnonzero(np.isin(k, group))
             n = len(group)
             basis = np.zeros((1 + len(d) + len(g), 2 * n, 2 * n))
+            # b I
             basis[0] = np.eye(2 * n)
+
+            # -D in both diagonal blocks
             a = np.searchsorted(group, i[d])
             b = np.searchsorted(group, j[d])
             at = 1 + np.arange(len(d))
             for shift in (0, n):
                 basis[at, shift + a, shift + b] = basis[at, shift + b, shift + a] = -1.0
+
+            # G with G_mk = -G_km above the diagonal, its transpose below
             a = np.searchsorted(group, k[g])
             b = np.searchsorted(group, m[g])
             at = 1 + len(d) + np.arange(len(g))
@@ -157,6 +169,7 @@ class _Search:
         q).
         """
         constraint, y = self.constraint[chosen], self.y[chosen]
+        # by gamma^2: -I on d; then D, G of (z_e, w_e), rows from 0, and D2, G2 of (xi, w2) behind
         q = np.arange(self.wide.driven, y.shape[2])
         gain = np.zeros((len(y), 1, *(y.shape[2],) * 2), complex)
         gain[:, 0, q, q] = -1
@@ -176,6 +189,7 @@ class _Search:
         positive where it holds.
         """
         P, q = self.multipliers(x).matrix, self.wide.driven
+        # |y|^2 + integral of sigma - gamma^2 |d|^2
         H = np.einsum("fip,fiq->fpq", self.y.conj(), self.y)
         for g, weight in enumerate(self.weights):
             o = self.constraint[:, g]
@@ -204,6 +218,8 @@ class _Search:
         """
         q = self.wide.driven
         room = np.diag(np.r_[np.full(q, inside), np.full(F.shape[2] - q, inside * level)])
+
+        # gamma^2 is given and joins the constant; the variable 0 is the bound b now
         without = np.concatenate([np.zeros_like(F[:, :1]), F[:, 1:]], axis=1)
         limits = [item for e in self.entries for item in (*e.positive(), *e.bounded())]
         found = self._minimum(
@@ -252,6 +268,8 @@ def find_multipliers(
     search = _Search(
         wide, constraint, responses.weights, y, (fast, _Entries(wide.slow, 1 + fast.count))
     )
+
+    # to begin with: evenly spread, and where y answers most
     chosen = np.zeros(len(y), bool)
     chosen[:: max(1, len(y) // _FIRST)] = True
     chosen[np.argsort(np.linalg.norm(y, 2, axis=(1, 2)))[-_ADDED:]] = True
@@ -259,6 +277,7 @@ def find_multipliers(
     def add(x: np.ndarray, allowed: float) -> bool:
         """Choose the frequencies at which the inequality fails most; whether there are any."""
         excess = search.excess(x)
+        # local maxima alone, the ends included: neighbours of a peak say the same
         peaks = np.r_[True, excess[1:] >= excess[:-1]] & np.r_[excess[:-1] >= excess[1:], True]
         worst = np.flatnonzero((excess > allowed) & ~chosen & peaks)
         worst = worst[np.argsort(excess[worst])[::-1][:_ADDED]]
@@ -273,6 +292,8 @@ def find_multipliers(
         )
         if not add(x, _CLOSE * x[0]):
             break
+
+    # Multipliers of moderate size, with room; frequencies that fail are added for each room.
     least = x[0]
     for room in ROOMS:
         for _ in range(_ROUNDS):
@@ -291,9 +312,13 @@ def frequency_grid(responses: Responder) -> np.ndarray:
     """
     poles = responses.poles
     modulus = np.abs(poles[np.abs(poles) > 0])
+
+    # up to just below half the sample rate; from a tenth of the slowest pole
     high = 0.9999 * np.pi / responses.dt if responses.dt else 10 * modulus.max(initial=1.0)
     low = min(max(0.1 * modulus.min(initial=1.0), 1e-6 * high), 0.1 * high)
     net = np.geomspace(low, high, int(_PER_DECADE * np.log10(high / low)) + 2)
+
+    # damping ratio below 0.3: beside the pole at distances of its decay
     light = poles[(poles.imag > 0) & (-poles.real < 0.3 * np.abs(poles))]
     beside = (
         light.imag[:, None] + light.real[:, None] * np.array([-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0])
@@ -307,6 +332,8 @@ def unit_of_w(loop: VaryingLoop) -> float:
     responses = responder(wide)
     omega = frequency_grid(responses)
     constraint, y = responses.at(omega[:: max(1, len(omega) // 100)])
+
+    # d -> z is multiplied by the factor, w -> y divided: equal for factor^2 = out / into
     into = np.linalg.norm(constraint[:, 0, :r, r:], 2, axis=(1, 2)).max()
     out = np.linalg.norm(y[:, :, :r], 2, axis=(1, 2)).max()
     return float(np.sqrt(out / into)) if into > 0 and out > 0 else 1.0

@@ -62,24 +62,36 @@ def period(wide: Widened, multipliers: Multipliers, gamma: float) -> TwoPort:
     D_y = wide.D[rows:]
     K = wide.controller
     if K is None:
+        # sigma + |y|^2 - gamma^2 |d|^2 = x^T Q x + 2 x^T S v + v^T R v,   v = (w, w2, d)
         Q = C.T @ P @ C + C_y.T @ C_y
         S = C.T @ P @ D + C_y.T @ D_y
         R = D.T @ P @ D + D_y.T @ D_y
         R[q:, q:] -= gamma**2 * np.eye(len(R) - q)
         return flow(wide.A, wide.B, Q, S, R, STEP)
+
+    # Sampled: the order of states at the samples is (x, x_K), that of inputs between them (w, w2).
     k = K.n_states
     m = len(C_y)
     u = wide.B.shape[1] - q
     N = n + u + k  # between the samples: x, and u and the controller's next state, which stay
+
+    # x' = A x + B_w (w, w2) + B_u u,   u' = 0,   x_K' = 0; the cost between samples is sigma alone
     A, B = np.zeros((N, N)), np.zeros((N, q))
     A[:n, :n] = wide.A
     A[:n, n : n + u] = wide.B[:, q:]
     B[:n] = wide.B[:, :q]
     C, D = np.hstack([C, D[:, q:], np.zeros((rows, k))]), D[:, :q]
     between = flow(A, B, C.T @ P @ C, C.T @ P @ D, D.T @ P @ D, float(K.dt or 0.0))
+
+    # at the end of the sample u is dropped: (x, u, x_K) -> (x, x_K)
     keep = np.delete(np.eye(N), np.arange(n, n + u), axis=0)
+
+    # At its start the controller acts: u = C_K x_K - D_K (C_y x + d), x_K+ = A_K x_K - B_K (C_y x +
+    # d), as a jump (x, x_K) -> (x, u, x_K+) driven by d.
     rest = np.vstack([np.hstack([-K.D @ C_y, K.C]), np.hstack([-K.B @ C_y, K.A])])
     jump, into = np.vstack([np.eye(n, n + k), rest]), np.vstack([np.zeros((n, m)), -K.D, -K.B])
+
+    # |y + d|^2 - gamma^2 |d|^2 there, y = C_s (x, x_K)
     C_s = np.hstack([C_y, np.zeros((m, k))])
     start = instant(jump, into, C_s.T @ C_s, C_s.T, (1 - gamma**2) * np.eye(m))
     return start.then(between).then(linear(keep))
@@ -89,6 +101,8 @@ def in_fitting_states(wide: Widened, X: np.ndarray) -> tuple[Widened, np.ndarray
     """The loop with every state in a unit in which it costs about 1, and these units (N,)."""
     size = np.abs(np.diag(X))
     t = 1 / np.sqrt(np.maximum(size, _TINY * size.max()))
+
+    # x = a x', x_K = b x_K'
     n, K = len(wide.A), wide.controller
     a, b = t[:n], t[n:]
     if K is not None:
@@ -102,21 +116,32 @@ def prove(wide: Widened, multipliers: Multipliers, gamma: float) -> Proof:
     """The inequality, checked by eigenvalues with an X of its own. Raises NumericalFailure where it
     does not hold.
     """
+    # with D > 0, sigma >= 0 along every admitted motion
     for M in (multipliers.D, multipliers.D2):
         if M.size and np.linalg.eigvalsh(M)[0] <= 0:
             raise NumericalFailure("a multiplier is not positive definite")
+
+    # States in which X is about diag(+-1), in two steps: units first, then its eigenvectors.
     wide, t = in_fitting_states(wide, forever(period(wide, multipliers, gamma)))
     port = period(wide, multipliers, gamma)
     values, V = np.linalg.eigh(forever(port))
     unit = V / np.sqrt(np.abs(values) + _FLOOR * np.abs(values).max())
     inverse = np.linalg.inv(unit)
     port = port.in_states(unit, inverse)
+
+    # Under the worst inputs x1 = E x0 + G X x1: x1 = (I - G X)^-1 E x0; its spectral radius is the
+    # slowest decay.
     one = np.eye(len(unit))
     worst = np.linalg.solve(one - port.G @ (start := forever(port)), port.E)
     decay = 1 - np.abs(np.linalg.eigvals(worst)).max() ** 2
     if not decay > 0 or not np.isfinite(start).all():
         raise NumericalFailure("the worst inputs do not let the loop decay")
+
+    # X of a cost larger by margin |x0|^2 per period: what V falls by beyond the inequality
     X = forever(replace(port, F=port.F + _MARGIN * decay * one))
+
+    # The inequality for this X, whatever its origin: X - (largest cost of a period with x1^T X x1
+    # at its end) >= slack I, and that cost is finite, room > 0.
     before, room = cost_before(port, X)
     slack = float(np.linalg.eigvalsh(X - before)[0])
     largest = max(1.0, *(float(np.linalg.norm(M, 2)) for M in (X, port.F, port.E)))
@@ -128,6 +153,8 @@ def prove(wide: Widened, multipliers: Multipliers, gamma: float) -> Proof:
             f"the inequality does not hold with certainty (slack {slack:.1e}, rounding "
             f"{rounding:.1e})"
         )
+
+    # x = t unit x', so x' = unit^-1 (x / t)
     back = inverse / t
     return Proof(gamma, back.T @ X @ back, slack, rounding)
 

@@ -63,8 +63,12 @@ def proved_over_tolerances(
     A, B = middle_of(cells)
     q = len(C)
     T, inverse = own_coordinates(A, B[:, -q:], C)
+
+    # w and z in units in which each row of Z is 1 long in the middle loop's states; delta stays
     size = np.linalg.norm(Z @ T, axis=1)
     cells, Z = [_scaled(cell, size) for cell in cells], Z / size[:, None]
+
+    # states (x, xi, eta), the filters' as they are
     if pole is not None and len(Z):
         cells, C, Z = _with_filters(cells, C, Z, pole)
         T, inverse = (
@@ -87,10 +91,13 @@ def proved_over_tolerances(
             count,
             unit,
         )
+        # the smallest gamma^2 in these states and units, for the share of the tolerances
         first = minimise(
             search.cost, search.inequalities(), tolerance=3e-3, time_limit=end - time.monotonic()
         )
         held = first.status in ("optimal", "inexact") and first.x[-1] > 0
+
+        # all the tolerances are in: a gamma, and the turns end where one gains too little
         if held and share == 1.0:
             if not np.sqrt(first.x[-1]) < _WORTH * least:
                 break
@@ -98,12 +105,17 @@ def proved_over_tolerances(
             tell(f"gain below {least:.4f}")
         elif least < np.inf or time.monotonic() > end:
             break
+        # no solution in these states: first for a smaller share
         if not held:
             share *= _LESS
             continue
+
+        # the next turn's states: X_0 = V diag(values) V^T becomes diag(+-1)
         values, V = np.linalg.eigh(search.functions(first.x)[0])
         root = np.sqrt(np.maximum(np.abs(values), _LIGHT * np.abs(values).max()))
         T, inverse = T @ (V / root), (V * root).T @ inverse
+
+        # its units of w, in which this d (or D_11) would be 1; and twice the share
         d = first.x[search.begin :][: search.each * count : search.each]
         unit, share = (
             unit * np.sqrt(np.maximum(d, np.finfo(float).tiny)),
@@ -116,6 +128,8 @@ def proved_over_tolerances(
     search = _Tolerant(
         [_scaled(cell, 1 / unit) for cell in cells], C, Z, rate, degree, (T, inverse), count, unit
     )
+
+    # gamma given, the slack is made largest; what is found is checked at every entry
     for room in _ROOMS:
         gamma = least * (1 + room)
         found = minimise(
@@ -152,6 +166,7 @@ def _with_filters(
     for cell in cells:
         A = np.pad(cell.A, ((0, 0), (0, 0), (0, 2 * r), (0, 2 * r)))
         B = np.pad(cell.B, ((0, 0), (0, 0), (0, 2 * r), (0, 0)))
+        # xi' = a (z - xi) with z = Z x,   eta' = a (w - eta)
         A[..., n : n + r, :n] = pole * Z
         A[..., n:, n:] -= pole * np.eye(2 * r)
         B[..., n + r :, :r] += pole * np.eye(r)
@@ -184,6 +199,9 @@ class _Tolerant(CellSearch):
         super().__init__(cells, C, rate, degree, 1.0, coordinates)
         n, q = self.T.shape[1], len(C)
         unit = np.ones(count) if unit is None else unit
+
+        # (z), or (z, xi, eta), of each parameter as rows over (x, w, d): in the search's states and
+        # time (hence 1/sqrt(pace)), times unit, as w is
         seen = (
             rows @ self.T / np.sqrt(self.pace) * np.tile(unit, len(rows) // max(1, count))[:, None]
         )
@@ -199,9 +217,11 @@ class _Tolerant(CellSearch):
         )
         self.forms: list[np.ndarray] = []
         for i in range(count):
+            # d, or D_11: z^2 - w^2
             z = seen[0, i]
             self.forms.append(_product(z, z) - _product(w[i], w[i]))
             if self.each == 4:
+                # D_12: 2 (z xi - w eta), D_22: xi^2 - eta^2, g: 2 (z eta - xi w)
                 xi, eta = seen[1:, i]
                 self.forms += [
                     2 * (_product(z, xi) - _product(w[i], eta)),
@@ -219,6 +239,7 @@ class _Tolerant(CellSearch):
 
     def inequalities(self, gamma: float | None = None) -> list[Inequality]:
         """All of them; with a gamma the last variable is by how much they hold."""
+        # -(V' + sigma + |y|^2 - gamma^2 |d|^2) >= 0 (with a gamma: >= last I) over (x, w, d)
         n, q = len(self.T), len(self.C)
         corner = np.diag(np.repeat([0.0, 0.0, 1.0], [n, self.count, q]))
         last = svec(corner) if gamma is None else -svec(np.eye(len(corner)))
@@ -232,6 +253,7 @@ class _Tolerant(CellSearch):
         return [*found, *self._positive(), self.bound()]
 
     def _positive(self) -> list[Inequality]:
+        # d >= 0, or D = [D_11, D_12; D_12, D_22] >= 0; g is free
         entries = (
             [[[1, 0], [0, 0]], [[0, 1], [1, 0]], [[0, 0], [0, 1]]] if self.each == 4 else [[[1]]]
         )
@@ -252,6 +274,8 @@ class _Tolerant(CellSearch):
     def excess_with(self, X: np.ndarray, m: np.ndarray, gamma: float) -> np.ndarray:
         """``excess`` with the multipliers of the numbers m."""
         n, q = len(self.T), len(self.C)
+
+        # sigma + |d|^2 - gamma^2 |d|^2, the same at every entry
         fixed = sum(
             (a * form for a, form in zip(m, self.forms, strict=True)),
             np.zeros((n + self.count + q,) * 2),
@@ -259,6 +283,7 @@ class _Tolerant(CellSearch):
         fixed[n + self.count :, n + self.count :] += (1 - gamma**2) * np.eye(q)
         found = []
         for e in self.entries:
+            # rows of x, half of it: V' + |C x|^2 + 2 x^T C^T d
             half = np.hstack(
                 [
                     (X @ e.A).sum(0) + np.tensordot(e.slope / 2, X, 1) + self.C.T @ self.C / 2,

@@ -45,12 +45,18 @@ class TwoPort:
         """This stretch followed by another. Raises NumericalFailure where, with ``bounded``, the
         cost of both is not.
         """
+        # 1: this stretch, 2: the other. x1 = E1 x0 + G1 lambda1, lambda1 = F2 x1 + E2^T lambda2:
+        # (I - G1 F2) x1 = E1 x0 + G1 E2^T lambda2
         M = np.eye(len(self.G)) - self.G @ other.F
         factors = sla.lu_factor(M, check_finite=False)
         both = sla.lu_solve(factors, np.hstack([self.E, self.G @ other.E.T]), check_finite=False)
         E1, G1 = both[:, : self.E.shape[1]], both[:, self.E.shape[1] :]
+
+        # finite where I - G1 F2 has positive eigenvalues alone
         if not np.isfinite(both).all() or (bounded and not _positive(self.G, other.F)):
             raise NumericalFailure("the cost is unbounded")
+
+        # x2 = E2 x1 + G2 lambda2,   lambda0 = F1 x0 + E1^T lambda1
         return TwoPort(
             other.E @ E1,
             _symmetric(other.G + other.E @ G1),
@@ -75,6 +81,9 @@ def cost_before(port: TwoPort, X: np.ndarray) -> tuple[np.ndarray, float]:
     """
     values, V = np.linalg.eigh(port.G)
     L = V * np.sqrt(np.maximum(values, 0))
+
+    # lambda1 = X x1, so that x1 = (I - G X)^-1 E x0 and the cost is F + E^T X (I - G X)^-1 E; with
+    # G = L L^T: X (I - G X)^-1 = X + X L (I - L^T X L)^-1 L^T X
     inner = np.eye(len(L)) - _symmetric(L.T @ X @ L)
     room = float(np.linalg.eigvalsh(inner)[0])
     XL = X @ L
@@ -94,6 +103,7 @@ def _negative(R: np.ndarray) -> np.ndarray:
 
 def instant(A: np.ndarray, B: np.ndarray, Q: np.ndarray, S: np.ndarray, R: np.ndarray) -> TwoPort:
     """A jump x1 = A x0 + B d with the cost x0^T Q x0 + 2 x0^T S d + d^T R d, R < 0."""
+    # the worst input: d = (-R)^-1 (S^T x0 + B^T lambda1)
     inverse = _negative(R)
     return TwoPort(
         A + B @ inverse @ S.T, _symmetric(B @ inverse @ B.T), _symmetric(Q + S @ inverse @ S.T)
@@ -111,12 +121,20 @@ def flow(
     """x' = A x + B w with the cost integral x^T Q x + 2 x^T S w + w^T R w, R < 0, over ``time``
     [s].
     """
+    # the worst input: w = (-R)^-1 (S^T x + B^T lambda)
     inverse = _negative(R)
     a = A + B @ inverse @ S.T
+
+    # x' = a x + B (-R)^-1 B^T lambda,   lambda' = -(Q + S (-R)^-1 S^T) x - a^T lambda
     H = np.block([[a, B @ inverse @ B.T], [-(Q + S @ inverse @ S.T), -a.T]])
+
+    # a first step short against the dynamics of a, doubled below until it is the whole time
     n, size = len(A), max(np.abs(a).sum(axis=1).max(), 1e-300)
     count = max(0, int(np.ceil(np.log2(time * size / _LARGEST))))
     W = sla.expm(H * (time / 2**count))
+
+    # (x1, lambda1) = W (x0, lambda0), solved for (x1, lambda0):
+    # x1 = W11 x0 + W12 lambda0,   lambda0 = W22^-1 (lambda1 - W21 x0)
     inv = np.linalg.inv(W[n:, n:])
     port = TwoPort(
         W[:n, :n] - W[:n, n:] @ inv @ W[n:, :n],
@@ -138,6 +156,8 @@ def forever(port: TwoPort) -> np.ndarray:
         size = max(size, float(np.abs(new.F).max()))
         change = float(np.abs(new.F - port.F).max())
         port = new
+
+        # settled, and of the state at the end nothing comes back to the beginning
         if change < _STILL * size and np.abs(port.E).max() < 1e-6:
             return port.F
     raise NumericalFailure("the cost does not settle: the loop hardly decays")

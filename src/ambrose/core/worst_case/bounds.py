@@ -47,12 +47,16 @@ def proved_margin(loop: BoxLoop, most: float) -> Proved:
     complex by 1 % of its size besides, which makes the proof a little stronger than needed.
     """
     n, e = len(loop.owner), COMPLEX_PART
+
+    # w + w_c = (delta + e delta_c) z: M11 with outputs (z, e z) and inputs w, w_c that add
     left, right = np.eye(n, loop.system.D.shape[0]), np.eye(loop.system.D.shape[1], n)
     both = loop.model.between(np.vstack([left, e * left]), np.hstack([right, right]))
     blocks: list[Block] = [
         *loop.blocks,
         *(ComplexBlock(f"{block.name} complex", block.repeat) for block in loop.blocks),
     ]
+
+    # mu < level proves the box up to the factor 1 / level
     start = 1 / (_CLOSE * min(most, LARGEST_BOX))
     try:
         found = proved_level(both, blocks, start, room=_ROOM, highest=start / _LEAST_FACTOR)

@@ -69,6 +69,7 @@ def box_margin(loop: BoxLoop, also: np.ndarray | None = None, seed: int = 0) -> 
         directions = np.vstack([(also / np.where(size > 0, size, 1.0))[size[:, 0] > 0], directions])
     best = BoxMargin(float("inf"), np.full(loop.parameters, np.nan), float("nan"))
     for number in range(3 if loop.parameters > 1 else 1):
+        # corners and axes first, then points of the faces, then the best direction with noise
         if number == 1:
             directions = _scattered(loop.parameters, rng)
         elif number == 2:
@@ -78,6 +79,8 @@ def box_margin(loop: BoxLoop, also: np.ndarray | None = None, seed: int = 0) -> 
                 0, 0.4, (_DIRECTIONS, loop.parameters)
             )
             directions /= np.abs(directions).max(axis=1, keepdims=True)
+
+        # below the best so far, mu > 1 / top; with a neighbour on each side
         top = min(best.factor, LARGEST_BOX)
         kept = reach >= 1 / top
         kept[1:] |= kept[:-1]
@@ -137,6 +140,8 @@ def _shared_inputs(loop: BoxLoop) -> _Inputs:
     columns = np.vstack([loop.system.B[:, :n], loop.system.D[:, :n]])
     size = np.linalg.norm(columns, axis=0)
     size[size == 0] = 1.0
+
+    # columns / size = Q R P^T; those beyond the rank are R11^-1 R12 of the first ones
     R, order = sla.qr(columns / size, mode="r", pivoting=True)
     rank = max(int((np.abs(np.diag(R)) > _SAME).sum()), 1)
     E = np.zeros((rank, n))
@@ -172,6 +177,7 @@ def _candidates(
     rows.sort()
     chosen: list[BoxMargin] = []
     bands: dict[int, int] = {}
+    # three at most of an eighth of an octave
     for factor, i, omega in rows:
         band = round(8 * np.log2(max(omega, grid[1])))
         if bands.get(band, 0) < 3:
@@ -201,6 +207,8 @@ def _real_crossings(
     """
     # real but for rounding, as at zero
     values = np.where(np.abs(values.imag) <= _STILL * np.abs(values), values.real, values)
+
+    # each eigenvalue with the nearest at the next frequency: the imaginary part changes its sign
     a, b = values[:, :-1], values[:, 1:]
     near = np.abs(a[..., :, None] - b[..., None, :]).argmin(axis=-1)
     b = np.take_along_axis(b, near, axis=-1)
@@ -211,6 +219,8 @@ def _real_crossings(
     brackets = _Brackets(
         d, np.stack([omega[w], omega[w + 1]], axis=1), np.stack([a[d, w, i], b[d, w, i]], axis=1)
     )
+
+    # nearly: |Im| is smallest at a grid point and below a tenth of Re; the factor 5 % larger
     turn = np.abs(values.imag)
     touch = (
         (turn[:, 1:-1] <= turn[:, :-2])
@@ -243,6 +253,8 @@ def _narrowed(
         upper = value.imag * a.imag > 0  # the crossing is in the upper half
         low, a = np.where(upper, middle, low), np.where(upper, value, a)
         high, b = np.where(upper, high, middle), np.where(upper, b, value)
+
+    # the rest of the bracket by linear interpolation to Im = 0
     share = np.where(
         a.imag == b.imag, 0.0, a.imag / np.where(a.imag == b.imag, 1.0, a.imag - b.imag)
     )
@@ -274,6 +286,8 @@ def _eigenvalue(loop: BoxLoop, v: np.ndarray, omega: float, near: complex) -> _E
     M, slope = loop.model.at(at)[0, :n, :n], loop.model.slope(at)[0, :n, :n]
     wide = v[loop.owner]
     M = M if omega > 0 else M.real
+
+    # the eigenvalue nearest to ``near``, x and y with y x = 1
     values, X = np.linalg.eig(M * wide)
     i = int(np.abs(values - near).argmin())
     try:
@@ -281,6 +295,8 @@ def _eigenvalue(loop: BoxLoop, v: np.ndarray, omega: float, near: complex) -> _E
     except np.linalg.LinAlgError:
         return None
     x = X[:, i]
+
+    # d mu = y dM diag(v) x + y M diag(dv) x, the channels of a parameter added
     gradient = (y @ M) * x
     over = np.bincount(loop.owner, gradient.real, len(v)) + 1j * np.bincount(
         loop.owner, gradient.imag, len(v)
@@ -304,6 +320,8 @@ def _on_surface(
             return BoxMargin(float(np.abs(scaled).max()), scaled, omega), found
         if omega == 0.0 or found.over_omega.imag == 0:
             return None
+
+        # Im mu = 0 by Newton, omega by at most 30 %; mu is followed to first order
         step = -found.value.imag / found.over_omega.imag
         if abs(step) > 0.3 * omega:
             step = float(np.sign(step)) * 0.3 * omega
@@ -323,8 +341,9 @@ def _followed(loop: BoxLoop, start: BoxMargin) -> BoxMargin | None:
     here, slope = landed
     radius = 0.3
     for _ in range(_STEPS if loop.parameters > 1 else 0):
-        # the eigenvalue is 1 at here.delta: d mu = over_v . d delta / r + over_omega d omega = 0,
-        # omega eliminated
+        # mu = r at v, so that it is 1 at here.delta = v / r:
+        # d mu = over_v . d delta + over_omega d omega / r = 0, omega eliminated:
+        # Im(r over_v conj(over_omega)) . d delta = 0; at rest omega stays zero and over_v is real
         scale = slope.value.real
         turned = (
             slope.over_v * scale * np.conj(slope.over_omega)
@@ -335,6 +354,7 @@ def _followed(loop: BoxLoop, start: BoxMargin) -> BoxMargin | None:
         moved = here.delta + step
         omega = here.frequency
         if omega > 0:
+            # omega from the same equation, by its real part
             guess = (
                 -float((np.conj(slope.over_omega) * (slope.over_v @ step) * scale).real)
                 / abs(slope.over_omega) ** 2

@@ -86,6 +86,7 @@ def _branching(owner: np.ndarray, delta: np.ndarray) -> _Branching | None:
     leaf = np.zeros(d, int)
     parents = []
     values = []
+    # a branch is a combination of values of the parameters so far
     for i in order:
         pairs, leaf = np.unique(np.stack([leaf, delta[:, i]], axis=1), axis=0, return_inverse=True)
         leaf = leaf.reshape(-1)
@@ -106,6 +107,8 @@ def _closed(
         np.append(channels, np.arange(n, rows)),
         np.append(channels, np.arange(n, columns)),
     )
+
+    # frequency last, so that the products run over it; one branch to begin with
     S = np.ascontiguousarray(M[:, row[:, None], column].transpose(1, 2, 0))[:, :, None]
     h = np.empty((len(delta), w), complex)
     T = np.empty((len(delta), w, rows - n, columns - n), complex)
@@ -134,6 +137,7 @@ def _eliminated(S: np.ndarray, branching: _Branching) -> tuple[np.ndarray, np.nd
         for r, parent, value in zip(
             branching.repeats, branching.parents, branching.values, strict=True
         ):
+            # S' = S22 + S21 v (I - S11 v)^-1 S12, and the determinant times det(I - S11 v)
             v = value[:, None]
             if r == 1:
                 loop = v * S[0, 0][parent]
@@ -158,6 +162,8 @@ def _block(
     )
     X = np.eye(r) - B * v[..., None, None]
     pivot = np.linalg.det(X)
+
+    # a singular pivot would end the inversion of all; such points are solved again with pivoting
     singular = ~(np.abs(pivot) > 0)
     X[singular] = np.eye(r)
     inverse = np.linalg.inv(X)

@@ -216,6 +216,7 @@ def count_unstable(loop: BoxLoop, delta: np.ndarray, start: Sweep) -> tuple[np.n
     for _ in range(_ROUNDS):
         wild = _restless(used.omega, h, rate).any(axis=0)
         a, b = used.omega[:-1][wild], used.omega[1:][wild]
+        # halfway on a logarithmic scale; towards zero and infinity by fixed factors
         new = np.where(np.isinf(b), 4 * a + 1, np.where(a > 0, np.sqrt(a * b), b / 8))
         new = np.unique(new[(new > a) & (new < b)])
         if not new.size:
@@ -225,6 +226,9 @@ def count_unstable(loop: BoxLoop, delta: np.ndarray, start: Sweep) -> tuple[np.n
         more, more_rate = _determinants(added, loop, delta)
         h, rate = np.hstack([h, more])[:, order], np.hstack([rate, more_rate])[:, order]
         start = start.joined(added[~np.isin(new, start.omega)])[0]
+
+    # h = prod(s - perturbed poles) / prod(s - nominal poles), the latter stable, is real at 0 and
+    # infinity: every pole to the right turns it by -pi from one to the other
     turns = np.angle(h[:, 1:] / h[:, :-1]).sum(axis=1) / np.pi
     count = np.rint(-turns)
     unclear = (
@@ -243,6 +247,8 @@ def _restless(omega: np.ndarray, h: np.ndarray, rate: np.ndarray) -> np.ndarray:
         turns = np.abs(np.angle(h[:, 1:] / h[:, :-1]))
         width = np.log(omega[1:] / omega[:-1])
     width[~np.isfinite(width)] = 0.0
+
+    # 1/rate is about how far the nearest zero or pole is, in ln omega; a turn of NaN counts as far
     hidden = np.maximum(rate[:, 1:], rate[:, :-1]) * width
     return ~(turns <= _STEP) | (hidden > _HIDDEN)
 
@@ -251,6 +257,7 @@ def _determinants(part: Sweep, loop: BoxLoop, delta: np.ndarray) -> tuple[np.nda
     """h = det(I - M11 diag(delta)) and |dh/d(ln omega)| / |h|, (d, w) each; the latter is 0 at 0
     and infinity.
     """
+    # h at omega and at omega (1 + _BESIDE): the relative difference is the rate
     both = np.concatenate([part.M11, part.M11 + _BESIDE * part.slope])
     step = max(1, _CHUNK // max(1, len(both)))
     h, beside = np.split(

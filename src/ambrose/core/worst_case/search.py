@@ -62,6 +62,8 @@ def worst_gain(loop: BoxLoop, seed: int = 1, also: Sequence[float] = ()) -> BoxG
     grid = np.concatenate([[0.0], default_grid(loop)])
     members = box_points(loop.parameters, seed=seed)
     M = loop.at(grid)
+
+    # where the limit is below the gain without perturbation nothing is to be found; neighbours stay
     kept = _gain_limit(M, len(loop.owner)) >= gains(M, loop, members[:1])[0].max()
     kept[1:] |= kept[:-1]
     kept[:-1] |= kept[1:]
@@ -100,6 +102,8 @@ def _gain_limit(M: np.ndarray, n: int) -> np.ndarray:
     M11, M12, M21, M22 = (
         largest_gain(X) for X in (M[:, :n, :n], M[:, :n, n:], M[:, n:, :n], M[:, n:, n:])
     )
+
+    # |T| <= |M22| + |M21| |M12| / (1 - |M11|), as |delta| <= 1
     room = 1 - M11
     return np.where(room > 0, M22 + M21 * M12 / np.where(room > 0, room, 1.0), np.inf)
 
@@ -120,14 +124,20 @@ def _beside_poles(
     omega = grid[positive]
     M11 = M[positive, :n, :n]
     h = determinants_at(M11, loop.owner, members)
+
+    # Newton's step in ln s from j omega to a zero of h: -1 / (d ln h / d ln s)
     with np.errstate(all="ignore"):
         shift = -_STEP / (
             determinants_at(loop.at(omega * (1 + _STEP))[:, :n, :n], loop.owner, members) / h - 1
         )
+
+    # between grid points, and closer to the axis than they are to each other: the peak hides
     gap = np.gradient(np.log(omega)) if len(omega) > 1 else np.ones(1)
     i, k = np.nonzero((np.abs(shift.real) <= 1.5 * gap) & (np.abs(shift.imag) <= gap))
     if not len(i):
         return np.zeros((3, 0))
+
+    # the zero is at j omega (1 + shift): its frequency from Re, its decay from Im
     centre, decay = omega[k] * (1 + shift[i, k].real), np.abs(omega[k] * shift[i, k].imag)
     which = np.tile(i, len(_BESIDE))
     at = np.concatenate([centre + share * decay for share in _BESIDE])
@@ -222,6 +232,8 @@ def _pole_beside(loop: BoxLoop, delta: np.ndarray, omega: float) -> tuple[float,
     over_delta = -(np.bincount(loop.owner, own.real, k) + 1j * np.bincount(loop.owner, own.imag, k))
     if not abs(over_omega) * omega > 3:
         return broad
+
+    # the zero omega + distance by Newton; it moves by -over_delta / over_omega with delta
     distance = -1 / over_omega  # of the zero from omega, complex
     moved = -over_delta / over_omega
     decay = abs(distance.imag)
@@ -270,7 +282,10 @@ def _slopes(
     a, b = u[:, 0].conj(), v[0].conj()
     forward = (a @ M[n:, :n]) * wide @ inverse  # M21 D (I - M11 D)^-1
     left = a @ M[n:, :n] + forward @ M[:n, :n]  # M21 (I - D M11)^-1
+
+    # d sigma = Re a dT b, dT = M21 (I - D M11)^-1 dD (I - M11 D)^-1 M12
     over_delta = np.bincount(loop.owner, (left * (right @ b)).real, loop.parameters)
+    # dT = [M21 D (I - M11 D)^-1, I] dM [D (I - M11 D)^-1 M12; I]
     over_omega = np.concatenate([forward, a]) @ slope @ np.concatenate([wide * (right @ b), b])
     return -float(np.log(s[0])), -over_delta / s[0], -float(over_omega.real) / float(s[0])
 
