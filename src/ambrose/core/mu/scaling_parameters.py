@@ -92,14 +92,13 @@ class Basis:
         # neighbours in memory: the members of the batch
         flat = np.ascontiguousarray(K.reshape(b, N * N).T)
 
-        # (p, q): positions of S_b above or on the diagonal; (row, column) = (r, s): all those of
-        # S_a tr(K S_a K S_b) = sum K[q, r] S_a[r, s] K[s, p] S_b[p, q]
+        # (p, q): positions of S_b above or on the diagonal; (row, column) = (r, s): those of S_a
+        # tr(K S_a K S_b) = sum K[q, r] S_a[r, s] K[s, p] S_b[p, q]
         p, q = self.row[self.upper], self.column[self.upper]
         pairs = flat[q * N + self.row[:, None]]
         pairs *= flat[self.column[:, None] * N + p]
 
-        # the sum over (r, s) first, then that over (p, q); K S_a K is Hermitian, as ``half`` needs
-        # it
+        # the sum over (r, s) first, then over (p, q): K S_a K is Hermitian, as ``half`` needs it
         once = (self.mix.T @ pairs.reshape(len(self.row), -1)).reshape(self.count, len(p), b)
         twice = self.half @ once.swapaxes(0, 1).reshape(len(p), -1)
         return np.asarray(twice.real.reshape(self.count, self.count, b).transpose(2, 0, 1))

@@ -215,8 +215,8 @@ def _lower_beta(
     """The predictor: move along the tangent of the path of centres as far towards ``target`` as
     stays inside.
     """
-    # On the path gradient(x, beta) = 0: H dx + d(gradient)/d(beta) dbeta = 0, dbeta = -step, dx =
-    # step slope.
+    # On the path gradient(x, beta) = 0: H dx + d(gradient)/d(beta) dbeta = 0;
+    # dbeta = -step gives dx = step slope.
     slope = _solve(path.hessian, path.tangent())
     new_x, new_beta = x.copy(), beta.copy()
     left = np.arange(len(x))
