@@ -128,8 +128,7 @@ def _null(pencil: np.ndarray) -> np.ndarray:
     wide = pencil.shape[0] < pencil.shape[1]
     matrix = pencil.conj().T if wide else pencil
 
-    # equilibrated: rows, then columns, to a largest entry of 1; the columns are undone in the
-    # result
+    # rows, then columns, scaled to a largest entry of 1; the columns are undone in the result
     rows = np.abs(matrix).max(axis=1, initial=0.0)
     matrix = matrix / np.where(rows > 0, rows, 1.0)[:, None]
     columns = np.abs(matrix).max(axis=0, initial=0.0)

@@ -254,7 +254,7 @@ def _next(low: Level, high: Level, tolerance: float) -> float:
     middle = (a + b) / 2
     if low.rho > 1 and 0 < high.rho < 1:
         # log rho taken as linear in log gamma; the guess lies beyond the root as seen from the
-        # nearer bound, by less than half the tolerance
+        # nearer bound, by less than half the tolerance, and 2 % of the way or more from both
         root = a + (b - a) * np.log(low.rho) / (np.log(low.rho) - np.log(high.rho))
         aside = 0.45 * tolerance
         guess = root + aside if b - root > root - a else root - aside

@@ -260,8 +260,7 @@ class _Solver:
         mu = self.complementarity() / self.order
         r = self.residuals()
 
-        # Predictor: mu = 0, and the complementarity that its longest steps a (of S), b (of Z)
-        # leave.
+        # Predictor: mu = 0, and the mu that its longest steps, a of S and b of Z, would leave.
         dx, dS, dZ = self.direction(factor, inverse, r, 0.0, None)
         a, b = _longest(self.S, dS), _longest(self.Z, dZ)
         after = (
@@ -336,8 +335,8 @@ class _Solver:
         second: Sequence[np.ndarray] | None,
     ) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
         """dx, dS and dZ = mu S^-1 - Z - sym(Z dS S^-1) - second."""
-        # With dS = F(dx) + r: dZ = fixed - Z - sym(Z F(dx) S^-1), fixed = mu S^-1 - sym(Z r S^-1) -
-        # second
+        # With dS = F(dx) + r: dZ = fixed - Z - sym(Z F(dx) S^-1),
+        # fixed = mu S^-1 - sym(Z r S^-1) - second
         fixed = [mu * W - _symmetric(Z @ R @ W) for W, Z, R in zip(inverse, self.Z, r, strict=True)]
         if second is not None:
             fixed = [f - s for f, s in zip(fixed, second, strict=True)]

@@ -59,6 +59,8 @@ def _parts(structure: Structure) -> _Parts:
         return np.concatenate([numbers[:0], *(numbers[getattr(place, side)] for place in places)])
 
     real, other = structure.real, structure.complex
+
+    # the real block of every real channel, in order
     owner = np.repeat(np.arange(len(real)), [place.block.n_w for place in real]).astype(int)
     return _Parts(
         structure,
@@ -90,6 +92,9 @@ def _align(structure: Structure, a: np.ndarray, w: np.ndarray) -> np.ndarray:
     for place in structure.complex:
         n_w, n_z = place.block.n_w, place.block.n_z
         ai, wi = a[:, j : j + n_z], w[:, i : i + n_w]
+
+        # Delta_i = w_i a_i^H / (|w_i| |a_i|), or for a repeated scalar e^j phi I with phi of a_i^H
+        # w_i
         if isinstance(place.block, FullBlock):
             delta[:, i : i + n_w, j : j + n_z] = (
                 _unit(wi)[:, :, None] * _unit(ai).conj()[:, None, :]
@@ -135,8 +140,8 @@ def _complex_problem(
         delta = np.tile(np.eye(F.shape[1], dtype=complex), (len(F), 1, 1))
         return delta, *_eigen(F, delta)
 
-    # Several: the power iteration, from the first right singular vector. It need not converge, nor
-    # rise from step to step: the best perturbation seen is kept.
+    # Several: the power iteration, from b0 or the first right singular vector. It need not
+    # converge, nor rise from step to step: the best perturbation looked at is kept.
     b = _unit(np.linalg.svd(F)[2][:, 0].conj() if b0 is None else b0)
     best_delta, best_value = (
         np.zeros((len(F), F.shape[2], F.shape[1]), complex),
@@ -216,8 +221,8 @@ def _evaluate(
         )[:, 0]
     )
 
-    # d log lambda = y^H dF Delta x / lambda, its real part is d log|lambda|; per channel, then
-    # summed over the channels of each parameter at the end
+    # d log lambda = y^H dF Delta x / lambda = y_L dQ R Delta x / lambda, its real part is
+    # d log|lambda|; per channel, summed over the channels of each parameter at the end
     R_x = (R @ (delta @ x[..., None]))[..., 0]
     change = (y_L * R_x / np.where(np.abs(eigenvalue) > 0, eigenvalue, 1.0)[:, None]).real
     size = np.maximum(np.abs(q).max(axis=1, initial=0.0), 1 / magnitude)
@@ -258,14 +263,15 @@ def _ascend(
         if len(active) == 0:
             break
 
-        # q_i at the edge of the box with the gradient outwards move inwards with it
+        # The q_i at the edge of the box k with the gradient outwards: they move inwards with it.
         here = best.take(active)
         g, k = here.gradient, here.size[:, None]
         at_edge = (np.abs(here.q) > 0.999 * k) & (g * here.q > 0)
         slope = np.where(at_edge, g * here.q, 0.0).sum(axis=1, keepdims=True)
-        # > 0: the box may shrink
+
         # A box smaller by e^-t costs t slope of log|lambda|; max(|q|, 1/|lambda|) is least where
         # both are equal: log|lambda| - t slope + log k - t = 0, t = excess / (1 + slope).
+        # > 0: the box may shrink
         excess = np.log(np.maximum(np.abs(here.eigenvalue[:, None]), 1e-300) * k)
         box = k * np.exp(-np.clip(excess, 0, 1) / (1 + slope))
 
@@ -405,6 +411,8 @@ def _random_reals(
     q = reach[:, None] * (np.sign(spread) if corner else spread)
     if tries == 1:
         return q[0]
+
+    # each start, and where its ray meets a pole of F
     q = np.concatenate([q, np.stack([_on_pole(M, parts, guess, reach) for guess in q])])
     if not parts.structure.complex:
         return _best_root(M, parts, q, reach)

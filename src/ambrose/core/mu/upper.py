@@ -391,6 +391,7 @@ def _proved(
     best = _verified(structure, M, found[:2], found[2])
     X_w, X_z, G = (part.copy() for part in found)
     for epsilon in _REGULARISE:
+        # members for which rounding spoils what beta should prove
         k = np.flatnonzero(best > beta * (1 + 1e-8))
         if len(k) == 0:
             break
