@@ -213,6 +213,8 @@ def _clarabel(
         raise InvalidInput(
             'method "lmi" needs the solver Clarabel; install it with: pip install "ambrose[lmi]"'
         ) from error
+
+    # Clarabel's form: -rows x + s = constant with smat(s) >= 0, triangles in the order of svec
     blocks = [block for block in blocks if len(block[1])]
     rows = sparse.csc_matrix(-np.vstack([block[0] for block in blocks]))
     constant = np.concatenate([block[1] for block in blocks])
@@ -221,6 +223,8 @@ def _clarabel(
     settings.verbose = False
     settings.max_iter = 200
     settings.time_limit = max(time_limit, 1e-3)
+
+    # a linear cost
     no_curvature = sparse.csc_matrix((len(cost), len(cost)))
     solve: Callable[[], Any] = clarabel.DefaultSolver(
         no_curvature, cost, rows, constant, cones, settings

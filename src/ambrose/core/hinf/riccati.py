@@ -289,16 +289,21 @@ def central_controller(plant: ScaledPlant, gamma: float) -> Matrices:
     L12 = L[:, r - m : r]
     L2 = L[:, r:]
 
-    # D11 in its four parts, gamma^2 I - D1111^T D1111 and gamma^2 I - D1111 D1111^T
     D1111, D1112 = plant.D11[: r - m, : q - p], plant.D11[: r - m, q - p :]
     D1121, D1122 = plant.D11[r - m :, : q - p], plant.D11[r - m :, q - p :]
     right = gamma**2 * np.eye(q - p) - D1111.T @ D1111
     left = gamma**2 * np.eye(r - m) - D1111 @ D1111.T
+
     # theorem 17.1 (b), every letter with a hat: D11; D12 D12^T, D21^T D21, any factors of which
     # will do; Z = (I - Y X/g^2)^-1
     D = -D1121 @ D1111.T @ np.linalg.solve(left, D1112) - D1122
+
+    # D12 D12^T = I - D1121 (gamma^2 I - D1111^T D1111)^-1 D1121^T
+    # D21^T D21 = I - D1112^T (gamma^2 I - D1111 D1111^T)^-1 D1112
     D12 = np.linalg.cholesky(np.eye(m) - D1121 @ np.linalg.solve(right, D1121.T))
     D21 = np.linalg.cholesky(np.eye(p) - D1112.T @ np.linalg.solve(left, D1112)).T
+
+    # from here on Z stands for the inverse of the theorem's
     Z = np.eye(n) - Y @ X / gamma**2
     B2 = np.linalg.solve(Z, plant.B2 + L12) @ D12  # Z (B2 + L12) D12
     C2 = -D21 @ (plant.C2 + F12)

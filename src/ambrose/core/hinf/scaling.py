@@ -213,7 +213,7 @@ def unavoidable(plant: ScaledPlant) -> float:
     )
     largest = 0.0
     for P in np.concatenate([evaluate(form, 1j * omega), D[None]]):
-        # N and M^H: bases of what P12 does not reach and of what P21 does not see
+        # N and M: bases of what P12 does not reach and of what P21 does not see
         P11 = P[:r, :q]
         P12 = P[:r, q:]
         P21 = P[r:, :q]

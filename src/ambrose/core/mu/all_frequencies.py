@@ -283,8 +283,7 @@ class _Task:
                 [self._contained(found.part(part), low[part], high[part], cells) for part in parts]
             )
 
-        # The vertices of the chords. Towards infinity all of them are D: the distance is that from
-        # D.
+        # The vertices of the chords; towards infinity all are D, and the distance is that from D.
         end = np.isinf(high)
         points = low[:, None] + (np.where(end, low, high) - low)[:, None] * np.linspace(
             0.0, 1.0, cells + 1
