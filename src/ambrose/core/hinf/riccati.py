@@ -303,7 +303,7 @@ def central_controller(plant: ScaledPlant, gamma: float) -> Matrices:
     D12 = np.linalg.cholesky(np.eye(m) - D1121 @ np.linalg.solve(right, D1121.T))
     D21 = np.linalg.cholesky(np.eye(p) - D1112.T @ np.linalg.solve(left, D1112)).T
 
-    # from here on Z stands for the inverse of the theorem's
+    # the variable Z holds I - Y X / gamma^2, the inverse of the theorem's Z
     Z = np.eye(n) - Y @ X / gamma**2
     B2 = np.linalg.solve(Z, plant.B2 + L12) @ D12  # Z (B2 + L12) D12
     C2 = -D21 @ (plant.C2 + F12)
