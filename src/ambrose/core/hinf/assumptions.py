@@ -95,6 +95,8 @@ def _require_stabilisable(
         return
     scale = balance(A)[1]
     A, B = A * scale / scale[:, None], B / scale[:, None]
+
+    # Hautus: [A - s I, B] keeps its rank at every mode that is not clearly stable.
     values, errors = _eigenvalues(A)
     for value in values[values.real >= -errors]:
         if value.imag >= 0 and len(_null(np.hstack([A - value * np.eye(len(A)), B]))):
@@ -125,6 +127,8 @@ def _null(pencil: np.ndarray) -> np.ndarray:
     """
     wide = pencil.shape[0] < pencil.shape[1]
     matrix = pencil.conj().T if wide else pencil
+
+    # rows, then columns, scaled to a largest entry of 1; the columns are undone in the result
     rows = np.abs(matrix).max(axis=1, initial=0.0)
     matrix = matrix / np.where(rows > 0, rows, 1.0)[:, None]
     columns = np.abs(matrix).max(axis=0, initial=0.0)
@@ -141,6 +145,8 @@ def _side(
     """
     n, m = plant.B2.shape
     findings: list[str] = []
+
+    # directions of u without a direct term; D12 is completed by them to full column rank
     _, values, Vh = np.linalg.svd(plant.D12)
     strong = int((values > _RANK).sum())
     missing = Vh[strong:]
@@ -149,6 +155,9 @@ def _side(
         findings.append(f"{rank} ({which}); regularised by {remedy} {signal} in them")
     D12 = np.vstack([plant.D12, missing])
     C1 = np.vstack([plant.C1, np.zeros((len(missing), n))])
+
+    # u = -D12^+ C1 x cancels what D12 reaches of z. The zeros of P12 are the modes of
+    # A - B2 D12^+ C1 that the rest, U_2^T C1, does not show.
     U, values, Vh = np.linalg.svd(D12)
     gain = Vh.T / values @ U[:, :m].T
     zeros, directions = _axis_zeros(plant.A - plant.B2 @ gain @ C1, U[:, m:].T @ C1)
@@ -158,6 +167,8 @@ def _side(
             f"{name} has a zero on the imaginary axis, w = {places} rad/s; regularised by "
             f"{remedy} x in that mode"
         )
+
+    # z' = epsilon x in a mode, of the size of the plant's own outputs
     size = max(float(np.linalg.norm(plant.C1)), float(np.linalg.norm(plant.C2)), 1e-280)
     states = np.hstack([size * directions, np.zeros((len(directions), m))])
     return findings, np.vstack([np.hstack([np.zeros((len(missing), n)), missing]), states])

@@ -54,6 +54,7 @@ def smallest_gamma(plant: ScaledPlant, time_left: Callable[[], float]) -> Prepar
     plant = plant.in_time(rate)
     gamma = plant.gain if plant.gain > 0 else 1.0
     for _ in range(_ROUNDS):
+        # In units of gamma the result is a factor, 1 once it stands still.
         R, S, value = _solve(plant.in_units(gamma), None, 0.0, np.inf, time_left())
         last, gamma = gamma, gamma * value
         if not gamma > 0:
@@ -82,6 +83,8 @@ def lmi_controller(prepared: Prepared, gamma: float, time_left: Callable[[], flo
         except (NumericalFailure, np.linalg.LinAlgError) as reason:
             reasons.append(str(reason))
             continue
+
+        # back from time in 1/rate: K(s) = D + C (s I - A)^-1 B
         root = np.sqrt(prepared.rate)
         return A * prepared.rate, B * root, C * root, D
     raise NumericalFailure(
@@ -94,6 +97,7 @@ def _balanced(plant: ScaledPlant, R: np.ndarray, S: np.ndarray) -> ScaledPlant:
     definite.
     """
     try:
+        # R = L L^T, L^T S L = U Lambda U^T, T = L U Lambda^-1/4: T^-1 R T^-T = T^T S T = Lambda^1/2
         L = np.linalg.cholesky(R)
         values, U = np.linalg.eigh(L.T @ S @ L)
     except np.linalg.LinAlgError:
@@ -112,9 +116,12 @@ def _solve(
 
     Raises NumericalFailure.
     """
+    # Variables: svec(R), svec(S), and gamma, or t at a given gamma.
     n = len(plant.A)
     count = n * (n + 1) // 2
     free_gamma = 1.0 if gamma is None else 0.0
+
+    # The two existence conditions, in R and in S of the dual plant, with ``strict`` I to spare.
     blocks = []
     for place, half in ((0, plant), (1, plant.dual())):
         of_matrix, of_gamma, constant = existence(half)
@@ -125,13 +132,19 @@ def _solve(
         blocks.append(
             (rows, constant + (0.0 if gamma is None else gamma) * of_gamma - strict * identity)
         )
+
+    # [R tI; tI S] >= 0, t = 1 while gamma is free
     of_R, of_S, off = coupling(n)
     blocks.append((np.column_stack([of_R, of_S, (1 - free_gamma) * off]), free_gamma * off))
+
+    # largest I - R >= 0, largest I - S >= 0
     if np.isfinite(largest):
         for place in range(2):
             rows = np.zeros((count, 2 * count + 1))
             rows[:, place * count : (place + 1) * count] = -np.eye(count)
             blocks.append((rows, largest * svec(np.eye(n))))
+
+    # least gamma, or largest t
     cost = np.zeros(2 * count + 1)
     cost[-1] = 1.0 if gamma is None else -1.0
     x = _clarabel(cost, blocks, time_limit)
@@ -149,16 +162,24 @@ def existence(plant: ScaledPlant) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     n = len(plant.A)
     r = len(plant.C1)
     q = plant.B1.shape[1]
+
+    # N = diag(N_R, I): rows (x, z) and w of the inequality
     null = sla.null_space(np.hstack([plant.B2.T, plant.D12.T]), rcond=1e-12)
     N = sla.block_diag(null, np.eye(q))
+
+    # N^T ([A; C1; 0] R [I 0 0] + its transpose) N for every R of the basis, with the sign reversed
     left = N.T @ np.vstack([plant.A, plant.C1, np.zeros((q, n))])
     right = N.T @ np.eye(n + r + q, n)
     basis = symmetric_basis(n)
     products = left @ basis @ right.T
     products = -(products + products.swapaxes(1, 2))
     of_matrix = np.array([svec(M) for M in products]).T.reshape(-1, len(basis))
+
+    # what holds neither R nor gamma: B1 and D11
     gains = np.vstack([plant.B1, plant.D11])
     constant = -N.T @ np.block([[np.zeros((n + r, n + r)), gains], [gains.T, np.zeros((q, q))]]) @ N
+
+    # -(-gamma I) in the rows z and w
     of_gamma = N.T @ np.diag(np.repeat([0.0, 1.0], [n, r + q])) @ N
     return of_matrix, svec(of_gamma), svec(constant)
 
@@ -192,6 +213,8 @@ def _clarabel(
         raise InvalidInput(
             'method "lmi" needs the solver Clarabel; install it with: pip install "ambrose[lmi]"'
         ) from error
+
+    # Clarabel's form: -rows x + s = constant with smat(s) >= 0, triangles in the order of svec
     blocks = [block for block in blocks if len(block[1])]
     rows = sparse.csc_matrix(-np.vstack([block[0] for block in blocks]))
     constant = np.concatenate([block[1] for block in blocks])
@@ -200,6 +223,8 @@ def _clarabel(
     settings.verbose = False
     settings.max_iter = 200
     settings.time_limit = max(time_limit, 1e-3)
+
+    # a linear cost
     no_curvature = sparse.csc_matrix((len(cost), len(cost)))
     solve: Callable[[], Any] = clarabel.DefaultSolver(
         no_curvature, cost, rows, constant, cones, settings
@@ -224,14 +249,23 @@ def _controller(plant: ScaledPlant, R: np.ndarray, S: np.ndarray) -> Matrices:
     m = plant.B2.shape[1]
     p = len(plant.C2)
     r, q = len(plant.C1), plant.B1.shape[1]
+
+    # Of the certificate X = [S W; W W] the first block of X^-1 is (S - W)^-1 = R.
     W = S - np.linalg.inv(R)
     W = (W + W.T) / 2
     X = np.block([[S, W], [W, W]])
+
+    # The loop in the states (x, x_K): the gain K = [A_K B_K; C_K D_K] from (x_K, y) to (x_K', u),
+    # A + B_u K C_y and so on.
     zero = np.zeros((n, n))
     A = sla.block_diag(plant.A, zero)
     B, C = np.vstack([plant.B1, np.zeros((n, q))]), np.hstack([plant.C1, np.zeros((r, n))])
     B_u = np.block([[zero, plant.B2], [np.eye(n), np.zeros((n, m))]])
     C_y = np.block([[zero, np.eye(n)], [plant.C2, np.zeros((p, n))]])
+
+    # The bounded real lemma at gamma = 1, rows ((x, x_K), w, z):
+    # Psi = [XA + A^T X, XB, C^T; B^T X, -I, D11^T; C, D11, -I],
+    # P = [B_u^T X, 0, D12^T], Q = [C_y, D21, 0], with D12 for u and D21 for y alone.
     XA = X @ A
     Psi = np.block(
         [[XA + XA.T, X @ B, C.T], [B.T @ X, -np.eye(q), plant.D11.T], [C, plant.D11, -np.eye(r)]]
@@ -249,6 +283,7 @@ def _iwasaki_skelton(Psi: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarra
     Phi is put together from its blocks along B and across it, for w may be many decades above the
     rest. Raises NumericalFailure when there is none to working precision.
     """
+    # B back = along (orthonormal, the range of B), C_back C = C_full (orthonormal rows)
     U, s, Vt = np.linalg.svd(B)
     k = int((s > 1e-12 * s[0]).sum())
     along = U[:, :k]
@@ -257,16 +292,28 @@ def _iwasaki_skelton(Psi: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarra
     V, s, Wt = np.linalg.svd(C, full_matrices=False)
     keep = s > 1e-12 * s[0]
     C_full, C_back = Wt[keep], (V[:, keep] / s[keep]).T
+
+    # Across B no K acts: -Psi must be positive definite there.
     rest = -across.T @ Psi @ across
     if rest.size and np.linalg.eigvalsh(rest)[0] <= 0:
         raise NumericalFailure("R and S are feasible only to rounding")
+
+    # Phi^-1 in (along, across): [w I - Psi_11, -Psi_12; -Psi_21, rest]. Its Schur complement is
+    # w I - inner, inner = Psi_11 + Psi_12 rest^-1 Psi_21, slope = Psi_12 rest^-1.
     coupling = along.T @ Psi @ across
     slope = np.linalg.solve(rest, coupling.T).T
     inner = along.T @ Psi @ along + slope @ coupling.T
+
+    # w above the largest eigenvalue of inner
     needed = np.linalg.eigvalsh((inner + inner.T) / 2)[-1]
     weight = 2 * max(float(needed), 1e-3 * float(np.linalg.norm(Psi, 2)))
+
+    # Phi = across rest^-1 across^T + direction (w I - inner)^-1 direction^T,
+    # direction = along + across slope^T, and along^T Phi = (w I - inner)^-1 direction^T
     direction = along + across @ slope.T
     small = np.linalg.inv(weight * np.eye(k) - inner)
     Phi = across @ np.linalg.solve(rest, across.T) + direction @ small @ direction.T
+
+    # K for along and C_full in the place of B and C, then back to these
     gain = -weight * small @ direction.T @ C_full.T @ np.linalg.inv(C_full @ Phi @ C_full.T)
     return back @ gain @ C_back

@@ -82,10 +82,14 @@ def normal_form(plant: ScaledPlant) -> tuple[ScaledPlant, np.ndarray, np.ndarray
     m, p = plant.B2.shape[1], len(plant.C2)
     if len(plant.C1) < m or plant.B1.shape[1] < p:
         raise NumericalFailure("D12 is wide or D21 tall; regularise first")
+
+    # D12 = U [S; 0] V_u^T,   D21 = U_y [S 0] V^T
     U, su, Vuh = np.linalg.svd(plant.D12)
     Uyh, sy, Vh = np.linalg.svd(plant.D21)
     if not (su.min() > 1e-14 and sy.min() > 1e-14):
         raise NumericalFailure("D12 or D21 is singular; regularise first")
+
+    # z_normal = [U_2 U_1]^T z,   w = [V_2 V_1] w_normal,   T_u = V_u S^-1,   T_y = S^-1 U_y^T
     z = np.hstack([U[:, m:], U[:, :m]]).T
     w = np.vstack([Vh[p:], Vh[:p]]).T
     T_u, T_y = Vuh.T / su, (Uyh / sy).T
@@ -108,12 +112,19 @@ def _riccati(plant: ScaledPlant, gamma: float) -> tuple[np.ndarray, np.ndarray, 
     The theorem inverts R = D1^T D1 - diag(gamma^2 I, 0), D1 = [D11 D12]; here the control u is
     eliminated by hand, so that only gamma^2 I - N^T N is inverted.
     """
+    # C1 = [C; C'], C' the last m rows. The last m of z, v = C' x + E w + u, serve as the control:
+    # x' = (A - B2 C') x + (B1 - B2 E) w + B2 v,   |z|^2 = |C x + N w|^2 + |v|^2.
     k = len(plant.C1) - plant.B2.shape[1]
     N, E = plant.D11[:k], plant.D11[k:]
     B = plant.B1 - plant.B2 @ E
     A = plant.A - plant.B2 @ plant.C1[k:]
+
+    # S^-1 = 0
     if np.isinf(gamma):
         return A, plant.B2 @ plant.B2.T, plant.C1[:k].T @ plant.C1[:k]
+
+    # S = gamma^2 I - N^T N, worst w = S^-1 (N^T C + B^T X) x, v = -B2^T X x:
+    # A + B S^-1 N^T C,   G = B2 B2^T - B S^-1 B^T,   Q = C^T (I + N S^-1 N^T) C
     S = gamma**2 * np.eye(N.shape[1]) - N.T @ N
     S_N, S_B = np.linalg.solve(S, N.T @ plant.C1[:k]), np.linalg.solve(S, B.T)
     G = plant.B2 @ plant.B2.T - B @ S_B
@@ -124,6 +135,8 @@ def _riccati(plant: ScaledPlant, gamma: float) -> tuple[np.ndarray, np.ndarray, 
 def _solve(plant: ScaledPlant, gamma: float, name: str) -> tuple[np.ndarray, str]:
     """X (n, n) and "", or the reason why there is no positive semidefinite one."""
     A, G, Q = _riccati(plant, gamma)
+
+    # X = size X': A^T X' + X' A - X' (size G) X' + Q / size = 0
     size = float(np.linalg.norm(A) / np.linalg.norm(G)) if A.any() and G.any() else 1.0
     solution = solve_riccati(A, size * G, Q / size)  # in units of X in which G is as large as A
     if not solution.solved:
@@ -142,6 +155,7 @@ def _solve(plant: ScaledPlant, gamma: float, name: str) -> tuple[np.ndarray, str
 
 def _gains(plant: ScaledPlant, gamma: float, X: np.ndarray) -> np.ndarray:
     """F = -R^-1 (D1^T C1 + B^T X) (q + m, n): worst disturbance F1 and control F2."""
+    # in the letters of _riccati: w = F1 x, u = v - C' x - E w, v = -B2^T X x
     k = len(plant.C1) - plant.B2.shape[1]
     N, E = plant.D11[:k], plant.D11[k:]
     S = gamma**2 * np.eye(N.shape[1]) - N.T @ N
@@ -197,6 +211,7 @@ def search_gamma(
         report(level)
         return level
 
+    # Bounds from below: (i), and rho(X Y) < gamma^2 with the X and Y of gamma = inf, the smallest.
     base = try_gamma(plant, np.inf)
     floor = _FLOOR * (plant.gain if plant.gain > 0 else 1.0)
     start = direct_bound(plant)
@@ -204,6 +219,8 @@ def search_gamma(
         start = max(start, float(np.sqrt(base.rho)))  # X and Y grow as gamma falls
     low = Level(max(start, floor), "the lower bound", np.nan, base.X, base.Y)
     high = low
+
+    # Upwards from the lower bound to a gamma that can be reached.
     for step in range(_STEPS):
         gamma = high.gamma * (
             1 + tolerance if step == 0 else _GROWTH[min(step - 1, len(_GROWTH) - 1)]
@@ -221,6 +238,8 @@ def search_gamma(
                 'use method="lmi"'
             )
         low = high
+
+    # Between: low fails, high can be reached.
     while high.gamma > (1 + tolerance) * low.gamma and len(history) < _STEPS:
         level = attempt(_next(low, high, tolerance))
         low, high = (low, level) if level.feasible else (level, high)
@@ -234,6 +253,8 @@ def _next(low: Level, high: Level, tolerance: float) -> float:
     a, b = np.log(low.gamma), np.log(high.gamma)
     middle = (a + b) / 2
     if low.rho > 1 and 0 < high.rho < 1:
+        # log rho taken as linear in log gamma; the guess lies beyond the root as seen from the
+        # nearer bound, by less than half the tolerance, and 2 % of the way or more from both
         root = a + (b - a) * np.log(low.rho) / (np.log(low.rho) - np.log(high.rho))
         aside = 0.45 * tolerance
         guess = root + aside if b - root > root - a else root - aside
@@ -255,23 +276,34 @@ def central_controller(plant: ScaledPlant, gamma: float) -> Matrices:
     q = plant.B1.shape[1]
     r = len(plant.C1)
     m, p = plant.B2.shape[1], len(plant.C2)
+
+    # x = diag(scale) x': X' = diag(scale) X diag(scale), Y' = diag(1/scale) Y diag(1/scale)
     scale = _even(level.X, level.Y)
     plant = plant.in_states(np.diag(scale), np.diag(1 / scale))
     X, Y = level.X * scale[:, None] * scale, level.Y / scale[:, None] / scale
+
+    # F = [F11; F12; F2] with q - p, p and m rows, L = [L11 L12 L2] with r - m, m and p columns
     F, L = _gains(plant, gamma, X), _gains(plant.dual(), gamma, Y).T
     F12 = F[q - p : q]
     F2 = F[q:]
     L12 = L[:, r - m : r]
     L2 = L[:, r:]
+
     D1111, D1112 = plant.D11[: r - m, : q - p], plant.D11[: r - m, q - p :]
     D1121, D1122 = plant.D11[r - m :, : q - p], plant.D11[r - m :, q - p :]
     right = gamma**2 * np.eye(q - p) - D1111.T @ D1111
     left = gamma**2 * np.eye(r - m) - D1111 @ D1111.T
+
     # theorem 17.1 (b), every letter with a hat: D11; D12 D12^T, D21^T D21, any factors of which
     # will do; Z = (I - Y X/g^2)^-1
     D = -D1121 @ D1111.T @ np.linalg.solve(left, D1112) - D1122
+
+    # D12 D12^T = I - D1121 (gamma^2 I - D1111^T D1111)^-1 D1121^T
+    # D21^T D21 = I - D1112^T (gamma^2 I - D1111 D1111^T)^-1 D1112
     D12 = np.linalg.cholesky(np.eye(m) - D1121 @ np.linalg.solve(right, D1121.T))
     D21 = np.linalg.cholesky(np.eye(p) - D1112.T @ np.linalg.solve(left, D1112)).T
+
+    # the variable Z holds I - Y X / gamma^2, the inverse of the theorem's Z
     Z = np.eye(n) - Y @ X / gamma**2
     B2 = np.linalg.solve(Z, plant.B2 + L12) @ D12  # Z (B2 + L12) D12
     C2 = -D21 @ (plant.C2 + F12)
@@ -290,6 +322,9 @@ def balancing_states(level: Level) -> tuple[np.ndarray, np.ndarray]:
     square-root method.
     """
     L_x, L_y = _root(level.X), _root(level.Y)
+
+    # X = L_x L_x^T, Y = L_y L_y^T, L_y^T L_x = U Sigma V^T:
+    # T = L_y U Sigma^-1/2, T^-1 = Sigma^-1/2 V^T L_x^T, and T^T X T = T^-1 Y T^-T = Sigma
     U, values, Vt = np.linalg.svd(L_y.T @ L_x)
     root = np.sqrt(np.maximum(values, 1e-300))
     return L_y @ U / root, (L_x @ (Vt.T / root)).T
@@ -308,6 +343,7 @@ def _even(X: np.ndarray, Y: np.ndarray) -> np.ndarray:
     """State scaling (n,) that gives X and Y equal diagonals, as far as neither is nearly zero;
     powers of 2.
     """
+    # scale^2 x = y / scale^2, so scale = (y / x)^(1/4)
     x, y = np.abs(np.diag(X)), np.abs(np.diag(Y))
     x, y = (
         np.maximum(x, 1e-12 * x.max(initial=1e-280)),

@@ -145,13 +145,19 @@ def scale_plant(plant: GeneralizedPlant) -> ScaledPlant:
             "design in continuous time, sample the controller",
         )
     q, r = len(plant.w), len(plant.z)
+
+    # balanced for the sampled gains, which u and y without a direct term are scaled by
     A, B, C, _ = balance_system(system.A, system.B, system.C)
     gains = _gains(A, B, C, system.D)
     u_scale = _channel_scale(np.linalg.norm(system.D[:r, q:], axis=0), gains[:, :r, q:], axis=1)
     y_scale = _channel_scale(np.linalg.norm(system.D[r:, :q], axis=1), gains[:, r:, :q], axis=2)
+
+    # columns (w, u) of B and rows (z, y) of C in the new units, which change the balance
     B = np.hstack([B[:, :q], B[:, q:] * u_scale])
     C = np.vstack([C[:r], C[r:] * y_scale[:, None]])
     A, B, C, _ = balance_system(A, B, C)
+
+    # A direct term that is rounding beside its channel's gain is no direct term.
     D12, D21 = system.D[:r, q:] * u_scale, system.D[r:, :q] * y_scale[:, None]
     D12[:, np.linalg.norm(D12, axis=0) < _NEGLIGIBLE] = 0.0
     D21[np.linalg.norm(D21, axis=1) < _NEGLIGIBLE] = 0.0
@@ -197,6 +203,8 @@ def unavoidable(plant: ScaledPlant) -> float:
         [[plant.D11, plant.D12], [plant.D21, np.zeros((len(plant.C2), plant.B2.shape[1]))]]
     )
     form = schur_form(plant.A, np.hstack([plant.B1, plant.B2]), np.vstack([plant.C1, plant.C2]), D)
+
+    # frequencies around the poles; those that rounding cannot tell from zero do not count
     moduli = np.abs(form.poles[np.abs(form.poles) > 1e3 * form.pole_errors])
     omega = (
         np.geomspace(0.1 * moduli.min(), 10.1 * moduli.max(), _SAMPLES)
@@ -205,6 +213,7 @@ def unavoidable(plant: ScaledPlant) -> float:
     )
     largest = 0.0
     for P in np.concatenate([evaluate(form, 1j * omega), D[None]]):
+        # N and M: bases of what P12 does not reach and of what P21 does not see
         P11 = P[:r, :q]
         P12 = P[:r, q:]
         P21 = P[r:, :q]
@@ -258,8 +267,12 @@ def original_matrices(plant: ScaledPlant, matrices: Matrices) -> Matrices:
         raise NumericalFailure(
             "the controller and D22 form an algebraic loop; increase the back-off a little"
         )
+
+    # u = C x + D (y - D22 u): E u = C x + D y;   x' = A x + B (y - D22 u)
     C, D = np.linalg.solve(E, C), np.linalg.solve(E, D)
     A, B = A - B @ D22 @ C, B - B @ D22 @ D
+
+    # y_scaled = y_scale y, u = u_scale u_scaled
     return (
         A,
         B * plant.y_scale,

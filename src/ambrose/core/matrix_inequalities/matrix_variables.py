@@ -68,6 +68,8 @@ class Term:
 
     def squares(self) -> np.ndarray:
         """The squared norms of the term's derivatives by the variables of X."""
+        # <F_j, F_j> = sum_l tr(E P_l E Q_l) with Z = W = I, E = e_i e_j^T + e_j e_i^T:
+        # P_ii Q_jj + P_jj Q_ii + P_ij Q_ij + P_ji Q_ji; on the diagonal, E = e_i e_i^T, P_ii Q_ii
         one, (i, j) = np.eye(self.U.shape[1]), self.variable.pairs
         P, Q = (np.array(M) for M in kronecker(self, self, one, one))
         straight = (P[:, i, i] * Q[:, j, j] + P[:, j, j] * Q[:, i, i]).sum(0)
@@ -81,6 +83,8 @@ def kronecker(
     """P_l and Q_l with tr(F_j Z F_k W) = sum_l tr(E_j P_l E_k Q_l) for j of the term a and k of
     b.
     """
+    # F_j = U_a^T E_j V_a + V_a^T E_j U_a, F_k likewise: the trace has four products, and in each
+    # one E_j goes to the front.
     ZU = Z @ b.U.T
     ZV = Z @ b.V.T
     UW = b.U @ W
@@ -103,9 +107,13 @@ def curvature(
     c, d = second.pairs
     n = first.order
     left, right = np.array(P), np.array(Q).reshape(len(Q), -1)
+
+    # place[a, b]: which variable the entry (a, b) of X is; len(i), a row dropped at the end: none
     place = np.full((n, n), len(i))
     place[i, j] = place[j, i] = np.arange(len(i))
     found = np.zeros((len(i) + 1, len(c)))
+
+    # E_k = e_c e_d^T + e_d e_c^T, on the diagonal once: half of the two
     weight = np.where(c == d, 0.5, 1.0)[:, None]
     for b in range(n):
         # T[c, d, a] = sum_l P[b, c] Q[d, a]

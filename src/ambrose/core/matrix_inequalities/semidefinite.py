@@ -160,18 +160,24 @@ class _Solver:
     """
 
     def __init__(self, cost: np.ndarray, items: Sequence[Inequality]) -> None:
+        # units: the derivatives of all F_i by one variable, taken together, have norm 1
         squares = [item.squares(len(cost)) for item in items]
         size = np.sqrt(np.sum(squares, axis=0))
         size[size == 0] = 1.0
         self.unit = 1 / size
         self.cost = cost * self.unit
         self.items = items
+
+        # [F_i1 F_i2 ...] side by side, (d, k d)
         self.wide = [
             smat(i.rows.T).transpose(1, 0, 2).reshape(i.side, len(i.columns) * i.side)
             for i in items
         ]
         self.order = sum(item.side for item in items)
         self.x = np.zeros(len(cost))
+
+        # An infeasible start: multiples of I, Z large beside the cost per derivative, S beside
+        # F_i0.
         reach = [
             i.side
             * (1 + np.abs(self.cost[own > 0]).max(initial=0))
@@ -213,6 +219,8 @@ class _Solver:
 
     def minimum(self, status: str, step: int) -> Minimum:
         value = float(self.cost @ self.x)
+
+        # the dual: maximise -sum_i <F_i0, Z_i> with sum_i <F_ij, Z_i> = c_j, Z_i >= 0
         bound = -sum(float(i.constant @ svec(Z)) for i, Z in zip(self.items, self.Z, strict=True))
         r = self.residuals()
         primal = max(
@@ -251,6 +259,8 @@ class _Solver:
         factor = self.schur_complement(inverse)
         mu = self.complementarity() / self.order
         r = self.residuals()
+
+        # Predictor: mu = 0, and the mu that its longest steps, a of S and b of Z, would leave.
         dx, dS, dZ = self.direction(factor, inverse, r, 0.0, None)
         a, b = _longest(self.S, dS), _longest(self.Z, dZ)
         after = (
@@ -260,8 +270,12 @@ class _Solver:
             )
             / self.order
         )
+
+        # centre: the share of mu to keep, small where the predictor comes far
         power = max(1.0, 3 * min(a, b) ** 2)
         centre = min(1.0, max(float(after) / mu, 1e-6) ** power)
+
+        # Corrector: the term of second order, sym(dZ dS S^-1).
         second = [_symmetric(e @ d @ W) for d, e, W in zip(dS, dZ, inverse, strict=True)]
         dx, dS, dZ = self.direction(factor, inverse, r, centre * mu, second)
         share = 0.9 + 0.09 * min(1.0, a, b)  # of the way to the boundary, never beyond
@@ -279,10 +293,16 @@ class _Solver:
         ] = {}
         for i, F, Z, W in zip(self.items, self.wide, self.Z, inverse, strict=True):
             d, k = i.side, len(i.columns)
+
+            # G_j = sym(Z F_j S^-1), (k, d, d): M_jk = <G_j, F_k>
             G = (Z @ F).reshape(d, k, d).transpose(1, 0, 2).reshape(k * d, d) @ W
             G = G.reshape(k, d, d)
             G = (G + G.transpose(0, 2, 1)) / 2
             M[np.ix_(i.columns, i.columns)] += svec(G) @ i.rows
+
+            # Terms of matrix variables: with the columns written out, <G_j, term>, and with one
+            # another as Kronecker products, gathered over the inequalities. Mixed parts are entered
+            # on one side, twice: (M + M^T) / 2 below makes it one on both.
             for n, a in enumerate(i.terms):
                 here = slice(a.variable.start, a.variable.stop)
                 for column, inner in zip(i.columns, G, strict=True):
@@ -297,6 +317,8 @@ class _Solver:
             M[first.start : first.stop, second.start : second.stop] += double * curvature(
                 first, second, P, Q
             )
+
+        # in the units of the variables
         M *= self.unit[:, None] * self.unit
         M = (M + M.T) / 2
         diagonal = np.diag_indices(len(M))
@@ -313,9 +335,13 @@ class _Solver:
         second: Sequence[np.ndarray] | None,
     ) -> tuple[np.ndarray, list[np.ndarray], list[np.ndarray]]:
         """dx, dS and dZ = mu S^-1 - Z - sym(Z dS S^-1) - second."""
+        # With dS = F(dx) + r: dZ = fixed - Z - sym(Z F(dx) S^-1),
+        # fixed = mu S^-1 - sym(Z r S^-1) - second
         fixed = [mu * W - _symmetric(Z @ R @ W) for W, Z, R in zip(inverse, self.Z, r, strict=True)]
         if second is not None:
             fixed = [f - s for f, s in zip(fixed, second, strict=True)]
+
+        # dual feasible after a full step, F^T(Z + dZ) = c: M dx = F^T(fixed) - c
         dx = sla.cho_solve(factor, self.adjoint(fixed) - self.cost)
         change = [i.value(dx * self.unit) for i in self.items]
         dS = [c + R for c, R in zip(change, r, strict=True)]
@@ -340,6 +366,7 @@ def _longest(matrices: Sequence[np.ndarray], changes: Sequence[np.ndarray]) -> f
     """The largest step, at most 1e3, that keeps every matrix positive definite."""
     smallest = 0.0
     for M, change in zip(matrices, changes, strict=True):
+        # M = L L^T; M + a dM > 0 as long as I + a L^-1 dM L^-T > 0
         L = np.linalg.cholesky(M)
         half = sla.solve_triangular(L, change, lower=True, check_finite=False)
         inner = sla.solve_triangular(L, half.T, lower=True, check_finite=False)

@@ -99,6 +99,8 @@ def proved_level(
         task.lift(np.sort(omega))
     low, high = _intervals(model)
     tried = 0
+
+    # A queue from low to high frequency; what is left of a round goes to its front.
     while len(low):
         now = (low[:_ROUND], high[:_ROUND])
         low = low[_ROUND:]
@@ -147,6 +149,8 @@ def least_level(
     it divides, and which of them asks for it. Infinite where 100 times ``start`` does not suffice.
     """
 
+    # Which of the M are not shown to have mu < 1: sigma_max of the balanced matrix first, the
+    # scalings for the rest.
     def exceeds(part: np.ndarray, level: float) -> np.ndarray:
         scaled = _divided(part, skew, level)
         over = largest_gain(osborne(scaled, structure)[0]) >= 1 - tolerance / 10
@@ -156,6 +160,8 @@ def least_level(
         )
         return over
 
+    # Up from the start by growing factors; what holds at one level holds at every higher one and
+    # need not be looked at again.
     low = start
     high = start * (1 + tolerance)
     step = 1 + tolerance
@@ -171,6 +177,8 @@ def least_level(
         high *= step
         if high > _FACTOR * start:
             return np.inf, int(which[0])
+
+    # Bisection of log level.
     while high / low > 1 + tolerance:
         middle = np.sqrt(low * high)
         left = exceeds(active, middle)
@@ -196,9 +204,13 @@ def _intervals(model: Chords) -> tuple[np.ndarray, np.ndarray]:
         return np.array([0.0]), np.array([np.inf])
     slow, fast = np.abs(every).min() * _SPAN[0], np.abs(every).max() * _SPAN[1]
     net = np.geomspace(slow, fast, int(_FIRST * np.log10(fast / slow)) + 2)
+
+    # Poles of a damping ratio below 0.3: points up to three half-widths beside the resonance.
     light = every[(every.imag > 0) & (-every.real < 0.3 * np.abs(every))]
     beside = light.imag[:, None] + light.real[:, None] * np.array([-3.0, -1.0, 1.0, 3.0])
     net = np.unique(np.concatenate([[0.0], net, beside[beside > 0], [np.inf]]))
+
+    # points apart by rounding alone count once
     net = net[np.append(~(np.diff(net) <= 1e-9 * net[:-1]), True)]
     return net[:-1], net[1:]
 
@@ -236,6 +248,7 @@ class _Task:
 
     def attempt(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Try the intervals; what remains of them, (low, high)."""
+        # Scalings with room in the middle of each interval, of D on the one that ends at infinity.
         end = np.isinf(high)
         middle = np.where(end, np.inf, 0.5 * (low + np.where(end, low, high)))
         scalings, holds = _scalings(
@@ -251,6 +264,8 @@ class _Task:
             left = left[~good[left].all(axis=1)]
             if not len(left):
                 break
+
+        # No scalings at all in the middle: mu may reach the level there.
         if not holds.all():
             self.lift_at(middle[~holds])
         return self._rest(low, high, good)
@@ -267,6 +282,8 @@ class _Task:
             return np.concatenate(
                 [self._contained(found.part(part), low[part], high[part], cells) for part in parts]
             )
+
+        # The vertices of the chords; towards infinity all are D, and the distance is that from D.
         end = np.isinf(high)
         points = low[:, None] + (np.where(end, low, high) - low)[:, None] * np.linspace(
             0.0, 1.0, cells + 1
@@ -281,6 +298,9 @@ class _Task:
     def lift_at(self, omega: np.ndarray) -> None:
         """The bound reaches the level at omega: raise it there, and by the room at least."""
         M = self.model.at(omega)
+
+        # All rows divided by the level: mu < level, which one bound gives; else a search for the
+        # level.
         if self.skew.all():
             values = upper_bound(M, self.structure, tolerance=_TOLERANCE / 4).value
             found, i = max(float(values.max()), self.level), int(values.argmax())
@@ -296,6 +316,7 @@ class _Task:
         """
         new_low, new_high = [], []
         for i in np.flatnonzero(~good.all(axis=1)):
+            # The last interval: a finite part of two octaves comes off.
             if np.isinf(high[i]):
                 if low[i] > _HIGHEST:
                     raise NumericalFailure(
@@ -312,6 +333,8 @@ class _Task:
                     f"{low[i]:.6g} rad/s: the bound is "
                     "reached there within rounding; allow a higher level"
                 )
+
+            # Runs of neighbouring open cells, each an interval of its own.
             cells = np.flatnonzero(~good[i])
             runs = np.split(cells, np.flatnonzero(np.diff(cells) > 1) + 1)
             if len(cells) == _CELLS:
@@ -328,10 +351,13 @@ def _scalings(M: np.ndarray, structure: Structure) -> tuple[UpperBound, np.ndarr
     """Scalings with room at M (i, n_z, n_w), those of the balanced matrix where they suffice, and
     whether they prove mu < 1.
     """
+    # Those of the balanced matrix: X = diag(d^2), G = 0.
     balanced, d_z, d_w = osborne(M, structure)
     value = largest_gain(balanced)
     X_w, X_z = (np.einsum("bi,ij->bij", d**2, np.eye(d.shape[1])) + 0j for d in (d_w, d_z))
     G = np.zeros((len(M), structure.n_w, structure.n_z), complex)
+
+    # Too near the edge: the analytic centre at level 1, which has most room.
     hard = np.flatnonzero(value >= _EASY)
     if len(hard):
         found = upper_bound(M[hard], structure, level=np.ones(len(hard)), max_iterations=60)
@@ -347,6 +373,8 @@ def _contained(found: UpperBound, M: np.ndarray, slack: np.ndarray) -> np.ndarra
     """Which cells (i, c) the scalings prove, for vertices M (i, c + 1, n_z, n_w) and distances from
     the chords ``slack``.
     """
+    # X = L L^H, N = L_z^H M L_w^-H, G := L_w^-1 G L_z^-H: the inequality becomes Phi < I,
+    # Phi = N^H N + j (G N - N^H G^H) = (N - j G^H)^H (N - j G^H) - G G^H.
     L_w, L_z = np.linalg.cholesky(found.X_w), np.linalg.cholesky(found.X_z)
     right, left = (
         np.linalg.inv(L_w).conj().swapaxes(1, 2)[:, None],
@@ -358,6 +386,9 @@ def _contained(found: UpperBound, M: np.ndarray, slack: np.ndarray) -> np.ndarra
     gap = largest_gain(G)[:, None] ** 2
     cross = 1j * G[:, None] @ N
     Phi = N.conj().swapaxes(2, 3) @ N + cross + cross.conj().swapaxes(2, 3)
+
+    # How far N can lie from its chord, entry by entry: |L_z^H| slack |L_w^-H|. An infinite slack
+    # proves nothing; it is set to 0 here and to infinity at the end.
     wide = ~np.isfinite(slack).all(axis=(2, 3))
     moved = np.abs(left) @ np.where(wide[..., None, None], 0.0, slack) @ np.abs(right)
     # Phi moves by (N - j G^H)^H F + its conjugate + F^H F for every F that is no larger than
@@ -366,11 +397,18 @@ def _contained(found: UpperBound, M: np.ndarray, slack: np.ndarray) -> np.ndarra
         2 * np.linalg.norm(np.abs(shifted).swapaxes(2, 3) @ moved, axis=(2, 3))
         + np.linalg.norm(moved, axis=(2, 3)) ** 2
     )
+
+    # the terms of Phi, for their rounding errors
     size = np.linalg.norm(shifted, axis=(2, 3)) ** 2 + gap
     edge = np.linalg.norm(Phi, axis=(2, 3))  # no eigenvalue is larger, nor lower than its negative
     rest = reach + 1e-13 * size
+
+    # Eigenvalues only where the norm neither proves Phi + rest < 1 nor rules it out.
     open_still = (rest + edge >= 1) & (rest - edge < 1)
     edge[open_still] = np.linalg.eigvalsh(Phi[open_still])[:, -1]
     edge += rest
     edge[np.broadcast_to(wide, edge.shape)] = np.inf
+
+    # Phi < I is a convex set: if both vertices stay in it with every F added, so does what lies
+    # between them, and M with it.
     return np.asarray(np.maximum(edge[:, :-1], edge[:, 1:]) < 1)

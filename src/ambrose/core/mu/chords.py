@@ -85,12 +85,15 @@ class Chords:
         """The sums of R_k / (j omega - p_k)^power, (w, n_z, n_w) each, for ``count`` powers from
         ``first``.
         """
+        # factor: 1 / (s - p_k), (w, k); sides: (s I - A)^-power B of every cluster, from B on
         s = 1j * omega
         factor = 1 / (s[:, None] - self.poles)
         flat = self.residues.reshape(len(self.poles), self.D.size)
         sides = [
             np.repeat(B[:, None, :].astype(complex), len(s), axis=1) for _, B, _ in self.clusters
         ]
+
+        # one division, one solution of a shifted system more for every power
         part = factor
         for power in range(1, first + count):
             part = part * factor if power > 1 else part
@@ -111,9 +114,15 @@ class Chords:
         end = np.isinf(high)
         bound[end] = self._tail(low[end])
         low, high = low[~end], high[~end]
+
+        # d_k of the docstring: from p_k to the segment j [low, high]
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
         beside = np.maximum(np.abs(middle[:, None] - self.poles.imag) - half[:, None], 0.0)
         near = np.hypot(self.poles.real, beside)
+
+        # |M''| <= sum_i (i + 1)(i + 2) |sum_k R_k / (j middle - p_k)^(i + 3)| half^i, i < _TERMS,
+        # as M^(i + 2) / i! = (-j)^(i + 2) (i + 1)(i + 2) sum_k R_k / (s - p_k)^(i + 3). The
+        # remainder is the term i = _TERMS with |R_k| / d_k^(_TERMS + 3).
         last = _TERMS + 3
         rest = (near**-last @ np.abs(self.residues).reshape(len(self.poles), self.D.size)).reshape(
             len(low), *self.D.shape
@@ -123,16 +132,20 @@ class Chords:
         bend = (_TERMS + 1) * (_TERMS + 2) * half[:, None, None] ** _TERMS * rest
         for i, term in enumerate(self._sums(middle, 3, _TERMS)):
             bend += (i + 1) * (i + 2) * half[:, None, None] ** i * np.abs(term)
+
+        # (b - a)^2 / 8 max |M''| for a chord of width 2 half / cells
         bound[~end] = (2 * half[:, None, None] / cells) ** 2 / 8 * bend
         return bound
 
     def _tail(self, low: np.ndarray) -> np.ndarray:
         """Bound (c, n_z, n_w) on |M - D| above each frequency low (c,) [rad/s]."""
+        # |M - D| <= sum |R_k| / |s - p_k|, from the nearest s above low
         near = np.hypot(self.poles.real, np.maximum(low[:, None] - np.abs(self.poles.imag), 0.0))
         bound = (1 / near @ np.abs(self.residues).reshape(len(self.poles), self.D.size)).reshape(
             len(low), *self.D.shape
         )
         for A, B, C in self.clusters:
+            # |(s I - A)^-1| <= 1 / (|s| - |A|)
             beyond = np.maximum(low - np.linalg.norm(A, 2), 0.0)[:, None, None]
             outside = np.linalg.norm(C, axis=1)[:, None] * np.linalg.norm(B, axis=0)
             bound = bound + np.divide(
@@ -161,6 +174,8 @@ def _neumann(
     A: np.ndarray, B: np.ndarray, C: np.ndarray, middle: np.ndarray, half: np.ndarray, power: int
 ) -> np.ndarray:
     """R = R0 (I + j d R0)^-1 with R0 in the middle and |d| <= half."""
+    # R here is R0; it commutes with (I + j d R0)^-1, whose norm is at most 1 / (1 - half |R0|):
+    # |C R^power B| <= |C R0| |R0|^(power - 2) |R0 B| / (1 - half |R0|)^power.
     R = np.linalg.inv(1j * middle[:, None, None] * np.eye(len(A)) - A)
     size = np.linalg.norm(R, 2, axis=(1, 2))
     part = half * size
@@ -168,6 +183,8 @@ def _neumann(
     fits = part < 0.9
     grown[fits] = size[fits] ** (power - 2) / (1 - part[fits]) ** power
     inside = np.linalg.norm(C @ R, axis=2)[:, :, None] * np.linalg.norm(R @ B, axis=1)[:, None, :]
+
+    # not zero: infinity times zero would be NaN
     return np.asarray(grown[:, None, None] * np.maximum(inside, np.finfo(float).tiny))
 
 
@@ -197,6 +214,8 @@ def modal_chords(system: StateSpace) -> Chords:
         except NumericalFailure:
             continue
         return _residues(modal)
+
+    # No transform keeps the digits: the whole system is one cluster, in real Schur form.
     nothing = np.zeros((0, *system.D.shape), complex)
     A, B, C, _ = balance_system(system.A, system.B, system.C)
     T, Q = sla.schur(A)
@@ -220,10 +239,13 @@ def _residues(modal: ModalForm) -> Chords:
             poles.append(complex(a[0, 0]))
             residues.append(c @ b + 0j)
         elif size == 2 and a[0, 0] == a[1, 1] and a[0, 1] * a[1, 0] < 0:
+            # A = [[a, p], [q, a]] with p q < 0: poles a +- j beta, beta^2 = -p q
             p, q = a[0, 1], a[1, 0]
             beta = np.sqrt(-p) * np.sqrt(q) if q > 0 else np.sqrt(p) * np.sqrt(-q)
             # A v = (a + j beta) v, u A = (a + j beta) u
             v, u = np.array([p, 1j * beta]), np.array([q, 1j * beta])
+
+            # R = C v u B / (u v), its conjugate at the other pole
             residue = np.outer(c @ v, u @ b) / (u @ v)
             poles += [complex(a[0, 0], beta), complex(a[0, 0], -beta)]
             residues += [residue, residue.conj()]

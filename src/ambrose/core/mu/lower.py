@@ -59,6 +59,8 @@ def _parts(structure: Structure) -> _Parts:
         return np.concatenate([numbers[:0], *(numbers[getattr(place, side)] for place in places)])
 
     real, other = structure.real, structure.complex
+
+    # the real block of every real channel, in order
     owner = np.repeat(np.arange(len(real)), [place.block.n_w for place in real]).astype(int)
     return _Parts(
         structure,
@@ -90,6 +92,9 @@ def _align(structure: Structure, a: np.ndarray, w: np.ndarray) -> np.ndarray:
     for place in structure.complex:
         n_w, n_z = place.block.n_w, place.block.n_z
         ai, wi = a[:, j : j + n_z], w[:, i : i + n_w]
+
+        # Delta_i = w_i a_i^H / (|w_i| |a_i|), or for a repeated scalar e^j phi I with phi of a_i^H
+        # w_i
         if isinstance(place.block, FullBlock):
             delta[:, i : i + n_w, j : j + n_z] = (
                 _unit(wi)[:, :, None] * _unit(ai).conj()[:, None, :]
@@ -106,6 +111,7 @@ def _eigen(F: np.ndarray, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
     """The outermost eigenvalue of F delta (b,), its right x and left y vectors (b, n_z), y^H x =
     1.
     """
+    # y^H: the row of V^-1 that belongs to x, so that y^H x = 1
     values, vectors = np.linalg.eig(np.nan_to_num(F @ delta))
     top = np.abs(values).argmax(axis=1)
     pick = np.arange(len(F))
@@ -122,13 +128,20 @@ def _complex_problem(
     right and left vectors.
     """
     blocks = [place.block for place in structure.complex]
+
+    # One full block, exact: F v = sigma u, Delta = v u^H, and u is both eigenvectors of F Delta.
     if len(blocks) == 1 and isinstance(blocks[0], FullBlock):
         u, s, vh = np.linalg.svd(F)
         x = u[:, :, 0]
         return vh[:, 0].conj()[:, :, None] * x.conj()[:, None, :], s[:, 0].astype(complex), x, x
+
+    # One repeated scalar, exact: Delta = I, the spectral radius of F.
     if len(blocks) == 1 and isinstance(blocks[0], ComplexBlock):
         delta = np.tile(np.eye(F.shape[1], dtype=complex), (len(F), 1, 1))
         return delta, *_eigen(F, delta)
+
+    # Several: the power iteration, from b0 or the first right singular vector. It need not
+    # converge, nor rise from step to step: the best perturbation looked at is kept.
     b = _unit(np.linalg.svd(F)[2][:, 0].conj() if b0 is None else b0)
     best_delta, best_value = (
         np.zeros((len(F), F.shape[2], F.shape[1]), complex),
@@ -136,6 +149,7 @@ def _complex_problem(
     )
     w = b
     for step in range(1, steps + 1):
+        # a = F b,   z = Delta^H w,   w ~ F^H z,   b ~ Delta a;   Delta maps a closest to w
         a = (F @ b[..., None])[..., 0]
         z = (_align(structure, a, w).conj().swapaxes(1, 2) @ w[..., None])[..., 0]
         w = _unit((F.conj().swapaxes(1, 2) @ z[..., None])[..., 0])
@@ -177,9 +191,13 @@ def _evaluate(
     rz = parts.real_z
     cw = parts.complex_w
     cz = parts.complex_z
+
+    # real (r) and complex (c) channels: rows z, columns w
     M_rr, M_rc, M_cr, M_cc = (
         M[:, i[:, None], j[None, :]] for i, j in ((rz, rw), (rz, cw), (cz, rw), (cz, cw))
     )
+
+    # F = M_cc + M_cr Q R,   R = E^-1 M_rc,   E = I - M_rr Q;   Q = diag(channel)
     channel = q @ parts.member
     E = np.eye(len(rz)) - M_rr * channel[:, None, :]
     R = memberwise(np.linalg.solve, E, M_rc)
@@ -191,6 +209,7 @@ def _evaluate(
     delta, eigenvalue, x, y = _complex_problem(F, parts.structure, b0, steps)
     magnitude = np.maximum(np.abs(eigenvalue), 1e-300)
     # dF/dq_i = L_i R_i with L = M_cr (I + Q E^-1 M_rr): first-order change of log|lambda|
+    # y_L = y^H L = y^H M_cr + (y^H M_cr Q E^-1) M_rr
     y_cr = (y.conj()[:, None, :] @ M_cr)[:, 0]
     y_L = (
         y_cr
@@ -201,6 +220,9 @@ def _evaluate(
             @ M_rr
         )[:, 0]
     )
+
+    # d log lambda = y^H dF Delta x / lambda = y_L dQ R Delta x / lambda, its real part is
+    # d log|lambda|; per channel, summed over the channels of each parameter at the end
     R_x = (R @ (delta @ x[..., None]))[..., 0]
     change = (y_L * R_x / np.where(np.abs(eigenvalue) > 0, eigenvalue, 1.0)[:, None]).real
     size = np.maximum(np.abs(q).max(axis=1, initial=0.0), 1 / magnitude)
@@ -240,13 +262,21 @@ def _ascend(
         ]
         if len(active) == 0:
             break
+
+        # The q_i at the edge of the box k with the gradient outwards: they move inwards with it.
         here = best.take(active)
         g, k = here.gradient, here.size[:, None]
         at_edge = (np.abs(here.q) > 0.999 * k) & (g * here.q > 0)
         slope = np.where(at_edge, g * here.q, 0.0).sum(axis=1, keepdims=True)
+
+        # A box smaller by e^-t costs t slope of log|lambda|; max(|q|, 1/|lambda|) is least where
+        # both are equal: log|lambda| - t slope + log k - t = 0, t = excess / (1 + slope).
         # > 0: the box may shrink
         excess = np.log(np.maximum(np.abs(here.eigenvalue[:, None]), 1e-300) * k)
         box = k * np.exp(-np.clip(excess, 0, 1) / (1 + slope))
+
+        # Secant curvature -d2 log|lambda| / dq_i^2; where it is positive, the step to the maximum,
+        # else a share of the trust region by the size of the gradient.
         dq, dg = here.q - last_q[active], g - last_g[active]
         curvature = np.where(dq != 0, -dg / np.where(dq != 0, dq, 1.0), 0.0)
         limit = trust[active, None] * k
@@ -262,6 +292,8 @@ def _ascend(
         trial = _evaluate(
             M[active], parts, np.clip(here.q + step, -box, box), warm, max(1, steps // 3)
         )
+
+        # The other end of the next secant: the trial that failed, or the point that was left.
         last_q[active], last_g[active] = trial.q, trial.gradient
         good = trial.size < here.size
         last_q[active[good]], last_g[active[good]] = here.q[good], here.gradient[good]
@@ -287,6 +319,9 @@ def _real_only(
         found = np.abs(top) > 1e-12 * norm[:, 0]
         size[found], best[found, 0] = 1 / np.abs(top[found]), 1 / top[found]
         return size, best
+
+    # No root lies inside ``goal``. Until one is found the box grows threefold; then bisection of
+    # its logarithm. A box without a root raises low: a guess, as Newton may have missed one.
     low, high = goal.copy(), np.maximum(8.0 * goal, np.abs(q).max(axis=1))
     for _ in range(rounds):
         box = np.where(np.isinf(size), high, np.sqrt(low * np.minimum(high, size)))
@@ -309,6 +344,7 @@ def _newton_in_box(
     miss = np.full(len(M), np.inf)
     active = np.arange(len(M))
     for _ in range(12):
+        # f = lambda - 1 for the eigenvalue of M Q nearest 1
         values, vectors = np.linalg.eig(M[active] * (q[active] @ member)[:, None, :])
         rows = np.arange(len(active))
         near = np.abs(values - 1).argmin(axis=1)
@@ -321,12 +357,17 @@ def _newton_in_box(
         rows = rows[going]
         near = near[going]
         f = f[going]
+
+        # y^T V = e^T: the row of V^-1 for x, y^T x = 1; the shift is for a defective M Q
+        # dlambda / dq_i = y^T M (dQ/dq_i) x
         x = vectors[rows, :, near]
         selector = np.eye(M.shape[1])[near][..., None]
         y = memberwise(
             np.linalg.solve, vectors[going].swapaxes(1, 2) + 1e-14 * np.eye(M.shape[1]), selector
         )[..., 0]
         J = np.nan_to_num(((y[:, None, :] @ M[active])[:, 0] * x) @ member.T)  # d lambda / d q_i
+
+        # two real equations: the real and the imaginary part of f
         q[active] += _boxed_step(
             np.stack([J.real, J.imag], axis=1),
             -np.stack([f.real, f.imag], axis=1),
@@ -342,6 +383,7 @@ def _boxed_step(J: np.ndarray, target: np.ndarray, q: np.ndarray, edge: np.ndarr
     """
     free, step = np.ones_like(q), np.zeros_like(q)
     for _ in range(3):
+        # J_f step_f = target - J step_fixed, shortest: step_f = J_f^T (J_f J_f^T)^-1 rest
         Jf = J * free[:, None, :]
         rest = target - (J @ (step * (1 - free))[..., None])[..., 0]
         gram = Jf @ Jf.swapaxes(1, 2)
@@ -349,6 +391,8 @@ def _boxed_step(J: np.ndarray, target: np.ndarray, q: np.ndarray, edge: np.ndarr
         step = np.where(
             free > 0, (Jf.swapaxes(1, 2) @ np.linalg.solve(gram, rest[..., None]))[..., 0], step
         )
+
+        # those beyond the edge stay on it in the rounds that follow
         beyond = np.abs(q + step) > edge
         step = np.clip(q + step, -edge, edge) - q
         free = free * ~beyond
@@ -367,6 +411,8 @@ def _random_reals(
     q = reach[:, None] * (np.sign(spread) if corner else spread)
     if tries == 1:
         return q[0]
+
+    # each start, and where its ray meets a pole of F
     q = np.concatenate([q, np.stack([_on_pole(M, parts, guess, reach) for guess in q])])
     if not parts.structure.complex:
         return _best_root(M, parts, q, reach)
@@ -394,8 +440,12 @@ def _on_pole(M: np.ndarray, parts: _Parts, q: np.ndarray, reach: np.ndarray) -> 
     """
     M_rr = M[:, parts.real_z[:, None], parts.real_w[None, :]]
     values = np.linalg.eigvals(M_rr * (q @ parts.member)[:, None, :])
+
+    # the eigenvalue of most weight that is nearly real
     pick = (np.abs(values.real) - 3 * np.abs(values.imag)).argmax(axis=1)
     value = values[np.arange(len(q)), pick]
+
+    # |t lambda - 1| is smallest for t = Re lambda / |lambda|^2
     stretch = value.real / np.maximum(np.abs(value) ** 2, 1e-300)
     return np.clip(q * stretch[:, None], -reach[:, None], reach[:, None])
 
@@ -404,6 +454,7 @@ def _start_reals(M: np.ndarray, parts: _Parts, worst: np.ndarray, goal: np.ndarr
     """The real parameters that map z = M w closest to w, for the direction w of the upper bound,
     within its box.
     """
+    # |w - q_i z| over the channels of q_i is smallest for q_i = Re(z^H w) / |z|^2
     z = (M @ worst[..., None])[..., 0][:, parts.real_z]
     w = worst[:, parts.real_w]
     top = (z.conj() * w).real @ parts.member.T
@@ -429,12 +480,15 @@ def lower_bound(
     """
     b = len(M)
     value, delta = np.zeros(b), np.full((b, structure.n_w, structure.n_z), np.nan, complex)
+
+    # unit = diag(d_z) M diag(1/d_w) / size; goal, direction and box are those of this matrix
     balanced, _, d_w = osborne(M, structure)
     size = largest_gain(balanced)
     todo = np.flatnonzero((size > 0) & (upper > 0))
     parts, rng = _parts(structure), np.random.default_rng(seed)
     m = len(structure.real)
     for attempt in range(1 + restarts):
+        # Later random starts only where the gap is wide; none where the answer is exact.
         todo = todo[
             value[todo] < upper[todo] * (1 - (tolerance if attempt < 2 else 10 * tolerance))
         ]
@@ -444,6 +498,9 @@ def lower_bound(
         direction = (worst * d_w)[todo]
         q = _start_reals(unit, parts, direction, goal)
         b0 = direction[:, parts.complex_w]
+
+        # Restarts: a random direction, random parameters no larger than what would improve the
+        # bound, at corners of the box in turn.
         if attempt:
             noise = rng.standard_normal((2, *b0.shape))
             b0 = noise[0] + 1j * noise[1]
@@ -462,6 +519,8 @@ def lower_bound(
         found = _verify(unit, candidate)
         better = found * size[todo] > value[todo]
         k = todo[better]
+
+        # Delta d_z = d_w Delta, so that det(I - unit Delta) = det(I - M Delta / size).
         value[k] = found[better] * size[k]
         delta[k] = candidate[better] / size[k, None, None]
     return LowerBound(value, delta)

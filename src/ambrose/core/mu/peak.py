@@ -72,6 +72,7 @@ def _grid(omega: ArrayLike, system: Any) -> np.ndarray:
         p = poles(system)
         dt = getattr(system, "dt", None)
         if dt:
+            # s = log(z) / dt; a pole at z = 0 has none
             p = np.log(p[np.abs(p) > 0].astype(complex)) / dt
         extra = np.abs(p[p.imag > 0].imag)
         grid = np.unique(np.concatenate([grid, extra[(extra > grid[0]) & (extra < grid[-1])]]))
@@ -115,6 +116,8 @@ def mu_peak(
     values = bound(grid)
     resolved = False
     for count in range(_ROUNDS):
+        # Which gaps are halved: the first time all those beside a value above half the largest,
+        # then those beside the high local maxima.
         top = values.max()
         if count == 0:
             chosen = np.maximum(values[:-1], values[1:]) > 0.5 * top
@@ -129,6 +132,8 @@ def mu_peak(
         grid, values = np.concatenate([grid, new]), np.concatenate([values, bound(new)])
         order = np.argsort(grid)
         grid, values = grid[order], values[order]
+
+        # At rest: the last refinement raised the peak by little, and its neighbours are as high.
         k = int(values.argmax())
         near = values[max(0, k - 1) : k + 2]
         if (
@@ -143,6 +148,8 @@ def mu_peak(
     at = float(grid[k])
     delta = np.full((structure.n_w, structure.n_z), np.nan, complex)
     if lower:
+        # The lower bound where the upper one is largest; its peak may lie at another of these
+        # points.
         chosen = np.argsort(values)[::-1][:40]
         M = respond(grid[chosen])
         up = upper_bound(M, structure, tolerance=tolerance / 4)

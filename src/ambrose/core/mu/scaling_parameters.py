@@ -78,6 +78,7 @@ class Basis:
             for start in range(0, len(K), step):
                 H[start : start + step] = self._curvature(K[start : start + step])
         for variable, weight in self.full:
+            # S_a = diag(weight): tr(K diag(weight) K S_b)
             column = self.traces((K * weight) @ K)
             H[:, :, variable] = column
             H[:, variable, :] = column
@@ -90,9 +91,14 @@ class Basis:
         b, N = len(K), K.shape[1]
         # neighbours in memory: the members of the batch
         flat = np.ascontiguousarray(K.reshape(b, N * N).T)
+
+        # (p, q): positions of S_b above or on the diagonal; (row, column) = (r, s): those of S_a
+        # tr(K S_a K S_b) = sum K[q, r] S_a[r, s] K[s, p] S_b[p, q]
         p, q = self.row[self.upper], self.column[self.upper]
         pairs = flat[q * N + self.row[:, None]]
         pairs *= flat[self.column[:, None] * N + p]
+
+        # the sum over (r, s) first, then over (p, q): K S_a K is Hermitian, as ``half`` needs it
         once = (self.mix.T @ pairs.reshape(len(self.row), -1)).reshape(self.count, len(p), b)
         twice = self.half @ once.swapaxes(0, 1).reshape(len(p), -1)
         return np.asarray(twice.real.reshape(self.count, self.count, b).transpose(2, 0, 1))
@@ -113,6 +119,8 @@ def scaling_basis(structure: Structure, *, g_scaling: bool) -> Basis:
     n_x = sum(
         1 if isinstance(place.block, FullBlock) else place.block.n_w for place in structure.places
     )
+
+    # rows and columns of S: w, z, and the rows "x"
     N = n_w + n_z + n_x
     entries: list[Entry] = []
     full: list[tuple[int, np.ndarray]] = []
@@ -124,6 +132,7 @@ def scaling_basis(structure: Structure, *, g_scaling: bool) -> Basis:
         z = n_w + place.z.start
         block = place.block
         if isinstance(block, FullBlock):
+            # X = x I on both sides: S_a = diag(I, -I), and x itself once in the barrier
             diagonal = np.zeros(N)
             diagonal[w : w + block.n_w] = 1.0
             diagonal[z : z + block.n_z] = -1.0
@@ -133,6 +142,8 @@ def scaling_basis(structure: Structure, *, g_scaling: bool) -> Basis:
             is_g = [*is_g, False]
             x = x + 1
             continue
+
+        # X_w = X_z = X in the rows w, -X in the rows z, X in the barrier
         for matrix in _hermitian(block.n_w):
             for p, q, c in matrix:
                 entries += [
@@ -141,6 +152,8 @@ def scaling_basis(structure: Structure, *, g_scaling: bool) -> Basis:
                     (x + p, x + q, c, len(trace)),
                 ]
             trace, is_g = [*trace, float(len(matrix) == 1)], [*is_g, False]
+
+        # -j G~ in (w, z), j G~^H = j G~ in (z, w)
         for matrix in _hermitian(block.n_w) if g_scaling and isinstance(block, RealBlock) else []:
             for p, q, c in matrix:
                 entries += [(w + p, z + q, -1j * c, len(trace)), (z + p, w + q, 1j * c, len(trace))]
@@ -159,12 +172,15 @@ def _frozen(
     """The lists as arrays."""
     from scipy.sparse import csr_array
 
+    # every position that occurs, sorted, and its number
     number = {position: i for i, position in enumerate(sorted({entry[:2] for entry in entries}))}
     place = np.array(list(number), int).reshape(-1, 2)
     coefficient, variable = [entry[2] for entry in entries], [entry[3] for entry in entries]
     position = [number[entry[:2]] for entry in entries]
     mix: Any = np.zeros((len(place), len(trace)), complex)
     np.add.at(mix, (position, variable), coefficient)
+
+    # tr(H S_a) needs the upper triangle alone, what is off the diagonal twice.
     upper = np.flatnonzero(place[:, 0] <= place[:, 1])
     half: Any = mix[upper].T * np.where(place[upper, 0] < place[upper, 1], 2.0, 1.0)
     if mix.size > _DENSE:

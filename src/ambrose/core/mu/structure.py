@@ -119,6 +119,7 @@ def osborne(M: np.ndarray, structure: Structure) -> tuple[np.ndarray, np.ndarray
     Osborne's iteration on Frobenius norms (Osborne 1960). Norms are floored at 1e-9 of the largest,
     so that a reducible M gives finite scalings. M (b, n_z, n_w).
     """
+    # N_gj = |M_gj|^2, Frobenius, between the groups; M over its largest entry
     P_w, P_z = channel_groups(structure)
     groups = len(P_w)
     top = np.abs(M).max(axis=(1, 2), keepdims=True)
@@ -128,13 +129,18 @@ def osborne(M: np.ndarray, structure: Structure) -> tuple[np.ndarray, np.ndarray
     for _ in range(_SWEEPS if groups > 1 else 0):
         before = log_d.copy()
         for g in range(groups):
+            # weight_j = d_j^2 / d_g^2
             weight = np.exp(np.clip(log_d - log_d[:, g : g + 1], -600, 600))
             row = (N[:, g, :] / weight)[:, off[g]].sum(axis=1)  # |d_g M_gj / d_j|^2
             column = (N[:, :, g] * weight)[:, off[g]].sum(axis=1)
+
+            # d_g^2 times f gives row f and column / f: equal for f = sqrt(column / row)
             floor = 1e-18 * (N[:, g, g] + row + column) + 1e-200
             log_d[:, g] -= 0.5 * np.log((row + floor) / (column + floor))
         if np.abs(log_d - before).max(initial=0.0) < 1e-2:
             break
+
+    # A common factor of all d changes nothing: their geometric mean is 1.
     log_d -= log_d.mean(axis=1, keepdims=True)
     d = np.exp(0.5 * np.clip(log_d, -100, 100))  # a ratio of 1e43: its square, in X, stays in range
     d_z, d_w = d @ P_z, d @ P_w

@@ -92,14 +92,21 @@ class _Path:
 
     def __init__(self, basis: Basis, M: np.ndarray, x: np.ndarray, beta: np.ndarray) -> None:
         n_w, n_z = basis.n_w, basis.n_z
+
+        # F = V^H S V with V = [beta I; M], S over the rows (w, z); X over the rows "x" of S
         S = basis.assemble(x)
         V = np.concatenate([beta[:, None, None] * np.eye(n_w), M], axis=1)
         F, X = (
             V.conj().swapaxes(1, 2) @ S[:, : n_w + n_z, : n_w + n_z] @ V,
             S[:, n_w + n_z :, n_w + n_z :],
         )
+
+        # P = F^-1, Hermitian in spite of rounding
         P = _inverse(F)
         P = 0.5 * (P + P.conj().swapaxes(1, 2))
+
+        # K = diag(V P V^H, X^-1); with phi = tr X - logdet F - logdet X
+        # d phi / dx_a = tr X_a - tr(K S_a),   d2 phi / dx_a dx_b = tr(K S_a K S_b)
         K = np.zeros_like(S)
         K[:, : n_w + n_z, : n_w + n_z] = V @ P @ V.conj().swapaxes(1, 2)
         K[:, n_w + n_z :, n_w + n_z :] = _inverse(X)
@@ -126,10 +133,14 @@ class _Path:
         V = self.V
         P = self.P
         S = self.S
+
+        # dV / dbeta = [I; 0], of which dF = dV^H S V + V^H S dV
         dV = np.zeros_like(V)
         dV[:, :n_w] = np.eye(n_w)
         cross = dV.conj().swapaxes(1, 2) @ S[:, :n, :n] @ V
         dF = cross + cross.conj().swapaxes(1, 2)
+
+        # dK = dV P V^H + V P dV^H - V P dF P V^H, as dP = -P dF P; X^-1 does not depend on beta
         half = dV @ P @ V.conj().swapaxes(1, 2)
         dK = np.zeros_like(self.kernel)
         dK[:, :n, :n] = (
@@ -149,6 +160,7 @@ def _solve(H: np.ndarray, g: np.ndarray) -> np.ndarray:
     """H^-1 g for a batch of symmetric positive definite H, scaled by its diagonal and regularised
     at rounding level.
     """
+    # diag(d) H diag(d) has a diagonal of ones, beside which the regularisation is measured
     d = 1 / np.sqrt(np.maximum(np.einsum("bii->bi", H), 1e-300))
     n = H.shape[1]
     scaled = H * d[:, :, None] * d[:, None, :] + 1e-14 * n * np.eye(n)
@@ -173,17 +185,24 @@ def _dual(structure: Structure, path: _Path, beta: np.ndarray) -> np.ndarray:
     centres, but weak for repeated blocks; beta^2 - n_w / tr(P X_w) is the usual gap of a
     logarithmic barrier.
     """
+    # K holds M P M^H in its rows z. Where G drops out of tr(P F), as at a centre, no X > 0 gets
+    # below a beta with (M P M^H)_ii >= beta^2 P_ii for every block i.
     n_w, K = structure.n_w, path.kernel
     ratio = np.full(len(K), np.inf)
     for place in structure.places:
         z = slice(n_w + place.z.start, n_w + place.z.stop)
         top, bottom = K[:, z, z], path.P[:, place.w, place.w]
+
+        # X_i = x I, or one scalar: the ratio of the traces
         if isinstance(place.block, FullBlock) or place.block.n_w == 1:
             value = np.einsum("bii->b", top).real / np.einsum("bii->b", bottom).real
         else:
+            # X_i of any shape: the smallest eigenvalue of the pencil (M P M^H)_ii - lambda P_ii
             L = memberwise(np.linalg.inv, memberwise(np.linalg.cholesky, bottom))
             value = _eigenvalues(L @ top @ L.conj().swapaxes(1, 2))[:, 0]
         ratio = np.minimum(ratio, value)
+
+    # the gap of the barrier, in beta^2
     gap = n_w / np.einsum("bij,bji->b", path.P, path.S[:, :n_w, :n_w]).real
     # beyond beta: not on the path yet; NaN: singular to rounding
     ratio = np.where(ratio < beta**2, ratio, -np.inf)
@@ -196,10 +215,13 @@ def _lower_beta(
     """The predictor: move along the tangent of the path of centres as far towards ``target`` as
     stays inside.
     """
+    # On the path gradient(x, beta) = 0: H dx + d(gradient)/d(beta) dbeta = 0;
+    # dbeta = -step gives dx = step slope.
     slope = _solve(path.hessian, path.tangent())
     new_x, new_beta = x.copy(), beta.copy()
     left = np.arange(len(x))
     for fraction in _SHRINK:
+        # the shortest step also with x left where it is
         for use in (1.0, 0.0) if fraction == _SHRINK[-1] else (1.0,):
             step = fraction * (beta[left] - target[left])
             try_beta = beta[left] - step
@@ -217,6 +239,7 @@ Scalings = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def _scalings(structure: Structure, basis: Basis, x: np.ndarray, beta: np.ndarray) -> Scalings:
     """(X_w, X_z, G) of the variables x."""
+    # S = [[X_w, -j G~], [j G~^H, -X_z]], G = beta G~
     S = basis.assemble(x)
     n_w = structure.n_w
     n = structure.n_w + structure.n_z
@@ -234,10 +257,13 @@ def _without_centre(
     """x and beta lowered to nearly what x proves: for where G can grow without bound, so that
     ``beta`` has no centre.
     """
+    # what (X, G) prove, with 5 % of room to stay inside; never below the level asked for
     scalings = _scalings(structure, basis, x, beta)
     low = np.maximum(
         1.05 * _verified(structure, M, scalings[:2], scalings[2]), np.maximum(level, _ZERO / 10)
     )
+
+    # G = beta G~ stays as it is while beta falls: G~ grows by beta / low
     with np.errstate(over="ignore"):
         moved = np.where(basis.is_g, x * (beta / low)[:, None], x)
     better = (low < 0.9 * beta) & _inside(basis, M, moved, low)
@@ -250,6 +276,7 @@ def _drop_to_zero(
     """With real blocks only, beta = 0 is reached when M^H X M + j (G M - M^H G) < 0; then G~ = G /
     beta at a tiny beta.
     """
+    # G = beta G~ stays as it is
     near = np.full(len(x), _ZERO / 10)
     dropped = np.where(basis.is_g, x * (beta / near)[:, None], x)
     zero = _inside(basis, M, dropped, near)
@@ -279,15 +306,22 @@ def _minimise(
         m = M[active]
         xa = x[active]
         ba = beta[active]
+
+        # Newton: x - H^-1 g, decrement sqrt(g^T H^-1 g); the barrier is self-concordant, so that a
+        # full step stays inside while the decrement is below 1, a damped one always.
         path = _Path(basis, m, xa, ba)
         step = _solve(path.hessian, path.gradient)
         decrement = np.sqrt(np.maximum((step * path.gradient).sum(axis=1), 0.0))
         centred = decrement < _CENTRED
         damping = np.where(decrement < 0.9, 1.0, 1 / (1 + decrement))
         xa = xa - damping[:, None] * step
+
+        # not finite, or outside all the same: rounding at the edge, no further progress
         stuck = ~np.isfinite(xa).all(axis=1) | ~_inside(basis, m, xa, ba)
         xa[stuck] = x[active][stuck]
         done = stuck.copy()
+
+        # At a centre: how low the dual allows, but not below the level asked for; then on to there.
         if centred.any():
             c = np.flatnonzero(centred & ~stuck)
             here = path.part(c)
@@ -295,13 +329,20 @@ def _minimise(
             target = np.maximum(target, np.minimum(level[active[c]], ba[c]))
             done[c] = (ba[c] - target <= tolerance * ba[c]) | (ba[c] < _ZERO)
             xa[c], ba[c] = _lower_beta(basis, m[c], xa[c], ba[c], here, target)
+
+        # Long without a centre: see _without_centre.
         late[active] = np.where(centred, 0, late[active] + 1)
         k = np.flatnonzero((late[active] >= _LATE) & ~done)
         if len(k) and basis.is_g.any():
             xa[k], ba[k] = _without_centre(structure, basis, m[k], xa[k], ba[k], level[active[k]])
+
+        # Real blocks alone: mu may be zero.
         if not structure.complex and not level.any():
             xa, ba, zero = _drop_to_zero(basis, m, xa, ba)
             done |= zero
+
+        # Those that are done leave with the direction in which F = P^-1 is smallest: there it is
+        # tight.
         if done.any() or iteration == max_iterations:
             end_now = np.flatnonzero(done) if iteration < max_iterations else np.arange(len(done))
             P = path.P[end_now]
@@ -323,11 +364,15 @@ def _verified(
     X: (X_w (b, n_w, n_w), X_z (b, n_z, n_z)). Returns the bound (b,), infinite where X is not
     positive definite to rounding.
     """
+    # X = L L^H, T = L_z^H M L_w^-H: the inequality times L_w^-1 and L_w^-H reads
+    # A = T^H T + L_w^-1 j G M L_w^-H + its conjugate < beta^2 I.
     L_w, L_z = (memberwise(np.linalg.cholesky, part) for part in X)
     inverse = memberwise(np.linalg.inv, L_w)
     T = L_z.conj().swapaxes(1, 2) @ M @ inverse.conj().swapaxes(1, 2)
     left = inverse @ (1j * G @ M) @ inverse.conj().swapaxes(1, 2)
     A = T.conj().swapaxes(1, 2) @ T + left + left.conj().swapaxes(1, 2)
+
+    # The largest eigenvalue of A, rounding included, is the beta^2 proved.
     values = _eigenvalues(A)
     size = np.linalg.norm(T, axis=(1, 2)) ** 2 + 2 * np.linalg.norm(left, axis=(1, 2))
     error = 4 * structure.n_w * np.finfo(float).eps * size
@@ -346,6 +391,7 @@ def _proved(
     best = _verified(structure, M, found[:2], found[2])
     X_w, X_z, G = (part.copy() for part in found)
     for epsilon in _REGULARISE:
+        # members for which rounding spoils what beta should prove
         k = np.flatnonzero(best > beta * (1 + 1e-8))
         if len(k) == 0:
             break
@@ -386,12 +432,15 @@ def upper_bound(
     level with most room, and so reach furthest in frequency. ``g_scaling=False`` treats real blocks
     as complex.
     """
+    # The matrix worked on: diag(d_z) M diag(1/d_w) / scale, of norm 1; M = 0 needs no work.
     b = len(M)
     balanced, d_z, d_w = osborne(M, structure)
     size = largest_gain(balanced)
     alive = np.flatnonzero(size > 0)
     scale = np.where(size > 0, size, 1.0)
     unit = balanced / scale[:, None, None]
+
+    # To begin with the balanced matrix as it is: X = I, G = 0.
     X_w, X_z = (
         np.tile(np.eye(structure.n_w, dtype=complex), (b, 1, 1)),
         np.tile(np.eye(structure.n_z, dtype=complex), (b, 1, 1)),
@@ -399,6 +448,7 @@ def upper_bound(
     G = np.zeros((b, structure.n_w, structure.n_z), complex)
     value, worst = _verified_osborne(structure, unit, alive)
     if len(alive) and needs_scaling(structure):
+        # X = I is inside for every beta > 1, where the path begins.
         basis = scaling_basis(structure, g_scaling=g_scaling)
         low = (np.zeros(b) if level is None else level / scale)[alive]
         x, beta, direction = _minimise(
@@ -411,12 +461,17 @@ def upper_bound(
             max_iterations,
         )
         proved, new = _proved(structure, unit[alive], _scalings(structure, basis, x, beta), beta)
+
+        # Asked for a level, the centre's scalings are taken if they prove it, though X = I may
+        # prove less: they have more room.
         better = proved < (
             value[alive] if level is None else np.maximum(value, level / scale)[alive]
         )
         k = alive[better]
         value[k], worst[alive] = proved[better], direction
         X_w[k], X_z[k], G[k] = (part[better] for part in new)
+
+    # Back to M: the inequality times scale^2, diag(d_w) on both sides.
     value = value * size
     X_w = d_w[:, :, None] * X_w * d_w[:, None, :]
     X_z = d_z[:, :, None] * X_z * d_z[:, None, :]
