@@ -376,7 +376,7 @@ def solve_shifted(T: np.ndarray, X: np.ndarray, s: np.ndarray) -> None:
     """
     n = T.shape[0]
     if n > _LEAF:
-        # [X1; X2] <- [(s - T11)^-1 (X1 + T12 X2); X2], X2 <- (s - T22)^-1 X2
+        # X2 <- (s - T22)^-1 X2, then X1 <- (s - T11)^-1 (X1 + T12 X2)
         h = n // 2 + int(T[n // 2, n // 2 - 1] != 0)  # never through a 2 x 2 block
         solve_shifted(T[h:, h:], X[h:], s)
         X[:h] += _times(T[:h, h:], X[h:])

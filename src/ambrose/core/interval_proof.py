@@ -69,8 +69,7 @@ def enclose(cell: Pencil) -> Enclosure | None:
     """
     n, h = len(cell.P0), cell.half_width
 
-    # The terms of N and Y in (2), (3). N0 and |X| carry the rounding of X: no exact inverse is
-    # assumed.
+    # The terms of N and Y in (2), (3); N0 takes in what X misses of P0^-1.
     X = np.linalg.inv(cell.P0)
     Y, CX = X @ cell.Q, cell.C @ X
     N0 = X @ cell.P0 - np.eye(n)
@@ -98,8 +97,8 @@ def enclose(cell: Pencil) -> Enclosure | None:
     row = rest_c + sum(weight * np.abs(cell.C @ part) for part, weight in parts)
     column = rest_y + sum(weight * np.abs(part @ Y) for part, weight in parts)
 
-    # C (I + N)^-1 Y = C Y - C N Y + C N N Y - C N N (I + N)^-1 N Y: of C N N Y the part d^2 C N1 N1
-    # Y is in S2, the rest at most r c - h^2 |C N1| |N1 Y|
+    # C (I + N)^-1 Y = C Y - C N Y + C N N Y - C N N (I + N)^-1 N Y: of C N N Y the part
+    # d^2 C N1 N1 Y is in S2, the rest at most r c - h^2 |C N1| |N1 Y|
     kept = h * h * np.abs(cell.C @ N1) @ np.abs(N1 @ Y)
 
     # |N (I + N)^-1| <= Nb (I - Nb)^-1, by the Neumann series
@@ -219,7 +218,7 @@ def prove(
                 )
         narrow = end - start <= narrowest * (high - low)
 
-        # Both halves wait, the lower one on top; a cell as narrow as allowed is taken as it is.
+        # Both halves wait, the lower one on top; the narrowest is taken as it is.
         if shown <= wanted and not narrow:
             waiting += [(middle, end), (start, middle)]
             continue

@@ -366,7 +366,7 @@ def balanced_realization(system: Any) -> tuple[StateSpace, np.ndarray, np.ndarra
     A, B, C, t = balance_system(system.A, system.B, system.C)
     n = A.shape[0]
 
-    # P = Lc Lc^T, Q = Lo Lo^T; the singular values of Lo^T Lc are the roots of eig(P Q).
+    # P = Lc Lc^T, Q = Lo Lo^T; the singular values of Lo^T Lc are sqrt(eig(P Q)).
     Lc, Lo = _gramian_factor(A, B, discrete), _gramian_factor(A.T, C.T, discrete)
     U, hankel, Vt = np.linalg.svd(Lo.T @ Lc)
     k = int((hankel > n * _EPS * hankel.max(initial=0.0)).sum())

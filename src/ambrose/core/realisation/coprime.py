@@ -396,11 +396,11 @@ def injection_gain(
     # not "rhp" and "ouc": of a complex pair SciPy 1.14 shows those tests the real part alone, and
     # leaves it where it is
     T, Q, k = sla.schur(shifted, sort=_right if dt is None else _outside) if n else (A, A, 0)
-
-    # Leading k Schur vectors Q1: the unstable part S = T11, seen by C1 = sigma^-1 C Q1; with L = Q1
-    # g the rest of the triangle stays, and S + g C1 is to be stable.
     if k == 0:
         return np.zeros((n, p)), np.diag(sigma**2)
+
+    # The leading k Schur vectors Q1 span the unstable part: T1, seen by C1 = sigma^-1 C Q1. With
+    # L = Q1 g the rest of the triangle stays; T1 + g C1 is to be stable.
     slow, seen = T[:k, :k], (C * t @ Q[:, :k]) / sigma[:, None]
 
     # A pole on the boundary is mirrored into itself: no stabilising solution.
@@ -417,11 +417,12 @@ def injection_gain(
             "ask for a slightly larger decay"
         )
     if dt is None:
-        # S^T X + X S = C1^T C1; with Y = X^-1 the Bernoulli equation S Y + Y S^T = Y C1^T C1 Y
+        # T1^T X + X T1 = C1^T C1; with Y = X^-1 the Bernoulli equation
+        # T1 Y + Y T1^T = Y C1^T C1 Y
         X = lyapunov(-slow.T, seen.T @ seen)
     else:
-        # S^T X S = X + C1^T C1; with Y = X^-1 the Riccati equation without process noise, Y = S Y
-        # S^T - S Y C1^T (I + C1 Y C1^T)^-1 C1 Y S^T
+        # T1^T X T1 = X + C1^T C1; with Y = X^-1 the Riccati equation without process noise,
+        # Y = T1 Y T1^T - T1 Y C1^T (I + C1 Y C1^T)^-1 C1 Y T1^T
         inverse = np.linalg.inv(slow)
         X = discrete_lyapunov(inverse.T, inverse.T @ seen.T @ seen @ inverse)
 
@@ -433,7 +434,7 @@ def injection_gain(
             "other outputs"
         )
 
-    # Kalman gain g = -Y C1^T (sampled: -S Y C1^T (I + C1 Y C1^T)^-1)
+    # Kalman gain g = -Y C1^T (sampled: -T1 Y C1^T (I + C1 Y C1^T)^-1)
     # shift (A + L C) = shift A + Q1 g C1: L = Q1 g/shift, in the states and the units as given
     Y = np.linalg.inv(X / size / size[:, None]) / size / size[:, None]
     innovation = np.eye(p) if dt is None else np.eye(p) + seen @ Y @ seen.T

@@ -54,7 +54,7 @@ def modal_form(system: Any, growth: float = _GROWTH) -> ModalForm:
     A, B, C, _ = balance_system(system.A, system.B, system.C)
     T, X = sla.schur(A, output="real")
 
-    # A X = X T, Y = X^-1, T block-diagonal: checked, since Y is never inverted.
+    # A X = X T and Y X = I are checked: X and Y were built up side by side, without an inverse.
     T, X, Y, sizes = _separated(T, X, growth)
     size = np.abs(A).max()
     if (
