@@ -33,17 +33,25 @@ def least_sensitivity(A: ArrayLike, C: ArrayLike, delay: float) -> float:
     a, c = check_shape(A, "A", "(n, n)"), check_finite(C, "C")
     check_positive(delay, "the delay [s]", "zero is none", zero_allowed=True)
     floor = _MARGINAL * max(np.abs(np.linalg.eigvals(a)).max(initial=0.0), 1e-300)
+
+    # The unstable part to the front: leading Schur vectors are invariant, stable poles drop out.
     T, Q, count = sla.schur(a, output="real", sort=lambda re, im: re > floor)
     if count == 0 or delay == 0:
         return 1.0
     a, c = T[:count, :count], c @ Q[:, :count]
     if np.linalg.eigvals(a).real.max() * delay > _BEYOND:
         return float("inf")
+
+    # The inner factor's inverse from the observability of the unstable part (-A is stable).
     seen = sla.solve_continuous_lyapunov(a.T, c.T @ c)  # A^T W + W A = C^T C
     size = np.linalg.eigvalsh((seen + seen.T) / 2)
+
+    # W singular: an unstable motion that shows in no measurement.
     if size[0] <= 1e-13 * size[-1]:
         return float("inf")
     b = np.linalg.solve(seen, c.T)  # B^{-1}(s) = I + C (s - A)^{-1} B is all-pass
+
+    # The error falls with the cell's width squared: extrapolated from two grids (Richardson).
     coarse, fine = (
         _truncated_norm(a, b, c, delay, _CELLS),
         _truncated_norm(a, b, c, delay, 2 * _CELLS),
@@ -64,11 +72,17 @@ def _truncated_norm(A: np.ndarray, B: np.ndarray, C: np.ndarray, delay: float, c
     step = E[:n, :n]
     once = E[:n, n : 2 * n]
     twice = E[:n, 2 * n :]
+
+    # Unit functions 1/sqrt(h) on a cell. The kernel I delta(t) + C e^{A t} B averaged from cell 0
+    # to cell i:
+    # i = 0: I + C twice B/h,   i > 0: C once e^{A h (i - 1)} once B/h
     column = [np.eye(m) + C @ twice @ B / h]
     state = once @ B
     for _ in range(cells - 1):
         column.append(C @ once @ state / h)
         state = step @ state
+
+    # Causal and the same from every cell: block lower triangular Toeplitz.
     whole = np.zeros((cells, m, cells, m))
     for i in range(cells):
         for j in range(i + 1):

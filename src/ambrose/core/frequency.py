@@ -218,9 +218,13 @@ def _expansion(
     except np.linalg.LinAlgError:
         return None
     with np.errstate(over="ignore", invalid="ignore"):
+        # |v_i| |w_i| with w_i v_i = 1: the condition of pole i, and the digits that its residue
+        # loses.
         spread = np.linalg.norm(V, axis=0) * np.linalg.norm(W, axis=1)
     if not (spread <= _SPREAD).all():
         return None
+
+    # residue i = (right v_i)(w_i left), rank one
     residues = (right @ V).T[:, :, None] * (W @ left)[:, None, :]
     return poles, residues.reshape(len(poles), -1)
 
@@ -295,8 +299,14 @@ def _near_poles(form: SchurForm, s: np.ndarray) -> np.ndarray:
     not resolve the distance.
     """
     eps = np.finfo(float).eps
+
+    # In rounding errors of each pole, (w, n).
     distance = np.abs(s[:, None] - form.poles) / np.maximum(form.pole_errors, 1e-280)
+
+    # Only these may be near by either measure: the product of the two nearest, or the nearest.
     near = distance.min(axis=1) <= np.sqrt(_NEAR / eps)
+
+    # A defective pair is known to sqrt(eps) only: (s - p)^2 within 100 eps of its size squared.
     two = np.sort(distance[near], axis=1)[:, :2]
     near[near] = (two[:, 0] <= _NEAR) | (two.prod(axis=1) <= _NEAR / eps) & (distance.shape[1] > 1)
     return near
@@ -328,6 +338,8 @@ def state_response_at(A: np.ndarray, B: np.ndarray, s: complex) -> tuple[np.ndar
     n = A.shape[0]
     A, t = balance(A)
     shifted = s * np.eye(n) - A
+
+    # Equilibrated: every row, then every column of s - A has the largest entry one.
     rows = 1 / np.maximum(np.abs(shifted).max(axis=1), 1e-280)
     columns = 1 / np.maximum((np.abs(shifted) * rows[:, None]).max(axis=0), 1e-280)
     scaled = shifted * rows[:, None] * columns
@@ -335,9 +347,11 @@ def state_response_at(A: np.ndarray, B: np.ndarray, s: complex) -> tuple[np.ndar
     if singular:
         return np.zeros(B.shape, complex), 0.0
 
+    # (s - A)^-1 = diag(columns) (rows (s - A) columns)^-1 diag(rows)
     def solve(right: np.ndarray) -> np.ndarray:
         return columns[:, None] * sla.lapack.zgetrs(lu, pivots, rows[:, None] * right)[0]
 
+    # Residuals in extended precision, corrections by the factors at hand.
     right = B / t[:, None]
     X = solve(right)
     wide = s * np.eye(n, dtype=np.clongdouble) - A
@@ -362,11 +376,14 @@ def solve_shifted(T: np.ndarray, X: np.ndarray, s: np.ndarray) -> None:
     """
     n = T.shape[0]
     if n > _LEAF:
+        # X2 <- (s - T22)^-1 X2, then X1 <- (s - T11)^-1 (X1 + T12 X2)
         h = n // 2 + int(T[n // 2, n // 2 - 1] != 0)  # never through a 2 x 2 block
         solve_shifted(T[h:, h:], X[h:], s)
         X[:h] += _times(T[:h, h:], X[h:])
         solve_shifted(T[:h, :h], X[:h], s)
         return
+
+    # The same from the last row up, rows k..i of one diagonal block at a time.
     i = n
     while i > 0:
         k = i - 2 if i > 1 and T[i - 1, i - 2] != 0 else i - 1
@@ -384,6 +401,8 @@ def _solve_pair(block: np.ndarray, X: np.ndarray, s: np.ndarray) -> None:
     kept in factors.
     """
     (a, b), (c, _) = block
+
+    # (s - block)^-1 = [[d, b], [c, d]]/(d^2 - b c), d = s - a, d^2 - b c = (d - half)(d + half)
     half = 1j * np.sqrt(-b * c)
     d = s - a
     scale = (1 / (d - half) / (d + half))[:, None]

@@ -68,6 +68,8 @@ def enclose(cell: Pencil) -> Enclosure | None:
     converge.
     """
     n, h = len(cell.P0), cell.half_width
+
+    # The terms of N and Y in (2), (3); N0 takes in what X misses of P0^-1.
     X = np.linalg.inv(cell.P0)
     Y, CX = X @ cell.Q, cell.C @ X
     N0 = X @ cell.P0 - np.eye(n)
@@ -76,6 +78,7 @@ def enclose(cell: Pencil) -> Enclosure | None:
     M = [X @ member for member in cell.members]
     size = np.abs(X)
 
+    # Nb >= |N|, entry by entry, for every d, p and rest of the cell
     bound = np.abs(N0) + h * np.abs(N1) + h * h * np.abs(N2) + size @ cell.rest
     for member in M:
         bound = bound + np.abs(member)
@@ -88,14 +91,23 @@ def enclose(cell: Pencil) -> Enclosure | None:
     if not (np.isfinite(v).all() and (v > 0).all() and (bound @ v < v).all()):
         return None
 
+    # r (``row``) and c (``column``) of (4): |C N| <= r, |N Y| <= c
     rest_y, rest_c = size @ (cell.rest @ np.abs(Y)), np.abs(CX) @ cell.rest
     parts = [(N0, 1.0), (N1, h), (N2, h * h), *((member, 1.0) for member in M)]
     row = rest_c + sum(weight * np.abs(cell.C @ part) for part, weight in parts)
     column = rest_y + sum(weight * np.abs(part @ Y) for part, weight in parts)
+
+    # C (I + N)^-1 Y = C Y - C N Y + C N N Y - C N N (I + N)^-1 N Y: of C N N Y the part
+    # d^2 C N1 N1 Y is in S2, the rest at most r c - h^2 |C N1| |N1 Y|
     kept = h * h * np.abs(cell.C @ N1) @ np.abs(N1 @ Y)
+
+    # |N (I + N)^-1| <= Nb (I - Nb)^-1, by the Neumann series
     third = row @ np.linalg.solve(gap, bound @ column)
+
+    # (4): of C N Y only N0 and X rest are not in S1, S2 and L_j
     tail = np.abs(cell.C @ N0 @ Y) + rest_c @ np.abs(Y) + np.maximum(row @ column - kept, 0) + third
 
+    # (3)
     S0 = cell.D + cell.C @ Y
     S1 = -cell.C @ (N1 @ Y)
     S2 = cell.C @ (N1 @ (N1 @ Y)) - cell.C @ (N2 @ Y)
@@ -118,6 +130,7 @@ def proved_angle(enclosure: Enclosure, ends: Sequence[np.ndarray], allowance: fl
         for sign in (1.0, -1.0):
             turn = np.exp(1j * sign * phi)
             for T in ends:
+                # |x^H T E x| <= ||T|| allowance for ||E|| <= allowance
                 slack = float(np.linalg.norm(T, 2)) * allowance
                 # |x^H T tail x| <= ||(|T| tail)||_2 entry by entry, and the 2-norm of a nonnegative
                 # matrix
@@ -127,6 +140,9 @@ def proved_angle(enclosure: Enclosure, ends: Sequence[np.ndarray], allowance: fl
                     values, vectors = np.linalg.eigh(hermitian(turn * (T @ slope)))
                     # -|H_j| <= p_j H_j in the order of Hermitian matrices
                     spread += (vectors * np.abs(values)) @ vectors.conj().T
+
+                # S is in the hull of the corners and the Hermitian part is linear: positive at
+                # each, positive throughout, by more than what tail and allowance can take away.
                 for corner in enclosure.corners:
                     H = hermitian(turn * (T @ corner)) - spread
                     if not np.linalg.eigvalsh(H)[0] > slack:
@@ -178,8 +194,11 @@ def prove(
     for. width: of the first cells. wanted [rad]: the angle below which a cell is halved. narrowest:
     share of the interval at which a cell that is not shown ends the proof.
     """
+    # 1e-9: a width that divides the interval but for rounding gets no cell more.
     count = max(1, int(np.ceil((high - low) / width - 1e-9)))
     edges = np.linspace(low, high, count + 1)
+
+    # A stack with the lowest cell on top: from low to high.
     waiting = [(float(a), float(b)) for a, b in itertools.pairwise(edges)][::-1]
     angle = np.pi / 2
     worst = low
@@ -198,6 +217,8 @@ def prove(
                     False, here, middle, cells, middle, bool(eigenvalues.real.min() < 0)
                 )
         narrow = end - start <= narrowest * (high - low)
+
+        # Both halves wait, the lower one on top; the narrowest is taken as it is.
         if shown <= wanted and not narrow:
             waiting += [(middle, end), (start, middle)]
             continue

@@ -220,6 +220,8 @@ def close_uncertainty(
             f"block {sorted(unknown)[0]!r} is unknown; the plant has "
             f"{', '.join(b.name for b in plant.blocks)}"
         )
+
+    # Delta (w, z), block-diagonal: i and j run down the blocks' w and z.
     gain = np.zeros((plant.n_w_blocks, plant.n_z_blocks))
     i = j = 0
     for block in plant.blocks:
@@ -252,6 +254,8 @@ def _star(
     """Close u = gain y on ``system`` and keep w -> z."""
     inner = rename(gain, [f"from {name}" for name in y], [f"to {name}" for name in u])
     joined = append(system, inner)
+
+    # Both systems side by side; u gets the gain's outputs, the gain's inputs get y.
     loop = np.zeros((len(joined.inputs), len(joined.outputs)))
     for name in u:
         loop[joined.inputs.index(name), joined.outputs.index(f"to {name}")] = 1.0
@@ -265,6 +269,8 @@ def design_grid(plant: GeneralizedPlant) -> np.ndarray:
     fastest.
     """
     size = np.abs(poles(plant.system))
+
+    # Poles at zero (rigid bodies, integrators) set no scale.
     size = size[size > 1e-9 * size.max(initial=0.0)]
     low, high = (size.min() / _MARGIN, size.max() * _MARGIN) if size.size else (1e-2, 1e2)
     return np.geomspace(low, high, max(20, int(np.ceil(_PER_DECADE * np.log10(high / low))) + 1))

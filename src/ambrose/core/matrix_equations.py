@@ -59,9 +59,13 @@ def _square(A: ArrayLike, Q: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
 def _lyapunov(A: np.ndarray, Q: np.ndarray, discrete: bool) -> np.ndarray:
     if A.shape[0] == 0:
         return np.zeros((0, 0))
+
+    # x = diag(t) z: X = diag(t) Z diag(t), Q likewise.
     A, t = balance(A)
     Q = Q / t[:, None] / t
     T, U = sla.schur(A, output="complex")
+
+    # No unique X where two eigenvalues add up to 0 (multiply to 1), to ten rounding errors of each.
     size = np.abs(T)
     error = 10 * _EPS * np.maximum(size.max(0), size.max(1))
     poles = np.diag(T)
@@ -77,11 +81,15 @@ def _lyapunov(A: np.ndarray, Q: np.ndarray, discrete: bool) -> np.ndarray:
             f"and {poles[j].conj():.6g} "
             f"{what}; remove or shift marginal states first"
         )
+
+    # A = U T U^H: X = U Y U^H with T Y + Y T^H + U^H Q U = 0 (sampled: T Y T^H - Y + U^H Q U = 0)
     X = U @ _triangular_lyapunov(T, U.conj().T @ Q @ U, discrete) @ U.conj().T
     if np.isrealobj(A) and np.isrealobj(Q):
         X = X.real
     if np.array_equal(Q, Q.conj().T):
         X = (X + X.conj().T) / 2
+
+    # Put back into the balanced equation, relative to its three terms.
     AX = A @ X
     terms = np.array((AX @ A.conj().T, -X, Q) if discrete else (AX, X @ A.conj().T, Q))
     residual = float(
@@ -103,12 +111,15 @@ def _triangular_lyapunov(T: np.ndarray, Q: np.ndarray, discrete: bool) -> np.nda
     n = T.shape[0]
     Y = np.zeros((n, n), dtype=complex)
     for j in range(n - 1, -1, -1):
+        # Column j of Y T^H is sum_(i >= j) y_i conj(T_ji): known + y_j conj(T_jj).
         known = Y[:, j + 1 :] @ T[j, j + 1 :].conj()
         shift = T[j, j].conj()
         if discrete:
+            # (conj(T_jj) T - I) y_j = -q_j - T known
             left, right = shift * T, -Q[:, j] - T @ known
             left[np.diag_indices(n)] -= 1
         else:
+            # (T + conj(T_jj) I) y_j = -q_j - known
             left, right = T.copy(order="F"), -Q[:, j] - known
             left[np.diag_indices(n)] += shift
         Y[:, j] = sla.blas.ztrsv(left, right)
@@ -148,8 +159,13 @@ def solve_riccati(A: ArrayLike, G: ArrayLike, Q: ArrayLike) -> RiccatiSolution:
     if n == 0:
         return RiccatiSolution(np.zeros((0, 0)), np.zeros(0, complex), 0.0, "solved")
     g, q = _symmetric(G, "G", n), _symmetric(Q, "Q", n)
+
+    # Balanced by a similarity that keeps the Hamiltonian a Hamiltonian: of the scales of x and of
+    # its costate only the ratio is free.
     scale = balance(np.block([[a, -g], [-q, -a.T]]))[1]
     d = np.exp2(np.round(np.log2(scale[:n] / scale[n:]) / 2))  # diag(d, 1/d) is symplectic
+
+    # x = diag(d) z: A -> d^-1 A d, G -> d^-1 G d^-1, Q -> d Q d, X -> d X d
     a = a * d / d[:, None]
     g = g / d[:, None] / d
     q = q * d[:, None] * d
@@ -167,6 +183,8 @@ def solve_riccati(A: ArrayLike, G: ArrayLike, Q: ArrayLike) -> RiccatiSolution:
                 status = "imaginary-axis eigenvalues"
     except ValueError:  # LAPACK's refusal, or scipy's of what overflowed
         status = "inaccurate"
+
+    # Back: X = d^-1 X_z d^-1; the poles do not change.
     if status != "solved":
         return RiccatiSolution(
             np.full((n, n), np.nan), np.full(n, np.nan, complex), float(residual), status
@@ -193,16 +211,25 @@ def _stable_subspace(H: np.ndarray) -> tuple[np.ndarray, str]:
     T, Z = sla.schur(H)
     values = schur_eigenvalues(T)
     order = np.argsort(values.real, kind="stable")
+
+    # A complex pair on the axis, to rounding: no stabilising X. Real ones near zero may be slow
+    # poles.
     if ((np.abs(values.real) <= 10 * _EPS * np.abs(T).max()) & (values.imag != 0)).any():
         return H[:n, :n], "imaginary-axis eigenvalues"
+
+    # The n most stable ones to the front of the Schur form; m != n where that would part a pair.
     select = np.zeros(2 * n, dtype=np.int32)
     select[order[:n]] = 1
     _, Z, *_, m, _, _, info = sla.lapack.dtrsen(select, T, Z, job=b"N")
     if info != 0 or m != n:
         return H[:n, :n], "imaginary-axis eigenvalues"
+
+    # Z[:, :n] = [X1; X2]. X1 singular: the subspace is no graph over x.
     lu, pivots, singular = sla.lapack.dgetrf(Z[:n, :n])
     if singular or sla.lapack.dgecon(lu, np.abs(Z[:n, :n]).sum(axis=0).max())[0] < 10 * _EPS:
         return H[:n, :n], "X1 singular"
+
+    # X X1 = X2, solved as X1^T X^T = X2^T
     X = sla.lapack.dgetrs(lu, pivots, Z[n:, :n].T, trans=1)[0].T
     if np.abs(X - X.T).max() > 1e-5 * np.abs(X).max():  # a Lagrangian subspace gives a symmetric X
         return H[:n, :n], "imaginary-axis eigenvalues"
@@ -223,6 +250,7 @@ def _refine(A: np.ndarray, G: np.ndarray, Q: np.ndarray, X: np.ndarray) -> tuple
     R, residual = put_in(X)
     if residual > 1e-13:
         try:
+            # (A - G X)^T dX + dX (A - G X) + R = 0, the residual R to first order in dX
             better = X + lyapunov((A - G @ X).T, (R + R.T) / 2)
         except (NumericalFailure, InvalidInput):  # none, or out of range
             return X, residual
@@ -261,8 +289,12 @@ def _gramian_factor(A: np.ndarray, B: np.ndarray, discrete: bool) -> np.ndarray:
     n = A.shape[0]
     if n == 0:
         return np.zeros((0, 0))
+
+    # The output plays no part; x = diag(t) z.
     A, B, _, t = balance_system(A, B, np.zeros((1, n)))
     T, U = sla.schur(A, output="complex")
+
+    # Stable by more than ten rounding errors of each pole.
     size = np.abs(T)
     poles, error = np.diag(T), 10 * _EPS * np.maximum(size.max(0), size.max(1))
     distance = 1 - np.abs(poles) if discrete else -poles.real
@@ -273,6 +305,11 @@ def _gramian_factor(A: np.ndarray, B: np.ndarray, discrete: bool) -> np.ndarray:
             "region, so the Gramian does not "
             "exist; stabilise the system, or split off its unstable part"
         )
+
+    # U^H P U = R R^H, R upper triangular, W = U^H B: T R R^H + R R^H T^H + W W^H = 0
+    # (sampled: T R R^H T^H - R R^H + W W^H = 0).
+    # The last row and column first: T = [T11 t; 0 tau], R = [R11 r; 0 rho], W = [W1; b]; t is
+    # ``above``, and a smaller equation of the same kind in R11 is left, with a new W1.
     R = np.zeros((n, n), dtype=complex)
     W = (U.conj().T @ B).astype(complex)
     for k in range(n - 1, -1, -1):
@@ -280,12 +317,19 @@ def _gramian_factor(A: np.ndarray, B: np.ndarray, discrete: bool) -> np.ndarray:
         tau = T[k, k]
         above = T[:k, k]
         size_b = np.linalg.norm(b)
+
+        # rho = 0, and with it the whole column of R R^H >= 0: r = 0, W1 stays.
         if size_b == 0.0:
             W = W[:k]
             continue
+
+        # (2, 2): rho^2 alpha^2 = b b^H, alpha^2 = -2 Re tau (sampled: 1 - |tau|^2, in factors)
         unit = b.conj() / size_b
         alpha = np.sqrt((1 - abs(tau)) * (1 + abs(tau)) if discrete else -2 * tau.real)
         R[k, k] = rho = size_b / alpha
+
+        # (1, 2), divided by rho: (T11 + conj(tau)) r = -t rho - alpha c, c = W1 b^H/|b|
+        # sampled: (conj(tau) T11 - I) r = -t rho conj(tau) - alpha c
         c = W[:k] @ unit
         left = T[:k, :k] * tau.conj() if discrete else T[:k, :k].copy(order="F")
         left[np.diag_indices(k)] += -1 if discrete else tau.conj()
@@ -295,8 +339,13 @@ def _gramian_factor(A: np.ndarray, B: np.ndarray, discrete: bool) -> np.ndarray:
                 -above * rho * tau.conj() - alpha * c if discrete else -above * rho - alpha * c,
             )
             R[:k, k] = r
+
+            # (1, 1): W1 <- W1 - alpha r b/|b|
+            # sampled: W1 <- W1 + (alpha (T11 r + t rho) - tau c - c) b/|b|
             change = alpha * (T[:k, :k] @ r + above * rho) - tau * c - c if discrete else -alpha * r
             W = W[:k] + np.outer(change, unit.conj())
+
+    # P = S S^H is real: [Re S, Im S] [Re S, Im S]^T = P, and QR of its transpose makes it square.
     S = U @ R
     factor: np.ndarray = sla.qr(np.hstack([S.real, S.imag]).T, mode="r")[0][:n]
     return factor.T * t[:, None]
@@ -316,9 +365,14 @@ def balanced_realization(system: Any) -> tuple[StateSpace, np.ndarray, np.ndarra
     discrete = system.dt is not None
     A, B, C, t = balance_system(system.A, system.B, system.C)
     n = A.shape[0]
+
+    # P = Lc Lc^T, Q = Lo Lo^T; the singular values of Lo^T Lc are sqrt(eig(P Q)).
     Lc, Lo = _gramian_factor(A, B, discrete), _gramian_factor(A.T, C.T, discrete)
     U, hankel, Vt = np.linalg.svd(Lo.T @ Lc)
     k = int((hankel > n * _EPS * hankel.max(initial=0.0)).sum())
+
+    # T_L = S^-1/2 U^T Lo^T, T_R = Lc V S^-1/2, so that T_L T_R = S^-1/2 U^T (U S V^T) V S^-1/2 = I;
+    # with t for the states as given.
     root = np.sqrt(hankel[:k])
     T_L = (Lo @ (U[:, :k] / root)).T / t
     T_R = (Lc @ (Vt[:k].T / root)) * t[:, None]

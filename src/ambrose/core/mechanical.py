@@ -75,6 +75,7 @@ def to_statespace(system: SecondOrder, speed: float = 0.0) -> StateSpace:
     C = system.C
     Cv = system.Cv
     if not np.array_equal(system.mass, np.eye(n)):
+        # q = L^-T z: L^-1 K L^-T, L^-1 D L^-T, L^-1 B, C L^-T, Cv L^-T, and the mass is I
         L = _cholesky(system.mass)
         K, D = (_congruent(L, X) for X in (K, D))
         B, C, Cv = (sla.solve_triangular(L, X, lower=True) for X in (B, C.T, Cv.T))
@@ -124,9 +125,13 @@ def _first_order(
     """
     n = len(s)
     A = np.zeros((2 * n, 2 * n))
+
+    # z' = s (z'/s);   (z'/s)' = s^-1 (position z + velocity s (z'/s) + B f)
     A[:n, n:] = np.diag(s)
     A[n:, :n] = position / s[:, None]
     A[n:, n:] = velocity / s[:, None] * s
+
+    # Outputs: C z, then Cv z' = Cv s (z'/s).
     return StateSpace(
         A,
         np.vstack([np.zeros_like(B), B / s[:, None]]),
@@ -139,6 +144,7 @@ def _first_order(
 
 def _congruent(L: np.ndarray, X: np.ndarray) -> np.ndarray:
     """L^-1 X L^-T for lower triangular L."""
+    # L^-1 (L^-1 X)^T = (L^-1 X L^-T)^T
     half = sla.solve_triangular(L, X, lower=True)
     return sla.solve_triangular(L, half.T, lower=True).T
 
@@ -226,6 +232,7 @@ def _ritz(mass: Any, stiffness: Any, basis: np.ndarray) -> tuple[np.ndarray, np.
     """The eigenvalues and mass-orthonormal vectors of the pair within the span of ``basis``,
     ascending.
     """
+    # q = basis eta: (basis^T K basis) eta = w^2 (basis^T M basis) eta, columns of length one
     basis = basis / np.linalg.norm(basis, axis=0)
     k, m = basis.T @ (stiffness @ basis), basis.T @ (mass @ basis)
     values, vectors = sla.eigh((k + k.T) / 2, (m + m.T) / 2)
@@ -248,11 +255,16 @@ def _subspace_iteration(mass: np.ndarray, stiffness: np.ndarray, count: int) -> 
         RuntimeError
     ):  # SuperLU met a zero pivot: the dense solver tells a singular mass from a negative mode
         return None
+
+    # More vectors than modes asked for: the iteration converges with the ratio of w^2 to the first
+    # mode outside.
     X = np.random.default_rng(0).standard_normal((len(mass), count + max(8, count // 2)))
     last, absolute = np.zeros(count), abs(K)
     for _ in range(_ITERATIONS):
         # or many vectors become one another
         values, X = _ritz(M, K, np.linalg.qr(factor.solve(M @ X))[0])
+
+        # Settled to 1e-12, or to what rounding in K makes of it.
         change = np.abs(values[:count] - last)
         if (
             change <= 1e-12 * (np.abs(values[:count]) + shift) + _noise(absolute, X[:, :count])

@@ -115,6 +115,8 @@ class _Problem:
         form = schur_form(A, B, C, system.D, expand=expand)
         poles, rotation = form.poles, 0.0
         D = system.D
+
+        # The form keeps z: only the Hamiltonian is that of the bilinear image.
         if system.dt is not None:
             A, B, C, D, rotation = _continuous(A, B, C, D, poles)
             A, B, C, _ = balance_system(A, B, C)
@@ -140,6 +142,9 @@ class _Problem:
         not above that.
         """
         values = evaluate(self.form, self.point(angle))
+
+        # The Frobenius norm is no smaller than the largest singular value: below the floor it will
+        # do.
         parts = np.ascontiguousarray(values).view(float).reshape(len(values), -1)
         bound = np.sqrt(np.einsum("ij,ij->i", parts, parts))
         above = bound >= floor
@@ -155,6 +160,8 @@ class _Problem:
         if np.isinf(angle):
             return _Peak(_gain(s.D), angle, 0.0)
         X, _ = state_response_at(s.A, s.B, complex(self.point(np.asarray(angle))))
+
+        # eps (|C| |X| + |D|): what rounding makes of C X + D
         noise = np.finfo(float).eps * np.linalg.norm(np.abs(s.C) @ np.abs(X) + np.abs(s.D))
         return _Peak(_gain(s.C @ X + s.D), angle, float(noise))
 
@@ -164,10 +171,14 @@ class _Problem:
         """
         values = np.linalg.eigvals(_hamiltonian(self.A, self.B, self.C, self.D, gamma)).imag
         if self.sampled:
+            # s = j v of the bilinear image is z = e^(j rotation) (1 + j v)/(1 - j v), of the angle
+            # 2 atan v + rotation
             angles = np.abs(np.angle(np.exp(1j * (2 * np.arctan(values) + self.rotation))))
             ends = np.unique(np.concatenate([[0.0], angles, [np.pi]]))
         else:
             ends = np.unique(np.concatenate([[0.0], np.abs(values)]))
+
+        # Both means: the geometric one for intervals of many decades.
         middle, geometric = (ends[1:] + ends[:-1]) / 2, np.sqrt(ends[1:] * ends[:-1])
         return np.sort(np.concatenate([ends, middle, geometric]))
 
@@ -180,11 +191,17 @@ def _continuous(
     """
     rotation = 0.0
     if np.abs(poles + 1).min() < 1e-3:
+        # s is infinite at z = -e^(j rotation): the point of the circle farthest from all poles.
+        # zeta = e^(-j rotation) z has the matrices e^(-j rotation) (A, B).
         angles = np.linspace(0.0, np.pi, 65)
         rotation = float(
             angles[np.argmax(np.abs(poles[:, None] + np.exp(1j * angles)).min(axis=0))]
         )
         A, B = A * np.exp(-1j * rotation), B * np.exp(-1j * rotation)
+
+    # zeta = (1 + s)/(1 - s): zeta - A = (A + I) (s - A_c)/(1 - s), A_c = (A + I)^-1 (A - I), and
+    # (1 - s)(s - A_c)^-1 = 2 (A + I)^-1 (s - A_c)^-1 - I, so that
+    # G = 2 C (A + I)^-1 (s - A_c)^-1 (A + I)^-1 B + D - C (A + I)^-1 B
     plus = A + np.eye(len(A))
     lu = sla.lu_factor(plus)
     left = sla.lu_solve(lu, np.hstack([A - np.eye(len(A)), B]))
@@ -204,11 +221,19 @@ def _hamiltonian(
     DH = D.conj().T
     CH = C.conj().T
     BH = B.conj().T
+
+    # x' = A x + B u, y = C x + D u, and the adjoint p' = -A^H p - C^H y with u = B^H p + D^H y (u
+    # is an input that G^H G gives back with gain one):
+    # (I - D^H D) u = D^H C x + B^H p; u = right (x, p)
     right = np.linalg.solve(np.eye(D.shape[1]) - DH @ D, np.hstack([DH @ C, BH]))
     n = len(A)
     H = np.empty((2 * n, 2 * n), right.dtype)
+
+    # x' = A x + B u
     H[:n, :n] = A + B @ right[:, :n]
     H[:n, n:] = B @ right[:, n:]
+
+    # p' = -A^H p - C^H (C x + D u)
     H[n:, :n] = -CH @ (C + D @ right[:, :n])
     H[n:, n:] = -H[:n, :n].conj().T
     return H
@@ -245,15 +270,20 @@ def _bisect(problem: _Problem, tolerance: float) -> tuple[float, float, float, i
     """Raise the lower bound until no candidate beats it by more than ``tolerance``: value, angle,
     upper bound, steps.
     """
+    # Where continuous, D is the gain at infinity, which no finite frequency need attain.
     best = _Peak(0.0, 0.0, 0.0) if problem.sampled else problem.peak(np.inf)
     best = _climb(problem, _seeds(problem), best, 0.0)
     for step in range(_MAX_STEPS):
         level = best.gain * (1 + tolerance) + best.noise
         if level == 0.0:
             return 0.0, 0.0, 0.0, step
+
+        # Half of the tolerance below the level: fast gains only choose where to look more exactly.
         higher = _climb(
             problem, problem.candidates(level), best, level - 0.5 * tolerance * best.gain
         )
+
+        # No candidate above the level: there is no interval with a gain above it.
         if higher.gain <= level:
             return higher.gain, higher.angle, level, step + 1
         best = higher
@@ -270,6 +300,7 @@ def _seeds(problem: _Problem) -> np.ndarray:
     if problem.sampled:  # the last one is where the bilinear map has its infinity
         seeds = np.concatenate([[0.0, np.pi, np.pi - problem.rotation], np.abs(np.angle(poles))])
     else:
+        # both are near the peak of a lightly damped pole; |p| is the corner of a well damped one
         seeds = np.concatenate([[0.0], np.abs(poles), np.abs(poles.imag)])
     seeds = np.unique(seeds)
     return np.sort(np.concatenate([seeds, (seeds[1:] + seeds[:-1]) / 2]))
@@ -280,6 +311,8 @@ def _climb(problem: _Problem, angles: np.ndarray, best: _Peak, level: float) -> 
     gains above ``level``.
     """
     gains = problem.gains(angles, level)
+
+    # Local maxima of the sorted gains above the level, none of less than half of the largest.
     left, right = np.append(-np.inf, gains[:-1]), np.append(gains[1:], -np.inf)
     peaks = np.flatnonzero(
         (gains >= left) & (gains >= right) & (gains > max(level, 0.5 * gains.max()))
@@ -287,6 +320,8 @@ def _climb(problem: _Problem, angles: np.ndarray, best: _Peak, level: float) -> 
     peaks = peaks[np.argsort(-gains[peaks])][:_PEAKS]
     if peaks.size == 0:
         return best
+
+    # With partial fractions the last parabola is enough: one exact gain at the highest.
     if problem.form.expansion is not None:
         centre, _, height = _zoom(problem, angles[peaks], gains[peaks], _FINE_STENCIL, _FINE_PASSES)
         peak = problem.peak(problem.within(centre[np.argmax(height)]))
@@ -313,14 +348,21 @@ def _zoom(
     radius = np.abs(points[:, None] - problem.poles).min(axis=1)
     k, last = np.arange(len(centre)), len(stencil) - 1
     for _ in range(passes):
+        # All starts at once: a stencil (k, stencil) around each.
         angles = centre[:, None] + radius[:, None] * stencil
         values = problem.gains(angles.ravel()).reshape(angles.shape)
         top = np.argmax(values, axis=1)
+
+        # The maximum at an end of the stencil and higher than before: walk on at the same scale.
+        # Else narrow down to one spacing of the stencil.
         inside = (top > 0) & (top < last)
         better = values[k, top] > gains
         centre = np.where(better, angles[k, top], centre)
         gains = np.where(better, values[k, top], gains)
         radius = np.where(inside | ~better, radius * 2 / last, radius)
+
+    # Parabola through the maximum and its neighbours, one spacing (by now the radius) apart; where
+    # it does not bend down the vertex is the centre.
     left, right = values[k, np.maximum(top - 1, 0)], values[k, np.minimum(top + 1, last)]
     bend = left - 2 * gains + right
     vertex = 0.5 * (left - right) / np.where(bend < 0, bend, -np.inf)
@@ -334,6 +376,8 @@ def _polish(problem: _Problem, angle: float, step: float) -> _Peak:
     step = max(step, 8 * np.spacing(angle))
     here = problem.peak(angle)
     low, high = problem.peak(angle - step), problem.peak(angle + step)
+
+    # Uphill with doubled steps until both neighbours are lower.
     for _ in range(30):
         if max(low.gain, high.gain) <= here.gain:
             break

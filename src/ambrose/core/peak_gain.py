@@ -34,10 +34,14 @@ def peak_gains(increment: np.ndarray, B: np.ndarray, steps: float = np.inf) -> n
 
 def _single(increment: float, steps: float) -> float:
     distance = -increment if increment >= -1 else 2 + increment  # 1 - |a|
+
+    # |a| >= 1: the sum (|a|^k - 1)/(|a| - 1) of the geometric series, k where |a| = 1
     if distance <= 0:
         if steps == np.inf:
             return np.inf
         return steps if distance == 0 else float(np.expm1(steps * np.log1p(-distance)) / -distance)
+
+    # (1 - |a|^k)/(1 - |a|), in expm1 and log1p: a slow pole keeps its digits
     return (
         1 / distance
         if steps == np.inf
@@ -49,14 +53,20 @@ def _summed(A: np.ndarray, B: np.ndarray, steps: float) -> np.ndarray:
     """The first samples one by one; then S(2K) <= S(K) + |A^K| S(K)."""
     total, response = np.zeros(B.shape), B
     count = int(min(_EXACT, steps))
+
+    # A^0 .. A^batch: a batch of samples is one product with the response at its start.
     powers = [np.eye(len(A))]
     for _ in range(min(_BATCH, count)):
         powers.append(A @ powers[-1])
     for start in range(0, count, _BATCH):
         total += np.abs(np.stack(powers[: min(_BATCH, count - start)]) @ response).sum(axis=0)
         response = powers[-1] @ response
+
+        # what is left is below rounding of the largest entry
         if np.abs(response).max() < 1e-18 * total.max():
             return total * (1 + 1e-12)
+
+    # Entry by entry |A^(K + i) B| <= |A^K| |A^i B|: the next K samples add at most |A^K| S(K).
     power = np.linalg.matrix_power(A, count)
     done = float(count)
     for _ in range(_DOUBLINGS):
@@ -74,6 +84,9 @@ def _rotation(A: np.ndarray, B: np.ndarray, steps: float) -> np.ndarray:
     r = np.linalg.norm(A, 2)
     if r >= 1 and steps == np.inf:
         return np.full(B.shape, np.inf)
+
+    # |x_i| <= sum_k ||A^k b|| <= ||b|| sum_k r^k, r the 2-norm of A:
+    # at most 1/(1 - r), or (r^steps - 1)/(r - 1)
     length = steps if r >= 1 else 1 / (1 - r)
     if r > 1:
         length = float(np.expm1(steps * np.log(r)) / (r - 1)) if steps * np.log(r) < 700 else np.inf

@@ -53,6 +53,8 @@ class RationalFit:
         real.
         """
         A, b = _real_poles(self.poles)
+
+        # r/(s - p) + r*/(s - p*) = Re r (sum of the fractions) + Im r j (their difference)
         C = self.residues.real.copy()
         upper = np.flatnonzero(self.poles.imag > 0)
         C[:, upper + 1] = self.residues[:, upper].imag
@@ -66,6 +68,8 @@ def _real_poles(poles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     A, b = np.zeros((len(poles), len(poles))), np.ones(len(poles))
     for i, p in enumerate(poles):
         if p.imag > 0:
+            # (s - A)^-1 b = [2 (s - Re p), -2 Im p]/((s - p)(s - p*)): the two functions of
+            # ``_basis``.
             A[i : i + 2, i : i + 2] = [[p.real, p.imag], [-p.imag, p.real]]
             b[i : i + 2] = [2, 0]
         elif p.imag == 0:
@@ -133,6 +137,8 @@ def _on_poles(
     """Residues, constants and slopes by one least-squares problem per response."""
     order, unit = len(poles), np.sqrt(omega[0] * omega[-1])
     fitted = _residues(1j * omega / unit, H, weights, poles / unit, slope)
+
+    # Back from s/unit: r/(s/unit - p/unit) = r unit/(s - p), e s/unit
     residues = fitted[:, :order] * unit
     constant = fitted[:, order].real
     slopes = fitted[:, order + 1].real / unit
@@ -199,21 +205,34 @@ def _relocate(
     """One step: the stable zeros of sigma."""
     n = len(poles)
     basis = _basis(s, poles)
+
+    # sigma H_i = (sum r_in/(s - p_n) + d_i + s e_i): own unknowns (r, d, e) of every response,
+    # shared ones (c, d) of sigma.
     own = np.column_stack([basis, np.ones_like(s)] + ([s] if slope else []))
     shared = np.column_stack([basis, np.ones_like(s)])
     blocks = []
     for response, weight in zip(H, weights, strict=True):
+        # [own, -H_i shared] = 0, weighted. After QR the rows below the own unknowns hold the shared
+        # ones alone (Deschrijver et al. 2008).
         rows = _stack(np.column_stack([own, -response[:, None] * shared]) * weight[:, None])
         R = np.asarray(np.linalg.qr(rows, mode="r"))
         blocks.append(R[own.shape[1] :, own.shape[1] :])
+
+    # Gustavsen (2006): sum_k Re sigma(s_k) = number of points, weighted like all the data together;
+    # without it sigma = 0 would solve the homogeneous rows.
     size = np.sqrt((np.abs(H * weights) ** 2).sum())
     mean = shared.sum(axis=0).real * size / len(s)  # sigma's mean real part is one
     left = np.concatenate([*blocks, mean[None]])
     right = np.zeros(len(left))
     right[-1] = size
+
+    # Columns of length one, for the condition of the least squares.
     norm = np.linalg.norm(left, axis=0)
     norm[norm == 0] = 1
     c = np.linalg.lstsq(left / norm, right, rcond=None)[0] / norm
+
+    # sigma = d + c^T (s - A)^-1 b has the zeros eig(A - b c^T/d); d not so near zero that they all
+    # run away.
     d = c[n] if abs(c[n]) > 1e-8 else np.copysign(1e-8, c[n])
     A, b = _real_poles(poles)
     return _ordered(np.linalg.eigvals(A - np.outer(b, c[:n]) / d))
@@ -223,6 +242,7 @@ def _ordered(zeros: np.ndarray) -> np.ndarray:
     """Mirrored into the left half plane, real ones first, pairs side by side and exactly
     conjugate.
     """
+    # Re p <- -|Re p|, and never quite on the axis.
     damped = np.minimum(-np.abs(zeros.real), -_LEAST_DAMPING * np.abs(zeros))
     real = np.sort(damped[zeros.imag == 0])
     upper = zeros.imag > 0
@@ -238,6 +258,8 @@ def _residues(
     for a pair.
     """
     basis = np.column_stack([_basis(s, poles), np.ones_like(s), s])
+
+    # Columns: fractions (n), 1, s; the last one only with slopes.
     used = basis.shape[1] - (not slope)
     result = np.zeros((len(H), basis.shape[1]), dtype=complex)
     for i, (response, weight) in enumerate(zip(H, weights, strict=True)):
@@ -247,6 +269,8 @@ def _residues(
             np.linalg.lstsq(rows / norm, _stack((response * weight)[:, None])[:, 0], rcond=None)[0]
             / norm
         )
+
+    # The real coefficients of sum and j difference are Re r and Im r.
     up = np.flatnonzero(poles.imag > 0)
     both = result[:, up] + 1j * result[:, up + 1]
     result[:, up], result[:, up + 1] = both, both.conj()

@@ -119,6 +119,8 @@ def impulse_response(system: Any, samples: int, dt: float | None = None) -> np.n
     if system.D.any():
         raise invalid("D", "not zero", "zero for an impulse response", "select() outputs without D")
     sampled, t = _sampled(system, dt)
+
+    # D, C B, C exp(A dt) B, ... in balanced states, which the impulse takes to B/t; D is none.
     values = _markov(sampled.A, system.B / t[:, None], sampled.C, system.D, samples + 1)
     return values[:, :, 1:]
 
@@ -140,9 +142,14 @@ def sample_polynomial(system: Any, dt: float, degree: int = 3) -> StateSpace:
     m = len(system.inputs)
     d = degree
     A, t = balance(system.A)
+
+    # Time in intervals, states (x, v_0 .. v_d): x' = A dt x + B dt v_0, v_j' = v_(j+1), so that v_0
+    # is the polynomial whose j-th derivative at the start is v_j = j! c_j.
     M = np.zeros((n + (d + 1) * m, n + (d + 1) * m))
     M[:n, :n], M[:n, n : n + m] = A * dt, system.B / t[:, None] * dt
     M[n : n + d * m, n + m :] = np.eye(d * m)
+
+    # The column block of v_j is the response to tau^j/j!; back to x = diag(t) z.
     E = sla.expm(M)[:n]
     gains = [factorial(j) * t[:, None] * E[:, n + j * m : n + (j + 1) * m] for j in range(d + 1)]
     names = [name if j == 0 else f"{name}^{j}" for j in range(d + 1) for name in system.inputs]
@@ -160,6 +167,8 @@ def hermite(values: ArrayLike, slopes: ArrayLike, dt: float) -> np.ndarray:
     """
     f = check_shape(values, "values", "(m, k)")
     g = dt * check_shape(slopes, "slopes", "(m, k)", m=f.shape[0], k=f.shape[1])
+
+    # tau in intervals: c(0) = f0, c(1) = f1, c'(0) = g0, c'(1) = g1
     f0 = f[:, :-1]
     f1 = f[:, 1:]
     g0 = g[:, :-1]
@@ -178,12 +187,19 @@ def expm_derivative(A: ArrayLike, dA: ArrayLike, t: float = 1.0) -> tuple[np.nda
     dA = check_shape(dA, "dA", "(..., n, n)", n=n)
     if n == 0:
         return np.zeros((0, 0)), np.zeros(dA.shape)
+
+    # A = S A_z S^-1, S = diag(scale): the directions likewise.
     A, scale = balance(A)
     directions = (dA * scale / scale[:, None]).reshape(-1, n, n)
+
+    # Each direction made as large as A: the exponential is linear in it, and squares no more often
+    # for a large one.
     size = np.linalg.norm(directions, 1, axis=(1, 2))
     gain = np.where(size > 0, size, 1.0) / max(
         float(np.linalg.norm(A, 1)), np.finfo(float).tiny ** 0.5
     )
+
+    # exp([[A, dA], [0, A]] t) = [[exp(A t), d exp(A t)], [0, exp(A t)]]
     block = np.zeros((len(directions), 2 * n, 2 * n))
     block[:, :n, :n] = block[:, n:, n:] = A
     block[:, :n, n:] = directions / gain[:, None, None]
@@ -218,6 +234,8 @@ def held_derivative(
             f"those of dA, {dA.shape[:-2]}",
             "give both per parameter",
         )
+
+    # (x, u)' = [[A, B], [0, 0]] (x, u): exp(M dt) = [[Ad, Bd], [0, I]]
     M = np.zeros((n + m, n + m))
     M[:n, :n], M[:n, n:] = A, B
     dM = np.zeros((*dA.shape[:-2], n + m, n + m))
@@ -250,6 +268,8 @@ def settling_time(time: ArrayLike, y: ArrayLike, band: float = 0.05, start: floa
     outside = np.flatnonzero(envelope > limit)
     if not len(outside):
         return 0.0
+
+    # Linear between the last sample outside the band and the first of those that stay inside.
     i = int(outside[-1])
     if i + 1 == len(time):
         return np.inf
@@ -294,6 +314,7 @@ def _count(samples: int) -> int:
 
 def _respond(system: StateSpace, u: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Outputs (p, k) of a sampled system from state x, and the state after the last sample."""
+    # Inputs that are zero throughout cost nothing.
     active = u.any(axis=1)
     B = system.B[:, active]
     D = system.D[:, active]
@@ -326,6 +347,8 @@ def _block_length(n: int, m: int, p: int, k: int) -> int:
         L = 2**j
         if j and (p + m) * n * L + p * m * L * L > _LIFTED:
             break
+
+        # ``_lift``: j squarings of A; O and R; T
         setup = j * n**3 + (p + m) * n * n * L + p * m * (n + L) * L
         # matrix times vector: bound by memory and by the interpreter
         steps = k / L * (4 * n * n + 20_000)
@@ -343,10 +366,15 @@ def _lift(
     p, m = D.shape
     R = B
     Ob = C
+
+    # From L to 2 L: O = [O; O A^L], R = [A^L R, R] (the first input has the longest way), A^2L
     for _ in range(L.bit_length() - 1):
         Ob = np.vstack([Ob, Ob @ A])
         R = np.hstack([A @ R, R])
         A = A @ A
+
+    # Blocks 0, D, C B, C A B, ...: T has D on its diagonal and the Markov parameter of the lag
+    # below.
     markov = np.concatenate([np.zeros((1, p, m)), D[None], (Ob @ B).reshape(L, p, m)[:-1]])
     # 0 picks the zero block: the future
     lag = np.maximum(np.subtract.outer(np.arange(L), np.arange(L)) + 1, 0)
@@ -371,12 +399,18 @@ def _blocks(
     for first in range(0, k // L, batch):
         part = slice(first * L, min((first + batch) * L, k))
         count = (part.stop - part.start) // L
+
+        # One column for each block: its L inputs, sample by sample, (L m, count).
         block = u[:, part].reshape(m, count, L).transpose(2, 0, 1).reshape(L * m, count)
+
+        # Only x[k+L] = A^L x[k] + R u_block runs block after block.
         w = np.ascontiguousarray((R @ block).T)
         starts = np.empty((count, n))
         for b in range(count):
             starts[b] = x
             x = A @ x + w[b]
+
+        # y_block = O x[k] + T u_block of all blocks at once, back to (p, samples).
         y[:, part] = (
             (Ob @ starts.T + T @ block)
             .reshape(L, p, count)
@@ -392,6 +426,8 @@ def _markov(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, k: int) 
     """
     p, m = D.shape
     L = 1
+
+    # L about sqrt(k): as many rows as columns, the least work.
     while k > L * L:
         L *= 2
     power, _, Ob, _ = _lift(A, np.zeros((len(A), 0)), C, np.zeros((p, 0)), L)
@@ -399,6 +435,8 @@ def _markov(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray, k: int) 
     with np.errstate(over="ignore", invalid="ignore"):
         while len(columns) * L < k:
             columns.append(power @ columns[-1])
+
+        # C A^(j + L i) B at row j, column block i: sample j + L i after D.
         values = (
             (Ob @ np.hstack(columns))
             .reshape(L, p, len(columns), m)

@@ -48,6 +48,8 @@ def c2d(
         raise invalid("the system's dt", system.dt, "None (continuous)", "it is sampled already")
     check_positive(dt, "dt", "give the sample time in seconds")
     check_positive(delay, "delay", "give it in seconds", zero_allowed=True)
+
+    # Whole samples and the rest; what is off by rounding (1e-9 of a sample) counts as whole.
     whole = int(np.floor(delay / dt + 1e-9))
     fraction = max(delay - whole * dt, 0.0)
     if fraction < 1e-9 * dt:
@@ -79,6 +81,7 @@ def c2d(
     elif method == "backward-euler":
         sampled = _mapped(system, dt, dt, 0.0)
     else:
+        # s = j prewarp at z = exp(j prewarp dt): j tan(prewarp dt/2) = s half
         half = dt / 2 if prewarp is None else float(np.tan(prewarp * dt / 2)) / prewarp
         sampled = _mapped(system, dt, half, half)
     return delayed(sampled, whole)
@@ -98,6 +101,8 @@ def delayed(system: Any, samples: int) -> StateSpace:
         raise invalid("samples", repr(samples), f"a whole number from 0 to {MOST_SAMPLES}", remedy)
     if system.dt is None:
         raise InvalidInput("a continuous system has no samples; sample it with c2d first")
+
+    # A unit delay for every input, x[k+1] = u[k], y = x, as often as asked for.
     names, one = system.inputs, np.eye(len(system.inputs))
     for _ in range(samples):
         system = series(StateSpace(0 * one, one, one, 0 * one, names, names, system.dt), system)
@@ -113,6 +118,10 @@ def _zoh(system: StateSpace, dt: float, fraction: float) -> StateSpace:
     early, gain_early = _held(A, B, dt - fraction)
     if fraction == 0.0:
         return StateSpace(early, gain_early, C, D, system.inputs, system.outputs, dt)
+
+    # With fraction f the input u[k-1] acts for f, then u[k] for dt - f; states (x, u[k-1]), Gam(t)
+    # the integral of exp(A s) B over 0..t:
+    # x[k+1] = exp(A (dt - f)) (exp(A f) x + Gam(f) u[k-1]) + Gam(dt - f) u[k],   y = C x + D u[k-1]
     n, m = B.shape
     late, gain_late = _held(A, B, fraction)
     return StateSpace(
@@ -136,7 +145,11 @@ def _held(A: np.ndarray, B: np.ndarray, time: float) -> tuple[np.ndarray, np.nda
     n, m = B.shape
     A, t = balance(A)
     B = B / t[:, None]
+
+    # A power of two that makes B as large as A, or as 1/time where A is smaller.
     size = np.exp2(np.round(np.log2(max(_size(A), 1 / time) / max(_size(B), 1e-280))))
+
+    # exp([[A, B], [0, 0]] t) = [[exp(A t), integral of exp(A s) B], [0, I]]; x = diag(t) z
     E = sla.expm(np.block([[A, B * size], [np.zeros((m, n + m))]]) * time)
     return E[:n, :n] * t[:, None] / t, E[:n, n:] * t[:, None] / size
 
@@ -152,11 +165,17 @@ def _mapped(system: StateSpace, dt: float, ahead: float, behind: float) -> State
     n = system.n_states
     A, t = balance(system.A)
     B, C = system.B / t[:, None], system.C * t
+
+    # E = I - ahead A is singular where ahead s = 1 for a pole s: z would be infinite.
     if n and np.abs(1 - ahead * np.linalg.eigvals(A)).min() < 1e-12:
         raise InvalidInput(
             f"a pole at {1 / ahead:g} rad/s has no sampled equivalent by this map; change the "
             "sample time"
         )
+
+    # (z - 1) x = (ahead z + behind)(A x + B u); with the states E x - ahead B u, which need no
+    # input of the next sample:
+    # Ad = E^-1 (I + behind A), Bd = (ahead + behind) E^-1 B, C E^-1, D + ahead C E^-1 B
     E = np.eye(n) - ahead * A
     Ad = np.linalg.solve(E, np.eye(n) + behind * A)
     Bd = np.linalg.solve(E, B) * (ahead + behind)
@@ -175,6 +194,8 @@ def _matched(system: StateSpace, dt: float, prewarp: float | None) -> StateSpace
     n = system.n_states
     m = len(system.inputs)
     C, D = np.zeros((m, n)), np.zeros((m, m))
+
+    # Enough points for C and D of every channel (n + 1 unknowns), up to just below Nyquist.
     omega = np.geomspace(1e-5, 0.99, 8 * n + 40) * np.pi / dt
     before = _responses(system, 1j * omega)
     if before.shape[1] != m or np.abs(before * (1 - np.eye(m))).max(initial=0.0) > _MIXING * np.abs(
@@ -186,12 +207,15 @@ def _matched(system: StateSpace, dt: float, prewarp: float | None) -> StateSpace
         )
     z = np.exp(1j * omega * dt)
     for i in range(m):
+        # Channel i alone: the states between its input and its output.
         own = _between(system, i)
         A = system.A[np.ix_(own, own)]
         b = system.B[own, i : i + 1]
         c = system.C[i : i + 1, own]
         d = system.D[i : i + 1, i : i + 1]
         target = _matched_response(StateSpace(A, b, c, d), before[:, i, i], omega, dt, prewarp)
+
+        # (z - Ad)^-1 Bd of the hold: the channel's response is C times this + D, linear in C and D.
         states = _responses(
             StateSpace(
                 held.A[np.ix_(own, own)],
@@ -201,18 +225,26 @@ def _matched(system: StateSpace, dt: float, prewarp: float | None) -> StateSpace
             ),
             z,
         )
+
+        # Relative errors: every row over the magnitude of the target.
         known = (
             np.hstack([states[:, :, 0], np.ones((len(z), 1))])
             / np.maximum(np.abs(target), 1e-300)[:, None]
         )
+
+        # Columns of length one; states that the input hardly moves stay out, with C = 0.
         size = np.linalg.norm(known, axis=0)
         seen = size > _UNSEEN * size.max()
         wanted = target / np.maximum(np.abs(target), 1e-300)
+
+        # C and D are real: real and imaginary parts one below the other.
         rows, right = (
             np.vstack([known.real, known.imag])[:, seen] / size[seen],
             np.concatenate([wanted.real, wanted.imag]),
         )
         found = np.linalg.lstsq(rows, right, rcond=None)[0]
+
+        # The zeros asked for are met only if the fit is exact.
         if np.abs(rows @ found - right).max() > _MATCHED:
             raise NumericalFailure(
                 "'matched' misses its zeros: the channel's poles are too close for that; use "
@@ -226,6 +258,7 @@ def _matched(system: StateSpace, dt: float, prewarp: float | None) -> StateSpace
 
 def _between(system: StateSpace, i: int) -> np.ndarray:
     """The states that input i drives, directly or through others, and that output i sees."""
+    # Links of one step or none; squared, of 2, 4, ... steps, up to n.
     linked = (system.A != 0) | np.eye(system.n_states, dtype=bool)
     for _ in range(system.n_states.bit_length()):
         linked = linked @ linked  # as truth values
@@ -247,6 +280,8 @@ def _matched_response(
     """The sampled channel at omega (k,) [rad/s]; before (k,): the continuous one."""
     below, above = np.linalg.eigvals(channel.A).astype(complex), invariant_zeros(channel)
     s = 1j * omega
+
+    # G = gain prod(s - zeros)/prod(s - poles): the same gain at every s, but for rounding.
     gain = np.median(
         (before * np.prod(s[:, None] - below, axis=1) / np.prod(s[:, None] - above, axis=1)).real
     )
@@ -295,6 +330,9 @@ def pade(delay: float, order: int, input: str = "u1", output: str = "y1") -> Sta
         raise invalid(
             "order", order, "a whole number from 1 to 12", "2 suits a delay of one sample"
         )
+
+    # sum_k c_k (s delay)^k below, sum_k c_k (-s delay)^k above,
+    # c_k/c_(k-1) = (order - k + 1)/(k (2 order - k + 1))
     c = np.ones(order + 1)
     for k in range(1, order + 1):
         c[k] = c[k - 1] * (order - k + 1) / (k * (2 * order - k + 1))

@@ -215,7 +215,10 @@ def corners(axes: Sequence[np.ndarray], values: np.ndarray) -> tuple[np.ndarray,
     and their shares (s, 2^d).
     """
     index, share = np.zeros((len(values), 1), int), np.ones((len(values), 1))
+
+    # Axis by axis; every corner so far splits in two, and the last axis counts fastest.
     for axis, v in zip(axes, values.T, strict=True):
+        # The last value of an axis belongs to the interval below it.
         low = np.clip(np.searchsorted(axis, v, side="right") - 1, 0, len(axis) - 2)
         far = (v - axis[low]) / (axis[low + 1] - axis[low])
         index = (len(axis) * index[:, :, None] + np.stack([low, low + 1], axis=1)[:, None]).reshape(

@@ -71,8 +71,11 @@ def sector_angle(M: np.ndarray) -> float:
     H = hermitian(M)
     size = float(np.linalg.norm(M, 2))
     if float(np.linalg.eigvalsh(H)[0]) <= _DEFINITE * size:
+        # no sector: by how much the phase of an eigenvalue exceeds pi/2
         farthest = float(np.abs(np.angle(np.linalg.eigvals(M))).max())
         return min(np.pi / 2 - farthest, 0.0)
+
+    # x^H M x = x^H H x + j x^H K x: its phase is at most atan max |x^H K x/x^H H x|.
     K = (M - M.conj().T) / 2j
     return float(np.pi / 2 - np.arctan(np.abs(eigvalsh(K, H)).max()))
 
@@ -93,11 +96,15 @@ def with_resonator(
     turn = frequency * loop.dt
     # exp(j W Ts) acts on (Re w, Im w) as a rotation
     rotation = np.kron([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]], np.eye(n))
+
+    # w[k+1] = rotation ((1 - leak Ts) w + eps Ts T e), e = C x + D Re w: T e is complex, e real
     keep = np.eye(2 * n) * (1 - leak * loop.dt)
     # w + eps Ts T e with e = C x + D Re w
     drive = gain * loop.dt * np.vstack([T.real, T.imag])
     real_part = np.hstack([np.eye(n), np.zeros((n, n))])
     keep = keep + drive @ loop.D @ real_part
+
+    # states (x, Re w, Im w): x[k+1] = A x + B Re w, and w[k+1] as above
     return np.block(
         [[loop.A, loop.B @ real_part], [rotation @ drive @ loop.C, rotation @ keep]],
     )
@@ -140,12 +147,16 @@ def largest_gain(
                 low = trial
             else:
                 high, trial = trial, trial / 10
+
+        # Bisection of the logarithm: low is stable, high is not.
         while low > 0 and high > (1 + tolerance) * low:
             middle = float(np.sqrt(low * high))
             if slowest_pole(loop, T, frequency, middle, leak) < 0:
                 low = middle
             else:
                 high = middle
+
+    # One border is only assumed: three gains below, and half of the first that is not stable.
     for share in (0.75, 0.4, 0.1):
         if low and not slowest_pole(loop, T, frequency, share * low, leak) < 0:
             low = share * low / 2
@@ -189,6 +200,8 @@ def best_inverse(responses: np.ndarray, sweeps: int = 60) -> np.ndarray:
         angles = np.array([sector_angle(T @ member) for member in R])
         if angles.min() > most:
             best, most = T, float(angles.min())
+
+        # The members whose sector is narrowest gain most weight.
         weights = weights * np.exp(2.0 * (angles.max() - angles))
         weights /= weights.sum()
     assert best is not None
@@ -217,4 +230,5 @@ def missed_share(frequency_error: float, gain: float) -> float:
 
     The notch passes |(s^2 + W^2)/(s^2 + eps s + W^2)| at W + dW: 2 dW/sqrt(4 dW^2 + eps^2) near W.
     """
+    # s = j (W + dW): W^2 + s^2 = -2 W dW - dW^2, over W: 2 dW/|2 dW - j eps| for dW << W
     return 2 * abs(frequency_error) / float(np.hypot(2 * frequency_error, gain))

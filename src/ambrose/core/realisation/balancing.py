@@ -31,10 +31,14 @@ def balance_system(
     norms of B and C, stand for them while balancing.
     """
     n = A.shape[0]
+
+    # [|A| |B|; |C| 0] with B and C as one column and one row of norms.
     joint = np.zeros((n + 1, n + 1))
     joint[:n, :n] = np.abs(A)
     joint[:n, n] = np.linalg.norm(B, axis=1)
     joint[n, :n] = np.linalg.norm(C, axis=0)
+
+    # The last factor, that of the signals, is set to one.
     t = balance(joint)[1]
     t = t[:n] / t[n]
     return A * t / t[:, None], B / t[:, None], C * t, t

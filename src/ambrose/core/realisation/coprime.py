@@ -155,6 +155,9 @@ def coprime_factors(
         [f"alpha_{name}" for name in plant.inputs],
         [f"eps_{name}" for name in plant.outputs],
     )
+
+    # alpha = V~ v - U~ y, the innovation of the controller's observer; K has the input y and the
+    # output v: inputs (y, v)
     own = StateSpace(
         *_observer(
             controller, check_shape(L_K, "controller_gain", "(nk, m)", nk=controller.n_states, m=m)
@@ -163,6 +166,8 @@ def coprime_factors(
         alpha,
         controller.dt,
     )
+
+    # eps = M~ y - N~ v, that of the plant's: inputs (v, y)
     seen = StateSpace(
         *_observer(plant, check_shape(L, "plant_gain", "(n, p)", n=plant.n_states, p=p)),
         [*plant.inputs, *plant.outputs],
@@ -177,10 +182,14 @@ def coprime_factors(
                 "stable",
                 "take the gain of injection_gain()",
             )
+
+    # One v and one y for both: [V~ -U~; -N~ M~] from (v, y) to (alpha, eps).
     left = select(
         _joined(append(seen, own), {name: [f"K {name}"] for name in seen.inputs}),
         outputs=[*alpha, *eps],
     )
+
+    # Its inverse [M U; N V] from (alpha, eps) to (v, y): its poles are those of the loop.
     right = exchange(left, left.inputs, left.outputs)
     if not is_stable(right):
         worst = max(poles(right), key=lambda pole: pole.real if right.dt is None else abs(pole))
@@ -201,6 +210,8 @@ def _observer(
     """What an output is beyond what its observer expects: (A, B, C, D) from (inputs, outputs) to
     the innovation.
     """
+    # x^' = A x^ + B v - L (y - C x^ - D v) = (A + L C) x^ + (B + L D) v - L y
+    # innovation y - C x^ - D v, over the inputs (v, y)
     A = system.A + L @ system.C
     return (
         A,
@@ -246,6 +257,8 @@ def exchange(system: Any, inputs: Sequence[str], outputs: Sequence[str]) -> Stat
     # v = D^-1 (alpha - C_i x - D_i w), put into the states and the other outputs
     C_v, D_v = -inverse @ system.C[i], np.hstack([inverse, -inverse @ system.D[np.ix_(i, free_in)]])
     B_j, D_j = system.B[:, j], system.D[np.ix_(free_out, j)]
+
+    # x' = (A + B_j C_v) x + (B_j D_v + [0, B_free]) (alpha, w), outputs (v, z) with z likewise
     empty = np.zeros((len(free_out), len(j)))
     return StateSpace(
         system.A + B_j @ C_v,
@@ -291,9 +304,15 @@ def _watched(
     """
     v, y = factors.plant.inputs, factors.plant.outputs
     observers = rename(factors.left, [f"seen {name}" for name in factors.left.inputs])
+
+    # Plant (v, w) -> (y, z) and observers (seen v, seen y) -> (alpha, eps), side by side;
     joined = append(select(plant, [*v, *w], [*y, *z]), observers)
+
+    # seen y is the plant's y, seen v the plant's v.
     fed = _fed(joined, {f"seen {name}": name for name in y})
     merged = _joined(fed, {name: [f"seen {name}"] for name in v}, [*v, *w])
+
+    # v as an output, alpha as the input that makes it: the loop that alpha drives.
     return select(exchange(merged, v, factors.alpha), [*factors.alpha, *w], [*factors.eps, *z])
 
 
@@ -369,6 +388,8 @@ def injection_gain(
     sigma = np.ones(p) if noise is None else check_shape(noise, "noise", "(p)", p=p)
     if (sigma <= 0).any():
         raise invalid("noise", sigma.tolist(), "positive", "give standard deviations")
+
+    # A + decay I (sampled: exp(decay dt) A): poles slower than ``decay`` become the unstable ones.
     shift = 1.0 if dt is None else float(np.exp(decay * dt))
     balanced, t = balance(A)
     shifted = balanced + decay * np.eye(n) if dt is None else shift * balanced
@@ -377,7 +398,12 @@ def injection_gain(
     T, Q, k = sla.schur(shifted, sort=_right if dt is None else _outside) if n else (A, A, 0)
     if k == 0:
         return np.zeros((n, p)), np.diag(sigma**2)
+
+    # The leading k Schur vectors Q1 span the unstable part: T1, seen by C1 = sigma^-1 C Q1. With
+    # L = Q1 g the rest of the triangle stays; T1 + g C1 is to be stable.
     slow, seen = T[:k, :k], (C * t @ Q[:, :k]) / sigma[:, None]
+
+    # A pole on the boundary is mirrored into itself: no stabilising solution.
     values = np.linalg.eigvals(slow)
     close_by = (
         np.abs(values.real) / max(1e-300, np.abs(T).max())
@@ -391,16 +417,25 @@ def injection_gain(
             "ask for a slightly larger decay"
         )
     if dt is None:
+        # T1^T X + X T1 = C1^T C1; with Y = X^-1 the Bernoulli equation
+        # T1 Y + Y T1^T = Y C1^T C1 Y
         X = lyapunov(-slow.T, seen.T @ seen)
     else:
+        # T1^T X T1 = X + C1^T C1; with Y = X^-1 the Riccati equation without process noise,
+        # Y = T1 Y T1^T - T1 Y C1^T (I + C1 Y C1^T)^-1 C1 Y T1^T
         inverse = np.linalg.inv(slow)
         X = discrete_lyapunov(inverse.T, inverse.T @ seen.T @ seen @ inverse)
+
+    # X on the scale of a unit diagonal: what is unseen does not depend on the units of the states.
     size = np.sqrt(np.maximum(np.diag(X), 1e-300))
     if np.linalg.eigvalsh(X / size / size[:, None])[0] < _UNSEEN:
         raise InvalidInput(
             "a mode that decays too slowly does not show in the outputs; no gain can move it: use "
             "other outputs"
         )
+
+    # Kalman gain g = -Y C1^T (sampled: -T1 Y C1^T (I + C1 Y C1^T)^-1)
+    # shift (A + L C) = shift A + Q1 g C1: L = Q1 g/shift, in the states and the units as given
     Y = np.linalg.inv(X / size / size[:, None]) / size / size[:, None]
     innovation = np.eye(p) if dt is None else np.eye(p) + seen @ Y @ seen.T
     gain = -(Y if dt is None else slow @ Y) @ np.linalg.solve(innovation, seen).T / shift

@@ -53,6 +53,8 @@ def modal_form(system: Any, growth: float = _GROWTH) -> ModalForm:
         return ModalForm(system, ())
     A, B, C, _ = balance_system(system.A, system.B, system.C)
     T, X = sla.schur(A, output="real")
+
+    # A X = X T and Y X = I are checked: X and Y were built up side by side, without an inverse.
     T, X, Y, sizes = _separated(T, X, growth)
     size = np.abs(A).max()
     if (
@@ -64,6 +66,8 @@ def modal_form(system: Any, growth: float = _GROWTH) -> ModalForm:
             f"{_RESIDUAL:g}; "
             "reduce the controller's order"
         )
+
+    # Scaled block by block, which leaves T block-diagonal.
     t = np.ones(n)
     start = 0
     for k in sizes:
@@ -89,12 +93,16 @@ def _separated(
     while start < n:
         end = start + _first_block(T, start)
         while end < n:
+            # The block start..end and all that follows: T11 R - R T22 = -T12 makes T12 zero.
             R = _separator(T, start, end)
             if R is not None and np.abs(R).max() <= growth:
+                # X [I R; 0 I] and [I -R; 0 I] Y
                 X[:, end:] += X[:, start:end] @ R
                 Y[start:end] -= R @ Y[end:]
                 T[start:end, end:] = 0.0
                 break
+
+            # R too large: the block grows by the nearest pole of the rest.
             end = _take_nearest(T, X, Y, start, end)
         sizes.append(end - start)
         start = end
@@ -122,6 +130,7 @@ def _take_nearest(T: np.ndarray, X: np.ndarray, Y: np.ndarray, start: int, end: 
     """Move the block whose pole is nearest to those of start..end next to them, in place; the new
     end.
     """
+    # Blocks of T22, of one or two states each.
     own = np.linalg.eigvals(T[start:end, start:end])
     rest = T[end:, end:]
     best = np.inf
@@ -133,6 +142,8 @@ def _take_nearest(T: np.ndarray, X: np.ndarray, Y: np.ndarray, start: int, end: 
         if distance < best:
             best, at = distance, i
         i += k
+
+    # T22 = Q moved Q^T, the block now first; T12, X and Y turn with it.
     moved, Q, info = sla.lapack.dtrexc(rest, np.eye(len(rest)), at + 1, 1)
     if info != 0:
         raise NumericalFailure(
@@ -151,7 +162,10 @@ def _scale_block(T: np.ndarray, B: np.ndarray, C: np.ndarray, t: np.ndarray, blo
     """
     i = block.start
     if block.stop - i == 2 and T[i, i + 1] * T[i + 1, i] < 0:
+        # a pair [[a, b], [c, a]], b c < 0: t_2/t_1 = sqrt(-c/b) makes the two couplings equal
         t[i + 1] = np.sqrt(-T[i + 1, i] / T[i, i + 1])
+
+    # One power of two for the whole block: exact, and a rotation stays one.
     gain_in, gain_out = (
         np.linalg.norm(B[block] / t[block, None]),
         np.linalg.norm(C[:, block] * t[block]),
@@ -167,6 +181,8 @@ def _slow_first(
     rates = []
     for start, k in zip(starts, sizes, strict=True):
         poles = np.linalg.eigvals(T[start : start + k, start : start + k])
+
+        # sampled: |z - 1|, small for slow poles
         rates.append(np.abs(poles if dt is None else poles - 1).max())
     order = np.argsort(rates, kind="stable")
     states = np.concatenate([np.arange(starts[k], starts[k] + sizes[k]) for k in order])

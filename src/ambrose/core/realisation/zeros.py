@@ -27,6 +27,8 @@ def invariant_zeros(system: Any, tolerance: float = 1e-9) -> np.ndarray:
     system = as_statespace(system)
     A, B, C, D = _scaled(system)
     size = max(float(np.linalg.norm(np.block([[A, B], [C, D]]))), 1e-300)
+
+    # First D of full row rank,
     A, B, C, D = _row_reduced(A, B, C, D, tolerance * size)
     # the dual: now D is square and invertible
     A, C, B, D = (x.T for x in _row_reduced(A.T, C.T, B.T, D.T, tolerance * size))
@@ -37,8 +39,12 @@ def invariant_zeros(system: Any, tolerance: float = 1e-9) -> np.ndarray:
     # the size n
     _, _, Vt = sla.svd(np.hstack([C, D]))
     V = Vt[len(C) :].T  # null space of [C, D], n columns
+
+    # [A - s, B] V w = 0 with [C, D] V = 0, V[:n] the part of x: ([A, B] V - s V[:n]) w = 0
     values = sla.eig(np.hstack([A, B]) @ V, V[:n], right=False, homogeneous_eigvals=True)
     alpha, beta = values
+
+    # beta = 0: infinite, a zero that the deflation left to rounding. Back in rad/s.
     finite = np.abs(beta) > 1e-14 * np.abs(alpha)
     found = alpha[finite] / beta[finite] * _unit(system)
     return found[np.lexsort((found.imag, found.real, np.abs(found)))]
@@ -86,6 +92,8 @@ def _scaled(system: StateSpace) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.
     B = system.B / unit
     C = system.C
     D = system.D
+
+    # States, inputs and outputs in turn: each scaling disturbs the others a little.
     for _ in range(3):
         A, B, C, _ = balance_system(A, B, C)
         columns = np.linalg.norm(np.vstack([B, D]), axis=0)
@@ -104,6 +112,7 @@ def _row_reduced(
     hold states at zero.
     """
     while True:
+        # Outputs turned so that the last ones have no D.
         U, s, _ = sla.svd(D) if D.size else (np.eye(len(D)), np.zeros(0), None)
         rank = int((s > tolerance).sum())
         C, D = U.T @ C, U.T @ D
@@ -111,14 +120,21 @@ def _row_reduced(
         C, D = C[:rank], D[:rank]
         if not held.size:
             return A, B, C, D
+
+        # held x = 0: the states in the null space of ``held`` are free, the k others held at zero.
         _, s, Vt = sla.svd(held)
         k = int((s > tolerance).sum())
         if k == 0:
             return A, B, C, D
         T = np.vstack([Vt[k:], Vt[:k]]).T  # free states first, then the k held at zero
+
+        # x = T (free, held), T orthogonal
         A = T.T @ A @ T
         B = T.T @ B
         C = C @ T
         n = len(A) - k
+
+        # held = 0 and so held' = A_hf free + B_h u = 0: k new outputs in place of those used up,
+        # and k states fewer. Then again, since the new D may lack rank.
         C, D = np.vstack([A[n:, :n], C[:, :n]]), np.vstack([B[n:], D])
         A, B = A[:n, :n], B[:n]
