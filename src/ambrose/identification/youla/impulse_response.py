@@ -79,10 +79,14 @@ def finite_response(alpha: np.ndarray, eps: np.ndarray, taps: int) -> FiniteResp
         )
     # (m, k - taps + 1, taps)
     lagged = np.lib.stride_tricks.sliding_window_view(alpha, taps, axis=1)[:, :, ::-1]
+
+    # eps(t) = sum over taps of h(tau) alpha(t - tau); means out for the offset
     X = lagged.transpose(1, 0, 2).reshape(k - taps + 1, m * taps)
     X = X - X.mean(axis=0)
     Y = eps[:, taps - 1 :].T
     Y = Y - Y.mean(axis=0)
+
+    # scaled to a unit diagonal before it is factored
     normal = X.T @ X
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     try:
