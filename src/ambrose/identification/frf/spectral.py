@@ -241,6 +241,7 @@ class _Frames:
     @property
     def likeness(self) -> np.ndarray:
         """Correlation of the noise in segments 0, 1, 2 ... steps apart."""
+        # rho_d = sum w(t) w(t + d step)/sum w^2
         w, L = self.window, len(self.window)
         return np.array([float(w[: L - d] @ w[d:]) for d in range(0, L, self.step)]) / float(w @ w)
 
@@ -292,6 +293,8 @@ class _Frames:
             E = Z[:, :m]
             products += Z @ E.conj().swapaxes(1, 2)
             N += E.conj() @ E.swapaxes(1, 2)
+
+            # segments of different records are not correlated; this record's earlier ones are kept
             last = [] if new else last
             E = np.concatenate([*(item[:, :, None] for item in last), E], axis=2)
             for d in range(1, min(len(rho), E.shape[2])):

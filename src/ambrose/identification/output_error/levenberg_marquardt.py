@@ -87,6 +87,8 @@ def minimise(
             # 2 s'g - s'H s with (H + damping) s = g:   s'(damping s + g)
             predicted = float(scaled @ (damping * scaled + g))
             small = bool((np.abs(step) <= tolerance * np.maximum(np.abs(x), scale)).all())
+
+            # a step that is small only because the damping is large is no minimum
             if small or predicted <= 1e-12 * state.cost or state.cost <= floor:
                 return Minimum(x, state.cost, damping < 1e3, iteration, refused, state.parts)
             trial = x + step
@@ -106,6 +108,8 @@ def minimise(
                 damping, growth = max(damping * max(1 / 9, 1 - (2 * gain - 1) ** 3), 1e-12), 2.0
                 break
             refused += 1
+
+            # refused in a row: the damping grows by 2, 4, 8, ...
             damping, growth = max(damping, 1e-6) * growth, growth * 2
             if damping > 1e12:
                 return Minimum(x, state.cost, False, iteration, refused, state.parts)

@@ -59,7 +59,7 @@ class BendingTerm:
         w = self.w0 if self.w is None else float(theta[self.w])
         zeta = self.zeta0 if self.zeta is None else float(theta[self.zeta])
 
-        # A = A0 + (w^2 - w0^2) by_stiffness + 2 (zeta w - zeta0 w0) by_damping, and dA/dw, dA/dzeta
+        # A gains (w^2 - w0^2) by_stiffness + 2 (zeta w - zeta0 w0) by_damping; then dA/dw, dA/dzeta
         A += (w**2 - self.w0**2) * self.by_stiffness + 2 * (
             zeta * w - self.zeta0 * self.w0
         ) * self.by_damping

@@ -253,7 +253,7 @@ def _normal(
         turning = synchronised(loop, task)
         solution = normal_equations(loop, directions, turning)
 
-        # with an unknown delay the first samples are not fitted
+        # with an unknown delay of the excitation the first samples are not fitted
         start = getattr(experiment.models[task.place], "skipped", 0)
         D = given[:, :, start : start + task.samples]
         _clean(D, turning)

@@ -175,6 +175,8 @@ class Synchronous:
             if not start:
                 z = np.zeros((len(self.orders), len(piece), M), complex)
             base = self._base(start, start + piece.shape[1])
+
+            # z = sum over a block of x e^(-j n angle); block edges by the angle's base, not by time
             block = np.minimum(((base - low) / (high - low) * M).astype(int), M - 1)
             edges = np.flatnonzero(np.r_[True, np.diff(block) > 0])
             one = self._turning(base).conj()
@@ -275,6 +277,8 @@ def without_synchronous(
         for j, i in enumerate(kept)
         if record.signals[i][:2] in {"y_", "u_", "i_", "e_", "v_", "f_", "ep", "al"}
     ]
+
+    # least squares of every moving signal on the constant and the waves; the constant stays in
     square, product = (
         np.zeros((1 + turning.count, 1 + turning.count)),
         np.zeros((1 + turning.count, len(moving))),

@@ -89,6 +89,8 @@ def sampled_residual(
     whitening (p, p).
     """
     K = factors.controller
+
+    # the factors' K is from y, the loop's law from err = -y
     err = [f"err_{axis}" for axis in plant.axes]
     law = StateSpace(K.A, -K.B, K.C, -K.D, err, K.outputs, K.dt)
     signals = [f"{kind}_{axis}" for kind in "yu" for axis in plant.axes]
@@ -138,6 +140,8 @@ def held_residual(
         raise NumericalFailure(
             "the plant has feedthrough at its ports; take one reduced without static correction"
         )
+
+    # no controller of its own: alpha is the excitation, and LoopModel's loop is the plant held
     empty = np.zeros((0, 0))
     none = StateSpace(empty, empty, empty, empty, (), (), dt)
     B, C = system.B[:, u], system.C[y]
