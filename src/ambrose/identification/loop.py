@@ -68,6 +68,8 @@ def identify_loop(
                     f"{path} as an unknown goes with the method closed-loop; its delay must be "
                     "known here"
                 )
+
+    # A delay to be found begins at the one by which the recorded u follows the controller.
     seen = None
     if CONTROLLER_DELAY in paths and CONTROLLER_DELAY not in (start or {}):
         law = deployed_controller(
@@ -231,6 +233,8 @@ def _with_repeats(
                     remedy=remedy,
                 )
             )
+
+    # half_width is that of a 95 % interval, COVERAGE standard deviations
     repeats = of_estimates(estimates)
     result = done.result.widened(repeats.half_width / COVERAGE)
     return replace(

@@ -160,6 +160,8 @@ def _fit(
     for number, (Z, span) in enumerate(zip(spectra, spans, strict=True)):
         step = 2 * np.pi / span
         at = np.arange(int(np.ceil((centre - reach) / step)), int((centre + reach) / step) + 1)
+
+        # columns: powers of the distance times the inputs, then the record's own transient
         powers = ((at * step - centre) / reach) ** np.arange(count)[:, None]
         X = np.zeros((len(at), count * (m + (0 if periodic else len(spectra)))), complex)
         X[:, : count * m] = (powers[:, None] * Z[:m, at]).reshape(-1, len(at)).T
@@ -176,11 +178,15 @@ def _fit(
     s = np.linalg.svd(R, compute_uv=False)
     if s[-1] <= _INDEPENDENT * s[0]:
         return None
+
+    # at the centre only the power 0 counts: the first m rows of R^-1 Q', the pseudo-inverse
     back = np.linalg.inv(R)[:m] / size[:m, None]
     inside = Q.conj().T @ Y
     left = Y - Q @ inside
     total = np.sum(np.abs(Y) ** 2, axis=0)
     coherence = 1 - np.sum(np.abs(left) ** 2, axis=0) / np.where(total > 0, total, 1.0)
+
+    # G; noise of the outputs; (X'X)^-1 of these columns, conjugated: Cov G = noise (x) share
     return (
         (back @ inside).T,
         left.T @ left.conj() / max(len(Y) - X.shape[1], 1),

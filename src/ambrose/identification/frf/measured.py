@@ -74,6 +74,8 @@ class LoopFrf:
         )
         if not v or len(self.together) < len(v):
             return None
+
+        # T_y = G T_v: both from the same excitations
         Ty, Tv = self.closed.select(outputs=y), self.closed.select(outputs=v)
         back = np.linalg.pinv(Tv.values)
         G = Ty.values @ back
@@ -176,6 +178,8 @@ def driven_groups(records: Sequence[Record], axes: Sequence[str]) -> tuple[tuple
             continue
         for group in groups:
             first = rows[group[0]]
+
+            # least squares on the group's first: proportional where it leaves nothing
             factor = float(first @ row) / float(first @ first)
             if group[0][:2] == name[:2] and np.linalg.norm(
                 row - factor * first
@@ -237,6 +241,8 @@ def _folded(
         if P is None or record.values.shape[1] < 2 * P:
             return None
         part = record.select([*own, *outputs])
+
+        # the first period is left to the transient, and so is what is no whole one
         count = part.values.shape[1] // P - 1
         mean = part.values[:, -count * P :].reshape(len(part.values), count, P).mean(axis=1)
         means.append(replace(part, values=mean))

@@ -84,6 +84,8 @@ def find_steps(record: Record) -> tuple[Step, ...]:
 def _steady(record: Record, name: str) -> list[Step]:
     """The steps of one signal."""
     wave = record[name]
+
+    # rising zero crossings, straight lines between the samples
     up = np.flatnonzero((wave[:-1] <= 0) & (wave[1:] > 0))
     times = record.start_time + (up - wave[up] / (wave[up + 1] - wave[up])) * record.dt
     periods = np.diff(times)
@@ -122,6 +124,8 @@ def phasors(record: Record, step: Step, signals: Sequence[str], settle: float = 
         )
     each = -(-whole // _MOST_BLOCKS)
     count = whole // each
+
+    # blocks counted back from the end: what is left over goes to the transient
     edges = step.stop - np.arange(count, -1, -1) * each * period
     edges = np.round((edges - record.start_time) / record.dt).astype(int)
     if edges[0] < 0 or edges[-1] > record.values.shape[1]:
@@ -146,6 +150,8 @@ def phasors(record: Record, step: Step, signals: Sequence[str], settle: float = 
 def _fit(values: np.ndarray, step: Step, start: float, dt: float) -> np.ndarray:
     """The phasors (s,) of values (s, k) that begin at ``start`` [s]."""
     k = values.shape[1]
+
+    # x = a cos + b sin + offset + drift: the phasor is a - j b
     angle = step.frequency * (start + np.arange(k) * dt - step.start)
     X = np.stack([np.cos(angle), np.sin(angle), np.ones(k), np.linspace(-1, 1, k)])
     coefficients = np.linalg.solve(X @ X.T, X @ values.T)

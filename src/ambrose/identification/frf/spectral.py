@@ -176,6 +176,8 @@ def closed_loop(
     powers = powers[:, kept]
     products = products[kept]
     N = N[kept]
+
+    # T = S_.e S_ee^-1 of all signals, then G = T_y T_u^-1
     P = _inverse(products[:, :m], omega, e)
     T = products @ P
     # e alone: its response to itself is one
@@ -191,6 +193,8 @@ def closed_loop(
         left = (Z if u == e else Z[:, m:]) - T @ Z[:, :m]
         missed += _squares(left)
         power += _squares(left[:, m:] - G @ left[:, :m])  # what is left of y - G u
+
+    # of K segments of noise the regression on e takes tr(P N), overlap allowed for
     lost = np.einsum("wab,wab->w", P, N).real
     power = power.T / np.maximum(K - lost, 1e-9 * K)[:, None]
     Q = P @ back  # the segments' weights, seen from the inputs
@@ -237,12 +241,14 @@ class _Frames:
     @property
     def likeness(self) -> np.ndarray:
         """Correlation of the noise in segments 0, 1, 2 ... steps apart."""
+        # rho_d = sum w(t) w(t + d step)/sum w^2
         w, L = self.window, len(self.window)
         return np.array([float(w[: L - d] @ w[d:]) for d in range(0, L, self.step)]) / float(w @ w)
 
     @property
     def independent(self) -> float:
         """How many segments without overlap would tell as much."""
+        # K^2/(K + 2 sum (K - d) rho_d^2) per record (Welch)
         rho = self.likeness
         total = 0.0
         for start in self.starts:
@@ -287,6 +293,8 @@ class _Frames:
             E = Z[:, :m]
             products += Z @ E.conj().swapaxes(1, 2)
             N += E.conj() @ E.swapaxes(1, 2)
+
+            # segments of different records are not correlated; this record's earlier ones are kept
             last = [] if new else last
             E = np.concatenate([*(item[:, :, None] for item in last), E], axis=2)
             for d in range(1, min(len(rho), E.shape[2])):

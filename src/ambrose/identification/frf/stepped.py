@@ -93,6 +93,8 @@ def is_stepped(record: Record, excitations: Sequence[str]) -> bool:
             round((time - record.start_time) / record.dt) for time in (step.start, step.stop)
         )
         part = waves[:, first:last]
+
+        # power of the steps, and what a sine leaves of it
         angle = step.frequency * np.arange(part.shape[1]) * record.dt
         X = np.stack([np.cos(angle), np.sin(angle)]).T
         left = part.T - X @ np.linalg.lstsq(X, part.T, rcond=None)[0]
@@ -104,6 +106,7 @@ def _line(
     frequency: float, driven: Sequence[Phasors], m: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Values, variance (p, m), coherence (m + p,) and degrees of freedom at one frequency."""
+    # phasors (signals, ways): the first m are the inputs
     mean = np.stack([item.mean for item in driven], axis=1)
     if np.linalg.svd(mean[:m], compute_uv=False)[m - 1] <= _APART * np.linalg.norm(mean[:m], 2):
         raise InvalidInput(
@@ -112,9 +115,13 @@ def _line(
         )
     count = min(len(item.blocks) for item in driven)
     blocks = np.stack([item.blocks[:count].T for item in driven], axis=2)  # (s, b, ways)
+
+    # Y U^-1 of each block alone; variance of the mean of b: sum |.|^2/(b (b - 1))
     single = np.moveaxis(blocks, 1, 0)
     each = single[:, m:] @ np.linalg.pinv(single[:, :m])
     variance = np.mean(np.abs(each - each.mean(axis=0)) ** 2, axis=0) / (count - 1)
+
+    # |mean over the blocks|^2 over the mean of |.|^2
     power = np.mean(np.abs(blocks) ** 2, axis=(1, 2))
     steady = np.mean(np.abs(blocks.mean(axis=1)) ** 2, axis=1)
     coherence = np.where(power > 0, steady / np.where(power > 0, power, 1.0), 0.0)

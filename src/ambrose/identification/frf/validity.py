@@ -75,11 +75,15 @@ def compare(
             "the measured response is exactly zero at some line: a dead channel; leave it out"
         )
     ratio, margin = expected / measured.values, measured.radius(confidence) / size
+
+    # a circle of relative radius r about 1 reaches 1 + r and the angle arcsin r
     wide = (np.abs(np.abs(ratio) - 1) <= magnitude_tolerance + margin) & (
         np.abs(np.angle(ratio)) <= phase_tolerance + np.arcsin(np.minimum(margin, 1.0))
     )
     told = margin <= min(magnitude_tolerance, phase_tolerance)
     verdict = np.where(~wide, DISAGREES, np.where(told, AGREES, UNDECIDED))
+
+    # only what lies below the first line that disagrees
     before = np.cumsum(verdict == DISAGREES, axis=0) == 0
     good = before & (verdict == AGREES)
     last = np.where(good, measured.omega[:, None, None], 0.0).max(axis=0)

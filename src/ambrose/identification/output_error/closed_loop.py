@@ -231,6 +231,8 @@ def fit_samples(experiment: Experiment, begin: np.ndarray) -> ParameterEstimate:
     ones; with covariance, residual tests, warnings and verdict.
     """
     problem, tasks = LeastSquares(experiment, normal_equations), experiment.tasks
+
+    # A start from the first samples alone, where the record is long enough to be worth it.
     early = [task.first(_EARLY) for task in tasks]
     _check_driven(problem, begin, early)
     start = begin
@@ -242,6 +244,8 @@ def fit_samples(experiment: Experiment, begin: np.ndarray) -> ParameterEstimate:
         # a good start from the first second; what is found is decided by all samples
         if near is not None:
             start, begun = near.x, near.iterations
+
+    # All samples; total = |y|^2, below a part of which the residual is rounding.
     total = sum(
         float(np.vdot(y, y))
         for task in tasks
@@ -255,6 +259,8 @@ def fit_samples(experiment: Experiment, begin: np.ndarray) -> ParameterEstimate:
             break
         tasks, begun = further, begun + minimum.iterations
         minimum = problem.minimise(tasks, minimum.x, floor=_EXACT * total, negligible=small)
+
+    # Cov theta = H^-1 (sum over records of J' Gamma J) H^-1, with what the fit took out of Gamma.
     loops = problem.loops(minimum.x)
     signals = experiment.models[0].signals
     models = experiment.models
@@ -277,6 +283,8 @@ def fit_samples(experiment: Experiment, begin: np.ndarray) -> ParameterEstimate:
         tests += scores.tests
         if task.synchronous is not None:
             hertz = task.synchronous.frequencies(task.samples) / (2 * np.pi * experiment.dt)
+
+            # amplitudes and autocovariance back from over the weights to SI
             b = part.b[:, int(task.offset) :] * experiment.sizes[:, None]
             noise = scores.covariance * experiment.sizes[:, None, None] ** 2
             turning += statistics.turning_waves(
@@ -317,6 +325,7 @@ def _check_driven(problem: LeastSquares, begin: np.ndarray, early: Sequence[Task
     if any(len(task.tail) for task in given.tasks):
         return
     for chosen in (early, given.tasks):
+        # without an initial state: one that noise made would drive the loop, too
         still = [replace(task, initial_state=False) for task in chosen]
         H = np.sum(
             [normal_equations(*loops[task.place], task).equations.H for task in still], axis=0
@@ -337,6 +346,8 @@ def _fit_lines(experiment: Experiment, begin: np.ndarray, period: float | str) -
     begun = 0
     tasks = experiment.tasks
     every = chosen = [lines_of(task, period_of(task, period, experiment.dt)) for task in tasks]
+
+    # A start from a few of the lines.
     few = [one.only(slice(None, None, max(len(one.z) // _FEW, 1))) for one in every]
     near = problem.approach(few, begin, _NEAR / sum(2 * one.Y.size for one in few))
     if near is not None:  # a good start, and where the lines begin to tell nothing
@@ -350,6 +361,8 @@ def _fit_lines(experiment: Experiment, begin: np.ndarray, period: float | str) -
         further = problem.synchronised(minimum, tasks, by_step=turns > 0)
         if not any(one.differs(other) for one, other in zip(further, tasks, strict=True)):
             break
+
+        # the waves at the lines move with the angle; which lines are used stays
         tasks = further
         every = [lines_of(task, old.length) for task, old in zip(further, every, strict=True)]
         chosen = [one.only(slice(len(old.z))) for one, old in zip(every, chosen, strict=True)]

@@ -76,6 +76,8 @@ class TimedLoop:
         late = self.longest[1]
         if not late:
             return list(waves), list(measured), np.zeros(0)
+
+        # e(k-1), e(k-2), ... before the first sample that is fitted
         tail = np.concatenate([[wave[late - i] for wave in waves] for i in range(1, late + 1)])
         stop = len(measured[0]) - AHEAD
         return [wave[late:] for wave in waves], [y[self.skipped : stop] for y in measured], tail
@@ -115,6 +117,8 @@ class TimedLoop:
         own = theta[: len(theta) - len(self.unknown)]
         dt = K.dt or 0.0
         A, B, dA, dB = inner.plant(own)
+
+        # States (x, z of the controller, u(k-1), u(k-2), ..., e(k-1), e(k-2), ...).
         a = len(K.outputs)
         n = len(A)
         nk = K.n_states
@@ -123,16 +127,23 @@ class TimedLoop:
         size = n + nk + old_u + old_e
         state = np.eye(size)
         x, z = state[:n], state[n : n + nk]
+
+        # u(k) = C_K z - D_K y: the controller has err = -y
         u_now = K.C @ z - K.D @ inner.C[:a] @ x
+
+        # rows on the state of u(k), u(k-1), ...; and of e(k-1), ..., where e(k) is the loop's input
         commands = [u_now, *state[n + nk : n + nk + old_u].reshape(-1, a, size)]
         waves = [np.zeros((m, size)), *state[n + nk + old_u :].reshape(-1, m, size)]
         Phi, Gamma, dPhi, dGamma = held_derivative(A, B, dA, dB, dt)
+
+        # what acts for the rest dt - h of the sample: Gamma(dt - h), and Phi(dt - h) B
         new_u, dnew_u, edge_u = _newer(A, B[:, :a], dA, dB[:, :, :a], dt - h_u)
         new_e, dnew_e, edge_e = _newer(A, B[:, a:], dA, dB[:, :, a:], dt - h_e)
         held = Gamma[:, :a], Gamma[:, a:]
 
         zero = np.zeros((n, n))
 
+        # Phi x + [Gamma(dt) - Gamma(dt - h)] v(k-d-1) + Gamma(dt - h) v(k-d), u and e alike
         def step(of_x: np.ndarray, u: Parts, e: Parts) -> np.ndarray:
             rows = of_x @ x
             for (early, late), d, values in ((u, d_u, commands), (e, d_e, waves)):
@@ -140,27 +151,38 @@ class TimedLoop:
                 rows = rows if early is None else rows + early @ values[d + 1]
             return rows
 
+        # h = 0: one value for the whole sample, and no older state is needed
         def parts(whole: np.ndarray, late: np.ndarray, h: float) -> Parts:
             return (whole - late, late) if h > 0 else (None, whole)
 
         closed = np.zeros((size, size))
         closed[:n] = step(Phi, parts(held[0], new_u, h_u), parts(held[1], new_e, h_e))
+
+        # z+ = A_K z - B_K y
         closed[n : n + nk] = K.A @ z - K.B @ inner.C[:a] @ x
+
+        # the old values move on by one sample
         for i in range(self.longest[0]):
             closed[n + nk + i * a : n + nk + (i + 1) * a] = commands[i]
         for i in range(1, self.longest[1]):
             closed[n + nk + old_u + i * m : n + nk + old_u + (i + 1) * m] = waves[i]
         driven = np.zeros((size, m))
+
+        # e(k) acts at once only with d_e = 0; it becomes the newest of the old values
         driven[:n] = new_e if d_e == 0 else 0.0
         driven[n + nk + old_u : n + nk + old_u + m] = np.eye(m) if self.longest[1] else 0.0
         shown = np.vstack([inner.row(name, a) for name in self.signals])
         shown = np.hstack([shown, np.zeros((len(shown), old_u + old_e))])
         D = np.zeros((len(shown), m))
         nothing = np.zeros((n, m))
+
+        # d/d theta_j: Phi and Gamma move, the old values' shifts do not
         changes = [
             (step(p, parts(g[:, :a], u, h_u), parts(g[:, a:], e, h_e)), e if d_e == 0 else nothing)
             for p, g, u, e in zip(dPhi, dGamma, dnew_u, dnew_e, strict=True)
         ]
+
+        # dx+/dtau = dx+/dh = Phi(dt - h) B (v(k-d-1) - v(k-d)); Phi itself stays
         for name in self.unknown:
             u_moves = name == CONTROLLER_DELAY
             moved = step(

@@ -43,18 +43,26 @@ def restored(
     """
     if task.samples > _LONG or not len(H):
         return middle
+
+    # H^-1 = L L': L'J has orthonormal rows over all records
     size = np.sqrt(np.diag(H))
     inverse = np.linalg.inv(H / size / size[:, None]) / size / size[:, None]
     J = np.concatenate(list(jacobian_pieces(loop, directions, task, part)), axis=2)
     own = np.tensordot(np.linalg.cholesky(inverse).T, J, 1)
     columns = np.concatenate([own, explained_columns(loop, task)])
     lags = statistics.memory(task.samples)
+
+    # J'(R(l)/k) J, under the window of the residuals' own autocovariance
     taken = coloured_products([J], statistics.tapered(_products(columns, lags), task.samples))
+
+    # v = J H^-1, column i: the share v'Rv/k of v'v of the parameter i
     flat = J.reshape(len(J), -1)
     lost, whole = (
         np.einsum("ij,jk,ki->i", inverse, one, inverse) for one in (taken, flat @ flat.T)
     )
     share = np.clip(lost / np.maximum(whole, 1e-300), 0.0, _MOST)
+
+    # variances over 1 - share, correlations stay; back to the covariance of J'r
     covariance = inverse @ middle @ inverse / np.sqrt((1 - share) * (1 - share)[:, None])
     return np.asarray(H @ covariance @ H)
 

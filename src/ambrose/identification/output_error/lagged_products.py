@@ -39,6 +39,8 @@ class LaggedSums:
         early = np.concatenate([[0.0], np.cumsum(self.head[a])])
         late = np.concatenate([[0.0], np.cumsum(self.tail[b][::-1])])
         sums = self.values[self.pairs.index((a, b))]
+
+        # sum (a - ma)(b' - mb) = sum a b' - mb sum a - ma sum b' + (k - lag) ma mb
         crossed = mean_b * (self.total[a] - early[lag]) + mean_a * (self.total[b] - late[lag])
         return np.asarray(sums - crossed + (k - lag) * mean_a * mean_b)
 
@@ -66,6 +68,8 @@ def lagged_sums(
             if size:
                 values += scipy.fft.irfft(spectra, size, axis=1)[:, : span + 1]
             size, spectra = needed, np.zeros((len(pairs), needed // 2 + 1), complex)
+
+        # new samples against themselves and the ``span`` before: every pair once
         whole = np.concatenate([joined, piece], axis=1)
         new = whole.copy()
         new[:, :span] = 0.0
@@ -108,6 +112,8 @@ def coloured_products(pieces: Iterable[np.ndarray], covariance: np.ndarray) -> n
             kernel[:, :, 1 : (size + 1) // 2] *= 2
             # the piece begins ``span`` samples later
             kernel *= np.exp(2j * np.pi * span / size * np.arange(kernel.shape[2]))
+
+        # mixed(t) = sum over l = 0..span of Gamma(l) J(t - l), result += sum over t of J_t' mixed_t
         whole[:, :, span : span + length] = piece
         whole[:, :, span + length :] = 0.0
         W, N = scipy.fft.rfft(whole, axis=2), scipy.fft.rfft(piece, size, axis=2)
@@ -120,5 +126,7 @@ def coloured_products(pieces: Iterable[np.ndarray], covariance: np.ndarray) -> n
                 for j in range(p):
                     mixed[:, i] += kernel[i, j, band] * part[:, j]
             result += np.real(N[:, :, band].conj().reshape(q, -1) @ mixed.reshape(q, -1).T) / size
+
+        # the last ``span`` samples go before the next piece
         whole[:, :, :span] = whole[:, :, length : span + length].copy()
     return result + result.T

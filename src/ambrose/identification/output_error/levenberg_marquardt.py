@@ -77,12 +77,18 @@ def minimise(
                 f"the outputs do not depend on parameter number {int(np.argmin(size)) + 1}; leave "
                 "it out"
             )
+
+        # unit diagonal: Marquardt's scaling
         H, g = state.H / size / size[:, None], state.g / size
         while True:
             scaled = np.linalg.solve(H + damping * np.eye(len(x)), g)
             step = scaled / size
+
+            # 2 s'g - s'H s with (H + damping) s = g:   s'(damping s + g)
             predicted = float(scaled @ (damping * scaled + g))
             small = bool((np.abs(step) <= tolerance * np.maximum(np.abs(x), scale)).all())
+
+            # a step that is small only because the damping is large is no minimum
             if small or predicted <= 1e-12 * state.cost or state.cost <= floor:
                 return Minimum(x, state.cost, damping < 1e3, iteration, refused, state.parts)
             trial = x + step
@@ -95,11 +101,15 @@ def minimise(
                 # where a trial says nothing, as at the edge of stability
                 with suppress(InvalidInput):
                     following = linearise(trial)
+
+            # a trial that is not allowed, or tells nothing, counts as one that lost
             gain = (state.cost - following.cost) / predicted if following is not None else -1.0
             if following is not None and gain > 0:
                 damping, growth = max(damping * max(1 / 9, 1 - (2 * gain - 1) ** 3), 1e-12), 2.0
                 break
             refused += 1
+
+            # refused in a row: the damping grows by 2, 4, 8, ...
             damping, growth = max(damping, 1e-6) * growth, growth * 2
             if damping > 1e12:
                 return Minimum(x, state.cost, False, iteration, refused, state.parts)

@@ -66,10 +66,14 @@ def lift(system: StateSpace, directions: Sequence[SystemDerivative], length: int
         O_[i], dO[i] = O_[i - 1] @ A, dO[i - 1] @ A + O_[i - 1] @ dA
         R[i], dR[i] = A @ R[i - 1], A @ dR[i - 1] + dA @ R[i - 1]
         P, dP = A @ P, A @ dP + dA @ P
+
+    # transposed for rows [X, u]; R[::-1]: the input s of a block comes out by A^(L - 1 - s) B
     by_state = dP.transpose(2, 0, 1).reshape(n, q * n)
     by_input = dR[::-1].transpose(3, 0, 1, 2).reshape(m * L, q * n)
     # (L, 1 + q, p, m): one sample later
     h = np.concatenate([(O_ @ B)[:, None], dO @ B + O_[:, None] @ dB], axis=1)
+
+    # rows: state, then L samples of each input; columns: L samples of each output. O, T; dO_j, dT_j
     maps = np.empty((1 + q, n + m * L, p * L))
     maps[0, :n] = shown = O_.transpose(2, 1, 0).reshape(n, p * L)
     maps[1:, :n] = dO.transpose(1, 3, 2, 0).reshape(q, n, p * L)
@@ -104,14 +108,21 @@ def stream(
     for start in range(0, k, piece * L):
         stop = min(start + piece * L, k)
         count = -(-(stop - start) // L)
+
+        # rows [X, u], one per block
         XU = np.zeros((count, width))
         for i, signal in enumerate(u):
             XU[:, n + i * L : n + (i + 1) * L] = blocks(signal[start:stop], L)
+
+        # X+ = P X + R u
         driven = XU[:, n:] @ lifted.pushed
         X, x = _states(lifted, driven[None], x[None])
         XU[:, :n], x = X[0], x[0]
+
+        # y = O X + T u, and of dy_j the part dO_j X + dT_j u
         F = np.matmul(XU, lifted.maps)
         if q:
+            # S_j+ = P S_j + dP_j X + dR_j u,   dy_j += O S_j
             forced = (XU @ lifted.forced).reshape(count, q, n).transpose(1, 0, 2)
             S, s = _states(lifted, forced, s)
             F[1:] += S @ lifted.shown
@@ -135,13 +146,19 @@ def _states(lifted: Lifted, driven: np.ndarray, x: np.ndarray) -> tuple[np.ndarr
     inside = inside.reshape(c, groups, group, n)
     states = np.empty((c, groups, group, n))
     spread = powers[:group].transpose(1, 0, 2).reshape(n, group * n)
+
+    # x at the groups' starts: x+ = x P'^group + what the group's own inputs do by its end
     starts = np.empty((c, groups, n))
     for g in range(groups):
         starts[:, g] = x
         x = x @ powers[group] + inside[:, g, -1]
+
+    # inside a group, t blocks after its start: x P'^t + what its first t inputs do
     states[:] = (starts @ spread).reshape(states.shape)
     states[:, :, 1:] += inside[:, :, :-1]
     states = states.reshape(c, -1, n)
+
+    # the last group may be short: its state after ``rest`` blocks, not after the padding
     rest = count - (groups - 1) * group
     if rest < group:
         x = starts[:, -1] @ powers[rest] + inside[:, -1, rest - 1]

@@ -58,6 +58,8 @@ class BendingTerm:
         """Add its part at theta (q,) to A (n, n) and to the derivatives A_theta (q, n, n)."""
         w = self.w0 if self.w is None else float(theta[self.w])
         zeta = self.zeta0 if self.zeta is None else float(theta[self.zeta])
+
+        # A gains (w^2 - w0^2) by_stiffness + 2 (zeta w - zeta0 w0) by_damping; then dA/dw, dA/dzeta
         A += (w**2 - self.w0**2) * self.by_stiffness + 2 * (
             zeta * w - self.zeta0 * self.w0
         ) * self.by_damping
@@ -117,10 +119,14 @@ class LoopModel:
         nk = K.n_states
         a = len(K.outputs)
         y = self.C[:a]
+
+        # States (x, z): x+ = Ad x + Bu u + Be e,  z+ = A_K z - B_K y,  u = C_K z - D_K y
         closed = np.block([[Ad - Bd[:, :a] @ K.D @ y, Bd[:, :a] @ K.C], [-K.B @ y, K.A]])
         driven = np.vstack([Bd[:, a:], np.zeros((nk, len(self.excitations)))])
         shown = np.vstack([self.row(name, a) for name in self.signals])
         D = np.zeros((len(shown), driven.shape[1]))
+
+        # only the plant's rows depend on theta
         directions = []
         for dA, dB in zip(dAd, dBd, strict=True):
             changed = np.zeros_like(closed)
@@ -220,6 +226,8 @@ def _bending(
     frequency, damping = f"{mode}.frequency", f"{mode}.damping"
     zeta0, w0 = channels(plant, damping)[0].nominal, channels(plant, frequency)[0].nominal
     w, zeta = (paths.index(path) if path in paths else None for path in (frequency, damping))
+
+    # at w0: dA/dw = 2 w0 by_stiffness, dA/dzeta = 2 w0 by_damping
     by_stiffness = np.zeros_like(dA[0]) if w is None else dA[w] / (2 * w0)
     return BendingTerm(w, zeta, w0, zeta0, by_stiffness, dA[own.index(damping)] / (2 * w0))
 
@@ -236,6 +244,8 @@ def directions_of(
         w = index_of(general.w[first : first + block.n_w], system.inputs, "input")
         z = index_of(general.z[first : first + block.n_z], system.outputs, "output")
         first += block.n_w
+
+        # w = delta z: A + B_w delta C_z, B + B_w delta D_zu, without D_zw
         dA.append(system.B[:, w] @ system.C[z])
         dB.append(system.B[:, w] @ system.D[np.ix_(z, inputs)])
     return np.stack(dA), np.stack(dB)

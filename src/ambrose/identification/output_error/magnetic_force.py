@@ -190,17 +190,23 @@ def _step(
     """
     size = np.sqrt(np.diag(H))
     own, extra = np.arange(q), q + np.flatnonzero(size[q:] > 1e-9 * size[q:].max(initial=0.0))
+
+    # Parameters eliminated: X = H_qq^-1 H_qb, slope g_b - X'g_q, H_bb - H_bq X left.
     X = np.linalg.solve(H[np.ix_(own, own)], H[np.ix_(own, extra)])
     slope = g[extra] - X.T @ g[own]
     W = np.vstack([-X, np.eye(len(extra))])
     both = np.concatenate([own, extra])
     unit = np.outer(size[extra], size[extra])
+
+    # pseudo-inverse: the signals may depend on each other
     inverse = (
         np.linalg.pinv(
             (H[np.ix_(extra, extra)] - H[np.ix_(extra, own)] @ X) / unit, rcond=1e-8, hermitian=True
         )
         / unit
     )
+
+    # sandwich: the slope is W' J'r with W = [-X; I]
     found = inverse @ W.T @ middle[np.ix_(both, both)] @ W @ inverse
     step, covariance = np.zeros(len(H) - q), np.zeros((len(H) - q, len(H) - q))
     step[extra - q] = inverse @ slope
@@ -220,6 +226,8 @@ def _plausible(amplitudes: np.ndarray, covariance: np.ndarray) -> bool:
     even, deviations = np.flatnonzero(np.diag(covariance)[:-1] > 0), np.sqrt(np.diag(covariance))
     if not len(even):
         return False
+
+    # a' Cov^-1 a of the quadratic ones is chi^2 for noise; as rare as _CERTAIN deviations
     statistic = (
         amplitudes[even]
         @ np.linalg.pinv(covariance[np.ix_(even, even)], hermitian=True)
@@ -244,6 +252,8 @@ def _normal(
         loop, directions = loops[task.place]
         turning = synchronised(loop, task)
         solution = normal_equations(loop, directions, turning)
+
+        # with an unknown delay of the excitation the first samples are not fitted
         start = getattr(experiment.models[task.place], "skipped", 0)
         D = given[:, :, start : start + task.samples]
         _clean(D, turning)
@@ -323,6 +333,8 @@ def without_magnets(
         found, kept = replace(further, responses=()), (left, task, fitted)
     if found is None:
         return None, *kept
+
+    # variances add: noise, the amplitudes' own, terms beyond the third
     sure = np.hypot(
         kept[2].standard_deviations,
         np.hypot(np.sqrt(found.widening), _further_terms(result, kept[2].values)),
@@ -360,6 +372,8 @@ def _turning_motion(
         }
         y = np.array([own.get(f"y_{axis}", 0.0) for axis in axes])
         omega = np.array([2 * np.pi * frequency])
+
+        # the hold's response, e^(-j w dt/2) sinc(f dt);   i = -G_iu K y hold
         held = np.exp(-0.5j * omega[0] * dt) * np.sinc(frequency * dt)
         coils = select(plant.system, plant.named("u"), [f"i_{axis}" for axis in axes])
         i = (
@@ -391,6 +405,8 @@ def nonlinear_responses(
     driven = np.array(signal_rows(record, excitations))
     found = np.empty((len(axes) + 1, len(signals), driven.shape[1]), np.float32)
     cubic = np.empty((len(axes), driven.shape[1]), np.float32)
+
+    # current and displacement of each axis in the linear loop, what turns added
     for j, axis in enumerate(axes):
         moved = simulate(select(loop, excitations, [f"i_{axis}", f"q_{axis}"]), driven)
         for part in _stretches(moved.shape[1] if turning else 0):
@@ -399,6 +415,8 @@ def nonlinear_responses(
                 moved[:, part] += (phasors[j :: len(axes), None] * np.exp(1j * omega * t)).real
         _replaced(moved, plant, j)
         found[j], cubic[j] = simulate(select(loop, [f"f_{axis}"], signals), moved[:1]), moved[1]
+
+    # the cubic forces of all axes at once: one amplitude
     found[-1] = simulate(select(loop, [f"f_{axis}" for axis in axes], signals), cubic)
     return found
 
@@ -440,6 +458,8 @@ def _terms(p: tuple[float, ...], axis: str, load: float, i: float, x: float) -> 
         for k, shift in enumerate(p[9 if second else 6] + x * at):
             zeta, eta = ((0.0, 0.0), (current, shift)) if second else ((current, shift), (0.0, 0.0))
             force[j, k] = magnet.force(zeta[0], eta[0], zeta[1], eta[1], p)[second]
+
+    # in units of the largest i and x, so that the columns are of one size
     basis = np.stack([at[:, None] ** m * at[None] ** n for m, n in _POWERS], axis=-1).reshape(
         -1, len(_POWERS)
     )

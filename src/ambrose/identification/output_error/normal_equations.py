@@ -169,6 +169,8 @@ def synchronised(system: StateSpace, task: Task) -> Task:
     if task.synchronous is None:
         return task
     best, p = normal_equations(system, [], task), len(system.outputs)
+
+    # only the offset stays out: what turns is left in the residual
     still = replace(best, b=best.b * (np.arange(task.waves) < int(task.offset)))
     refined = task.synchronous.refined(
         (piece[:p] for piece in residual_pieces(system, task, still)), task.samples
@@ -195,7 +197,11 @@ def turned(
     H_all = best.equations.H.copy()
     g = best.equations.g
     q = len(H)
+
+    # the parameters' block is that of all records; the angle is this record's own
     H_all[:q, :q] = H
+
+    # lstsq: where no wave has an amplitude the angle's columns are zero
     size = np.sqrt(np.maximum(np.diag(H_all), 1e-300))
     step = np.linalg.lstsq(H_all / size / size[:, None], g / size)[0] / size
     return replace(task, synchronous=task.synchronous.turned(step[q:], task.samples))
@@ -214,6 +220,8 @@ def normal_equations(
     n = system.n_states
     p = len(system.outputs)
     q = len(directions)
+
+    # First pass: r at x0 = (0, tail), b = 0; the best nuisances are basis basis' [O, W]' r.
     still = lift(system, [])
     basis = _nuisance_basis(system, still, task)
     x0, b = np.concatenate([np.zeros(n - len(task.tail)), task.tail]), np.zeros((p, task.waves))
@@ -221,12 +229,20 @@ def normal_equations(
         _, N = _products(still, task, x0, b, with_nuisance=True)
         best = basis @ (basis.T @ N[:, 0])
         x0, b = x0 + best[:n], best[n:].reshape(b.shape)
+
+    # Second pass, with these: F = [r, J], G = F F', N = [O, W]' F'.
     q += 2 * with_angle
     G, N = _products(
         lift(system, directions), task, x0, b, with_nuisance=bool(basis.size), with_angle=with_angle
     )
+
+    # M: the components of r and J in the nuisances' space
     M = basis.T @ N
+
+    # dx0, db: the nuisances that take those components out of J again
     shift = -(basis @ M).T[1:]
+
+    # J'(I - P) J; J'r needs no projection, r has none of the nuisances left
     H, g = G[1:, 1:] - M[:, 1:].T @ M[:, 1:], G[1:, 0]
     # what is left is rounding: the nuisances explain it all
     blind = np.diag(H) <= _BLIND * np.diag(G)[1:]
@@ -287,6 +303,7 @@ class _Early:
         if count >= len(self.powers):
             self.powers = powers_of(self.lifted.powers[1].T, count + 1)
         self.total += (
+            # O'f = sum over blocks i of P'^i O_L' f_i, as rows; ``ahead`` = P^(blocks before)
             seen.reshape(-1, count * n) @ self.powers[:count].reshape(count * n, n) @ self.ahead
         )
         self.ahead = self.powers[count] @ self.ahead
@@ -304,6 +321,8 @@ def _measured_less(F: np.ndarray, task: Task, start: int, b: np.ndarray) -> np.n
     stop = min(start + count * L, task.samples)
     rest = count * L - (stop - start)
     W = np.pad(task.waves_at(start, stop), ((0, 0), (0, rest)))
+
+    # r = y - y(theta) - b W
     for i in range(len(task.y)):
         F[0, :, i] = (
             blocks(task.measured(i, start, stop), L) - F[0, :, i] - (b[i] @ W).reshape(count, L)
@@ -356,6 +375,8 @@ def explained_columns(system: StateSpace, task: Task) -> np.ndarray:
     p = len(loop.outputs)
     still = lift(loop, [])
     basis = _nuisance_basis(loop, still, task)
+
+    # O x0 for each column x0 of the basis: the derivative of a loop that does not move, dx0 = x0
     nothing = SystemDerivative(
         np.zeros_like(loop.A), np.zeros_like(loop.B), np.zeros_like(loop.C), np.zeros_like(loop.D)
     )
@@ -384,6 +405,7 @@ def _long(task: Task) -> int:
 
 def _in_time(F: np.ndarray, length: int) -> np.ndarray:
     """(c, count, p, L) as (c, p, length)."""
+    # blocks one after the other
     c, count, p, L = F.shape
     return F.transpose(0, 2, 1, 3).reshape(c, p, count * L)[:, :, :length]
 
@@ -398,6 +420,8 @@ def _nuisance_basis(system: StateSpace, still: Lifted, task: Task) -> np.ndarray
     w = task.waves
     if not (task.initial_state or w):
         return np.zeros((n + p * w, 0))
+
+    # O' times each wave in each output alone, and W W'
     early = _Early(still, p * w)
     WW = np.zeros((w, w))
     L = still.shown.shape[1] // p
@@ -409,16 +433,24 @@ def _nuisance_basis(system: StateSpace, still: Lifted, task: Task) -> np.ndarray
         rows = np.array([blocks(row, L) for row in W]).reshape(w, -1, L)
         seen = rows @ still.shown.reshape(n, p, L).transpose(1, 2, 0)[:, None]  # (p, w, count, n)
         early.add_seen(seen.reshape(-1, n), rows.shape[1])
+
+    # [O, W]'[O, W] = [[O'O, O'W], [W'O, I (x) W W']]
     Q, F = _gramian(system.A, system.C, k)[0], early.total.T
     G = np.block([[Q, F], [F.T, np.kron(np.eye(p), WW)]])
     known = len(task.tail)
+
+    # of the state the tail is known; the rest only where it is estimated
     free = np.r_[
         np.full(n - known, task.initial_state), np.full(known, False), np.full(p * w, True)
     ]
     seen_by = np.diag(G).copy()
     old = slice(n - known - task.alike, n - known)
+
+    # old commands share one scale: one hardly seen is not blown up to a unit
     seen_by[old] = seen_by[old].max(initial=0.0)
     used = free & (seen_by > 0)
+
+    # G = D V diag(values) V' D with D = diag(size): basis = D^-1 V values^-1/2
     size = np.sqrt(np.where(used, seen_by, 1.0))
     scaled = np.where(used[:, None] & used, G / size / size[:, None], 0.0)
     values, V = np.linalg.eigh(scaled)
@@ -430,6 +462,8 @@ def _gramian(A: np.ndarray, C: np.ndarray, k: int) -> tuple[np.ndarray, np.ndarr
     """sum A'^t C'C A^t over t = 0..k - 1, and A^k, by doubling."""
     if k == 1:
         return C.T @ C, A
+
+    # Q_2h = Q_h + P_h' Q_h P_h;   odd k: one more term C A^(k-1)
     Q, P = _gramian(A, C, k // 2)
     Q, P = Q + P.T @ Q @ P, P @ P
     return (Q + P.T @ C.T @ C @ P, P @ A) if k % 2 else (Q, P)

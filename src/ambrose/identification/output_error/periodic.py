@@ -156,6 +156,8 @@ def lines_of(task: Task, P: int) -> Lines:
     M = task.samples // P
     U = np.stack([scipy.fft.rfft(np.asarray(wave[:P])) for wave in task.e])
     size = np.abs(U).max(axis=0)
+
+    # The constant is an offset's; the line at half the sample rate has no phase.
     size[0] = 0.0
     if P % 2 == 0:
         size[-1] = 0.0
@@ -174,6 +176,8 @@ def lines_of(task: Task, P: int) -> Lines:
     if task.synchronous is not None:
         waves = [task.synchronous.waves(m * P, (m + 1) * P) for m in range(M)]
         turning = np.array([scipy.fft.rfft(wave, axis=1)[:, lines] for wave in waves])
+
+        # What the waves themselves scatter from period to period is no noise: least squares on it.
         moved = turning[-len(later) :] - turning[-len(later) :].mean(axis=0)
         columns, rows = (
             _real(x.transpose(0, 2, 1).reshape(-1, x.shape[1])) for x in (moved, scatter)
@@ -196,6 +200,8 @@ def line_equations(
     C = loop.C
     z = lines.z
     task = lines.task
+
+    # L = C (z I - A)^-1,   X = (z I - A)^-1 B U,   R = Y - C X
     T, Z = sla.schur(A, output="complex")
     L, X = _rows(T, Z, C, z), _columns(T, Z, B @ lines.U, z)
     R = lines.Y - C @ X
@@ -206,11 +212,14 @@ def line_equations(
     if task.initial_state or b.size:
         N, best = _nuisances(L if task.initial_state else np.zeros_like(L), R, lines)
         d, b = best[: len(A)], best[len(A) :].reshape(b.shape)
+
+        # the transient drives like z d:   R = Y - C (X + (z I - A)^-1 z d) - b W
         pushed = z * d[:, None]
         X = X + _columns(T, Z, pushed, z)
         R = lines.Y - C @ X - b @ lines.W
     J = np.zeros((len(z), len(C), 0), complex)
     if directions:
+        # dY_j = L (dA_j X + dB_j U), only the rows of the state that some parameter moves
         rows = np.flatnonzero(
             np.any([d.A.any(axis=1) | d.B.any(axis=1) for d in directions], axis=0)
         )
@@ -220,6 +229,7 @@ def line_equations(
         J = L[:, :, rows] @ Q.reshape(len(directions), len(rows), -1).transpose(2, 1, 0)
     flat, r = root * _real(J.reshape(-1, J.shape[2])), root * _real(R.T.reshape(-1))
     if N.shape[1]:
+        # (I - N N') J; r has lost N already
         inside = N.T @ flat
         flat = flat - N @ inside
         J = J - _complex(N @ inside / root).reshape(J.shape)
@@ -231,6 +241,8 @@ def told_below(fits: Sequence[LineFit], all_lines: Sequence[Lines]) -> float:
     parameters.
     """
     H = np.sum([fit.equations.H for fit in fits], axis=0)
+
+    # H = D K K' D, D = diag(size): rows of K^-1 D^-1 J' are orthonormal over all lines
     size = np.sqrt(np.diag(H))
     whitened = np.linalg.cholesky(H / size / size[:, None])
     worst = 0.0
@@ -238,6 +250,8 @@ def told_below(fits: Sequence[LineFit], all_lines: Sequence[Lines]) -> float:
         parts = np.linalg.solve(whitened, (fit.J.reshape(-1, len(H)) / size).T).reshape(
             len(H), len(lines.z), -1
         )
+
+        # power of each row up to a line; the line up to which all but _UNTOLD of it lies
         told = np.cumsum(np.sum(np.abs(parts) ** 2, axis=2), axis=1)
         enough = np.array([np.searchsorted(row, (1 - _UNTOLD) * row[-1]) for row in told]).max()
         worst = max(worst, float(np.angle(lines.z[min(int(enough) + 1, len(lines.z) - 1)])))
@@ -246,6 +260,7 @@ def told_below(fits: Sequence[LineFit], all_lines: Sequence[Lines]) -> float:
 
 def line_residual(loop: StateSpace, lines: Lines, found: LineFit) -> np.ndarray:
     """The residual (p, l) at all lines, with the transient and the waves found at some."""
+    # (z I - A) X = B U + z d
     driven = loop.B @ lines.task.mix @ lines.U + lines.z * found.d[:, None]
     T, Z = sla.schur(loop.A, output="complex")
     return np.asarray(lines.Y - loop.C @ _columns(T, Z, driven, lines.z) - found.b @ lines.W)
@@ -268,6 +283,8 @@ def _rows(T: np.ndarray, Z: np.ndarray, C: np.ndarray, z: np.ndarray) -> np.ndar
     poles = 1.0 / (z - np.diag(T)[:, None])
     rows = C @ Z
     left = np.empty((n, len(C), len(z)), complex)
+
+    # Y (z I - T) = C Z, column by column; then Y Z'
     for i in range(n):
         known = np.tensordot(T[:i, i], left[:i], 1) if i else 0.0
         left[i] = (rows[:, i, None] + known) * poles[i]
@@ -278,6 +295,8 @@ def _rows(T: np.ndarray, Z: np.ndarray, C: np.ndarray, z: np.ndarray) -> np.ndar
 def _columns(T: np.ndarray, Z: np.ndarray, driven: np.ndarray, z: np.ndarray) -> np.ndarray:
     """(z I - A)^-1 driven (n, l) for driven (n, l), likewise."""
     X, poles = Z.conj().T @ driven, 1.0 / (z - np.diag(T)[:, None])
+
+    # (z I - T) X = Z' driven, from the last row up
     for i in range(len(T) - 1, -1, -1):
         X[i] = (X[i] + T[i, i + 1 :] @ X[i + 1 :]) * poles[i]
     return np.asarray(Z @ X)
@@ -287,12 +306,15 @@ def _nuisances(L: np.ndarray, R: np.ndarray, lines: Lines) -> tuple[np.ndarray, 
     """Orthonormal columns (2 p l, r) of all that transient and waves can explain, and the d (n,)
     and b (p waves,) that explain the residual best.
     """
+    # dR = -(L z d + b W), rows (line, output), real parts above imaginary ones
     p = len(R)
     waves = np.einsum("wl,ij->lijw", lines.W, np.eye(p)).reshape(R.size, -1)
     N = np.hstack([_real((L * lines.z[:, None, None]).reshape(-1, L.shape[2])), _real(waves)])
     G = N.T @ N
     seen = np.diag(G) > 0
     size = np.sqrt(np.where(seen, np.diag(G), 1.0))
+
+    # directions that the lines do not show stay at zero
     values, V = np.linalg.eigh(np.where(seen[:, None] & seen, G / size / size[:, None], 0.0))
     keep = values > _INVISIBLE * values[-1]
     basis = V[:, keep] / np.sqrt(values[keep]) / size[:, None]
@@ -312,6 +334,8 @@ def line_middle(fit: LineFit, lines: Lines) -> np.ndarray:
     s = np.einsum("lpq,mpl->mlq", fit.J.conj(), deviations, optimize=True).reshape(
         -1, fit.J.shape[2]
     )
+
+    # J'r = weight Re(s): half of E s s*; the mean of the periods has 1/periods of one's variance
     return lines.weight**2 / 2 * np.real(s.T @ s.conj()) / count
 
 

@@ -95,8 +95,12 @@ def build_experiment(
     main = plants[points.index(reference)]
     shown = fitted_signals(main, records, options.signals)
     excitations = driven_inputs(main, records, -(-(len(paths) + len(timing)) // len(shown)))
+
+    # A whole, known delay is part of the controller; any other one is TimedLoop's.
     exact = not timing and float(computing_delay).is_integer()
     law = deployed_controller(main, controller, dt, int(computing_delay) if exact else 0)
+
+    # theta is that of the reference point: at the others the parameters are factor theta
     factors = [
         np.ones(len(paths)) if plant is main else ratios(main, plant, paths) for plant in plants
     ]
@@ -117,6 +121,8 @@ def build_experiment(
         tail = np.zeros(0)
         alike = 0
         turning = synchronous_of(record, options.harmonics, options.tones)
+
+        # what turns begins with the first sample that is fitted
         model = models[place]
         if isinstance(model, TimedLoop):
             waves, measured, tail = model.aligned(waves, measured)
@@ -137,6 +143,8 @@ def build_experiment(
     reference = next(
         record.point for record in records if replace(record.point, label="") == reference
     )
+
+    # theta: the paths' values, then the delays, whose size is a sample
     begin = {CONTROLLER_DELAY: computing_delay * dt, EXCITATION_DELAY: 0.0}
     nominal = np.concatenate([values, [begin[name] for name in timing]])
     scale = np.where(nominal == 0, 1.0, np.abs(nominal))

@@ -52,6 +52,8 @@ def residual_scores(
     remembered = statistics.memory(k)
     lags = min(_LAGS, k - 1)
     span = max(remembered, lags)
+
+    # signals: the residuals (p), then the distinct excitations
     own = [(i, i) for i in range(p, p + len(task.e))]
     pairs = [(i, j) for i in range(p) for j in range(p)]
     crossed = [(i, e) for i in range(p) for e, _ in own]
@@ -96,5 +98,7 @@ def _followed(task: Task, solution: RecordSolution, lags: int) -> np.ndarray:
     Y, E = (
         scipy.fft.rfft(rows - rows.mean(axis=1, keepdims=True), size, axis=1) for rows in (y, e)
     )
+
+    # y(t) e(t - lag) over the first piece, scaled to the whole record
     sums = scipy.fft.irfft(Y[:, None] * E[None].conj(), size, axis=2)[:, :, : lags + 1]
     return np.asarray(np.abs(sums).max(axis=2) * task.samples / n)

@@ -80,6 +80,7 @@ def turning_waves(
     hertz, orders = frequencies
     lags = np.arange(noise.shape[2])
     for j, frequency in enumerate(hertz.tolist()):
+        # S(f) = sum over l of R(l) cos(2 pi f l dt); an amplitude's variance is 2 S/k
         seen = np.where(lags > 0, 2.0, 1.0) * np.cos(2 * np.pi * frequency * dt * lags)
         for i, signal in enumerate(signals):
             z = complex(b[i, 2 * j], -b[i, 2 * j + 1])
@@ -105,6 +106,8 @@ def check_visible(names: Sequence[str], H: np.ndarray, scale: np.ndarray) -> Non
             raise InvalidInput(
                 f"these records say nothing about {name}; {remedy}, or take it as known"
             )
+
+    # unit diagonal: a small eigenvalue is a combination that changes nothing
     values, vectors = np.linalg.eigh(H * scale * scale[:, None] / effect / effect[:, None])
     if values[0] < _VISIBLE:
         together = [
@@ -185,9 +188,13 @@ def input_test(
         return ResidualTest(signal, name, 0.0, 1.0, 0, True)
     lags = len(crossed) - 1
     span = len(own_r) - 1
+
+    # Bartlett: var rho = sum over l of rho_r(l) rho_e(l)/k, under Parzen's window
     rho = crossed / energy
     product = own_r / own_r[0] * own_e / own_e[0] * _parzen(np.arange(span + 1) / span)
     variance = max(float(product[0] + 2 * product[1:].sum()), 0.1) / k
+
+    # Bonferroni over all tests and their lags, two-sided
     limit = float(-ndtri((1 - _CONFIDENCE) / 2 / (tests * (lags + 1)))) * variance**0.5
     worst = int(np.argmax(np.abs(rho)))
     visible = limit * energy / response if response else math.inf

@@ -100,6 +100,8 @@ class Synchronous:
         half = (high - low) / 2
         cycles = abs(self.rate) * 2 * half / (2 * np.pi)
         M = int(np.clip(8 * _NEARLY * max(self.orders) * cycles, *_BLOCKS))
+
+        # M block sums, each turned back by the stated angle: what is left varies slowly
         z = self._demodulated(pieces, low, high, M)
         s = (np.arange(M) + 0.5) * 2 / M - 1  # the angle gains a s + c s^2 over the record
         n = np.array(self.orders)[:, None, None]
@@ -107,6 +109,7 @@ class Synchronous:
         if noise == 0:
             return None
 
+        # sum |sum z e^(-j n (a s + c s^2))|^2 over sum |z|^2: about 1 where z is noise
         def lost(x: np.ndarray) -> float:
             return (
                 -float(
@@ -117,11 +120,14 @@ class Synchronous:
                 / noise
             )
 
+        # First c = 0: a s is a line of the padded transform, a = pi i / _PAD, n i for the order n.
         power = np.sum(np.abs(scipy.fft.fft(z, _PAD * M, axis=2)) ** 2, axis=1)
         reach = max(int(np.ceil(_NEARLY * abs(self.rate) * half * _PAD / np.pi)), 1)
         trials = np.arange(-reach, reach + 1)
         total = sum(power[j, (order * trials) % (_PAD * M)] for j, order in enumerate(self.orders))
         begin = np.array([np.pi / _PAD * trials[int(np.argmax(total))], 0.0])
+
+        # Then a and c together, from one bin about the best line.
         simplex = begin + np.array([[0.0, 0.0], [np.pi / _PAD, 0.0], [0.0, np.pi / _PAD]])
         found = minimize(
             lost,
@@ -139,6 +145,9 @@ class Synchronous:
         half = (high - low) / 2
         middle = (low + high) / 2
         a, c = change
+
+        # s = (base - middle)/half: a s + c s^2 =
+        # (a/half - 2 c middle/half^2) base + c/half^2 base^2 + a constant
         rate, drift = self.rate + a / half - 2 * c * middle / half**2, self.drift + c / half**2
         return replace(self, rate=float(rate), drift=float(drift))
 
@@ -147,6 +156,8 @@ class Synchronous:
         ``turned`` (2, p, length).
         """
         low, high = self._base(0, samples)[[0, -1]]
+
+        # tones do not follow the rotor's angle: n = 0
         n = np.repeat([*self.orders, *(0 for _ in self.tones)], 2)
         # of a cos + b sin: b cos - a sin
         slope = (n * b).reshape(len(b), -1, 2)[:, :, ::-1] * [1.0, -1.0]
@@ -164,6 +175,8 @@ class Synchronous:
             if not start:
                 z = np.zeros((len(self.orders), len(piece), M), complex)
             base = self._base(start, start + piece.shape[1])
+
+            # z = sum over a block of x e^(-j n angle); block edges by the angle's base, not by time
             block = np.minimum(((base - low) / (high - low) * M).astype(int), M - 1)
             edges = np.flatnonzero(np.r_[True, np.diff(block) > 0])
             one = self._turning(base).conj()
@@ -178,7 +191,11 @@ class Synchronous:
         if not self.orders or high <= low or len(signal) < 2 * _BLOCKS[0]:
             return ()
         z = self._demodulated([(signal - signal.mean())[None]], low, high, _BLOCKS[0])[:, 0]
+
+        # cycles over the record off the order; 1 and 2 are its own leakage
         beside = np.abs(scipy.fft.fft(z, axis=1)[:, [-5, -4, -3, 0, 3, 4, 5]]) ** 2
+
+        # the line of a sine that were the whole signal: (k A/2)^2 = k^2 var/2
         whole = len(signal) * float(np.var(signal)) * len(signal) / 2
         here, around = beside[:, 3], beside[:, [0, 1, 2, 4, 5, 6]].mean(axis=1)
         seen = (here > _LINE * around) & (here > _SHARE * whole)
@@ -260,6 +277,8 @@ def without_synchronous(
         for j, i in enumerate(kept)
         if record.signals[i][:2] in {"y_", "u_", "i_", "e_", "v_", "f_", "ep", "al"}
     ]
+
+    # least squares of every moving signal on the constant and the waves; the constant stays in
     square, product = (
         np.zeros((1 + turning.count, 1 + turning.count)),
         np.zeros((1 + turning.count, len(moving))),

@@ -128,6 +128,8 @@ def identify(
         remedy = "the parameters found are biased by as much as it differs from the one that ran"
         warning = Finding(Code.OTHER_CONTROLLER, WARNING, what, remedy=remedy)
         estimate = replace(estimate, warnings=(*estimate.warnings, warning))
+
+    # the model's eps is whitened: back to metres
     S, _ = model.loop(estimate.values)
     S = replace(S, C=np.linalg.solve(whitening, S.C))
     return ResidualIdentification(estimate, factors, S, signals, error)
@@ -245,8 +247,12 @@ def sampled_factors(
     covariance is that of white noise passed through it.
     """
     u, y = [f"u_{axis}" for axis in plant.axes], [f"y_{axis}" for axis in plant.axes]
+
+    # positive feedback, v = K y + e: the law has err = -y
     G = c2d(select(plant.system, u, y), law.dt or 0.0)
     K = StateSpace(law.A, -law.B, law.C, -law.D, y, u, law.dt)
+
+    # |pole| = e^(rate dt)
     rates = np.log(np.maximum(np.abs(np.linalg.eigvals(G.A)), 1e-300)) / (law.dt or 1.0)
     L, covariance = injection_gain(
         G.A, G.C, G.dt, decay if (np.abs(rates) < decay).any() else 0.0, noise
@@ -285,14 +291,20 @@ def controller_error(factors: CoprimeFactors, record: Record) -> float:
     The controller's initial state and offsets do not count.
     """
     v, y, e = (signals[:, :_LOOKED_AT] for signals in _command(factors, record))
+
+    # V~ v - U~ y - V~ e = 0 for the controller that ran
     own = select(factors.left, outputs=factors.alpha)
     left = simulate(own, np.vstack([v, y])) - simulate(factors.V_left, e)
+
+    # but for its initial state, and a constant in each alpha
     free = [
         simulate(own, np.zeros((len(own.inputs), v.shape[1])), x0=x0).ravel()
         for x0 in np.eye(own.n_states)
     ]
     nuisance = np.vstack([*free, np.kron(np.eye(len(v)), np.ones(v.shape[1]))]).T
     unexplained = left.ravel() - nuisance @ np.linalg.lstsq(nuisance, left.ravel())[0]
+
+    # against V~ u, what the controller did
     whole = simulate(factors.V_left, v - e)
     return float(
         np.linalg.norm(unexplained)
@@ -376,5 +388,6 @@ def _whitening(covariance: np.ndarray) -> np.ndarray:
     """The symmetric W (p, p) with W covariance W = I, times the noise's mean size, so that eps
     keeps its unit.
     """
+    # W = V diag(values)^-1/2 V', times the geometric mean of values^1/2
     values, V = np.linalg.eigh(covariance)
     return (V / np.sqrt(values)) @ V.T * float(np.exp(np.log(values).mean() / 2))

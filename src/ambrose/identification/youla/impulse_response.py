@@ -42,6 +42,8 @@ class FiniteResponse(Presented):
         """
         p, m, taps = self.h.shape
         expected = impulse_response(as_statespace(system), taps)
+
+        # (h - h_S)' X'X (h - h_S) over the unknowns and the noise's variance
         difference = (self.h - expected).reshape(p, m * taps)
         return (
             np.einsum("pi,ij,pj->p", difference, self.normal, difference)
@@ -79,10 +81,14 @@ def finite_response(alpha: np.ndarray, eps: np.ndarray, taps: int) -> FiniteResp
         )
     # (m, k - taps + 1, taps)
     lagged = np.lib.stride_tricks.sliding_window_view(alpha, taps, axis=1)[:, :, ::-1]
+
+    # eps(t) = sum over taps of h(tau) alpha(t - tau); means out for the offset
     X = lagged.transpose(1, 0, 2).reshape(k - taps + 1, m * taps)
     X = X - X.mean(axis=0)
     Y = eps[:, taps - 1 :].T
     Y = Y - Y.mean(axis=0)
+
+    # scaled to a unit diagonal before it is factored
     normal = X.T @ X
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     try:
@@ -94,6 +100,8 @@ def finite_response(alpha: np.ndarray, eps: np.ndarray, taps: int) -> FiniteResp
         ) from error
     taps_by_output = sla.cho_solve(factor, X.T @ Y / size[:, None]) / size[:, None]
     noise = np.sqrt(np.sum((Y - X @ taps_by_output) ** 2, axis=0) / freedom)
+
+    # diag((X'X)^-1)^1/2; standard deviations: noise times it
     spread = np.sqrt(np.diag(sla.cho_solve(factor, np.eye(m * taps)))) / size
     p = len(eps)
     shape = (p, m, taps)

@@ -56,11 +56,17 @@ class SampledResidual:
         L_K = self.factors.controller_gain
         p, n = len(G.outputs), G.n_states
         inside, k = loop.n_states, L_K.shape[0]
+
+        # x_o+ = (A + L C) x_o + B (u + alpha) - L y,   eps = y - C x_o
         C_y, C_u = loop.C[:p], loop.C[p:]
         A = np.block([[loop.A, np.zeros((inside, n))], [G.B @ C_u - L @ C_y, G.A + L @ G.C]])
+
+        # alpha enters as the excitation, and the controller's states by -L_K
         B = np.vstack([loop.B - np.vstack([np.zeros((inside - k, L_K.shape[1])), L_K]), G.B])
         C = self.whitening @ np.hstack([C_y, -G.C])
         D = np.zeros((p, B.shape[1]))
+
+        # the observer is the nominal plant's: it does not move
         directions = []
         for change in changes:
             dA, dB = np.zeros_like(A), np.zeros_like(B)
@@ -83,6 +89,8 @@ def sampled_residual(
     whitening (p, p).
     """
     K = factors.controller
+
+    # the factors' K is from y, the loop's law from err = -y
     err = [f"err_{axis}" for axis in plant.axes]
     law = StateSpace(K.A, -K.B, K.C, -K.D, err, K.outputs, K.dt)
     signals = [f"{kind}_{axis}" for kind in "yu" for axis in plant.axes]
@@ -132,6 +140,8 @@ def held_residual(
         raise NumericalFailure(
             "the plant has feedthrough at its ports; take one reduced without static correction"
         )
+
+    # no controller of its own: alpha is the excitation, and LoopModel's loop is the plant held
     empty = np.zeros((0, 0))
     none = StateSpace(empty, empty, empty, empty, (), (), dt)
     B, C = system.B[:, u], system.C[y]
