@@ -63,6 +63,9 @@ def active(
         used[channel.at] |= mask.T
     if settling is not None:
         used[np.ix_(settling.at, slow)] = True
+
+    # Pairs in the order of frequency, so that those of one frequency stand together; place (w, m)
+    # is where each stands.
     omega, models = np.nonzero(used)
     place = np.zeros(used.shape, int)
     place[omega, models] = np.arange(len(omega))

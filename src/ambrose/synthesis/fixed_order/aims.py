@@ -91,6 +91,9 @@ def aims_of(machine: Machine, start: StateSpace) -> Aims:
         demand("maximum singular value of a sensitivity", wanted).limit
         or SENSITIVITY.limits[0].value
     )
+
+    # sigma_max(S_o) <= g / (g - 1) leaves a gain margin g, and 1 / (2 sin(phi / 2)) a phase margin
+    # phi.
     margins = [peak]
     if wanted.gain_margin is not None and wanted.gain_margin > 1:  # both follow from sigma_max(S_o)
         margins.append(wanted.gain_margin / (wanted.gain_margin - 1))
@@ -103,6 +106,8 @@ def aims_of(machine: Machine, start: StateSpace) -> Aims:
         if value is not None
     ]
     decrement = demand("log decrement", wanted).limit or 0.0
+
+    # zeta = decrement / sqrt(4 pi^2 + decrement^2)
     damping = _MARGIN * decrement / np.hypot(2 * np.pi, decrement)
     bearings = [b for b in machine.bearings for _ in range(2)]
     allowed = [wanted.max_current or b.max_current for b in bearings]

@@ -149,24 +149,36 @@ class FilterBank:
             for c in range(len(settings.channels))
         ]
         for c, channel in enumerate(settings.channels):
+            # The chain T = diag(gain, I) P_k .. P_1 in the order (signal, states), the sections P_i
+            # embedded.
             parts = embedded([section_matrix(section) for section in channel.sections])
             size = len(parts[0]) if parts else 1
             states = slice(m + start, m + start + size - 1)
+
+            # df/dT from Theta = [[out D into, out C], [B into, A]]
             back = np.empty((size, size))
             back[0, 0] = out[:, c] @ slope[:m, :m] @ into[c]
             back[0, 1:], back[1:, 0] = out[:, c] @ slope[:m, states], slope[states, :m] @ into[c]
             back[1:, 1:] = slope[states, states]
             start += size - 1
+
+            # before[i] = P_i .. P_1
             before = [np.eye(size)]
             for part in parts:
                 before.append(part @ before[-1])
+
+            # dT/d ln gain = the first row of T, the gain times that of P_k .. P_1
             for k in mine[c]:
                 if self.unknowns[k].key == "gain":
                     result[k] += channel.gain * (back[0] @ before[-1][0])
+
+            # df/d(P_k .. P_1); then from the last section to the first, back = df/d(P_i .. P_1),
+            # df/dP_i = back (P_i-1 .. P_1)^T.
             back[0] *= channel.gain
             end = size
             for i in range(len(parts) - 1, -1, -1):
                 share = back @ before[i].T
+                # its own entries: the signal, and its states, the last section's at the end
                 order = len(section_matrix(channel.sections[i])) - 1
                 at = [0, *range(end - order, end)]
                 end -= order

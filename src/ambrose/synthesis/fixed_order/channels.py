@@ -45,6 +45,7 @@ def channels_of(
     """Sensitivity, gain, compliance, and under unbalance orbit, currents and forces, each over its
     limit.
     """
+    # Columns of P: u, f; rows: y, q, i. With u = -K y: y = G u + G_yf f gives u = -Q G_yf f.
     u, f = slice(0, a), slice(a, 2 * a)
     G, G_yf = P[:, :, u, u], P[:, :, u, f]
     q, i = slice(a, 2 * a), slice(2 * a, None)
@@ -53,6 +54,8 @@ def channels_of(
     G_iu = P[:, :, i, u]
     G_if = P[:, :, i, f]
     every, eye = np.arange(len(omega)), np.eye(a)[None, None]
+
+    # S_o = I - G Q,   K S_o = Q
     limit = 1 / aims.sensitivity_limit(omega)[None, :, None, None]
     found = [
         Channel("sensitivity", np.broadcast_to(eye * limit, G.shape), G * limit, eye, every),
@@ -64,6 +67,8 @@ def channels_of(
             every,
         ),
     ]
+
+    # f -> q: G_qf - G_qu Q G_yf
     if aims.compliance is not None:
         found.append(
             Channel("compliance", G_qf / aims.compliance, G_qu / aims.compliance, G_yf, every)
@@ -71,6 +76,8 @@ def channels_of(
     at = np.flatnonzero(omega <= aims.unbalance_to * (1 + 1e-9))
     if not aims.unbalance or not len(at):
         return found
+
+    # Under unbalance f = U omega^2, up to the speed at which it is asked for.
     force = aims.unbalance * omega[at, None, None] ** 2
 
     def under_unbalance(name: str, A: np.ndarray, B: np.ndarray, limits: np.ndarray) -> None:
@@ -86,8 +93,12 @@ def channels_of(
     under_unbalance("current", G_if, G_iu, np.array(aims.currents))
     if aims.voltage is not None:
         most, inductance = aims.voltage
+
+        # |v| = omega L |i|
         swing = (inductance * omega)[:, None, None]
         under_unbalance("voltage", swing * G_if, swing * G_iu, np.full(a, most))
+
+    # bearing force k_i i + k_s q
     k_i, k_s = (
         np.stack(values)[:, None, :, None]
         for values in zip(*(model.magnet for model in models), strict=True)
@@ -108,6 +119,9 @@ class Settling:
     def __init__(self, omega: np.ndarray, settling: float) -> None:
         self.at = np.flatnonzero(omega < min(_TIMED_TO, omega[-1] * (1 + 1e-9)))
         w = omega[self.at]
+
+        # A step turns exp(j w t) by _PHASE: up to _SLOW_TO at the latest time, above it at 4 pulse
+        # durations.
         last = PULSE.duration + 8 * settling
         slow = np.linspace(0, _SLOW_TO, int(np.ceil(_SLOW_TO * last / _PHASE)) + 1)
         fast = np.linspace(
@@ -117,6 +131,9 @@ class Settling:
         )
         fine = np.unique(np.concatenate([slow, fast]))
         fine = fine[fine <= w[-1]]
+
+        # Trapezoidal rule on steps that differ; the end of the range fades out as half a cosine,
+        # for a sharp end would ring in time.
         step = np.gradient(fine)
         step[[0, -1]] /= 2
         edge = 0.8 * w[-1]
@@ -126,11 +143,14 @@ class Settling:
         jw = 1j * np.maximum(fine, 1e-6)
 
         def weights(time: np.ndarray) -> np.ndarray:
+            # y(t) = 1/pi Re int H(jw) (exp(jw t) - exp(jw (t - d))) / jw dw after a pulse of
+            # duration d; while it lasts (t < d), the second exponent is 0.
             rise = np.exp(jw * time[:, None]) - np.exp(
                 jw * (time - np.minimum(PULSE.duration, time))[:, None]
             )
             return _by_samples(rise / jw * step * taper / np.pi, fine, w)
 
+        # late: from the settling time on; early: where the peak lies, of which the band is taken.
         after = settling * np.concatenate([np.linspace(1, 2.2, 16), np.geomspace(2.4, 8, 8)])
         self.late = weights(PULSE.duration + after)
         self.early = weights(PULSE.duration * np.linspace(0.1, 2.5, 24))
@@ -144,6 +164,7 @@ class Settling:
         G, Q (m, w, a, a): at the frequencies ``at``. peak (m, pulsed axis): None takes those of the
         response itself.
         """
+        # pulse of u -> y in the closed loop: S_o G = G - G Q G
         H = G - G @ Q @ G
         if peak is None:
             peak = np.abs(np.einsum("tw,mwab->mtab", self.early, H, optimize=True).real).max(
@@ -160,10 +181,14 @@ class Settling:
         returned for G.
         """
         ratio, y, band, _ = timed
+
+        # d share / p = share 0.4 / ratio d ratio,   d ratio = sign(y) dy / band (the band is held)
         share = (ratio**SETTLING_POWER / top) ** power
         weight = (
             share * SETTLING_POWER / np.maximum(ratio, 1e-300) * np.sign(y) / band[:, None, None, :]
         )
+
+        # y = Re sum_w late H,   dH = -G dQ G
         slope = np.einsum("tw,mtab->mwab", self.late.conj(), weight, optimize=True)
         back = G.conj().swapaxes(2, 3)
         return float(share.sum()), -(back @ slope @ back)
@@ -173,6 +198,8 @@ def _by_samples(weights: np.ndarray, fine: np.ndarray, w: np.ndarray) -> np.ndar
     """The weights (t, n) at the knots w (n,) of a quadrature (t, f) at fine (f,) of their natural
     cubic spline.
     """
+    # Within interval i, with left + right = 1 and bends M = y'':
+    # y = left y_i + right y_i+1 + h^2/6 ((left^3 - left) M_i + (right^3 - right) M_i+1).
     i = np.clip(np.searchsorted(w, fine, side="right") - 1, 0, len(w) - 2)
     h, at = np.diff(w), np.maximum(fine, w[0])
     left, right = (w[i + 1] - at) / h[i], (at - w[i]) / h[i]
@@ -184,10 +211,13 @@ def _by_samples(weights: np.ndarray, fine: np.ndarray, w: np.ndarray) -> np.ndar
             (csr_array((np.concatenate([on_left, on_right]), places), size).T @ weights.T).T
         )
 
+    # natural: no bend at the two ends
     by_values = spread(left, right)
     bend = h[i] ** 2 / 6
     by_bends = spread(bend * (left**3 - left), bend * (right**3 - right))[:, 1:-1]
     # bends (n-2,) from values
+    # h_i-1 M_i-1 + 2 (h_i-1 + h_i) M_i + h_i M_i+1 = 6 ((y_i+1 - y_i)/h_i - (y_i - y_i-1)/h_i-1);
+    # the matrix is symmetric: it acts on the weights as on the bends
     banded = np.array([np.append(0, h[1:-1]), 2 * (h[1:] + h[:-1]), np.append(h[1:-1], 0)])
     inner = solve_banded((1, 1), banded, by_bends.T).T * 6
     by_values[:, :-2] += inner / h[:-1]

@@ -93,6 +93,8 @@ def block_form(controller: StateSpace) -> tuple[Form, np.ndarray]:
     values, V = np.linalg.eig(controller.A) if n else (np.zeros(0, complex), np.zeros((0, 0)))
     pairs = [i for i in np.argsort(np.abs(values)) if values[i].imag > 0]
     real = [i for i in np.argsort(np.abs(values)) if values[i].imag == 0]
+
+    # Columns of T: Re v and Im v of every complex pair, then the real eigenvectors two by two.
     T = np.zeros((n, n))
     mask = np.zeros((n, n), bool)
     rate = np.zeros(n)
@@ -116,6 +118,8 @@ def block_form(controller: StateSpace) -> tuple[Form, np.ndarray]:
         A = np.linalg.solve(T, controller.A @ T)
         B = np.linalg.solve(T, controller.B)
         C = controller.C @ T
+
+    # Largest gain (m, p) of every entry over the controller's own frequencies.
     omega = np.geomspace(max(rate.min(initial=1.0), 1e-6), max(rate.max(initial=1.0), 1.0), 40)
     gain = np.abs(frequency_response(controller, omega).values).max(axis=0)
     u_scale = np.sqrt(
@@ -125,7 +129,9 @@ def block_form(controller: StateSpace) -> tuple[Form, np.ndarray]:
     # every state: the same size of input and output in scaled units
     into = np.linalg.norm(B / np.sqrt(rate)[:, None] * y_scale, axis=1)
     out = np.linalg.norm(C / u_scale[:, None] / np.sqrt(rate), axis=0)
+    # one number for all states of a block
     into, out = (np.array([np.linalg.norm(v[mask[i]]) for i in range(n)]) for v in (into, out))
+    # x = diag(s) x'
     s = np.sqrt(np.maximum(into, 1e-30) / np.maximum(out, 1e-30))  # the same within a block
     A = A * s / s[:, None]
     B = B / s[:, None]
@@ -189,28 +195,40 @@ class Cost:
     def __call__(self, x: np.ndarray, power: float) -> tuple[float, np.ndarray]:
         """ln of the p-norm, and its gradient (k,)."""
         K, X, Y = self._response(x)
+
+        # R = (I - P22 K)^-1 P21, L = P12 (I + K (I - P22 K)^-1 P22), M = P11 + P12 K R
         E = np.eye(K.shape[2]) - self.P22 @ K  # (models, w, p, p)
         R = np.linalg.solve(E, self.P21)
         L = self.P12 + self.P12 @ (K @ np.linalg.solve(E, self.P22))  # P12 (I - K P22)^-1
         M = self.P11 + self.P12 @ (K @ R)
+
         size = np.linalg.norm(M, axis=(2, 3))
         largest = float(largest_gain(M.reshape(-1, *M.shape[2:])[size.argmax()]))
         # the others add nothing: sigma_max <= |M|_F <= sqrt(8) sigma_max
         used = size >= max(0.35 * size.max(), largest * 1e-17 ** (1 / power))
         N = M[used]
+
+        # sigma^2 and one side's singular vectors from the smaller of N N^H and N^H N.
         wide = N.shape[1] < N.shape[2]
         squares, V = np.linalg.eigh(
             N @ N.conj().swapaxes(1, 2) if wide else N.conj().swapaxes(1, 2) @ N
         )
         # what squaring loses lies far below the largest, and does not count
         s = np.sqrt(np.maximum(squares, 1e-300))
+
+        # sum sigma^p over the largest sigma^p, for the powers to stay in range
         logs = power * np.log(s)
         top = logs.max()
         share = np.exp(logs - top)
         total = share.sum()
+
+        # G = df/dM = U diag(sigma^(p-1)) V^H / sum sigma^p
+        #   = U diag(sigma^(p-2)) U^H N / sum, or N V diag(sigma^(p-2)) V^H / sum
         V_weighted = (V * (share / total / s**2)[:, None, :]) @ V.conj().swapaxes(1, 2)
         G = np.zeros(M.shape, complex)
         G[used] = V_weighted @ N if wide else N @ V_weighted
+
+        # dM = L dK R, all models with one K;   dK = dD + dC X + Y dB + Y dA X
         psi = (L.conj().swapaxes(2, 3) @ G @ R.conj().swapaxes(2, 3)).sum(axis=0)  # (w, m, p)
         XH, YH = X.conj().swapaxes(1, 2), Y.conj().swapaxes(1, 2)
         dA = (YH @ psi @ XH).sum(axis=0).real
@@ -225,7 +243,11 @@ class Cost:
         for Ap, Bp, Cp, Dp in self.systems:
             E = np.linalg.inv(np.eye(len(D)) - D @ Dp)  # u = E (D C_p x + C x_k)
             into = E @ np.hstack([D @ Cp, C])
+
+            # y = C_p x + D_p u
             y = np.hstack([Cp, np.zeros((len(Cp), len(A)))]) + Dp @ into
+
+            # x' = A_p x + B_p u,   x_k' = A x_k + B y
             joint = np.vstack([np.hstack([Ap, np.zeros((len(Ap), len(A)))]) + Bp @ into, B @ y])
             joint[len(Ap) :, len(Ap) :] += A
             largest = max(largest, float(sla.eigvals(joint, check_finite=False).real.max()))

@@ -40,15 +40,21 @@ def descend(
         if not proceed():
             break
         if renew is not None and used % _RENEWED == 0:
+            # leaving out other parts changes the cost at the same x: earlier values move along, so
+            # that gains can still be told
             renew(x)
             before = value
             value, g = cost(x)
             values = [item + value - before for item in values]
+
+        # -H g; without descent (rounding, or a cost that was renewed) the memory is dropped.
         direction = _direction(g, pairs)
         slope = float(g @ direction)
         if slope >= 0:
             pairs.clear()
             direction, slope = -g, -float(g @ g)
+
+        # The memory scales a direction itself; the bare gradient starts with 1 % of |x|, or of 1.
         step = (
             1.0
             if pairs
@@ -59,15 +65,20 @@ def descend(
         )
         for _ in range(_HALVINGS):
             trial = x + step * direction
+            # sufficient decrease, among allowed points; where the cost is far higher (inf where a
+            # loop is unstable) the step falls tenfold
             new, g_new = cost(trial)
             if new <= value + 1e-4 * step * slope and allowed(trial):
                 break
             step *= 0.5 if np.isfinite(new) and new < value + 1 else 0.1
         else:
+            # no step along -g itself gains: the end; otherwise once more along -g
             if not pairs:
                 break
             pairs.clear()
             continue
+
+        # Only a pair of positive curvature keeps H positive definite.
         s, y = trial - x, g_new - g
         if s @ y > 1e-10 * np.linalg.norm(s) * np.linalg.norm(y):
             pairs = [*pairs[-_MEMORY + 1 :], (s, y)]
@@ -82,14 +93,19 @@ def descend(
 
 def _direction(g: np.ndarray, pairs: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     """-H g by the two-loop recursion."""
+    # First loop, from the newest pair: q = V q with V = I - y s^T / s^T y.
     q, alphas = g.copy(), []
     for s, y in reversed(pairs):
         alpha = float(s @ q) / float(s @ y)
         q -= alpha * y
         alphas.append(alpha)
+
+    # H_0 = (s^T y / y^T y) I of the newest pair
     if pairs:
         s, y = pairs[-1]
         q *= float(s @ y) / float(y @ y)
+
+    # Second loop, from the oldest: q = V^T q + s alpha.
     for (s, y), alpha in zip(pairs, reversed(alphas), strict=True):
         q += s * (alpha - float(y @ q) / float(s @ y))
     return -q

@@ -60,11 +60,16 @@ def loop_model(plant: Plant, timing: Timing | None, label: str = "") -> LoopMode
     D = part.D
     if timing is not None:
         T = timing.sample_time
+
+        # z = (1 + w T/2) / (1 - w T/2) in C (zI - A)^-1 B + D, with E = (A + I)^-1:
+        # A_w = 2/T E (A - I),  B_w = 2/sqrt(T) E B,  C_w = 2/sqrt(T) C E,  D_w = D - C E B.
         late = delayed(c2d(part, T), timing.delay_samples)
         E = np.linalg.inv(late.A + np.eye(late.n_states))
         A, B = (2 / T) * E @ (late.A - np.eye(late.n_states)), E @ late.B * (2 / np.sqrt(T))
         C, D = late.C @ E * (2 / np.sqrt(T)), late.D - late.C @ E @ late.B
     A, B, C, _ = balance_system(A, B, C)
+
+    # Responses come from the plant in s, at true frequencies; A to D above serve the poles.
     outer = select(
         plant.system,
         [*plant.named("u"), *plant.bearing_named("f")],

@@ -107,6 +107,9 @@ class Objective:
         sizes = [
             frobenius(channel.A - channel.B @ Q[:, channel.at] @ channel.C) for channel in channels
         ]
+
+        # |T|_F / sqrt(c) <= sigma_max(T) <= |T|_F: some ratio is at least ``top``, and what is left
+        # out has less than the ignored share of top^p.
         ratios = [
             size / np.sqrt(channel.C.shape[-1])
             for size, channel in zip(sizes, channels, strict=True)
@@ -132,6 +135,8 @@ class Objective:
                 f"power is {power}, but must be even: powers of T* T stand for those of singular "
                 "values"
             )
+
+        # Poles on the axis or to the right of it: the frequency responses would mean nothing.
         theta = self.structure.theta(x)
         closed = [_loops(theta, stack) for _, stack in self._stacks]
         poles = [loops.poles() for loops in closed]
@@ -147,49 +152,76 @@ class Objective:
                 settling,
                 np.arange(0 if settling is None else len(self.models)),
             )
+
+        # K = C (sI - A)^-1 B + D, S = S_o = (I + G K)^-1, Q = K S_o and T = A - B Q C, at the pairs
+        # that count.
         kept = self._active
         K, X, Y = self._controller(x)
         K = K[kept.omega]
         S = np.linalg.inv(np.eye(K.shape[-1]) + kept.G @ K)
         Q = K @ S
         loops = [part.A - part.B @ Q[part.pairs] @ part.C for part in kept.parts]
+
+        # The poles' ratios (0 where none is asked for).
         damping = [
             self._damping(values, places)[0]
             for values, (places, _) in zip(poles, self._stacks, strict=True)
         ]
+
+        # All ratios are taken over ``top``, for the powers to stay in range; |T|_F / sqrt(c) <=
+        # sigma_max(T). f = ln top + ln(sum (ratio / top)^p) / p does not depend on it.
         top = max(
             [float(frobenius(T).max(initial=0.0)) / np.sqrt(T.shape[-1]) for T in loops]
             + [float(ratio.max()) for ratio in damping]
         )
+
+        # Settling: |y| over its band, to the power 0.4 as a ratio.
         timed = None
         if settling is not None and len(kept.slow):
             if self._peak is None:  # everything counts
                 self._peak = settling.ratios(kept.G[kept.timed], Q[kept.timed])[3]
             timed = settling.ratios(kept.G[kept.timed], Q[kept.timed], self._peak[kept.slow])
             top = max(top, float(timed[0].max()) ** SETTLING_POWER)
+
+        # total = sum (ratio / top)^p; Z (pairs, a, a) is its slope by Q over p, d total / p =
+        # Re tr(Z^H dQ).
         total, Z = 0.0, np.zeros(Q.shape, complex)
         for part, T in zip(kept.parts, (T / top for T in loops), strict=True):
+            # sum_i sigma_i^p = tr (T* T)^(p/2);   d of it / p = Re tr((T (T* T)^(p/2 - 1))^H dT),
+            # dT = -B dQ C / top
             gram = T.conj().swapaxes(1, 2) @ T
             # T slope is U diag(s^(p-1)) Vh
             slope = np.linalg.matrix_power(gram, int(power) // 2 - 1)
             total += float(np.einsum("pij,pji->", slope, gram).real)
             Z[part.pairs] -= part.B_h @ (T @ slope / top) @ part.C_h
+
+        # the same of y(t), at the pairs of the models that settle late
         if timed is not None and settling is not None:
             late, slope = settling.slope(kept.G[kept.timed], timed, top, power)
             total += late
             Z[kept.timed] += slope
+
+        # the poles' sum, and its slope by Theta over p
         slope_theta = self._poles_slope(theta, closed, damping, top, power)
         total += sum(float(((ratio / top) ** power).sum()) for ratio in damping)
+
+        # the distance from the reference: d (ratio / top)^p / p = (ratio / top)^p / ratio d ratio
         extra = np.zeros_like(theta)
         if self.reference is not None:
             ratio, more = self._mismatch(x)
             share = (ratio / top) ** power
             total += share
             extra = more * (share / max(ratio, 1e-9))
+
+        # The barrier is added to f itself: its slope times total, for the gradient is divided by
+        # total at the end. A is the last block of Theta.
         barrier = 0.0
         if self.fence is not None:
             barrier, slope = _barrier(self.structure.matrices(x)[0], self.fence)
             extra[len(extra) - len(slope) :, extra.shape[1] - len(slope) :] += total * slope
+
+        # psi = S_i^H Z S_o^H is the slope by K; the models share K, so that it is summed over the
+        # pairs of each frequency.
         S_i = np.eye(Q.shape[-1]) - Q @ kept.G  # dQ = S_i dK S_o
         psi = S_i.conj().swapaxes(1, 2) @ Z @ S.conj().swapaxes(1, 2)
         psi = np.add.reduceat(psi, kept.starts, axis=0)
@@ -206,6 +238,9 @@ class Objective:
         theta = self.structure.theta(x)
         parts = [_loops(theta, stack).eigen() for _, stack in self._stacks]
         top = max(part.values.real.max() for part in parts)
+
+        # f = top / scale + ln(sum exp((Re lambda - top) p / scale)) / p,
+        # df = sum share Re(d lambda) / total / scale
         total, slope = 0.0, np.zeros_like(theta)
         for part in parts:
             share = np.exp((part.values.real - top) * power / scale)
@@ -283,11 +318,14 @@ class Objective:
         """Of those models only of which a pole counts."""
         slope = np.zeros_like(theta)
         for loops, ratio, (places, _) in zip(closed, damping, self._stacks, strict=True):
+            # eigenvectors cost more than the poles alone: only of models that count
             rows = np.flatnonzero((ratio / top).max(axis=1) ** power > _NOTHING)
             if not len(rows):
                 continue
             part = loops.eigen(rows)
             held, derivative = self._damping(part.values, [places[i] for i in rows])
+
+            # d (ratio / top)^p / p = (ratio / top)^p / ratio d ratio
             share = np.where(held > 0, (held / top) ** power, 0.0)
             weight = np.where(share > _NOTHING, share / np.maximum(held, 1e-300), 0.0)
             slope += part.slope(weight * derivative)
@@ -301,24 +339,36 @@ class Objective:
         separation margin asks as well.
         """
         aims = self.aims
+
+        # The damping asked for is constant on either side of damped_to; that of the separation
+        # margin varies with the modulus, with the slope ``steeper``.
         size = np.maximum(np.abs(values), 1e-9)
         wanted = np.where(size < aims.damped_to, aims.damping, aims.guard)
         steeper = np.zeros(values.shape)
         if aims.running is not None:
             timing = self.models[0].timing
+
+            # in true frequency: d unwarped / d size = 1 / (1 + (size T / 2)^2)
             more, slope = needed_damping(unwarped(size, timing), aims.running)
             slope = slope if timing is None else slope / (1 + (size * timing.sample_time / 2) ** 2)
             here = np.array([runs_within(self.models[i].speed, aims.running) for i in places])[
                 :, None
             ] & (more > wanted)
             wanted, steeper = np.where(here, more, wanted), np.where(here, slope, 0.0)
+
+        # ratio = wanted / zeta, zeta = -Re lambda / |lambda|
         zeta = np.maximum(-values.real / size, 1e-9)
         held = (np.abs(values.imag) > _RINGING * size) & (zeta < _WATCHED * wanted)
         ratio = np.where(held, wanted / zeta, 0.0)
+
+        # d zeta / d Re = -1/|lambda| + Re^2/|lambda|^3,   d zeta / d Im = Re Im / |lambda|^3
         by_real, by_imaginary = (
             -1 / size + values.real**2 / size**3,
             values.real * values.imag / size**3,
         )
+
+        # d ratio = -ratio / zeta d zeta + d wanted / zeta,
+        # d|lambda| = Re(conj(lambda) d lambda) / |lambda|
         outward = np.where(held, steeper / zeta / size, 0.0)
         return ratio, -ratio / zeta * (by_real + 1j * by_imaginary) + outward * values
 
@@ -329,6 +379,8 @@ class Objective:
         k = np.diagonal(C @ X + D, axis1=1, axis2=2)
         error = np.log(np.abs(k) / self._wanted)
         ratio = float(np.sqrt((error**2).mean())) / self.match
+
+        # d ratio = sum error d ln|k| / (N ratio match^2),   d ln|k| = Re(dk / k)
         psi = np.zeros((len(_MATCHED), len(D), len(D)), complex)
         i = np.arange(len(D))
         psi[:, i, i] = error / (max(ratio, 1e-9) * self.match**2) / error.size / np.conj(k)
@@ -372,23 +424,32 @@ class _Loops:
 
     def eigen(self, rows: np.ndarray | slice = slice(None)) -> _LoopPoles:
         """The poles with their slopes, of some of the models."""
+        # d lambda_i = w_i dA v_i with the rows w_i of V^-1; a pseudo-inverse where poles coincide
         values, V = np.linalg.eig(self.A[rows])
         W = np.linalg.pinv(V) if np.linalg.cond(V).max() > 1e14 else np.linalg.inv(V)
         return _LoopPoles(values, W @ self.into[rows], self.out[rows] @ V)
 
 
 def _loops(theta: np.ndarray, stack: list[np.ndarray]) -> _Loops:
+    # With err = -y the controller is (u, x_k') = Theta (err, x_k), and
+    # (err, x_k) = out (x, x_k) + outer (u, x_k'),   out = diag(-C, I), outer = diag(-D, 0).
     A, B, C, D = stack
     count, N, a = B.shape
     n = len(theta) - a
     outer = np.zeros((count, a + n, a + n))
     outer[:, :a, :a] = -D
     inner = np.linalg.inv(np.eye(a + n) - theta @ outer)
+
+    # (x, x_k)' = diag(A, 0) (x, x_k) + into (u, x_k'),   into = diag(B, I)
     into, out = np.zeros((count, N + n, a + n)), np.zeros((count, a + n, N + n))
     into[:, :N, :a], into[:, N:, a:] = B, np.eye(n)
     out[:, :a, :N], out[:, a:, N:] = -C, np.eye(n)
+
+    # (u, x_k') = (I - Theta outer)^-1 Theta out (x, x_k)
     loop = into @ (inner @ theta) @ out
     loop[:, :N, :N] += A
+
+    # its derivative: (I - Theta outer)^-1 dTheta (I - outer Theta)^-1 out
     back = np.eye(a + n) + outer @ inner @ theta  # (I - outer Theta)^-1
     return _Loops(loop, into @ inner, back @ out)
 
@@ -402,6 +463,8 @@ def _resolvent(
     values, V = np.linalg.eig(A)
     if len(A) and np.linalg.cond(V) < _APART:
         W = np.linalg.inv(V)
+
+        # (sI - A)^-1 = V diag(1 / (s - lambda)) V^-1
         share = (1 / (s[:, None] - values))[:, None, :]
         return (V * share) @ (W @ B), (C @ V * share) @ W
     inverse = np.linalg.inv(s[:, None, None] * np.eye(len(A)) - A)
@@ -423,6 +486,9 @@ def largest_gains(T: np.ndarray) -> np.ndarray:
     others, a lower bound.
     """
     size = frobenius(T)
+
+    # |T|_F / sqrt(min(r, c)) <= sigma_max <= |T|_F: only a matrix whose upper bound reaches the
+    # largest lower one can be the largest.
     bound = size / np.sqrt(min(T.shape[-2:]))
     held = size >= bound.max(initial=0.0)
     bound[held] = largest_gain(T[held])
@@ -447,12 +513,16 @@ def _barrier(A: np.ndarray, fence: float) -> tuple[float, np.ndarray]:
     room = 1 - np.abs(values) ** 2 / fence**2
     if (room <= 0).any():
         return np.inf, np.zeros_like(A)
+
+    # -d ln(1 - |lambda|^2 / fence^2) = 2 Re(conj(lambda) d lambda) / fence^2 / room,
+    # d lambda_i = w_i dA v_i
     weight = 2 * _BARRIER * values.conj() / fence**2 / room
     return -_BARRIER * float(np.log(room).sum()), np.asarray(((W * weight[:, None]).T @ V.T).real)
 
 
 def _theta_slope(psi: np.ndarray, X: np.ndarray, Y: np.ndarray) -> np.ndarray:
     """df/dTheta from df/dK (w, a, a), Theta = [[D, C], [B, A]]."""
+    # dK = dD + dC X + Y dB + Y dA X, and df = Re tr(psi^H dK)
     XH, YH = X.conj().swapaxes(1, 2), Y.conj().swapaxes(1, 2)
     return np.block(
         [

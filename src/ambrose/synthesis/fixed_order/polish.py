@@ -298,9 +298,13 @@ def _grid(job: _Job, controller: StateSpace) -> np.ndarray:
     """
     grid = design_grid(job.plant)
     loops = [poles(lft(job.model(delta), controller)) for delta in job.models]
+
+    # Every loop's lightly damped poles.
     resonances = np.abs(
         np.concatenate([p[(p.imag > 0) & (np.abs(p.real) < 0.5 * np.abs(p))].imag for p in loops])
     )
+
+    # Above the plant's grid, for the descent not to exploit what lies there.
     top = 10 * max(grid[-1], fastest_pole(controller))
     more = np.concatenate(
         [resonances, np.array(job.extra), np.geomspace(grid[-1], top, 12), [1e3 * top]]
@@ -312,6 +316,8 @@ def _grid(job: _Job, controller: StateSpace) -> np.ndarray:
 def _round(job: _Job, point: _Point, number: int) -> _Point:
     """One descent at the round's power, judged."""
     form, x = block_form(point.controller)
+
+    # From a start that loses some models, all parameter values are drawn in until it holds them.
     scale = 1.0
     if not np.isfinite(point.worst):
         scale = next((s for s in _SCALES if _all_stable(job, form, x, s)), np.nan)

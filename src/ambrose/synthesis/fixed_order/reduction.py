@@ -47,19 +47,27 @@ def reduce_controller(
             "the controller stabilises no model of the plant; start from one that does"
         )
     part = slice(loops[0].n_states - n, None)  # lft appends the controller's states to the plant's
+
+    # Blocks of the controller's states in the loops' Gramians, their mean over the models.
     P, Q = np.zeros((n, n)), np.zeros((n, n))
     for loop in loops:
         P += controllability_gramian(loop)[part, part] / len(loops)
         Q += observability_gramian(loop)[part, part] / len(loops)
+
+    # P = L L^T, Q = R R^T, R^T L = U diag(values) V^T
     L, R = _root(P), _root(Q)
     U, values, Vt = np.linalg.svd(R.T @ L)
     if order == n:
         return controller, values
+
+    # Two nearly equal values are a pair: the cut goes before it.
     keep = order
     if 0 < keep and values[keep] > _PAIR * values[keep - 1]:
         keep -= 1
     rank = int((values > 1e-13 * values[0]).sum())
     keep = min(keep, rank)
+
+    # T_L = diag(values)^-1/2 U^T R^T, T_R = L V diag(values)^-1/2, T_L T_R = I
     root = np.sqrt(values[:rank])
     T_L, T_R = (R @ (U[:, :rank] / root)).T, L @ (Vt[:rank].T / root)
     balanced = (T_L @ controller.A @ T_R, T_L @ controller.B, controller.C @ T_R, controller.D)
@@ -68,6 +76,7 @@ def reduce_controller(
 
 def _root(X: np.ndarray) -> np.ndarray:
     """L with X = L L^T for a symmetric X >= 0, up to rounding."""
+    # unit diagonal first: small states keep their digits
     scale = np.sqrt(np.maximum(np.diag(X), 1e-300))
     values, vectors = np.linalg.eigh(X / scale[:, None] / scale)
     return scale[:, None] * (vectors * np.sqrt(np.maximum(values, 0.0)))
@@ -82,6 +91,8 @@ def _residualised(
         return StateSpace(A, B, C, D, names.inputs, names.outputs)
     if np.linalg.cond(A[b, b]) > 1e13:  # an integrator among the weak states: truncate
         return StateSpace(A[a, a], B[a], C[:, a], D, names.inputs, names.outputs)
+
+    # 0 = A_ba x_a + A_bb x_b + B_b u:   x_b = -XA x_a - XB u
     X = np.linalg.solve(A[b, b], np.hstack([A[b, a], B[b]]))
     XA, XB = X[:, :keep], X[:, keep:]
     return StateSpace(

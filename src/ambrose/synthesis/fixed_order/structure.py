@@ -106,6 +106,8 @@ def _parts(K: StateSpace, groups: Sequence[Sequence[int]]) -> list[tuple[np.ndar
     def linked(X: np.ndarray) -> np.ndarray:
         return np.asarray(np.abs(X) > _ZERO * np.abs(X).max(initial=1e-300))
 
+    # Nodes: the axes (m), each as input and output in one, then the states (n); the axes of a group
+    # are linked from the start.
     graph = np.zeros((m + n, m + n), bool)
     graph[:m, :m] = linked(K.D)
     graph[:m, m:] = linked(K.C)
@@ -160,10 +162,15 @@ def _scaled(
     K: StateSpace, blocks: list[tuple[np.ndarray, np.ndarray, np.ndarray]], groups: list[Part]
 ) -> tuple[Structure, np.ndarray]:
     m, p = len(K.outputs), len(K.inputs)
+
+    # All blocks in one: A block-diagonal, B and C of all inputs and outputs.
     A = sla.block_diag(*[b[0] for b in blocks]) if blocks else np.zeros((0, 0))
     B = np.vstack([b[1] for b in blocks] or [np.zeros((0, p))])
     C = np.hstack([b[2] for b in blocks] or [np.zeros((m, 0))])
     n = len(A)
+
+    # Free in Theta = [[D, C], [B, A]]: A within the blocks, D within a group of axes; B and C of a
+    # block follow below, within its group.
     free = np.zeros((m + n, p + n), bool)
     free[m:, p:] = sla.block_diag(*[np.ones_like(b[0], bool) for b in blocks]) if blocks else False
     for part in groups:
@@ -171,22 +178,28 @@ def _scaled(
     start = 0
     rate = np.ones(n)
     even = np.ones(n)
+    # root of the controller's largest gain: half of it to the outputs, half to the inputs
     omega = np.geomspace(1.0, 1e5, 40)
     gain = np.sqrt(np.abs(frequency_response(K, omega).values).max(initial=1e-30))
     for block in blocks:
         j = slice(start, start + len(block[0]))
+        # its group: the one whose inputs enter it or whose outputs it reaches
         out_axes, in_axes = next(
             g for g in groups if block[1][:, list(g[1])].any() or block[2][list(g[0])].any()
         )
         free[m + j.start : m + j.stop, list(in_axes)] = free[
             list(out_axes), p + j.start : p + j.stop
         ] = True
+
+        # two real poles side by side keep a rate each; otherwise all moduli of the block
         poles = np.abs(
             np.linalg.eigvals(block[0])
             if block[0][~np.eye(len(block[0]), dtype=bool)].any()
             else np.diag(block[0])
         )
         rate[j] = np.maximum(poles, _SLOWEST)
+
+        # x = even x' makes B and C of the block equally large in scaled units
         into = float(np.linalg.norm(block[1] / np.sqrt(rate[j])[:, None] / gain))
         out = float(np.linalg.norm(block[2] / gain / np.sqrt(rate[j])))
         even[j] = np.sqrt(max(into, 1e-30) / max(out, 1e-30)) if min(into, out) > 0 else 1.0
@@ -194,6 +207,8 @@ def _scaled(
     A = A * even / even[:, None]
     B = B / even[:, None]
     C = C * even
+
+    # scale of Theta: [[gain^2, gain sqrt(w_j)], [sqrt(w_i) gain, sqrt(w_i w_j)]]
     root = np.sqrt(rate)
     rows, columns = (
         np.concatenate([np.full(m, gain), root]),

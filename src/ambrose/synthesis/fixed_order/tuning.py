@@ -238,16 +238,22 @@ def _grid(job: Job, cost: Objective, x: np.ndarray, per_decade: int) -> np.ndarr
         else min(job.aims.highest, 0.97 * np.pi / job.timing.sample_time)
     )
     grid = np.geomspace(_LOWEST, top, int(per_decade * np.log10(top / _LOWEST)))
+
+    # Resonances in true frequency; light ones with their two half-power points.
     poles = cost.poles(x)
     poles = poles[(poles.imag > 0) & (np.abs(poles.real) < 0.5 * np.abs(poles))]
     at, half = unwarped(poles.imag, job.timing), np.abs(poles.real)
     light = half < 0.06 * at
     more = np.concatenate([at, (at + half)[light], (at - half)[light], np.array(job.extra)])
+
+    # a quarter of it is the radius: an eighth of a resonance's bandwidth, _SAME of a known peak
     apart = np.concatenate([half, half[light], half[light], 4 * _SAME * np.array(job.extra)])
     inside = (more >= _LOWEST) & (more <= top)
     points = np.concatenate([grid, more[inside]])
     radius = _APART * points  # of a light resonance less, or its peak would fall between two points
     radius[len(grid) :] = np.minimum(radius[len(grid) :], 0.25 * apart[inside])
+
+    # Upwards, a point is kept that is farther from the last one than the smaller of their radii.
     kept, last = [], (0.0, 0.0)
     for omega, own in sorted(zip(points.tolist(), radius.tolist(), strict=True)):
         if omega - last[0] > min(own, last[1]):

@@ -67,6 +67,9 @@ class RealRational:
         through = 1.0  # from the input to the section at hand
         row = np.zeros(n)  # from the states before it
         for k, (z, p) in enumerate(zip(zeros, poles, strict=True)):
+            # Section k: x' = -p x + size v, out = direct v +- size x, with size^2 = |1 - p/z| p;
+            # v is what comes out of those before: ``through`` times the input, ``row`` times their
+            # states.
             direct = p / z  # p/z + (1 - p/z) p/(s + p)
             size = np.sqrt(abs(1 - direct) * p)
             A[k] = size * row
@@ -156,6 +159,7 @@ class _Problem:
 
     def _centred(self, columns: np.ndarray) -> np.ndarray:
         """Weighted, minus the weighted mean: what no gain can remove; columns (w, k)."""
+        # the gain adds a constant to ln |d|: its best value is the weighted mean
         square = self.root**2
         return self.root[:, None] * (columns - (square @ columns) / square.sum())
 
@@ -182,12 +186,15 @@ class _Problem:
         """A few (ln z, ln p) on a coarse grid that, added to theta, leave the least: local minima
         over the grid.
         """
+        # Residual (shape - data) with one more zero (rows) and pole (columns), for all pairs.
         centres = np.linspace(self.low, self.high, _SCAN + 2)[1:-1]
         shapes = self._centred(_corners(self.omega, np.exp(centres)))
         left = self.residual(theta)
         both = left[:, None, None] + shapes[:, :, None] - shapes[:, None, :]
         size = (both**2).sum(axis=0)
         size[np.diag_indices(_SCAN)] = np.inf  # a pair that cancels would stay where it is
+
+        # A start per valley: not larger than any of the eight neighbours.
         padded = np.pad(size, 1, constant_values=np.inf)
         around = np.min(
             [padded[1 + i : 1 + i + _SCAN, 1 + j : 1 + j + _SCAN] for i, j in _AROUND], axis=0
@@ -203,10 +210,14 @@ class _Problem:
         for _ in range(_STEPS):
             J = self.jacobian(theta)
             g, H = J.T @ r, J.T @ J
+
+            # at a bound, what would leave it is held
             free = ~(((theta <= self.low) & (g > 0)) | ((theta >= self.high) & (g < 0)))
             if not free.any() or np.abs(g[free]).max() < 1e-13:
                 break
             H = H[np.ix_(free, free)]
+
+            # (H + damping diag H) step = -g; at most 1.5 in a logarithm, within the bounds
             step = np.zeros(len(theta))
             step[free] = -np.linalg.solve(H + damping * np.diag(np.diag(H) + 1e-12), g[free])
             trial = np.clip(theta + np.clip(step, -1.5, 1.5), self.low, self.high)

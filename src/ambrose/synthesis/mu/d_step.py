@@ -69,12 +69,14 @@ def d_step(loop: StateSpace, blocks: Sequence[Block], grid: np.ndarray, rounds: 
     """The complex upper bound on the grid, on the loop's resonances and between the neighbours of
     its high peaks.
     """
+    # The grid with the loop's resonances, lightly damped poles, within its ends.
     p = poles(loop)
     p = p[(p.imag > 0) & (np.abs(p.real) < 0.7 * np.abs(p))]
     extra = np.abs(p.imag)
     omega = np.unique(np.concatenate([grid, extra[(extra > grid[0]) & (extra < grid[-1])]]))
     M, upper, D = _bound(loop, blocks, omega)
     for _ in range(rounds):
+        # Peaks of more than 0.9 of the largest: a point between each of them and its neighbours.
         padded = np.concatenate([[-np.inf], upper, [-np.inf]])
         high = (upper >= padded[:-2]) & (upper >= padded[2:]) & (upper > 0.9 * upper.max())
         chosen = high[:-1] | high[1:]
@@ -87,6 +89,8 @@ def d_step(loop: StateSpace, blocks: Sequence[Block], grid: np.ndarray, rounds: 
         M, upper, D = (
             np.concatenate([a, b])[order] for a, b in zip((M, upper, D), more, strict=True)
         )
+
+    # Scalar D: one number ln d_i per block, and how far each may move.
     structure = structure_of(blocks)
     middle = width = np.zeros((len(omega), 0))
     if not _matrix_scaled(structure) and upper.max() > 0:
@@ -130,6 +134,7 @@ def peak_below(
         open_ = np.flatnonzero(~known & (ceiling > best))
         if not len(open_):
             return best, values, known
+        # the highest ceilings first: their peak closes most of the others
         chosen = open_[np.argsort(-ceiling[open_])[: _FIRST if best == 0 else None]]
         found = mu_bounds(
             step.M[chosen], blocks, g_scaling=g_scaling, lower=False, tolerance=1e-3
@@ -186,6 +191,8 @@ def extrapolate(
     """
     if not (used.scalars and fitted.scalars and step.width.shape[1]):
         return None
+
+    # ln d = ln d_used + factor (ln d_middle - ln d_used), fitted with the tube's width
     before = np.stack([d.log_magnitude(step.omega) for d in used.scalars[:-1]], axis=1)
     target = before + factor * (step.middle - before)
     found = [
@@ -227,6 +234,9 @@ def _fewer(
 
 def _fit(step: DStep, orders: Sequence[int]) -> FittedScaling:
     places = step.structure.places
+
+    # Matrix scalings, some block being repeated: D^H D = D_w^2 of a repeated block, |d| of the
+    # others; what counts is where mu is high.
     weight = (step.upper / step.peak) ** _WEIGHT if step.peak > 0 else np.ones(len(step.omega))
     if _matrix_scaled(step.structure):
         parts: list[BlockScaling] = []
@@ -245,6 +255,8 @@ def _fit(step: DStep, orders: Sequence[int]) -> FittedScaling:
         scaling = Scaling(tuple(parts))
         gain = scaled_gain(step.M, step.omega, scaling)
         return FittedScaling(scaling, float(gain.max()), float((gain - step.upper).max()))
+
+    # Scalar ones: the middle of the tube, with its width as the weight, then moved together.
     fits = [
         fit_magnitude(step.omega, np.exp(middle), n, width**-2.0)
         for middle, width, n in zip(step.middle.T, step.width.T, orders, strict=False)

@@ -79,6 +79,9 @@ class _Linear:
     def solve(self, poles: np.ndarray) -> tuple[float, np.ndarray]:
         """Squared error, and Y (order + 1, r, r)."""
         r = self.root.shape[1]
+
+        # Phi = sum_k b_k Y_k + conj(b_k) Y_k^T with b_0 = 1/2, b_k = p_k / (j w + p_k): the entry
+        # (i, j) of Y_k adds b_k at (i, j), conj(b_k) at (j, i). X^-1/2 X X^-1/2 = I is the target.
         basis = [np.full(len(self.omega), 0.5 + 0j), *(p / (1j * self.omega + p) for p in poles)]
         columns = []
         for b in basis:
@@ -89,6 +92,8 @@ class _Linear:
                     E[:, j, i] += b.conj()
                     columns.append(_stack(self.weight[:, None, None] * (self.root @ E @ self.root)))
         matrix = np.stack(columns, axis=1)
+
+        # columns of one size, for the cut of small singular values
         scale = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
         solution = np.linalg.lstsq(matrix / scale, self.target, rcond=1e-10)[0]
         error = matrix / scale @ solution - self.target
@@ -106,6 +111,8 @@ def _pole_sets(omega: np.ndarray, order: int, problem: _Linear) -> list[np.ndarr
     """
     if order == 0:
         return [np.zeros(0)]
+
+    # One pole after the other, where it helps most.
     corners = np.geomspace(omega[0], omega[-1], _CANDIDATES + 2)[1:-1]
     poles = np.zeros(0)
     sets = []
@@ -113,6 +120,8 @@ def _pole_sets(omega: np.ndarray, order: int, problem: _Linear) -> list[np.ndarr
         trials = [np.append(poles, c) for c in corners if c not in poles]
         poles = min(trials, key=lambda p: problem.solve(p)[0])
     sets.append(poles)
+
+    # Then each moved either way, by steps that start at half a gap of the grid.
     step = np.log(corners[1] / corners[0]) / 2
     best = problem.solve(poles)[0]
     for _ in range(5):
@@ -131,6 +140,8 @@ def _pole_sets(omega: np.ndarray, order: int, problem: _Linear) -> list[np.ndarr
 def _factor(Y: np.ndarray, poles: np.ndarray) -> BlockScaling | None:
     """W with W(-s)^T W(s) = Y(s) + Y(-s)^T, or None where that is not positive on the axis."""
     r, n = Y.shape[1], len(poles)
+
+    # Phi at infinite frequency, which must be positive
     R = 0.5 * (Y[0] + Y[0].T)
     values, vectors = np.linalg.eigh(R)
     if values.min() <= 1e-9 * values.max():
@@ -139,14 +150,22 @@ def _factor(Y: np.ndarray, poles: np.ndarray) -> BlockScaling | None:
     names = [f"i{k}" for k in range(r)], [f"o{k}" for k in range(r)]
     if n == 0:
         return BlockScaling(static_gain(half, *names), static_gain(np.linalg.inv(half), *names), 0)
+
+    # Phi = R + C (sI - A)^-1 B + (..)~ with A = -diag(p_k) (x) I, B the sqrt(p_k) I one below the
+    # other, C the Y_k sqrt(p_k) side by side.
     A = -np.diag(np.repeat(poles, r))
     size = np.repeat(np.sqrt(poles), r)
     B = size[:, None] * np.tile(np.eye(r), (n, 1))
     C = np.hstack(list(Y[1:])) * size
+
+    # A^T X + X A = K^T R K with K = R^-1 (B^T X + C) makes it W~ W; written out,
+    # (A - B F)^T X + X (A - B F) - X B R^-1 B^T X - C^T F = 0,   F = R^-1 C
     F = np.linalg.solve(R, C)
     solution = solve_riccati(A - B @ F, B @ np.linalg.solve(R, B.T), -C.T @ F)
     if not solution.solved:
         return None
+
+    # W = R^1/2 (I + K (sI - A)^-1 B);   W^-1 has the poles of A - B K, stable as X stabilises
     K = np.linalg.solve(R, B.T @ solution.X + C)
     inverse_half = np.linalg.inv(half)
     system = StateSpace(A, B, half @ K, half, *names)

@@ -60,6 +60,8 @@ def tube(
     ends = np.zeros((2, len(M), count))
     for i in range(count):
         for side, sign in enumerate((-1.0, 1.0)):
+            # all frequencies at once: the whole reach first, then halving between what keeps the
+            # level and what does not
             inside, outside = np.zeros(len(M)), np.full(len(M), _REACH)
             for halving in range(_HALVINGS):
                 trial = outside if halving == 0 else 0.5 * (inside + outside)
@@ -82,6 +84,8 @@ def refine(
     from scipy.optimize import minimize
 
     free = list(d[:-1])
+
+    # theta: ln gain, ln zeros, ln poles of every block but the last.
     sizes = [2 * x.order + 1 for x in free]
     start = np.concatenate(
         [np.concatenate([[np.log(x.gain)], np.log(x.zeros), np.log(x.poles)]) for x in free]
@@ -104,14 +108,19 @@ def refine(
         new = [*unpack(theta), d[-1]]
         S = _scaled(M, structure, np.stack([x.log_magnitude(omega) for x in new], axis=1))
         U, s, Vh = np.linalg.svd(S)
+
+        # ln(sum (sigma/level)^p) / p, the largest term taken out of the sum
         ratio = np.log(np.maximum(s[:, 0], 1e-300) / level) * _POWER
         share = np.exp(ratio - ratio.max())
         total = share.sum()
         gradient = []
         for x, place in zip(new[:-1], structure.places[:-1], strict=True):
+            # d ln sigma = (|left_i|^2 - |right_i|^2) d ln |d_i|
             slope = (np.abs(U[:, place.z, 0]) ** 2).sum(axis=1) - (
                 np.abs(Vh[:, 0, place.w]) ** 2
             ).sum(axis=1)
+
+            # d ln|d| by ln gain: 1; by ln z: -corner_slopes; by ln p: corner_slopes
             slope = slope * share / total
             gradient += [
                 [slope.sum()],

@@ -39,6 +39,7 @@ class Factors:
 
     def certificate(self, p: np.ndarray) -> np.ndarray:
         """The closed loop's Lyapunov matrix X (2n, 2n) in the states (plant, controller)."""
+        # X [R I; M^T 0] = [I S; 0 N^T] gives X = [S N; N^T -N^T R M^-T], symmetric up to rounding.
         R, S = self.lyapunov.at(p)
         N, M = self.at(p)
         lower = -np.linalg.solve(M, (R @ N)).T  # -N^T R M^-T
@@ -49,6 +50,8 @@ class Factors:
         dR, dS = self.lyapunov.moved(p, rates)
         R, S = self.lyapunov.at(p)
         N, M = self.at(p)
+
+        # E = I - S R = N M^T:   E' = -(S' R + S R') = N' M^T + N M'^T, one of N' and M' being zero
         dE = -(dS @ R + S @ dR)
         zero = np.zeros_like(dE)
         dN, dM = (
@@ -56,6 +59,8 @@ class Factors:
             if self.varying == "R"
             else (np.linalg.solve(M, dE.T).T, zero)
         )
+
+        # (-N^T R M^-T)' = -(N^T R' + N'^T R) M^-T - lower M'^T M^-T
         lower = -np.linalg.solve(M, R @ N).T
         slope = -np.linalg.solve(M, dR @ N + R @ dN).T - np.linalg.solve(M, dM @ lower.T).T
         return np.block([[dS, dN], [dN.T, (slope + slope.T) / 2]])
@@ -66,6 +71,8 @@ def factors(lyapunov: Lyapunov, varying: Varying) -> Factors:
     is singular there.
     """
     R, S = lyapunov.at(np.zeros(len(lyapunov.shape.largest)))
+
+    # I - S R = U s V^T:   N = U s^1/2, M = V s^1/2
     U, s, Vt = np.linalg.svd(np.eye(len(R)) - S @ R)
     if len(s) and not s[-1] > 1e-12 * s[0]:
         raise NumericalFailure(
@@ -89,17 +96,27 @@ def controller(plant: ScaledPlant, point: Factors, p: np.ndarray) -> Matrices:
     """
     R, S = point.lyapunov.at(p)
     N, M = point.at(p)
+
+    # D first: A + B2 D C2, B1 + B2 D D21, C1 + D12 D C2, D11 + D12 D D21; what is left has no D.
     D = _direct(plant)
     A, B1 = plant.A + plant.B2 @ D @ plant.C2, plant.B1 + plant.B2 @ D @ plant.D21
     C1, D11 = plant.C1 + plant.D12 @ D @ plant.C2, plant.D11 + plant.D12 @ D @ plant.D21
     r, q = D11.shape
+
+    # B_hat from [0 [D21 0]; [D21 0]^T -inner] [B_hat^T; *] = -[C2; B1^T S; C1]
     inner = np.block([[np.eye(q), -D11.T], [-D11, np.eye(r)]])
     B_hat = _bordered(plant.D21, inner, plant.C2, np.vstack([B1.T @ S, C1])).T
+
+    # C_hat the same way from [0 [D12^T 0]; [D12^T 0]^T -flipped] [C_hat; *] = -[B2^T; C1 R; B1^T]
     flipped = np.block([[np.eye(r), -D11], [-D11.T, np.eye(q)]])
     C_hat = _bordered(plant.D12.T, flipped, plant.B2.T, np.vstack([C1 @ R, B1.T]))
+
+    # A_hat = -A^T - [S B1 + B_hat D21, C1^T] inner^-1 [B1^T; C1 R + D12 C_hat]
     left = np.hstack([S @ B1 + B_hat @ plant.D21, C1.T])
     right = np.vstack([B1.T, C1 @ R + plant.D12 @ C_hat])
     A_hat = -A.T - left @ np.linalg.solve(inner, right)
+
+    # back from the hats: A_k = N^-1 (..) M^-T, B_k = N^-1 B_hat, C_k = C_hat M^-T
     A_k = A_hat - S @ A @ R - B_hat @ plant.C2 @ R - S @ plant.B2 @ C_hat
     return (
         np.linalg.solve(N, np.linalg.solve(M, A_k.T).T),
@@ -113,15 +130,20 @@ def _direct(plant: ScaledPlant) -> np.ndarray:
     """D with |D11 + D12 D D21| < 1: the central one of Parrott's theorem. Raises
     NumericalFailure.
     """
+    # D11 in blocks [D_11 D_12; D_21 D_22], the last rows reached by u, the last columns seen by y.
     normal, T_u, T_y = normal_form(plant)
     k, j = len(plant.C1) - plant.B2.shape[1], plant.B1.shape[1] - len(plant.C2)
     D = normal.D11
+
+    # No D changes the first rows or the first columns.
     for part in (D[:k], D[:, :j]):
         if part.size and np.linalg.norm(part, 2) >= 1:
             raise NumericalFailure(
                 "gamma is below what the plant lets through at infinite frequency; increase the "
                 "back-off"
             )
+
+    # -D_21 D_11^T (I - D_11 D_11^T)^-1 D_12 - D_22, then out of the normal form's u and y
     core = np.eye(k) - D[:k, :j] @ D[:k, :j].T
     central = -D[k:, :j] @ D[:k, :j].T @ np.linalg.solve(core, D[:k, j:]) - D[k:, j:]
     return T_u @ central @ T_y
@@ -132,6 +154,9 @@ def _bordered(
 ) -> np.ndarray:
     """X (p, n) of [0 [corner 0]; [corner 0]^T -inner] [X; *] = -[first; rest], corner (p, q)."""
     p, k = len(corner), len(inner)
+
+    # second row: * = inner^-1 (edge^T X + rest);   first row:
+    # edge inner^-1 edge^T X = -(first + edge inner^-1 rest)
     edge = np.hstack([corner, np.zeros((p, k - corner.shape[1]))])
     weighted = np.linalg.solve(inner, np.hstack([edge.T, rest]))
     return -np.linalg.solve(edge @ weighted[:, :p], first + edge @ weighted[:, p:])

@@ -53,7 +53,12 @@ class Family:
         given = _channels(plant, self.reference, self.t)
         if self.notes:
             given = _extended(given)
+
+        # given is in the states x / t already: only what comes after t is left of T.
         T, inverse = self.T / self.t[:, None], self.inverse * self.t
+
+        # time t rate: A / rate, B and C / sqrt(rate) each; w and z: sqrt(unit) each, so that gamma
+        # = unit becomes 1
         a = self.rate
         b = np.sqrt(self.rate * self.unit)
         g = np.sqrt(self.unit)
@@ -134,6 +139,8 @@ def scaled_family(plants: Sequence[GeneralizedPlant], axes: tuple[np.ndarray, ..
     middle = len(plants) // 2
     reference = scale_plant(plants[middle])
     q, r = len(plants[0].w), len(plants[0].z)
+
+    # One diagonal scaling t for all: from the largest entry of each place over the points.
     u, y = reference.u_scale, reference.y_scale
     B = [np.hstack([p.system.B[:, :q], p.system.B[:, q:] * u]) for p in plants]
     C = [np.vstack([p.system.C[:r], p.system.C[r:] * y[:, None]]) for p in plants]
@@ -203,10 +210,12 @@ def _extended(plant: ScaledPlant) -> ScaledPlant:
 
 def _balanced(family: Family, middle: int) -> Family:
     """Time, states and gamma in units suggested by the reference plant's own H-infinity problem."""
+    # Pace: the geometric mean of the poles' moduli, those far slower than the fastest left out.
     moduli = np.abs(np.linalg.eigvals(family.plants[middle].A)) if family.n else np.ones(1)
     moduli = moduli[moduli > 1e-6 * moduli.max(initial=1e-300)]
     rate = float(np.exp(np.log(moduli).mean())) if moduli.size else 1.0
     try:
+        # states in which X and Y of the middle plant, near its own optimum, are equal and diagonal
         best = best_level(family.plants[middle])
         T, inverse = balancing_states(_disturbed(family.plants[middle], best))
     except NumericalFailure as failure:

@@ -153,19 +153,26 @@ def program(
     count = n * (n + 1) // 2
     a = shape.terms("R")
     b = shape.terms("S")
+
+    # Places of svec(R_j), of svec(S_j), and of gamma or t.
     last = np.array([(a + b) * count])
     of_R, of_S = np.arange(a * count), np.arange(a * count, (a + b) * count)
     items = []
+
+    # At every point, for R and for S, at every corner of the rates (a constant matrix has none).
     for plant, p in zip(family.plants, family.relative, strict=True):
         for dual, columns, terms in ((False, of_R, a), (True, of_S, b)):
             of_matrix, of_gamma, constant, of_rate = _existence(plant, dual)
             for rates in shape.rates if terms > 1 else (np.zeros(len(p)),):
+                # R(p) = sum f_j R_j, R' = sum f_j' R_j
                 factors = zip(
                     shape.functions(p)[:terms], shape.moved(p, rates)[:terms], strict=True
                 )
                 rows = np.hstack(
                     [f * of_matrix + (moved * of_rate if moved else 0.0) for f, moved in factors]
                 )
+
+                # gamma is a variable, or a number and the inequality holds with a slack
                 if gamma is None:
                     items.append(
                         Inequality(
@@ -175,6 +182,8 @@ def program(
                 else:
                     slack = strict * svec(np.eye(side(len(constant))))
                     items.append(Inequality(rows, constant + gamma * of_gamma - slack, columns))
+
+    # the smallest gamma, or the largest t
     cost = np.append(np.zeros((a + b) * count), 1.0 if gamma is None else -1.0)
     return cost, items + _coupling(family, shape, gamma, largest, (of_R, of_S, last))
 
@@ -184,6 +193,9 @@ def _existence(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """``existence`` for R, or for S; and what the derivative of the matrix adds, (k, n(n+1)/2)."""
     P = plant.dual() if dual else plant
+
+    # A R + R A^T = -R for A = -I/2 and A^T S + S A = S for A = I/2: with the rest zero, what -R'
+    # and S' add.
     half = (1 if dual else -1) / 2 * np.eye(len(P.A))
     of_rate = existence(replace(P, A=half, B1=0 * P.B1, C1=0 * P.C1, D11=0 * P.D11))[0]
     return *existence(P), of_rate
@@ -207,6 +219,8 @@ def _coupling(
     up, low, off = coupling(n)
     bound, items = largest * svec(np.eye(n)), []
     every = family.relative
+
+    # Constant: any one point; affine: the corners; of higher degree: every point of the grid.
     where = (
         every[:1]
         if shape.varying == "none"
@@ -216,6 +230,7 @@ def _coupling(
     )
     for p in where:
         powers_R, powers_S = (shape.functions(p)[: shape.terms(name)] for name in "RS")
+        # [R(p) tI; tI S(p)] >= 0, t = 1 in the first pass
         rows = np.hstack([np.kron(powers_R, up), np.kron(powers_S, low)])
         if gamma is None:
             items.append(Inequality(rows, off, np.concatenate([of_R, of_S])))
@@ -225,6 +240,8 @@ def _coupling(
                     np.column_stack([rows, off]), 0 * off, np.concatenate([of_R, of_S, last])
                 )
             )
+
+        # largest I - R(p) >= 0, and S(p) alike
         items += [
             Inequality(-np.kron(powers, np.eye(len(bound))), bound, variables)
             for powers, variables in ((powers_R, of_R), (powers_S, of_S))

@@ -147,6 +147,9 @@ class _Scaled:
             return GeneralizedPlant(
                 select(plant.system, [*w, *plant.u], [*z, *plant.y]), w, plant.u, z, plant.y
             )
+
+        # log D is linear between the grid's values; D_z on the rows of z, D_w^-1 on the columns
+        # of w.
         index, share = around(self._axes, np.atleast_1d(value)[None])
         d = np.exp(share[0] @ self._log_d[index[0]])
         d_w, d_z = _spread(plant, d)
@@ -183,16 +186,20 @@ def constant_scaling(plant: GeneralizedPlant, M: np.ndarray, log_d: np.ndarray) 
     count = len(which)
 
     def cost(x: np.ndarray, power: float) -> tuple[float, np.ndarray]:
+        # ln of the p-norm over frequency of sigma_1(D M D^-1), over its peak, for powers in range
         d = np.exp(np.append(x, 0.0))
         U, s, Vh = np.linalg.svd(M * d[of_z][:, None] / d[of_w])
         top = s[:, 0].max()
         share = (s[:, 0] / top) ** power
         total = share.sum()
+
+        # d ln sigma_1 = sum |u_k|^2 d ln d_z,k - sum |v_k|^2 d ln d_w,k, added up by block
         left = (share / total) @ np.abs(U[:, :, 0]) ** 2
         right = (share / total) @ np.abs(Vh[:, 0]) ** 2
         slope = np.bincount(of_z, left, count) - np.bincount(of_w, right, count)
         return float(np.log(total) / power + np.log(top)), slope[:-1]
 
+    # D matters up to a factor: the last is 1. Low powers first, for the peak alone is not smooth.
     x = log_d[:-1] - log_d[-1]
     for power in _POWERS:
         x = minimize(
@@ -218,12 +225,16 @@ def worst_corners(units: Mapping[Any, GeneralizedPlant], law: ScheduledSystem) -
         a = len(unit.u)
         w = list(unit.w)
         z = list(unit.z)
+
+        # After the blocks w1 (a) at u and w2 at y, z1 (a) = err and z2 = u: w2 -> z1 is -S_o.
         loop = box_loop(
             select(
                 closed, w[: unit.n_w_blocks] + w[unit.n_w_blocks + a :], z[: unit.n_z_blocks + a]
             ),
             unit.blocks,
         )
+
+        # delta at all corners; an unstable member is counted, and left out of the gains
         every = corners(loop.parameters)
         held = np.array([_holds(loop.system, delta[loop.owner]) for delta in every])
         unstable, members = unstable + int((~held).sum()), members + len(every)
@@ -235,5 +246,7 @@ def worst_corners(units: Mapping[Any, GeneralizedPlant], law: ScheduledSystem) -
 
 def _holds(system: StateSpace, delta: np.ndarray) -> bool:
     n = len(delta)
+
+    # w = delta z, z = C x + D w:   x' = (A + B delta (I - D delta)^-1 C) x
     inner = np.linalg.solve(np.eye(n) - system.D[:n, :n] * delta, system.C[:n])
     return bool(np.linalg.eigvals(system.A + (system.B[:, :n] * delta) @ inner).real.max() < 0)

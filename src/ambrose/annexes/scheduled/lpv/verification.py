@@ -114,15 +114,25 @@ class _BoundedReal:
             raise NumericalFailure(
                 f"the Lyapunov matrix is not positive definite at the relative parameter {named(p)}"
             ) from error
+
+        # States (plant, controller): x = T x_s for the plant's, the controller's are those of X.
         T, inverse = np.eye(2 * n), np.eye(2 * n)
         T[:n, :n], inverse[:n, :n] = family.T, family.inverse
+
+        # x = T L^-T x' makes X = I
         to_whole, back = np.linalg.solve(L, T.T).T, L.T @ inverse  # X = L L^T
+
+        # time t rate, and w and z in which the designed gamma is 1
         A = back @ loop.A @ to_whole / family.rate
         B = back @ loop.B / np.sqrt(family.rate * family.unit)
         C = loop.C @ to_whole / np.sqrt(family.rate * family.unit)
+
+        # A^T X + X A + X' becomes A^T + A + L^-1 X' L^-T
         moved = np.linalg.solve(L, np.linalg.solve(L, point.certificate_moved(p, rates)).T)
         q, r = B.shape[1], len(C)
         D = loop.D / family.unit
+
+        # gamma is still missing: zeros in its two blocks
         self.n = 2 * n
         self.matrix = np.block(
             [[A + A.T + moved, B, C.T], [B.T, np.zeros((q, q)), D.T], [C, D, np.zeros((r, r))]]
