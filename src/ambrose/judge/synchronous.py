@@ -307,6 +307,8 @@ def _refusal(item: BlockLoop, proof: IntervalProof, condition: Condition) -> str
         )
         return f"{text}; give a T nearer to S^-1 (ambrose synthesize --synchronous {item.mode})"
     worst = float(grid[int(np.argmin(levels))])
+
+    # stable ranges: between borders, by the sign in their middle
     turns = borders(value, grid)
     edges = [low, *(border.value for border in turns), high]
     stable = [(a, b) for a, b in itertools.pairwise(edges) if value((a + b) / 2) > 0]
@@ -337,6 +339,7 @@ def _gain_checks(item: BlockLoop) -> list[Check]:
             )
             if largest < limit:
                 limit, at = largest, speed
+            # for small gains a' = -(leak + eps/2 T R) a: the slowest direction
             rate = leak + eps / 2 * float(
                 convergence(T, item.loop.response(item.mode, speed, condition))
             )

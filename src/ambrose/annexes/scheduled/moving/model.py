@@ -158,20 +158,26 @@ class MovingModel:
                 yield from self._cells(one, other, error, left - 1)
 
     def _cell(self, pressures: np.ndarray, around: list[tuple[np.ndarray, np.ndarray]]) -> Cell:
+        # s = -1 .. 1 over the pressures of this cell, (told, share) at its corners
         part = replace(self.span, low=pressures.min(), high=pressures.max())
         middle = (part.low + part.high) / 2
         s = (pressures - middle) / part.half
+
         seals = self.plant.machine.seals
         terms = [
             seal_terms(self.plant, seal, part, size)
             for seal, size in zip(seals, self._ranges, strict=True)
         ]
+
+        # A(middle) + sum_i s^i P_i as a Bernstein net: s^i = s s^(i-1), degrees raised
         none = np.zeros((2, 4))
         power, net = np.ones((1, 1)), self._at(middle)[None, None]
         for i in range(max(len(powers) for powers in terms)):
             power = product(s, power[:, :, None, None])[:, :, 0, 0]
             term = self._pulled([powers[i] if i < len(powers) else none for powers in terms])
             net = elevated(net, power.shape) + power[:, :, None, None] * term
+
+        # the controller depends on what is told alone, linearly
         for_A, for_B = (np.stack([beside[m] for beside in around])[:, None] for m in (0, 1))
         shape = (max(2, net.shape[0]), net.shape[1])
         return Cell(
