@@ -372,6 +372,8 @@ def _unbalance_checks(item: BlockLoop) -> tuple[list[Check], list[Curve]]:
     residual = residual_unbalance(machine)
     assert residual is not None
     speeds = item.speeds(_SPEEDS)
+
+    # rows: orbit [m], current [A], force [N]; the worst condition at every speed
     before, after = np.zeros((3, len(speeds))), np.zeros((3, len(speeds)))
     for k, w in enumerate(speeds):
         force = float(residual.force(w))
@@ -386,9 +388,12 @@ def _unbalance_checks(item: BlockLoop) -> tuple[list[Check], list[Curve]]:
                     worst_signal(values.force, force),
                 )
                 rows[:, k] = np.maximum(rows[:, k], sizes)
+
     limits = np.array([orbit_limit(machine, float(w)) for w in speeds])
     gain = item.drive if item.mode == "damping" else None
     forbidden = forbidden_bands(item.loop, item.mode, item.block.band, item.conditions, gain)
+
+    # a forbidden band is found between the drawn speeds as well
     k = int(np.argmax(after[0] / limits))
     orbit = after[0, k]
     limit = limits[k]

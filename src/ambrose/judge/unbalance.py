@@ -353,7 +353,6 @@ def unbalance_curve(
                 method="bounded",
                 options={"xatol": 1e-4 * speeds[k]},
             )
-            # of the search's speeds only the best one stays
             columns = {w: column for w, column in columns.items() if w in speeds or w == best.x}
     x = np.array(sorted(columns))
     return _orbit_curve(machine, x, np.array([columns[w] for w in x]).T, machine.requirements)

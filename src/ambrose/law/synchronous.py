@@ -345,6 +345,7 @@ def forward_patterns(machine: Machine) -> np.ndarray:
 def orbits(values: np.ndarray) -> np.ndarray:
     """Semi-major axis (bearings, ...) of the ellipses of phasors (a, ...) in pairs of axes."""
     x, y = values[0::2], values[1::2]
+    # radii of the forward and of the backward circle, added
     return np.asarray(0.5 * (np.abs(x + 1j * y) + np.abs(x - 1j * y)))
 
 

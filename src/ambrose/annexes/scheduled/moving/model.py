@@ -59,6 +59,8 @@ class MovingModel:
         motions = [
             f"{kind}_{name}_{axis}" for name in names for kind in ("q", "qdot") for axis in "xy"
         ]
+
+        # (f, u) -> (q, qdot, y), the currents late
         y, u = list(plant.named("y")), list(plant.named("u"))
         part = select(plant.system, [*forces, *u], [*motions, *y])
         late = apply_delay(GeneralizedPlant(part, forces, u, motions, y), lag, _PADE).system
@@ -90,6 +92,7 @@ class MovingModel:
     def _around(self, K: StateSpace) -> tuple[np.ndarray, np.ndarray]:
         """What the controller adds to A, and B of d: u = K (-(C x + d))."""
         n, k = len(self.B), K.n_states
+        # x' = A x + B (C_K x_K - D_K (C x + d)),   x_K' = A_K x_K - B_K (C x + d)
         A = np.zeros((n + k, n + k))
         A[:n, :n] = -self.B @ K.D @ self.C
         A[:n, n:] = self.B @ K.C
@@ -102,6 +105,7 @@ class MovingModel:
 
     def _pulled(self, forces: list[np.ndarray]) -> np.ndarray:
         """What forces P (2, 4) of every seal add to A."""
+        # f = P (q, qdot): rows of a seal in twos, its columns (x, y, x', y') in fours
         P = np.zeros((self._into.shape[1], len(self._own)))
         for k, force in enumerate(forces):
             P[2 * k : 2 * k + 2, 4 * k : 4 * k + 4] = force
@@ -126,6 +130,8 @@ class MovingModel:
         meets the span's ends.
         """
         low, high = self.span.low, self.span.high
+
+        # bends of what is told, and of its band where that meets the span's ends
         first, last = told_range(self.span, self.law, error)
         inner = self.law.knots(low, high, _CELLS)
         if self.law.grid is not None:
@@ -143,6 +149,7 @@ class MovingModel:
         the pressure more.
         """
         low, high = self.span.low, self.span.high
+        # pressures that may be told as each end; p: its shares, a row per end
         bands = np.array([(max(low, v - error), min(high, v + error)) for v in told])
         p = bands[:, :1] + np.array(share) * np.ptp(bands, axis=1)[:, None]
         try:

@@ -198,6 +198,7 @@ class _Family:
 
     def frozen(self, speed: float) -> StateSpace:
         """d -> y + d at one speed, without deviations."""
+        # the plant's A beside what the controller adds; d alone of (w, d)
         system, (A, B) = self._open(speed).system, self.around(speed)
         n, C = len(self.B), self.wide(self.C)
         A[:n, :n] += system.A
@@ -299,6 +300,7 @@ def check_speed(
             )
         )
         tell(f"proving the loop {span.label}")
+        # the span is -1 .. 1: rad/s^2 into 1/s
         slope = rate / ((span.high - span.low) / 2)
         found = _proof(family, slope, tell)
         checks.append(
@@ -365,6 +367,8 @@ def _full_peak(plant: Plant, point: OperatingPoint, law: MovingLaw, lag: float) 
     K = law.at(point.speed)
     open_loop = apply_delay(open_model(full, None, False), lag, _PADE).system
     G = select(open_loop, list(full.named("u")), list(full.named("y")))
+
+    # u = C_K x_K - D_K (C x + d): d -> y + d, on the full plant
     A = np.block([[G.A - G.B @ K.D @ G.C, G.B @ K.C], [-K.B @ G.C, K.A]])
     C = np.pad(G.C, ((0, 0), (0, K.n_states)))
     loop = StateSpace(A, np.vstack([-G.B @ K.D, -K.B]), C, np.eye(len(C)))
