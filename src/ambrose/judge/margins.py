@@ -109,9 +109,12 @@ def loop_margins(
 def _margins(
     at: np.ndarray, value: np.ndarray, gain_at: np.ndarray, gain_value: np.ndarray
 ) -> LoopMargins:
+    # k L = -1 where L is on the negative real axis (1e-6: and was really found there)
     left = (value.real < 0) & (np.abs(value.imag) <= 1e-6 * np.abs(value))
     at, factor = at[left], -1 / value.real[left]
     up, down = factor > 1, factor <= 1
+
+    # turns at |L| = 1
     angle = np.angle(-gain_value)  # 0 at the critical point
     phase = np.abs(angle)
     lag = np.mod(angle, TWO_PI)  # a delay turns clockwise, from this angle down to 0
@@ -122,6 +125,7 @@ def _margins(
         k = int(np.argmin(values)) if values.size else -1
         return (float(values[k]), float(where[k])) if k >= 0 else (np.inf, np.nan)
 
+    # of the factors below one the largest is the nearest
     fall, fall_at = smallest(-factor[down], at[down])
     return LoopMargins(
         *smallest(factor[up], at[up]),
@@ -174,14 +178,17 @@ def _solve(crossings: list[_Crossing], evaluator: Evaluator) -> None:
     for _ in range(_ITERATIONS):
         if not active:
             return
+        # false position: the chord's zero
         points = np.array(
             [c.high - c.f_high * (c.high - c.low) / (c.f_high - c.f_low) for c in active]
         )
+
         response = evaluator(points)
         loops = {where: opened_loops(response, where) for where in SIDES}
         for i, c in enumerate(active):
             value = complex(loops[c.where][i, c.axis])
             f = c.measure(value)
+            # the sign changed: the last point is the other end; if not, halve the far end's value
             if (f >= 0) != (c.f_high >= 0):
                 c.low, c.f_low = c.high, c.f_high
             else:

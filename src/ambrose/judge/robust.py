@@ -223,6 +223,8 @@ def box_loops(
     n_z = unit.n_z_blocks
     a = len(unit.u)
     w, z = list(unit.w), list(unit.z)
+
+    # (w_delta, w2) -> (z_delta, z2 = u)
     control = select(closed, w[:n_w] + w[n_w + a :], z[:n_z] + z[n_z + a :])
     return (*_sensitivity_loops(closed, unit), box_loop(control, unit.blocks))
 
@@ -244,6 +246,7 @@ def _sensitivity_loops(closed: StateSpace, unit: GeneralizedPlant) -> tuple[BoxL
             found,
         )
 
+    # w = (w_delta, w1, w2), z = (z_delta, z1 = err, z2 = u); the direct 1 makes v of u
     output = part(np.r_[:n_w, n_w + a : len(unit.w)], np.arange(n_z + a), 0.0)
     return output, part(np.arange(n_w + a), np.r_[:n_z, n_z + a : len(unit.z)], 1.0)
 

@@ -92,14 +92,20 @@ def check_over_box(
     held = plant.machine.tolerances if tolerances is None else tuple(tolerances)
     box = sampled_box(plant, controller, held)
     names = box.names
+
+    # the nominal point, the points given, then corners and samples
     extra = np.array([[point[name] for name in names] for point in also]).reshape(-1, len(names))
     points = box_points(len(names), _INSIDE)
     points = np.vstack([points[:1], extra, points[1:]])
+
     # resonances of every member: a reduced plant places them closely enough for a first look
     small = reduce(plant, _modes(plant, names)) if plant.bending_modes is None else plant
+
     base = box.base_grid()
     abscissa = np.empty(len(points))
     peaks: list[Peak] = []
+
+    # abscissa of the reduced loop, of the full one too at the first points; peak on the grid
     for i, point in enumerate(points):
         poles = box.closed_loop_poles(point, small)
         abscissa[i] = poles.real.max()
@@ -110,12 +116,15 @@ def check_over_box(
         gain = box.gains(grid, point[None])[0]
         best = int(gain.argmax())
         peaks.append(Peak(float(gain[best]), float(grid[best]), point))
+
+    # the search moves on the gain alone: where it ends the poles are looked at again
     unstable = abscissa >= 0
     worst, found = _worst(box, peaks, unstable)
     if found.size and found.max() >= 0:
         points = np.vstack([points, worst.delta])
         abscissa = np.append(abscissa, found.max())
         unstable = np.append(unstable, True)
+
     outermost = int(abscissa.argmax())
 
     def where(delta: np.ndarray) -> str:

@@ -91,7 +91,10 @@ class SampledBox:
     def plant_response(self, omega: np.ndarray, delta: np.ndarray) -> np.ndarray:
         """G_T (d, w, a, a) [m/A] behind the hold."""
         dt = self.sample_time
+        # 1 - e^{-j w T} is the same at all aliases
         turn = 1 - np.exp(-1j * omega * dt)
+
+        # sum_k H(j w_k) G(j w_k); the hold is a scalar, so that it may stand after G
         total = np.zeros(1)
         for k in range(-ALIASES, ALIASES + 1):
             alias = omega + 2 * np.pi * k / dt
@@ -129,6 +132,7 @@ class SampledBox:
     def beside(self, resonances: np.ndarray) -> np.ndarray:
         """Frequencies (w,) [rad/s] around the light poles among ``resonances``."""
         modulus = np.abs(resonances)
+        # one of every pair, damping ratio -Re/|s| below _LIGHT; half bandwidth |Re|
         light = resonances[(resonances.imag > 0) & (-resonances.real < _LIGHT * modulus)]
         around = light.imag[:, None] + np.abs(light.real)[:, None] * _BESIDE
         return np.unique(around[(around > _LOWEST) & (around < self.nyquist)])
@@ -140,6 +144,8 @@ class SampledBox:
         grid = np.unique(omega)
         value = self.gains(grid, delta[None])[0]
         best = int(value.argmax())
+
+        # the maximum between the best point's neighbours, never below the best point itself
         low = grid[max(best - 1, 0)]
         high = grid[min(best + 1, len(grid) - 1)]
         refined = so.minimize_scalar(
@@ -158,6 +164,7 @@ class SampledBox:
         """
         best = start
         for _ in range(rounds):
+            # one coordinate half or all the way to either end of its tolerance
             steps = []
             for i in range(len(best.delta)):
                 for end in (-1.0, 1.0):
@@ -165,7 +172,9 @@ class SampledBox:
                         step = best.delta.copy()
                         step[i] += share * (end - step[i])
                         steps.append(step)
+
             candidates = np.unique(np.array(steps), axis=0)
+
             # a resonance moves with its parameters: some per cent around it are looked at
             near = best.omega * np.linspace(0.9, 1.1, 41)
             near = near[(near > _LOWEST) & (near < self.nyquist)]
@@ -173,6 +182,8 @@ class SampledBox:
             row, column = np.unravel_index(int(value.argmax()), value.shape)
             if value[row, column] <= best.value * (1 + 1e-6):
                 break
+
+            # the peak of the best one, refined between the neighbours of its frequency
             window = near[max(column - 1, 0) : column + 2]
             best = self.peak(candidates[row], window)
         return best
@@ -191,6 +202,8 @@ def sampled_box(
             "(core.sampling.c2d, delayed)"
         )
     model = open_model(plant, tuple(tolerances), True)
+
+    # owner: delta_k stands at ``repeat`` channels of w_delta, in the blocks' order
     blocks = [block for block in model.blocks if isinstance(block, RealBlock)]  # all: tolerances
     owner = np.repeat(np.arange(len(blocks)), [block.repeat for block in blocks])
     names = tuple(block.name for block in blocks)

@@ -307,6 +307,8 @@ def _refusal(item: BlockLoop, proof: IntervalProof, condition: Condition) -> str
         )
         return f"{text}; give a T nearer to S^-1 (ambrose synthesize --synchronous {item.mode})"
     worst = float(grid[int(np.argmin(levels))])
+
+    # stable ranges: between borders, by the sign in their middle
     turns = borders(value, grid)
     edges = [low, *(border.value for border in turns), high]
     stable = [(a, b) for a, b in itertools.pairwise(edges) if value((a + b) / 2) > 0]
@@ -337,6 +339,7 @@ def _gain_checks(item: BlockLoop) -> list[Check]:
             )
             if largest < limit:
                 limit, at = largest, speed
+            # for small gains a' = -(leak + eps/2 T R) a: the slowest direction
             rate = leak + eps / 2 * float(
                 convergence(T, item.loop.response(item.mode, speed, condition))
             )
@@ -369,6 +372,8 @@ def _unbalance_checks(item: BlockLoop) -> tuple[list[Check], list[Curve]]:
     residual = residual_unbalance(machine)
     assert residual is not None
     speeds = item.speeds(_SPEEDS)
+
+    # rows: orbit [m], current [A], force [N]; the worst condition at every speed
     before, after = np.zeros((3, len(speeds))), np.zeros((3, len(speeds)))
     for k, w in enumerate(speeds):
         force = float(residual.force(w))
@@ -383,9 +388,12 @@ def _unbalance_checks(item: BlockLoop) -> tuple[list[Check], list[Curve]]:
                     worst_signal(values.force, force),
                 )
                 rows[:, k] = np.maximum(rows[:, k], sizes)
+
     limits = np.array([orbit_limit(machine, float(w)) for w in speeds])
     gain = item.drive if item.mode == "damping" else None
     forbidden = forbidden_bands(item.loop, item.mode, item.block.band, item.conditions, gain)
+
+    # a forbidden band is found between the drawn speeds as well
     k = int(np.argmax(after[0] / limits))
     orbit = after[0, k]
     limit = limits[k]

@@ -143,6 +143,8 @@ def forbidden_bands(
             speeds = np.unique(
                 [*speeds, *(w for w in (step, step * (1 + 1e-8)) if band[0] < w < band[1])]
             )
+
+        # log(orbit/limit); local maxima are refined in place, so that no narrow peak is missed
         levels = np.array([ratio(float(w)) for w in speeds])
         for k in range(1, len(speeds) - 1):
             if levels[k] >= max(levels[k - 1], levels[k + 1], _LOW):
@@ -154,6 +156,8 @@ def forbidden_bands(
                 )
                 if -peak.fun > levels[k]:
                     speeds[k], levels[k] = peak.x, -peak.fun
+
+        # runs of points above the limit; borders lie before the first and after the last of a run
         over = levels > 0
         k = 0
         while k < len(speeds):
@@ -163,6 +167,7 @@ def forbidden_bands(
             end = k
             while end + 1 < len(speeds) and over[end + 1]:
                 end += 1
+
             low = (
                 float(speeds[k])
                 if k == 0
@@ -174,6 +179,7 @@ def forbidden_bands(
                 if last
                 else float(brentq(ratio, speeds[end], speeds[end + 1], rtol=1e-6))
             )
+
             worst = float(speeds[k + int(np.argmax(levels[k : end + 1]))])
             force = float(residual.force(worst))
             orbit = worst_orbits(converged_at(loop, mode, worst, condition, drive).q, force)

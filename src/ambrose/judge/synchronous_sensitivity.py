@@ -35,6 +35,7 @@ def sensitivity(
 
     T (a, a): of the block at the speed [rad/s] (None: without it); gain eps [1/s]; leak [1/s].
     """
+    # M: from c to (e, y, u), axes in a row; M_e = -S
     sampled = loop.sampled(speed, condition)
     dt, n = loop.timing.sample_time, len(loop.axes)
     z = np.exp(1j * omega * dt)
@@ -42,25 +43,35 @@ def sensitivity(
     # d
     M = transfer_matrix(sampled.A, sampled.B, sampled.C, sampled.D, z)
     S = -M[:, :n]
+
     if T is None or gain == 0:
         return np.asarray(S)
+
+    # M_read: from c to what the block reads
     names = loop.reads(mode)
     rows = [sampled.outputs.index(name) for name in names]
     M_read = M[:, rows]
+
     # d = -c for all that follows e; y itself is e + c, so that d reaches y by one more than -c does
     M_d = -M_read.copy()
     for i, name in enumerate(names):
         if name.startswith("y_"):
             M_d[:, i, loop.axes.index(name[2:])] += 1.0
+
+    # H = drive turn/(z - keep turn) + its conjugate: of c = Re(e^{j n theta} a) with
+    # a+ = keep a + eps Ts D e^{-j n theta} s, keep = 1 - leak Ts
     drive = gain * dt / 2 * (T @ loop.weights(mode, speed, condition))
     turn = np.exp(1j * loop.harmonic * speed * dt)
     keep = 1 - leak * dt
+
     # exactly at the speed the block's gain is infinite: a rounding error beside it stands for it
     ahead, behind = (_apart(z - keep * pole) for pole in (turn, turn.conjugate()))
     H = (
         drive[None] * (turn / ahead)[:, None, None]
         + drive.conj()[None] * (turn.conjugate() / behind)[:, None, None]
     )
+
+    # s = M_read c + M_d d, c = H s:   s = (I - M_read H)^-1 M_d d,   e = S d + M_e H s
     inner = np.linalg.solve(np.eye(len(rows)) - M_read @ H, M_d)
     return np.asarray(S + M[:, :n] @ H @ inner)
 

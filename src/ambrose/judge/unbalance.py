@@ -55,6 +55,7 @@ def orbit(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Semi-major axis of the ellipse with complex amplitudes x, y in two perpendicular
     directions.
     """
+    # x + j y = (X + j Y)/2 e^{j w t} + conj(X - j Y)/2 e^{-j w t}: two circles, radii added
     return 0.5 * (np.abs(x + 1j * y) + np.abs(x - 1j * y))
 
 
@@ -70,16 +71,21 @@ def distributed_orbits(
     in phase or alternating.
     """
     sign = np.array([(-1.0) ** k if antiphase else 1.0 for k in range(len(residual.share))])
+    # forward in the common directions is (1, -j); an axis turned by alpha lags by it
     turned = np.exp(-1j * np.array([bearing.angle for bearing in machine.bearings]))
     amplitude = sign * np.array(residual.share) * turned
+
     # zeta, eta of each bearing: forward circles
     pattern = np.stack([amplitude, -1j * amplitude], axis=1).ravel()
+
+    # q per unit force times F at every speed
     q = (response.compliance() @ pattern) * residual.force(response.omega)[:, None]
     return orbit(q[:, 0::2], q[:, 1::2]).T
 
 
 def worst_currents(response: LoopResponse, residual: Unbalance) -> np.ndarray:
     """Largest control current of every axis (a, w) [A] over force vectors of Euclidean length F."""
+    # max |row f| over |f| = F is |row| F
     return (
         np.linalg.norm(response.current_per_force(), axis=2)
         * residual.force(response.omega)[:, None]
@@ -91,6 +97,8 @@ def worst_forces(response: LoopResponse, residual: Unbalance, plant: Plant) -> n
     length F.
     """
     k_i, k_s = magnet_coefficients(plant.machine, plant.point)
+
+    # k_i i + k_s q per unit force, axis by axis
     per_force = k_i[:, None] * response.current_per_force() + k_s[:, None] * response.compliance()
     return (np.linalg.norm(per_force, axis=2) * residual.force(response.omega)[:, None]).T
 
@@ -276,6 +284,8 @@ def axis_limit_check(
     limits = [bearing.max_current if current else bearing.max_force for bearing in bearings]
     required = demand("current" if current else "information", requirements)
     known = [required.limit if required.limit is not None else limit for limit in limits]
+
+    # without a limit an axis counts only where none has one
     ratio = [
         peak.value / limit if limit else peak.value * 1e-12
         for peak, limit in zip(found, known, strict=True)
@@ -319,6 +329,8 @@ def unbalance_curve(
         raise InvalidInput(
             "no balancing speed is known; give requirements.balance_speed or a speed range"
         )
+
+    # every evaluation is kept by its speed: (worst, in phase, in antiphase)
     columns: dict[float, np.ndarray] = {}
 
     def worst(speed: float) -> float:
@@ -330,6 +342,7 @@ def unbalance_curve(
         columns[speed] = np.concatenate([worst_orbit(response, residual), *orbits])
         return float(columns[speed][0])
 
+    # local maxima of at least half the largest are refined between their neighbours
     values = np.array([worst(float(speed)) for speed in speeds])
     for k in range(1, len(speeds) - 1):
         if values[k] >= max(values[k - 1], values[k + 1], 0.5 * values.max()):

@@ -70,9 +70,13 @@ def design_plant(
     w = list(model.w)
     z = list(model.z)
     w1, w2, z1, z2 = ([f"{letter}_{axis}" for axis in axes] for letter in ("w1", "w2", "z1", "z2"))
+
+    # u -> v and y -> g, so that the disturbances come between
     loop = rename(
         model.system, {f"u_{a}": f"v_{a}" for a in axes}, {f"y_{a}": f"g_{a}" for a in axes}
     )
+
+    # current = D_u w1, offset = D_e w2
     size = [
         weights.current_scale * weights.current_disturbance,
         weights.error_scale * weights.output_disturbance,
@@ -82,6 +86,8 @@ def design_plant(
         [*w1, *w2],
         [f"{kind}_{a}" for kind in ("current", "offset") for a in axes],
     )
+
+    # z1 = W_p err / D_e, z2 = W_u u / D_u
     shaped = [
         _weight(weight, scale, f"{source}_{axis}", f"{letter}_{axis}")
         for weight, scale, source, letter in (
@@ -90,6 +96,8 @@ def design_plant(
         )
         for axis in axes
     ]
+
+    # v = u + D_u w1, err = -(g + D_e w2)
     system = connect(
         [loop, disturbances, append(*shaped)],
         inputs=[*w, *w1, *w2, *(f"u_{a}" for a in axes)],
@@ -99,6 +107,7 @@ def design_plant(
             **{f"err_{a}": [f"-g_{a}", f"-offset_{a}"] for a in axes},
         },
     )
+
     errors = [f"err_{a}" for a in axes]
     return GeneralizedPlant(
         system, [*w, *w1, *w2], list(model.u), [*z, *z1, *z2], errors, model.blocks

@@ -212,6 +212,8 @@ def controller_of(table: Mapping[str, Any], **stated: Any) -> tuple[StateSpace, 
         ]
         names = tuple(dict.fromkeys(ends)) if form == "channels" else tuple(axes or ())
         system = _assembled(entries, names, names if axes is None else _axes(axes, len(names)), dt)
+
+    # sign and units of the table, on B and D alone
     factor = _SIGN[facts.get("input", "error")] * facts["output_unit"] / facts["input_unit"]
     system = StateSpace(
         system.A, system.B * factor, system.C, system.D * factor, system.inputs, system.outputs, dt
@@ -417,10 +419,14 @@ def _rational(where: str, numerators: Sequence[Any], denominator: Any, falling: 
         np.array([_real(where, value) for value in _listed(where, row)])
         for row in (denominator, *numerators)
     ]
+
+    # filled with zeros to one length: falling powers in front, rising ones of z^-1 behind
     size = max(map(len, rows))
     a, *above = (
         np.pad(row, (size - len(row), 0) if falling else (0, size - len(row))) for row in rows
     )
+
+    # improper in s or z, or a0 = 0 in powers of z^-1: cannot run
     first = int(np.flatnonzero(a)[0]) if a.any() else size
     if first == size or any(b[:first].any() for b in above) or (first and not falling):
         remedy = (
@@ -432,6 +438,8 @@ def _rational(where: str, numerators: Sequence[Any], denominator: Any, falling: 
             f"{where}: the denominator begins with 0 (or has none but zeros), which cannot run; "
             f"{remedy}"
         )
+
+    # b0 + (b - b0 a)/a in controllable form:   x1' = -a1 x1 - ... - an xn + u, x_i' = x_(i-1)
     b, a = np.array(above)[:, first:] / a[first], a[first:] / a[first]
     n = len(a) - 1
     A = np.eye(n, k=-1)
@@ -483,6 +491,8 @@ def _assembled(
             f"its filters have {states} states, but at most {STATES} are allowed; leave sections "
             "out"
         )
+
+    # rows (u, x'), columns (err, x); what goes to one current from several errors adds up
     m, start = len(names), len(names)
     whole = np.zeros((m + states, m + states))
     for source, targets, theta in entries:
@@ -492,6 +502,7 @@ def _assembled(
         whole[np.ix_(rows, [j, *own])] += theta[:t]
         whole[np.ix_(own, [j, *own])] = theta[t:]
         start += len(own)
+
     parts = whole[m:, m:], whole[m:, :m], whole[:m, m:], whole[:m, :m]
     return StateSpace(*parts, _signals("err", axes), _signals("u", axes), dt)
 
@@ -511,6 +522,7 @@ def _zpk(where: str, item: Mapping[str, Any], gain: float) -> list[list[float]]:
     # of as many roots as the poles' pair, or fewer
     above += [np.ones(1)] * (len(below) - len(above))
     above[0] = gain * above[0]
+    # each filled in front to b0, b1, b2, a0, a1, a2
     return [
         [*[0.0] * (3 - len(b)), *b, *[0.0] * (3 - len(a)), *a]
         for b, a in zip(above, below, strict=True)
@@ -544,6 +556,8 @@ def _pairs(where: str, roots: np.ndarray) -> list[np.ndarray]:
         raise InvalidInput(
             f"{where}: a complex zero or pole lacks its conjugate; give both of every pair"
         )
+
+    # real roots in their order by twos; one that is left over stays alone
     single = [np.array([1.0, -root]) for root in real[len(real) // 2 * 2 :]]
     couples = [np.array([1.0, -2 * root.real, abs(root) ** 2]) for root in upper]
     couples += [np.poly(real[i : i + 2]) for i in range(0, len(real) - 1, 2)]

@@ -68,6 +68,7 @@ def phase_bump(frequency: Any, phase: Any, damping: Any) -> np.ndarray:
     """A notch of one damping d, zeros at w/r and poles at w r, that turns w by ``phase`` [rad]: r -
     1/r = 2 d tan(phase/2).
     """
+    # r - 1/r = 2 t with t = d tan(phase/2): r = t + sqrt(1 + t^2)
     turn = damping * np.tan(phase / 2)
     ratio = turn + np.sqrt(1 + turn**2)
     return notch(frequency / ratio, damping, frequency * ratio, damping)
@@ -77,12 +78,14 @@ def lead_lag(zero_frequency: Any, pole_frequency: Any) -> np.ndarray:
     """(s/w_z + 1)/(s/w_p + 1): a lead where the zero is slower than the pole [rad/s], else a
     lag.
     """
+    # w_p/w_z + (1 - w_p/w_z) w_p/(s + w_p)
     ratio = pole_frequency / zero_frequency
     return np.array([[ratio, 1 - ratio], [pole_frequency, -pole_frequency]])
 
 
 def low_pass(frequency: Any, damping: Any) -> np.ndarray:
     """w^2/(s^2 + 2 d w s + w^2): unit gain at DC, 1/(2 d) at the frequency w [rad/s]."""
+    # x1' = w x2, x2' = -w x1 - 2 d w x2 + w u, output x1
     w = frequency
     return np.array([[0, 1, 0], [0, 0, w], [w, -w, -2 * damping * w]])
 
@@ -93,13 +96,19 @@ def sos(numerator: Sequence[float], denominator: Sequence[float]) -> np.ndarray:
         np.concatenate([np.zeros(3 - len(values)), np.asarray(values, float)])
         for values in (numerator, denominator)
     )
+
+    # leading coefficient of the denominator 1:   b0 + (b - b0 a)/a
     degree = 2 - int(np.flatnonzero(a)[0])
     b, a = b[2 - degree :] / a[2 - degree], a[2 - degree :] / a[2 - degree]
     rest = b[1:] - b[0] * a[1:]
+
     if degree == 0:
         return np.array([[b[0]]])
     if degree == 1:
         return np.array([[b[0], rest[0]], [1.0, -a[1]]])
+
+    # x1' = w x2, x2' = -(a2/w) x1 - a1 x2 + w u:   x1 = w^2 u/a, x2 = w s u/a.
+    # w = sqrt|a2| makes the states the size of the input; a pole at zero leaves |a1| or 1
     w = float(np.sqrt(abs(a[2]))) or abs(a[1]) or 1.0
     return np.array([[b[0], rest[1] / w**2, rest[0] / w], [0, 0, w], [w, -a[2] / w, -a[1]]])
 
@@ -167,6 +176,7 @@ def chain(gain: Any, parts: Sequence[np.ndarray]) -> np.ndarray:
     result = np.eye(1 + sum(len(part) - 1 for part in parts))
     start = 1
     for part in parts:
+        # (signal, x_i') = Theta_i (signal, x_i): row 0 carries the signal to the next section
         at = [0, *range(start, start + len(part) - 1)]
         result[at] = part @ result[at]
         start += len(part) - 1
@@ -194,6 +204,7 @@ def bank(chains: Sequence[np.ndarray], into: np.ndarray, out: np.ndarray) -> np.
     """Theta of chains side by side between two mixings: into (channels, axes), out (axes,
     channels).
     """
+    # chains side by side, block diagonal; u = out (D into e + C x), x' = B into e + A x
     D = np.diag([part[0, 0] for part in chains])
     C, B = (
         sla.block_diag(*rows)

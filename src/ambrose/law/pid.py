@@ -77,6 +77,7 @@ def first_settings(machine: Machine) -> PidSettings:
             f"machine {machine.name!r} has magnets without force or stiffness; add a [controller] "
             "table"
         )
+    # w_0^2 = n k_s/m
     rate = float(
         np.sqrt(
             k_s.mean() * len(machine.bearings) / mass_properties(finite_element_rotor(machine)).mass
@@ -215,6 +216,8 @@ def modes(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
                 "apart from each other",
                 "use coordinates 'axes'",
             )
+
+    # lever: -1 and 1 at the outermost bearings, growing from the first to the last
     middle, half = (
         (places.max() + places.min()) / 2,
         np.ptp(places) / 2 * (1 if places[-1] >= places[0] else -1),
@@ -223,8 +226,10 @@ def modes(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
     def shapes(at: np.ndarray, angles: Sequence[float]) -> np.ndarray:
         lever = (at - middle) / (half or 1.0)
         rigid = np.column_stack([np.ones(len(at)), lever])[:, : len(at)]
+        # orthonormal polynomials over the places, leading coefficients positive, from degree two
         bent, R = np.linalg.qr(np.vander(lever, len(at), increasing=True))
         whole = np.hstack([rigid, (bent * np.sign(np.diag(R)))[:, 2:]])
+        # a place's row, each entry a rotation from x, y into its axes
         return np.vstack(
             [
                 np.kron(row, sensor.rotation(-angle))

@@ -79,7 +79,10 @@ def sample_controller(
     K, n = form.system, form.system.n_states
     if source.dt is not None:
         return K, K.A - np.eye(n), form.sizes
+
     sampled = c2d(K, dt, method, prewarp=prewarp)
+
+    # A - I of a block-diagonal A is block diagonal: rounding outside the blocks is cut
     inside = np.zeros((n, n), bool)
     for start, k in zip(form.starts, form.sizes, strict=True):
         inside[start : start + k, start : start + k] = True
@@ -116,6 +119,7 @@ def _increment(K: StateSpace, dt: float, method: Method, prewarp: float | None) 
     n, eye = K.n_states, np.eye(K.n_states)
     # its A is that of the hold
     method, prewarp = ("zoh", None) if method == "matched" else (method, prewarp)
+    # zoh: e^{A dt} - I = A int_0^dt e^{A s} ds, and the integral is B of the held identity
     return (
         K.A @ c2d(StateSpace(K.A, eye, eye, np.zeros((n, n))), dt, method, prewarp=prewarp).B
         if n
@@ -134,6 +138,8 @@ def common_states(source: ScheduledSystem) -> tuple[ScheduledSystem, tuple[int, 
     if n == 0:
         return source, ()
     middle = source.systems[len(source.systems) // 2]
+
+    # x = X x_modal: the outputs _TINY x of the modal form are _TINY X x_modal
     outputs = np.vstack([middle.C, _TINY * np.eye(n)])
     form = modal_form(
         StateSpace(
@@ -142,10 +148,14 @@ def common_states(source: ScheduledSystem) -> tuple[ScheduledSystem, tuple[int, 
     )
     X = form.system.C[len(middle.C) :] / _TINY
     inverse = np.linalg.inv(X)
+
+    # (X^-1 A X, X^-1 B, C X) at every grid point
     moved = [
         StateSpace(inverse @ s.A @ X, inverse @ s.B, s.C @ X, s.D, s.inputs, s.outputs, s.dt)
         for s in source.systems
     ]
+
+    # what going there and back costs A, relative to its largest entry
     residual = max(
         np.abs(X @ new.A @ inverse - old.A).max() / max(np.abs(old.A).max(), 1e-300)
         for new, old in zip(moved, source.systems, strict=True)
@@ -174,6 +184,7 @@ def interpolation_deviation(
     for value in grid_points([(axis[1:] + axis[:-1]) / 2 for axis in source.axes]):
         exact = response(c2d(source.at(value), dt, method, prewarp=prewarp), omega)
         size = np.linalg.norm(exact, 2, axis=(1, 2))
+        # exact: interpolated, then sampled; against sampled, then interpolated
         distance = np.linalg.norm(response(sampled.at(value), omega) - exact, 2, axis=(1, 2))
         distances.append((float((distance / np.maximum(size, np.finfo(float).tiny)).max()), value))
     return max(distances)

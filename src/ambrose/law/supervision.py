@@ -147,20 +147,24 @@ class Supervisor:
         """One sample: told, estimate and its 95 % half width [Pa] (NaN, inf: nothing is said)."""
         limits = self.limits
         known = math.isfinite(estimate) and math.isfinite(half_width) and half_width >= 0
+
         self.fault = self._fault(told, known, estimate, half_width)
         if self.fault in (Fault.JUMP, Fault.DIVERGED):
             self.latched = True
         elif self.fault is Fault.NONE and known and half_width <= limits.band:
             self.latched = False
+
         trusted = self.fault is Fault.NONE and not self.latched
         self.good = self.good + 1 if trusted else 0
         if trusted:
+            # a sharp estimate corrects the reading, as far as the proof's band allows
             trim = (
                 min(max(estimate - told, -limits.band), limits.band)
                 if known and half_width <= limits.band
                 else 0.0
             )
             self.value = min(max(told + trim, limits.low), limits.high)
+
         self.clock += 1
         faded = self.clock * self.dt >= limits.fade
         if self.state in (State.SCHEDULED, State.RETURNING) and not trusted:
@@ -178,10 +182,13 @@ class Supervisor:
         self.since += 1
         if not math.isfinite(told):
             return Fault.LOST
+
+        # what the rate allows since the last reading that was not lost
         step = abs(told - self.last)  # NaN at the first one: no step
         allowed = limits.rate * self.dt * self.since + limits.noise
         self.last, self.since = told, 0
         self.same = self.same + 1 if step == 0.0 else 0
+
         if not limits.low - limits.margin <= told <= limits.high + limits.margin:
             return Fault.RANGE
         if step > allowed:
@@ -217,11 +224,13 @@ class SupervisedLaws:
     unwinds: bool = False
 
     def __post_init__(self) -> None:
+        # linear between grid points: looked at half-way as well
         halfway = (
             tuple((a + b) / 2 for a, b in zip(*pair, strict=True))
             for pair in pairwise(self.schedule)
         )
         for E, _, C, _, L in (self.fixed, *self.schedule, *halfway):
+            # waiting, with u what acts:   x+ = (I + E - L C) x + (B - L D) e + L u
             radius = max(np.abs(1 + np.linalg.eigvals(E - L @ C)), default=0.0)
             if not radius < 1:
                 raise NumericalFailure(
@@ -350,28 +359,39 @@ class SupervisedProgram:
         """Currents (a,) [A] from errors (a,) [m]."""
         supervisor, limit = self.supervisor, self.laws.limit
         laws = self.laws.at(supervisor.value), self.laws.fixed
+
+        # the fixed one begins where these errors and currents bring it in the long run
         if self._count == 0 and self.tracking:
             first = laws[0][2] @ self._x[0] + laws[0][3] @ errors
             self._x[1] = self.laws.start[0] @ errors + self.laws.start[1] @ first
+
         outputs = [C @ x + D @ errors for (_, _, C, D, _), x in zip(laws, self._x, strict=True)]
+
+        # at a change the currents go on where they were: left = wanted before - outputs now
         charge = 0 if supervisor.state in (State.SCHEDULED, State.RETURNING) else 1
         if charge != self._charge:
             self._left, self._charge = (
                 outputs[1 - charge] + self._share * self._left - outputs[charge],
                 charge,
             )
+
+        # of which the share fades from 1 to 0
         passed, fade = supervisor.clock * self.sample_time, self.limits.fade
         self._share = 1 - passed / fade if passed < fade else 0.0
+
         wanted = outputs[charge] + self._share * self._left
         acting = np.clip(wanted, -limit, limit)
         self.limited = bool((acting != wanted).any())
+
         for i, (E, B, _, _, L) in enumerate(laws):
             added = E @ self._x[i] + B @ errors
             if i == charge and self.laws.unwinds:
+                # in charge: what was cut off its own currents, the fading difference left out
                 added += L @ (
                     np.clip(acting - self._share * self._left, -limit, limit) - outputs[i]
                 )
             elif i != charge and self.tracking:
+                # waiting: its currents follow those that act
                 added += L @ (acting - outputs[i])
             added += self._carry[i]  # compensated: small increments are not lost
             total = self._x[i] + added
@@ -398,7 +418,10 @@ def supervised(
     laws = tuple(_sampled(match_axes(schedule.at(p), axes), sample_time) for p in grid.tolist())
     fixed = _sampled(match_axes(other, axes), sample_time)
     E, B, C, D, L = fixed
+
+    # at rest 0 = E x + B e + L (u - C x - D e):   x = (L C - E)^-1 ((B - L D) e + L u)
     stands = np.linalg.inv(L @ C - E)
+
     most = [
         np.inf if b.max_current is None else b.max_current
         for b in machine.bearings
@@ -475,16 +498,22 @@ def tracking_gain(A: np.ndarray, B: np.ndarray, C: np.ndarray) -> np.ndarray:
     """
     if not len(A):
         return np.zeros((0, len(C)))
+
+    # x = scale x~, by the states' sizes under errors; outputs in one unit; A / _RADIUS
     size = np.linalg.norm(B, axis=1)
     scale = np.maximum(size, 1e-9 * size.max())
     faster, out = A * scale / scale[:, None] / _RADIUS, C * scale
     unit = max(float(np.abs(out).max()), np.finfo(float).tiny)
     out = out / unit
+
+    # predictor of process noise 1e-6 I and unit noise of the outputs, in those units
     try:
         P = solve_discrete_are(faster.T, out.T, 1e-6 * np.eye(len(A)), np.eye(len(C)))
     except np.linalg.LinAlgError as error:
         raise NumericalFailure(
             "no gain makes this controller follow the currents that act; use another one"
         ) from error
+
+    # L~ = _RADIUS faster P out' (out P out' + I)^-1:   A~ - L~ out = _RADIUS times a stable matrix
     gain = _RADIUS * np.linalg.solve(out @ P @ out.T + np.eye(len(C)), out @ P @ faster.T).T
     return np.asarray(scale[:, None] * gain / unit)

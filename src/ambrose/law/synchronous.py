@@ -187,6 +187,8 @@ class SynchronousLoop:
     def base_band(self, speed: float, condition: Condition) -> np.ndarray:
         """S (a, a) at 1x with the base band of the hold alone: the exact one but for aliasing."""
         plant = self.plant(speed, condition)
+
+        # S = (I + G K)^-1, G = P(j n W) hold delay
         G = response_at(
             select(plant.system, plant.named("u"), plant.named("y")), self.harmonic * speed
         ) * self._late(speed)
@@ -216,36 +218,47 @@ class SynchronousLoop:
         mode None: without a block. drive D (a, a) complex: of mode "damping", c = D y.
         """
         plant, n = self.plant(speed, condition), len(self.axes)
+
+        # P: (u', f) -> (y, q, i) of the full plant at 1x, rows and columns in blocks of n
         names = [*plant.named("u"), *plant.bearing_named("f")]
         rows = [*plant.named("y"), *plant.bearing_named("q"), *plant.named("i")]
         P = response_at(select(plant.system, names, rows), self.harmonic * speed)
+
         late = self._late(speed)
         K = _sampled_at(
             self.controller(plant), np.exp(1j * self.harmonic * speed * self.timing.sample_time)
         )
+
+        # u' = u, held and late: the columns of u
         Gu, Gf = P[:, :n] * late, P[:, n:] @ forces
         G = Gu[:n]
         Gq = Gu[n : 2 * n]
         Gi = Gu[2 * n :]
+
         k_i, k_s = magnet_coefficients(self.machine, plant.point)
         one = np.eye(n)
         # unknowns (u, c): u + K G u - K c = -K y_f, and the mode's z = 0
         top = np.hstack([one + K @ G, -K])
         right = -K @ Gf[:n]
+
         if mode is None:
             bottom, z = np.hstack([0 * one, one]), 0 * Gf[:n]
         elif mode == "current-free":  # K (y - c) = -u, and y - c = 0
             bottom, z = np.hstack([G, -one]), -Gf[:n]
         elif mode == "vibration-free":
+            # y = G u + G_f f = 0
             bottom, z = np.hstack([G, 0 * one]), -Gf[:n]
         elif mode == "damping":
             if drive is None:
                 raise InvalidInput("mode damping has no gain D; give the one of its table")
+            # c - D G u = D G_f f
             bottom, z = np.hstack([-drive @ G, one]), drive @ Gf[:n]
         else:
+            # y_b + (k_i/k_s) i = 0 with y_b = B y, i = G_i u + its part from f
             B = at_bearings(self.machine)
             bottom = np.hstack([B @ G + np.diag(k_i / k_s) @ Gi, 0 * one])
             z = -(B @ Gf[:n] + np.diag(k_i / k_s) @ Gf[2 * n :])
+
         solution = np.linalg.solve(np.vstack([top, bottom]), np.vstack([right, z]))
         u, c = solution[:n], solution[n:]
         q, i = Gq @ u + Gf[n : 2 * n], Gi @ u + Gf[2 * n :]
@@ -311,6 +324,8 @@ def at_bearings(machine: Machine) -> np.ndarray:
         np.column_stack([place, np.ones_like(place)])
     )
     result = np.zeros((2 * len(place), 2 * len(place)))
+
+    # pair s, along the axes of bearing s, into the axes of bearing b: turned by their difference
     for b in range(len(target)):
         for s in range(len(place)):
             c, d = np.cos(angle[s] - angle[b]), np.sin(angle[s] - angle[b])
@@ -330,6 +345,7 @@ def forward_patterns(machine: Machine) -> np.ndarray:
 def orbits(values: np.ndarray) -> np.ndarray:
     """Semi-major axis (bearings, ...) of the ellipses of phasors (a, ...) in pairs of axes."""
     x, y = values[0::2], values[1::2]
+    # radii of the forward and of the backward circle, added
     return np.asarray(0.5 * (np.abs(x + 1j * y) + np.abs(x - 1j * y)))
 
 

@@ -144,6 +144,8 @@ class Angle:
         """
         fault = BlockFault.NONE
         self.tau += self.dt
+
+        # a turn has ended: its mean speed is the speed in its middle
         if pulse >= 0:
             period = self.tau - pulse
             self.tau = pulse
@@ -151,6 +153,7 @@ class Angle:
                 middle = 2 * math.pi / period
                 change = middle - self.middle
                 if self.pulses > 1:
+                    # W' between the middles of the last two turns
                     span = 0.5 * (period + self.period)
                     if abs(change) > self.fastest * span + JUMP * self.middle:
                         fault = BlockFault.JUMP
@@ -159,15 +162,21 @@ class Angle:
                     else:
                         self.slope = min(max(change / span, -self.fastest), self.fastest)
                 self.period, self.middle = period, middle
+                # half a turn on, at the pulse
                 self.speed = middle + 0.5 * self.slope * period
             self.pulses = min(self.pulses + 1, 3)
+
+        # W + W' tau,   theta = W tau + W' tau^2/2
         self.now = self.speed + self.slope * self.tau
         turns = (self.speed * self.tau + 0.5 * self.slope * self.tau * self.tau) / (2 * math.pi)
+
         if self.pulses > 1 and self.tau * self.speed > LOST_TURNS * 2 * math.pi:
             # the last known speed, and no more of its slope
             self.slope = 0.0
             self.now = self.speed
             self.pulses = -1
+
+        # a speed takes two pulses; the first one after a loss counts as the first
         if self.pulses < 2:
             fault |= BlockFault.LOST
             if pulse >= 0 and self.pulses < 1:
@@ -219,6 +228,7 @@ class SynchronousBlock:
         """
         fault = self.angle.follow(pulse)
         fault |= BlockFault.CONTACT * contact | BlockFault.SATURATED * saturated
+        # c = Re(sum e^{j n theta} a), of all blocks before any of them moves on
         total, turns = np.zeros(self.law.channels), []
         y = -np.asarray(errors, float)
         for block, run, samples in zip(self.law.blocks, self.running, self._samples, strict=True):
@@ -226,6 +236,7 @@ class SynchronousBlock:
             turns.append((cosine, sine))
             self._advance(block, run, samples, fault, enabled)
             total += run.a.real * cosine - run.a.imag * sine
+
         for block, run, (cosine, sine) in zip(self.law.blocks, self.running, turns, strict=True):
             if run.state is BlockState.ON:
                 s = y - total if block.subtracts else y
@@ -233,8 +244,11 @@ class SynchronousBlock:
                     s = np.concatenate([s, np.zeros(len(y)) if currents is None else currents])
                 D = self._drive(block)
                 dt = self.law.sample_time
+                # a += ramp eps Ts D s e^{-j n theta} - leak Ts a
                 update = (D @ s) * complex(cosine, -sine)
                 run.a = run.a + (run.ramp * block.gain * dt) * update - (block.leak * dt) * run.a
+
+                # each amplitude back onto its limit, the phase kept
                 size = np.abs(run.a)
                 if (size > block.limit).any():
                     run.a = np.where(
@@ -248,6 +262,7 @@ class SynchronousBlock:
     def turn(self, harmonic: int) -> tuple[float, float]:
         """Cosine and sine of n theta, from the table and a remainder of third order."""
         turns = harmonic * self.angle.theta * (SECTORS / (2 * math.pi))
+        # sector's middle plus d, |d| <= pi/256:   cos d = 1 - d^2/2, sin d = d - d^3/6
         sector = math.floor(turns + 0.5)
         d = (turns - sector) * (2 * math.pi / SECTORS)
         cosine, sine = self._circle[sector % SECTORS]
@@ -350,13 +365,19 @@ def key_phasor(
     slope = np.where(
         last, 0.0, (values[nxt] - values[k]) / np.where(last, 1.0, knots[nxt] - knots[k])
     )
+
     s = t - knots[k]
     angle = total[k] + values[k] * s + slope * s * s / 2
     speed = values[k] + slope * s
+
+    # 1e-12: a pulse that falls on a sample belongs to it
     turns = np.floor(angle / (2 * np.pi) + 1e-12)
     new = np.concatenate([[True], turns[1:] > turns[:-1]])
+
     # how long ago the whole turn was: angle - 2 pi turns = W age - W' age^2/2
     left = np.maximum(angle - 2 * np.pi * turns, 0.0)
     age = np.where(speed > 0, left / np.maximum(speed, 1e-9), 0.0)
+
+    # once more with the square of the first: the remainder is of third order
     age = np.where(speed > 0, (left + slope * age * age / 2) / np.maximum(speed, 1e-9), 0.0)
     return np.where(new, np.minimum(age, dt * (1 - 1e-9)), -1.0)

@@ -58,6 +58,7 @@ class _Segment:
 
     def around(self, middle: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The same quadratic about another speed."""
+        # base + (s + d) first + (s + d)^2 second, by powers of d
         s = middle - (self.low + self.high) / 2
         return (
             self.base + s * self.first + s * s * self.second,
@@ -94,6 +95,9 @@ class LoopPencils:
         size = n + q + k + a
         P0, P1, P2 = (np.zeros((size, size), complex) for _ in range(3))
         rest = np.zeros((size, size))
+
+        # Unknowns (x, v, x_k, u) as in the module's matrix; rows of M: x', then the outputs z.
+        # P(d) = P0 + d P1 + d^2 P2, |d| <= h, up to rest entry by entry
         x = slice(0, n)
         v = slice(n, n + q)
         c = slice(n + q, n + q + k)
@@ -107,6 +111,7 @@ class LoopPencils:
         P0[v, x] = -M0[n:, :n]
         P1[v, x] = -M1[n:, :n]
         P2[v, x] = -M2[n:, :n]
+        # v = z: D_zw p goes to the members
         P0[v, v] = np.eye(q)
         rest[: n + q, x] += segment.rest[:, :n]
 
@@ -116,9 +121,12 @@ class LoopPencils:
         )  # z and g are functions of the harmonic's frequency
         g = _hold_series(middle, dt)
         drive = [np.vstack([M[:n, n + q :], M[n:, n + q :]]) for M in (M0, M1, M2)]
+
+        # -g(W + d) (M0 + d M1 + d^2 M2) in the columns of u, by powers of d
         P0[: n + q, u] = -g[0] * drive[0]
         P1[: n + q, u] = -(g[0] * drive[1] + g[1] * drive[0])
         P2[: n + q, u] = -(g[0] * drive[2] + g[1] * drive[1] + g[2] * drive[0])
+
         # |g| <= 1, |g''' d^3/6| <= (Ts h)^3/24 and the products beyond the second power
         left = h**3 * (
             abs(g[1]) * np.abs(drive[2])
@@ -138,6 +146,8 @@ class LoopPencils:
         P1[c, c] = 1j * dt * z0 * np.eye(k)
         P2[c, c] = -(dt**2) / 2 * z0 * np.eye(k)
         rest[c, c] += (dt * h) ** 3 / 6 * np.eye(k)
+
+        # (z - A_k) x_k + B_k C x = -B_k d_o,   u - C_k x_k + D_k C x = -D_k d_o
         P0[c, x], P0[u, x] = K.B @ self.C, K.D @ self.C
         P0[u, c], P0[u, u] = -K.C, np.eye(a)
 
@@ -153,6 +163,7 @@ class LoopPencils:
                 rest[: n + q, n + i] += slope + segment.rest[:, n + i]
             members.append(member)
 
+        # e = C x + d_o; Q: the right side's columns of d_o
         C, Q = np.zeros((a, size), complex), np.zeros((size, a), complex)
         C[:, x] = self.C
         Q[c] = -K.B
@@ -203,6 +214,8 @@ def loop_pencils(
                 "the currents reach the sensors at once; give the amplifier a bandwidth in the "
                 "machine file"
             )
+
+        # [A, B_w, B; C_z, D_zw, D_zu]
         block = np.block(
             [[system.A, system.B[:, w + u]], [system.C[w], system.D[np.ix_(w, w + u)]]],
         )
@@ -213,22 +226,29 @@ def loop_pencils(
             [np.linspace(low, high, _SEGMENTS + 1), [e for e in edges if low < e < high]]
         )
     )
+
     segments = []
     for start, end in itertools.pairwise(knots):
         middle, half = (start + end) / 2, (end - start) / 2
+        # the quadratic through both ends and the middle
         left, centre, right = (matrices(w)[0] for w in (start, middle, end))
         first, second = (right - left) / (2 * half), (right + left - 2 * centre) / (2 * half * half)
+
+        # how far it is off at the quarter points
         off = np.zeros(centre.shape)
         for s in (-half / 2, half / 2):
             off = np.maximum(
                 off, np.abs(matrices(middle + s)[0] - centre - s * first - s * s * second)
             )
+
         # rounding of the assembly is not curvature
         off[off < 1e-12 * np.abs(centre).max(axis=1, keepdims=True)] = 0.0
+
         seen = max(_aliasing(loop, condition, w) for w in (start, middle, end))
         segments.append(
             _Segment(start, end, centre, first, second, _ALLOWED * off, _ALLOWED * seen)
         )
+
     _, C, owners = matrices((low + high) / 2)
     return LoopPencils(loop, condition, held, law, C, len(C[0]), owners, tuple(segments))
 
@@ -245,6 +265,7 @@ def prove_interval(
 
     table: speed -> T (a, a); knots: where it bends, linear between.
     """
+    # no cell crosses a segment's end or a bend of the table
     edges = sorted({low, high, *(s.low for s in pencils.segments), *knots})
     edges = [w for w in edges if low <= w <= high]
     angle = np.pi / 2
@@ -267,6 +288,7 @@ def _hold_series(middle: float, dt: float) -> tuple[complex, complex, complex]:
     rule of 16 points.
     """
     nodes, weights = np.polynomial.legendre.leggauss(16)
+    # from [-1, 1] to [0, 1]
     s, weights = (nodes + 1) / 2, weights / 2
     turn = np.exp(-1j * middle * dt * s)
     first = complex((weights * turn * (-1j * dt * s)).sum())

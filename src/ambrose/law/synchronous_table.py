@@ -41,6 +41,7 @@ def block_table(block: Synchronous, machine: Machine) -> BlockTable:
     check_blocks((block,), machine)
     speeds, T = block.table(len(machine.axes))
     if block.coordinates == "tilt-translate" and block.real is not None:
+        # channels = into y, c = into^-1 T (into y)
         into = modes(machine)[0]
         T = np.linalg.inv(into) @ T @ into
     return BlockTable(speeds, T)

@@ -172,6 +172,7 @@ def control_weight(
         )
     ratio = (limit / level) ** (1 / order)  # w_p / w_z
     a = level ** (2 / order)  # |1 + j w_c/w_z|^2 a = |1 + j w_c/w_p|^2
+    # with t = (w_c/w_z)^2:   a (1 + t) = 1 + t/ratio^2
     zero = crossover * np.sqrt((a - ratio**-2) / (1 - a))
     section = transfer_function([1 / zero, 1.0], [1 / (zero * ratio), 1.0], "u", "z2")
     result = static_gain([[level]], ["u"], ["z2"])

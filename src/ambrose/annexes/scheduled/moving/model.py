@@ -59,6 +59,8 @@ class MovingModel:
         motions = [
             f"{kind}_{name}_{axis}" for name in names for kind in ("q", "qdot") for axis in "xy"
         ]
+
+        # (f, u) -> (q, qdot, y), the currents late
         y, u = list(plant.named("y")), list(plant.named("u"))
         part = select(plant.system, [*forces, *u], [*motions, *y])
         late = apply_delay(GeneralizedPlant(part, forces, u, motions, y), lag, _PADE).system
@@ -90,6 +92,7 @@ class MovingModel:
     def _around(self, K: StateSpace) -> tuple[np.ndarray, np.ndarray]:
         """What the controller adds to A, and B of d: u = K (-(C x + d))."""
         n, k = len(self.B), K.n_states
+        # x' = A x + B (C_K x_K - D_K (C x + d)),   x_K' = A_K x_K - B_K (C x + d)
         A = np.zeros((n + k, n + k))
         A[:n, :n] = -self.B @ K.D @ self.C
         A[:n, n:] = self.B @ K.C
@@ -102,6 +105,7 @@ class MovingModel:
 
     def _pulled(self, forces: list[np.ndarray]) -> np.ndarray:
         """What forces P (2, 4) of every seal add to A."""
+        # f = P (q, qdot): rows of a seal in twos, its columns (x, y, x', y') in fours
         P = np.zeros((self._into.shape[1], len(self._own)))
         for k, force in enumerate(forces):
             P[2 * k : 2 * k + 2, 4 * k : 4 * k + 4] = force
@@ -126,6 +130,8 @@ class MovingModel:
         meets the span's ends.
         """
         low, high = self.span.low, self.span.high
+
+        # bends of what is told, and of its band where that meets the span's ends
         first, last = told_range(self.span, self.law, error)
         inner = self.law.knots(low, high, _CELLS)
         if self.law.grid is not None:
@@ -143,6 +149,7 @@ class MovingModel:
         the pressure more.
         """
         low, high = self.span.low, self.span.high
+        # pressures that may be told as each end; p: its shares, a row per end
         bands = np.array([(max(low, v - error), min(high, v + error)) for v in told])
         p = bands[:, :1] + np.array(share) * np.ptp(bands, axis=1)[:, None]
         try:
@@ -158,20 +165,26 @@ class MovingModel:
                 yield from self._cells(one, other, error, left - 1)
 
     def _cell(self, pressures: np.ndarray, around: list[tuple[np.ndarray, np.ndarray]]) -> Cell:
+        # s = -1 .. 1 over the pressures of this cell, (told, share) at its corners
         part = replace(self.span, low=pressures.min(), high=pressures.max())
         middle = (part.low + part.high) / 2
         s = (pressures - middle) / part.half
+
         seals = self.plant.machine.seals
         terms = [
             seal_terms(self.plant, seal, part, size)
             for seal, size in zip(seals, self._ranges, strict=True)
         ]
+
+        # A(middle) + sum_i s^i P_i as a Bernstein net: s^i = s s^(i-1), degrees raised
         none = np.zeros((2, 4))
         power, net = np.ones((1, 1)), self._at(middle)[None, None]
         for i in range(max(len(powers) for powers in terms)):
             power = product(s, power[:, :, None, None])[:, :, 0, 0]
             term = self._pulled([powers[i] if i < len(powers) else none for powers in terms])
             net = elevated(net, power.shape) + power[:, :, None, None] * term
+
+        # the controller depends on what is told alone, linearly
         for_A, for_B = (np.stack([beside[m] for beside in around])[:, None] for m in (0, 1))
         shape = (max(2, net.shape[0]), net.shape[1])
         return Cell(

@@ -66,8 +66,11 @@ def pressure_loop(
     names = [seal.name for seal in plant.machine.seals]
     forces = [f"f_{name}_{axis}" for name in names for axis in "xy"]
     motions = [f"{kind}_{name}_{axis}" for name in names for kind in ("q", "qdot") for axis in "xy"]
+
     y, u = plant.named("y"), plant.named("u")
     part = select(plant.system, [*forces, *u], [*motions, *y])
+
+    # z = own (q, qdot) + shift w and f = into w; w in pairs (x, y), a pair per power and seal
     r = 2 * sum(len(terms) for terms in rows)
     f = len(forces)
     v = len(motions)
@@ -86,12 +89,16 @@ def pressure_loop(
                 shift[here, at + 2 : at + 4] = np.eye(2)
             owner += [k, k]
             at += 2
+
+    # outputs (z, y) from (q, qdot, y), inputs (w, u) into (f, u); states scaled by t
     left, right = block_diag(own, np.eye(len(y))), block_diag(into, np.eye(len(u)))
     A, t = balance(part.A)
     B = part.B @ right / t[:, None]
     C = (left @ part.C) * t
     D = left @ part.D @ right
     D[:r, :r] += shift
+
+    # few channels: one parameter for all seals, as it is one pressure
     every = np.array(owner) if r > _TOGETHER else np.zeros(r, int)
     K = running_law(law, plant, timing)
     if K.dt is None:
@@ -117,17 +124,24 @@ def _closed(part: StateSpace, K: StateSpace, owner: np.ndarray) -> VaryingLoop:
             "the currents reach the sensors at once; give the amplifier a bandwidth in the "
             "machine file"
         )
+
+    # e = -(y + d) = -(C_y x + D_yw w + d),   u = C_K x_K + D_K e
     to_u = np.hstack([-K.D @ C_y, K.C, -K.D @ D_yw, -K.D])  # over x, x_K, w, d
     to_e = np.hstack([-C_y, np.zeros((p, k)), -D_yw, -np.eye(p)])
+
+    # x' = A x + B_w w + B_u u,   x_K' = A_K x_K + B_K e;   columns x, x_K, w, d
     own = np.zeros((n + k, n + k + r + p))
     own[:n, :n] = part.A
     own[:n, n + k : n + k + r] = B_w
     own[n:, n : n + k] = K.A
     own[:n] += B_u @ to_u
     own[n:] += K.B @ to_e
+
+    # z = C_z x + D_zw w + D_zu u,   y + d = -e
     out = np.vstack(
         [np.hstack([C_z, np.zeros((r, k)), D_zw, np.zeros((r, p))]) + D_zu @ to_u, -to_e]
     )
+
     A, t = balance(own[:, : n + k])
     return VaryingLoop(A, own[:, n + k :] / t[:, None], out[:, : n + k] * t, out[:, n + k :], owner)
 
@@ -150,17 +164,21 @@ def frozen_peaks(plant: Plant, span: PressureSpan, law: LawLike, timing: Timing 
     """
     small = pressure_loop(reduce(plant, _MODES, static_correction=False), span, law, timing)
     full = pressure_loop(plant, span, law, timing)
+
     values = np.linspace(-1, 1, FROZEN)
     loops = [small.closed(np.full(small.parameters, delta)) for delta in values]
     if not all(is_stable(loop) for loop in loops):
         return Frozen(False, np.inf, np.nan, ())
     peaks = [hinf_norm(loop) for loop in loops]
     worst = float(values[int(np.argmax([peak.value for peak in peaks]))])
+
+    # the full plant at both ends and where the reduced one is worst
     ends = [
         full.closed(np.full(full.parameters, delta)) for delta in dict.fromkeys((-1.0, 1.0, worst))
     ]
     if not all(is_stable(loop) for loop in ends):
         return Frozen(False, np.inf, np.nan, ())
+
     gain = max(hinf_norm(loop).value for loop in ends)
     at = (span.low + span.high) / 2 + worst * span.half
     return Frozen(True, gain, at, tuple(abs(float(peak.frequency)) for peak in peaks))

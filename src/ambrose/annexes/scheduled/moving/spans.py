@@ -95,6 +95,7 @@ def seal_force(plant: Plant, seal: Seal, pressure: float) -> np.ndarray:
 
 def _force(change: np.ndarray) -> np.ndarray:
     K, k, C, c = change[:4]
+    # f_x = -(K x + k y + C x' + c y'),   f_y = -(-k x + K y - c x' + C y')
     return -np.array([[K, k, C, c], [-k, K, -c, C]])
 
 
@@ -140,11 +141,15 @@ def seal_terms(
             f"the added mass of seal {seal.name} changes with the pressure; no port of the plant "
             "carries it"
         )
+
+    # change from the middle, at Chebyshev's nodes; delta = -1 .. 1
     nodes = _nodes(span)
     values = (nodes - span.low) / span.half - 1
     change = _coefficients(plant, seal, nodes) - _coefficients(
         plant, seal, [(span.low + span.high) / 2]
     )
+
+    # sum_i delta^i term_i without a constant: the middle is met exactly
     for degree in range(1, _MOST_POWERS + 1):
         powers = values[:, None] ** np.arange(1, degree + 1)
         terms = np.linalg.lstsq(powers, change, rcond=None)[0]

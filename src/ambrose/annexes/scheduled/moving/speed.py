@@ -83,6 +83,7 @@ def speed_spans(machine: Machine, law: LawLike) -> tuple[SpeedSpan, ...]:
         found.setdefault(
             (point.seal_pressure, point.bias_current, point.whirl_frequency), []
         ).append(point)
+
     law = law_of(law)
     low, high = (0.0, np.inf) if law.range is None else law.range
     ends = (
@@ -115,9 +116,13 @@ class _Family:
         self.lag = lag
         self.modes = modes
         self.tolerances = tolerances
+
+        # owners (r,): the parameter of every row of z
         model = self._open(self._middle)
         system, r = model.system, len(model.w)
         owners = np.array([block.name for block in model.blocks for _ in range(block.n_z)])
+
+        # direct terms in z, or no states in it: not covered by this proof
         # a parameter is in it with all its rows
         lost = set(owners[system.D[:r].any(axis=1) | ~system.C[:r].any(axis=1)])
         if system.D[r:].any():
@@ -129,8 +134,12 @@ class _Family:
         self.rows = np.array([i for i, name in enumerate(owners) if name not in lost], int)
         # the parameters whose tolerances are in it
         self.covered = tuple(dict.fromkeys(owners[self.rows].tolist()))
+
+        # C_z by unit rows; their sizes go to the columns of w (_of_speed)
         self.directions = system.C[self.rows] / np.linalg.norm(system.C[self.rows], axis=1)[:, None]
         self.B, self.C = system.B[:, r:], system.C[r:]
+
+        # by how much each entry of (A, B_w) changes over the span
         self._range = np.ptp(
             [
                 self._of_speed(v)
@@ -138,6 +147,8 @@ class _Family:
             ],
             axis=0,
         )
+
+        # one that hardly changes need not be followed more finely
         self._range = np.maximum(
             self._range, 1e-6 * np.abs(self._of_speed(self._middle)).max(axis=0)
         )
@@ -157,6 +168,8 @@ class _Family:
         model = self._open(speed)
         system, r = model.system, len(model.w)
         Z, W = system.C[:r][self.rows], system.B[:, :r][:, self.rows]
+
+        # C_z = diag(size) directions: w = delta C_z x = (delta directions x) size
         size = (Z * self.directions).sum(axis=1)
         if np.abs(Z - size[:, None] * self.directions).max(initial=0.0) > 1e-9 * np.abs(Z).max(
             initial=0.0
@@ -174,7 +187,10 @@ class _Family:
         K = self.controller(speed)
         n = len(self.B)
         r = len(self.rows)
+
+        # u = C_K x_K - D_K (C x + d),   x_K' = A_K x_K - B_K (C x + d)
         A = np.block([[-self.B @ K.D @ self.C, self.B @ K.C], [-K.B @ self.C, K.A]])
+        # w enters through the polynomials of the plant, not here
         return A, np.hstack([np.zeros((n + K.n_states, r)), np.vstack([-self.B @ K.D, -K.B])])
 
     def wide(self, rows: np.ndarray) -> np.ndarray:
@@ -182,6 +198,7 @@ class _Family:
 
     def frozen(self, speed: float) -> StateSpace:
         """d -> y + d at one speed, without deviations."""
+        # the plant's A beside what the controller adds; d alone of (w, d)
         system, (A, B) = self._open(speed).system, self.around(speed)
         n, C = len(self.B), self.wide(self.C)
         A[:n, :n] += system.A
@@ -194,8 +211,11 @@ class _Family:
         return [cell for ends in pairwise(knots) for cell in self._cells(*ends, _HALVINGS)]
 
     def _cells(self, low: float, high: float, left: int) -> Iterator[Cell]:
+        # Chebyshev's nodes on [0, 1], s = 0 at low
         s = (np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES) + 1) / 2
         values = np.array([self._of_speed(low + (high - low) * share) for share in s])
+
+        # sum_j s^j terms_j by least squares, of the lowest degree that is close at all nodes
         for degree in range(1, _POWERS + 1):
             terms, *_ = np.linalg.lstsq(
                 np.vander(s, degree + 1, increasing=True), values.reshape(_NODES, -1), rcond=None
@@ -212,17 +232,23 @@ class _Family:
             yield from self._cells(low, middle, left - 1)
             yield from self._cells(middle, high, left - 1)
             return
+
+        # s^j = sum_{i >= j} C(i, j)/C(n, j) b_i(s): monomials into Bernstein coefficients
         bernstein = [
             [comb(i, j) / comb(degree, j) if j <= i else 0.0 for j in range(degree + 1)]
             for i in range(degree + 1)
         ]
         net = (np.array(bernstein) @ terms).reshape(degree + 1, 1, *values.shape[1:])
+
+        # the controller is linear between the cell's ends; all of one degree, 2 at least
         (A0, B0), (A1, B1) = self.around(low), self.around(high)
         n = len(self.B)
         more = len(A0) - len(self.B)
         size = (max(2, degree + 1), 1)
         A = elevated(np.pad(net[..., :n], ((0, 0), (0, 0), (0, more), (0, more))), size)
         B = elevated(np.pad(net[..., n:], ((0, 0), (0, 0), (0, more), (0, len(self.C)))), size)
+
+        # the span as -1 .. 1
         ends = (
             2 * (np.array([[low], [high]]) - self.span.low) / (self.span.high - self.span.low) - 1
         )
@@ -274,6 +300,7 @@ def check_speed(
             )
         )
         tell(f"proving the loop {span.label}")
+        # the span is -1 .. 1: rad/s^2 into 1/s
         slope = rate / ((span.high - span.low) / 2)
         found = _proof(family, slope, tell)
         checks.append(
@@ -340,6 +367,8 @@ def _full_peak(plant: Plant, point: OperatingPoint, law: MovingLaw, lag: float) 
     K = law.at(point.speed)
     open_loop = apply_delay(open_model(full, None, False), lag, _PADE).system
     G = select(open_loop, list(full.named("u")), list(full.named("y")))
+
+    # u = C_K x_K - D_K (C x + d): d -> y + d, on the full plant
     A = np.block([[G.A - G.B @ K.D @ G.C, G.B @ K.C], [-K.B @ G.C, K.A]])
     C = np.pad(G.C, ((0, 0), (0, K.n_states)))
     loop = StateSpace(A, np.vstack([-G.B @ K.D, -K.B]), C, np.eye(len(C)))

@@ -48,10 +48,13 @@ def block_sums(signals: Mapping[str, np.ndarray], block: int) -> dict[str, np.nd
         whole = x.shape[-1] // block * block
         return x[..., :whole].reshape(*x.shape[:-1], whole // block, block)
 
+    # (..., p, b, k): output p, block b, sample k of the block
     z, e, r1, r2, d = (
         cut(signals[name]) for name in ("instruments", "error", "r1", "r2", "doubts")
     )
     q = len(z)
+
+    # over outputs and the samples of a block: sum z e, sum z r1, sum z r2, sum z d
     products = [np.einsum("ipbk,jpbk->bij", z, x, optimize=True) for x in (e[None], r1, r2, d)]
     return {
         "ze": products[0][..., 0],
@@ -85,9 +88,14 @@ class Window:
     def add(self, block: Mapping[str, np.ndarray]) -> None:
         """The sums of one more block."""
         q, f = self.q, float(np.exp(-self.step / self.window))
+        # a block's row: (z e; z r1; z r2), q + q^2 + q^3 entries
         row = np.concatenate([block["ze"], block["zr1"].ravel(), block["zr2"].ravel()])
+
+        # sum w age z r1: what was there fades and ages by a step; the new block is half a step old
         before = self.sums[q : q + q * q].reshape(q, q)
         self.lag = f * (self.lag + self.step * before) + 0.5 * self.step * block["zr1"]
+
+        # sum w row, and sum w^2 row row' for the variance of the former
         self.sums, self.squares = f * self.sums + row, f * f * self.squares + np.outer(row, row)
         self.known = f * self.known + block["zd"]
         self.weight, self.weight2 = f * self.weight + 1, f * f * self.weight2 + 1
@@ -97,14 +105,22 @@ class Window:
         q = self.q
         s, R1, R2 = np.split(self.sums, [q, q + q * q])
         R1, R2 = R1.reshape(q, q), R2.reshape(q, q, q)
+
         lost = np.full(q, np.inf)
+        # blocks of equal weight with the same scatter of their mean: (sum w)^2 / sum w^2
         counted = self.weight**2 / self.weight2 if self.weight2 else 0.0
         if counted < _FEWEST + q or np.linalg.cond(R1) > 1e8:
             return Estimate(np.full(q, np.nan), lost, lost, lost, lost, np.inf)
+
+        # s = R1 theta + (R2 theta) theta: the linear part first, then by iteration on R2 theta
         theta = np.linalg.solve(R1, s)
         for _ in range(6):
             theta = np.linalg.solve(R1 + R2 @ theta, s)
+
+        # derivative of R1 theta + R2 theta theta: both factors of the squares count
         slope = R1 + R2 @ theta + np.einsum("igh,g->ih", R2, theta)
+
+        # T row = z e - z r1 theta - z r2 theta theta: what the estimate leaves of a block
         T = np.hstack(
             [
                 np.eye(q),
@@ -112,14 +128,21 @@ class Window:
                 -np.kron(np.eye(q), np.outer(theta, theta).ravel()),
             ]
         )
+
+        # their scatter, q degrees of freedom being spent on theta; theta errs by slope^-1 of it
         scatter = T @ self.squares @ T.T * counted / (counted - q)
         back = np.linalg.inv(slope)
         spread = np.sqrt(np.diag(back @ scatter @ back.T))
+
         # neighbours are not quite independent: half of them count
         noise = students_t((counted - q) / 2) * spread
+
+        # a doubt moves theta by slope^-1 sum z d; those of a kind add up, the kinds in quadrature
         effect = np.abs(back @ self.known)
         groups = [effect[:, kinds == kind].sum(axis=1) for kind in np.unique(kinds)]
         known = np.sqrt(np.sum(np.square(groups), axis=0)) if groups else np.zeros(q)
+
+        # theta(t - age) = theta(t) -+ rate age, at worst, enters by slope^-1 sum w age z r1
         ages = back @ self.lag
         change = rate * np.abs(ages).sum(axis=1)
         return Estimate(

@@ -138,6 +138,7 @@ class SealHistory(Presented):
         From estimates one window apart, each weighted by its noise, the width by their scatter
         where that is larger; what the model takes as known shifts all of them alike.
         """
+        # estimates a window apart, counted back from the last one
         apart = (
             max(1, round(self.window / (self.time[1] - self.time[0]))) if len(self.time) > 1 else 1
         )
@@ -145,11 +146,15 @@ class SealHistory(Presented):
         at = np.flatnonzero(self.known_at & (self.time > since))[::-1][::apart][::-1]
         if len(at) < _TREND:
             return None
+
+        # x = mean + slope (t - mean t) by least squares, weights 1/noise^2
         t = self.time[at]
         x = self.values[at, i]
         w = 1 / self.noise[at, i] ** 2
         centred = t - np.sum(w * t) / np.sum(w)
         slope = np.sum(w * centred * x) / np.sum(w * centred**2)
+
+        # noise is about two standard deviations: chi^2 of the residuals over n - 2, one at least
         left = x - np.sum(w * x) / np.sum(w) - slope * centred
         misfit = np.sqrt(max(1.0, _COVERAGE2 * np.sum(w * left**2) / (len(at) - 2)))
         return float(slope), float(misfit / np.sqrt(np.sum(w * centred**2)))

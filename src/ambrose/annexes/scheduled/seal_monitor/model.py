@@ -115,25 +115,36 @@ def seal_model(
     plant = reduced_plant(machine, point, bending_modes)
     reference = _reference(machine, paths)
     doubted = _doubted(machine, DOUBTS if doubts is None else doubts)
+
+    # parameters of the model: the q that are watched, by one reference each, then the doubted
     every = [Tolerance(path, absolute=value) for path, value in zip(paths, reference, strict=True)]
     every += [Tolerance(path, relative=width) for path, width, _ in doubted]
     general = uncertain(plant, every)
+
     u, y = (
         index_of([f"{kind}_{axis}" for axis in plant.axes], names, kind)
         for kind, names in (("u", general.system.inputs), ("y", general.system.outputs))
     )
     dA, dB = directions_of(general, u)
     q = len(paths)
+
+    # the machine without the watched seal: A - sum here_g dA_g, B likewise
     here = nominal_values(plant, paths) / reference
     A = general.system.A
     B = general.system.B[:, u]
     C = general.system.C[y]
     A, B = A - np.tensordot(here, dA[:q], 1), B - np.tensordot(here, dB[:q], 1)
+
+    # D_g, N_g: derivatives of the sampled matrices where theta = 0
     _, _, D, N = held_derivative(A, B, dA, dB, dt)
+
+    # D_gh, N_gh: half the second derivative, by the difference over one reference of theta_h
     squares = []
     for h in range(q):
         _, _, moved, into = held_derivative(A + dA[h], B + dB[h], dA[:q], dB[:q], dt)
         squares.append([Direction((moved[g] - D[g]) / 2, (into[g] - N[g]) / 2) for g in range(q)])
+
+    # process noise: forces at seals and bearings, held over a sample
     forces = index_of(
         [name for name in general.system.inputs if name in plant.named("f")],
         general.system.inputs,
@@ -143,11 +154,16 @@ def seal_model(
     Ad, Bd, _, _ = held_derivative(
         A, inputs, np.zeros((0, *A.shape)), np.zeros((0, *inputs.shape)), dt
     )
+
+    # sensors' noise, of both axes of a pair
     noise = np.array([sensor.noise or _NOISE for sensor in machine.sensor_pairs]).repeat(2)
     Q = _FORCE * 9.81 * mass_properties(plant.rotor_model).mass * Bd[:, len(u) :]
     L, W = _kalman(Ad, C, Q @ Q.T, noise)
+
     directions = tuple(Direction(*pair) for pair in zip(D, N, strict=True))
     law = deployed_controller(plant, controller, dt, computing_delay)
+
+    # instruments: the loop simulated with the seal at its nominal value
     pairs = list(zip(D[:q], N[:q], strict=True))
     loop = _stable_loop(
         law,
@@ -210,6 +226,7 @@ def _stable_loop(
     """
     for share in (1.0, 0.75, 0.5, 0.25, 0.0):
         a, b = A + share * sum(d for d, _ in seal), B + share * sum(n for _, n in seal)
+        # u = C_k x_k - D_k y: states (machine, law)
         closed = np.block([[a - b @ law.D @ C, b @ law.C], [-law.B @ C, law.A]])
         if np.abs(np.linalg.eigvals(closed)).max() < 1:
             return closed, np.vstack([b, np.zeros((len(law.A), b.shape[1]))])
@@ -246,11 +263,16 @@ def _kalman(
     S^-1/2 of its innovation.
     """
     size = np.sqrt(np.maximum(np.diag(Q), 1e-30 * np.diag(Q).max()))  # states of one size
+    # x = size x~, y = noise y~: both noises of unit size
     a = A * size / size[:, None]
     c = C * size / noise[:, None]
     r = np.eye(len(noise))
+
+    # P~ of the prediction error, S~ = c P~ c' + I of the innovation
     P = sla.solve_discrete_are(a.T, c.T, Q / size / size[:, None], r)
     S = c @ P @ c.T + r
+
+    # L = size L~ / noise;   W S W' = I by the Cholesky factor of S~
     return size[:, None] * (a @ P @ c.T @ np.linalg.inv(S)) / noise, np.linalg.inv(
         np.linalg.cholesky(S)
     ) / noise

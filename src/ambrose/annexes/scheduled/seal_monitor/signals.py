@@ -34,15 +34,20 @@ def measuring_filter(speed: float, dt: float, harmonics: int = 3) -> Filter:
     """High-pass of second order and notches at 1x to ``harmonics`` x of speed [rad/s], as far as
     the samples carry them.
     """
+    # Bilinear, s = (1 - z^-1)/(1 + z^-1) with tan(w dt/2) for w:   s^2/(s^2 + sqrt(2) c s + c^2)
     c = np.tan(HIGH_PASS * dt / 2)
     a0 = 1 + np.sqrt(2) * c + c * c
     rows = [[1 / a0, -2 / a0, 1 / a0, 2 * (c * c - 1) / a0, (1 - np.sqrt(2) * c + c * c) / a0]]
+
+    # (s^2 + w^2)/(s^2 + beta s + w^2) at every harmonic
     tones = [k * speed for k in range(1, harmonics + 1) if HIGH_PASS < k * speed < 0.8 * np.pi / dt]
     for tone in tones:
         w, beta = np.tan(tone * dt / 2), np.tan(NOTCH * dt / 2)
         a0 = 1 + beta + w * w
         b1 = 2 * (w * w - 1) / a0
         rows.append([(1 + w * w) / a0, b1, (1 + w * w) / a0, b1, (1 - beta + w * w) / a0])
+
+    # decay rates [1/s] of the high-pass and of a notch
     slowest = min([HIGH_PASS / np.sqrt(2), *[NOTCH / 2 for _ in tones]])
     return Filter(np.array(rows), 9.0 / slowest)
 
@@ -76,23 +81,34 @@ class Signals:
             sos, signals - self._states["offset"][:, None], zi=self._states["filter"]
         )
         y, v, e = np.split(filtered, [len(y), len(y) + len(v)])
+
         model = self.model
         W = self.model.W
         C = self.model.C
+
+        # x^+ = (A - L C) x^ + B v + L y,   e = y - C x^
         x = self._step("observer", model.observer, np.hstack([model.B, model.L]), np.vstack([v, y]))
         out = {"error": W @ (y - C @ x)}
+
+        # phi_g driven by D_g x^ + N_g v
         parts = [self._driven(f"1 {g}", d, x, v) for g, d in enumerate(model.unknown)]
         out["r1"] = np.stack([W @ C @ part for part in parts])
+
+        # phi_gh driven by D_g phi_h + D_gh x^ + N_gh v; g outside, h inside, as in ``squares``
         pairs = [(d, part) for d in model.unknown for part in parts]
         bent = [square.D @ x + square.N @ v for square in model.squares]
         twice = [self._driven(f"2 {i}", *pair, into=bent[i]) for i, pair in enumerate(pairs)]
         out["r2"] = np.stack([W @ C @ part for part in twice])
+
         doubts = [W @ C @ self._driven(f"doubt {c}", d, x, v) for c, d in enumerate(model.doubts)]
         out["doubts"] = np.stack(doubts) if doubts else np.zeros((0, *y.shape))
+
+        # instruments: as r1, from the simulated loop that the excitation alone drives
         x, v = self._loop(e)
         out["instruments"] = np.stack(
             [W @ C @ self._driven(f"z {g}", d, x, v) for g, d in enumerate(model.unknown)]
         )
+
         return out
 
     def _driven(
@@ -115,6 +131,7 @@ class Signals:
             into,
             x0=self._states.get(name, np.zeros(n)),
         )
+        # the state that the next stretch begins with
         self._states[name] = A @ x[:, -1] + into[:, -1]
         return x
 
@@ -122,4 +139,5 @@ class Signals:
         """States and command of the simulated loop."""
         model, law = self.model, self.model.law
         n, x = len(model.A), self._step("loop", *model.loop, e)
+        # v = u + e = C_k x_k - D_k C x + e
         return x[:n], law.C @ x[n:] - law.D @ model.C @ x[:n] + e

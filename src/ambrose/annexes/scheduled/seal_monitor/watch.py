@@ -85,15 +85,20 @@ class SealMonitor:
         excitation e (m, k) [A].
         """
         signals = self._signals.follow(y, v, e)
+
+        # what comes while the filters settle is dropped
         skipped = min(self._wait, y.shape[1])
         self._wait -= skipped
         signals = {name: x[..., skipped:] for name, x in signals.items()}
+
+        # whole blocks alone; the rest waits for the next stretch
         if self._left is not None:
             signals = {
                 name: np.concatenate([self._left[name], x], axis=-1) for name, x in signals.items()
             }
         whole = signals["error"].shape[-1] // self.block * self.block
         self._left = {name: x[..., whole:] for name, x in signals.items()}
+
         sums = block_sums(signals, self.block)
         return [
             self._next({name: x[i] for name, x in sums.items()}) for i in range(len(sums["ze"]))
@@ -106,10 +111,14 @@ class SealMonitor:
         long, short = (window.estimate(kinds, self.rate) for window in (self._long, self._short))
         if not (np.isfinite(long.noise).all() and np.isfinite(short.noise).all()):
             return long
+
+        # the long window lags behind a seal that changes faster than ``rate``, the short one less
         apart = np.abs(long.theta - short.theta)
         if (apart > long.noise + 2 * short.noise).any():
             self.restart()
             return replace(self._long.estimate(kinds, self.rate), restarted=True)
+
+        # below that, what they are apart beyond the short one's noise counts as change
         change = np.maximum(long.change, apart - short.noise)
         return replace(long, change=change, half_width=np.hypot(long.noise, long.known) + change)
 
