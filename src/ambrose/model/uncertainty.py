@@ -277,10 +277,12 @@ def _pressure_channels(plant: Plant, item: Seal) -> list[Channel]:
                 "positive for a tolerance",
                 "centre it on a point under pressure",
             )
+        # through the origin: K/p, k/p, C/p, c/p and the states' forces over p
         s = seal_model(plant.machine, item, plant.point).static
         direct = {"q": s.K / pressure, "qdot": s.C / pressure, "d": 1 / pressure}
         cross = {"q": s.k / pressure, "qdot": s.c / pressure, "e": 1 / pressure}
     else:
+        # slope between the ends of the table, or from zero to the reference pressure
         axes = {} if item.table is None else dict(item.table.axes)
         ends = axes.get("pressure", (0.0, item.reference_pressure or 1.0))
         low, high = (
@@ -318,6 +320,7 @@ def _impedance(plant: Plant, item: Seal, letter: str) -> tuple[float, dict[str, 
         return still, {"q": 1.0}
     nominal = float(getattr(seal_coefficients(item, plant.point), letter))
     slope = model.static.c if cross else model.static.C
+    # d (s - A)^-1 b + lacking + C_0 s, in units of the nominal C or c
     unit = nominal if nominal else 1.0
     return nominal, {"e" if cross else "d": 1 / unit, "q": lacking / unit, "qdot": slope / unit}
 
@@ -436,6 +439,7 @@ def open_amplifier(amplifier: Amplifier, axes: Sequence[str]) -> StateSpace:
         if n == 0:
             parts.append(static_gain([[1.0]], [f"u_{axis}"], [f"i_{axis}"]))
             continue
+        # nominal terms close the states; x_<state> adds to their derivatives
         A, B = np.zeros((n, n)), np.hstack([np.zeros((n, 1)), np.eye(n)])
         for _, value, state, a, b in terms:
             A[state] += value * np.array(a)

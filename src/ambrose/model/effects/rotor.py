@@ -345,7 +345,7 @@ def residual_modes(rotor: Rotor, kept: int, loads: np.ndarray) -> tuple[np.ndarr
         step = sla.cho_solve_banded((factor, True), left - K @ X)
         X += step - Phi @ (Phi.T @ (M @ step))
 
-    # Of unit displacements, those that depend on the others drop out; Rayleigh-Ritz among the rest.
+    # Each X to norm one; directions that depend on the others drop out. Rayleigh-Ritz in the rest.
     left, size, _ = np.linalg.svd(X / np.linalg.norm(X, axis=0), full_matrices=False)
     X = left[:, size > _DEPENDENT * size[0]]
     squares, mix = sla.eigh(_strain_energy(rotor, X), X.T @ M @ X)

@@ -145,9 +145,10 @@ def _show_runout(rig: Any, drive: Any, k: int, tau: float, step: float, z: Any) 
                 pieces = 1 + int(step * math.sqrt(order * abs(rise) / (8.0 * _OFF)))
                 piece = step / pieces
 
-                # A lag at rate w of cos(phase + turn t) over a piece d adds w Re (e^(j ahead) -
-                # e^(-w d) e^(j phase))/(w + j turn); what was there before decays by e^(-w d). In a
-                # piece the mean speed differs from the true angle by order |rise| d^2/8 at most.
+                # A lag at rate w of cos(phase + turn t) over a piece d adds
+                # w Re (e^(j ahead) - e^(-w d) e^(j phase))/(w + j turn); what was there before
+                # decays by e^(-w d). Within a piece the phase at its mean speed is off by
+                # order |rise| d^2/8 at most.
                 left, total = math.exp(-w * piece), 0.0
                 phase = (
                     order * (angle - rig.sensor_angle[a // 2] - rig.sensor[a, 5]) + rig.runout[h, 2]

@@ -271,8 +271,8 @@ def _linear_parts(rig: Rig, drive: Drive) -> tuple[np.ndarray, np.ndarray, np.nd
     free = k.touchdown.copy()
     endless = k.amplifier.copy()
 
-    # magnets without bias and constant, touchdown bearings out of reach, no limits of slope and
-    # current, no run-out
+    # magnets without bias current or force constant, touchdown bearings out of reach, no limits of
+    # slope and current, no run-out
     idle[:, [0, 4, 7]] = 0.0
     free[:, 0] = np.inf
     endless[:, 3:] = np.inf
