@@ -74,6 +74,9 @@ def uncertain(plant: Plant, tolerances: Sequence[Tolerance] | None = None) -> Ge
     moved: list[RealBlock] = []
     blocks: list[RealBlock] = []
     members = [(offset, f"offset {offset.parameter}", moved) for offset, _ in plant.offsets]
+
+    # Per occurrence z = width * gradient . signals, and w = delta z joins the target's sum. Offsets
+    # that the plant has come first.
     for tolerance, label, group in [
         *members,
         *((tolerance, tolerance.parameter, blocks) for tolerance in tolerances),
@@ -94,6 +97,8 @@ def uncertain(plant: Plant, tolerances: Sequence[Tolerance] | None = None) -> Ge
     w = [f"w_{name[2:]}" for name, _ in rows]
     z = [name for name, _ in rows]
     drive = open_amplifier(machine.amplifier, machine.axes)
+
+    # inputs that no parameter acts on get empty sums
     idle = [
         *(name for name in drive.inputs if name.startswith("x_")),
         *(f"F_{name}" for name in mode_ports(machine)),
@@ -111,6 +116,8 @@ def uncertain(plant: Plant, tolerances: Sequence[Tolerance] | None = None) -> Ge
     system = connect(
         [*inner, gain], inputs=[*w, *u], outputs=[*z, *y], sums={**sums, **unused, **taps}
     )
+
+    # the offsets' blocks closed with their values; those of the tolerances stay open
     if moved:
         around = GeneralizedPlant(system, w, u, z, y, moved)
         system = close_uncertainty(
