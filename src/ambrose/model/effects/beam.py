@@ -194,8 +194,8 @@ def conical_element(
     w = np.stack([one, place, zero, zero], axis=1) + w @ loads
     theta = np.stack([zero, one, zero, zero], axis=1) + theta @ loads
 
-    # inertia as of a cylinder, over the diameters at every point; K = deformation^T flexibility^-1
-    # deformation
+    # int rho A w^T w dz and int rho I theta^T theta dz;
+    # K = deformation^T flexibility^-1 deformation
     _, _, mass, tilting = section(_FINE)
     stiffness = deformation.T @ loads
 

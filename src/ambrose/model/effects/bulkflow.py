@@ -242,7 +242,7 @@ def bulk_flow(
     if cells < 4 or cells % 2:
         raise invalid("the number of cells", cells, "even and at least 4", "100 is the default")
 
-    # the same on half the cells, as an estimate of the grid's error
+    # on the grid and on half as many cells: what changes shows the grid's error
     walls = _walls(geometry, condition)
     flow, Z = _solve(walls, omega, cells)
     _, coarse = _solve(walls, omega, cells // 2)
@@ -254,7 +254,7 @@ def bulk_flow(
             f"use more cells, or stay away from choking (exit Mach number {_mach(walls, flow):.3f})"
         )
 
-    # Z(+-w) = K +- c w + j (+-C w - k); all mass through 2 pi R; Re = 2 rho H W/mu = 2 G/mu
+    # Z(+-w) = K +- c w + j (+-C w - k); leakage 2 pi R G; Re = 2 rho H W/mu = 2 G/mu
     forward, backward = Z
     return BulkFlow(
         frequencies=omega,

@@ -177,7 +177,7 @@ def _rotor(shaft: tuple[ShaftSection, ...], discs: tuple[Disc, ...], theory: str
     positions, element = _mesh(shaft, theory)
     mass, gyroscopic = _add_discs(element, positions, discs)
 
-    # theta_1, theta_2 from their difference and sum
+    # stiffness against theta_2 - theta_1 and theta_1 + theta_2 in place of theta_1, theta_2
     bending = _CHORD.T @ element.stiffness[:, 1::2, 1::2] @ _CHORD
     arrays = (
         positions,

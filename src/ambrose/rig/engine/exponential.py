@@ -187,7 +187,7 @@ def _enter(rig: Any, work: Any, drive: Any, P: Any, k: int, tau: float, z: Any) 
         known[n + i] = min(max(work.command[i], -rig.amplifier[i, 4]), rig.amplifier[i, 4])
     known[n + a] = 1.0
 
-    # unbalance, at the turning's start
+    # unbalance at the step's start; the propagator turns it on at this speed
     at, step = n + a + 1, 1.0 / P.steps
     if drive.unbalance.shape[0]:
         speed = drive.speed[k] + tau * (drive.speed[k + 1] - drive.speed[k])

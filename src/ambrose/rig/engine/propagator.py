@@ -198,7 +198,7 @@ def _built(
         c, d = k.direction[s]
         driven[m] = np.kron(k.shape[s], [c, d] if axis == 0 else [-d, c]) @ modal
 
-    # states that nothing moves and that move nothing stay out; the bias stands still
+    # states without a row or column in L stay out; the bias stands still
     used = (L != 0).any(axis=0) | (L != 0).any(axis=1)
     used[rig.bias] = False
     B, C = np.vstack(forces).T[used], np.vstack(outputs)[:, used]
