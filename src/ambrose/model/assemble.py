@@ -94,10 +94,15 @@ def attached_rotor(
     """
     modes = modes_of(machine, rotor, bending_modes)
     places, sensed = ports(machine), sensor_ports(machine)
+
+    # Rows over (modes, supports): N of the ports, S of the sensors; ``alone`` reads the rotor
+    # without its stator.
     N, S = rows_in(rotor, modes, places), rows_in(rotor, modes, sensed)
     base, count = foundation(machine), len(modes.frequencies)
     on = supported_ports(machine)
     alone = np.hstack([N[[p.name in on for p in places]], np.zeros((len(on), len(base)))])
+
+    # how far the stator under a port or sensor moves along its direction, to be subtracted
     stators, fixed = (
         np.einsum("pd,pdm->pm", np.column_stack([np.cos(angles), np.sin(angles)]), rows)
         for angles, rows in (
@@ -113,11 +118,17 @@ def attached_rotor(
     )
     N, S = np.hstack([N, -stators]), np.hstack([S, -fixed])
     rows = {p.name: row for p, row in zip(places, N, strict=True)}
+
+    # free modes and free supports: M = I, 2 zeta omega, omega^2
     mass = np.eye(count + len(base))
     damping = np.diag([*2 * modes.damping_ratios(machine) * modes.frequencies, *base.damping])
     stiffness = np.diag([*modes.frequencies**2, *base.stiffness])
+
+    # bearings: -k_s N^T N at every axis
     control = np.array([rows[axis] for axis in machine.axes])
     stiffness -= control.T @ (magnet_coefficients(machine, point)[1][:, None] * control)
+
+    # registered effects and seals at their pairs of ports: N^T (K, D, M) N
     for names, reaction in reactions(machine, point):
         pair = np.array([rows[name] for name in names])
         stiffness += pair.T @ reaction.stiffness @ pair
@@ -135,11 +146,16 @@ def attached_rotor(
         stiffness += pair.T @ k @ pair
         damping += pair.T @ d @ pair
         mass += pair.T @ m @ pair
+
+    # ports of single modes: unit rows; zero where the mode is beyond those in use or the coordinate
+    # is a support's
     own = np.eye(max(bending_modes_of(rotor) * 2 + 4, count), len(mass)) * (
         np.arange(len(mass)) < count
     )
     N = np.vstack([N, *(own[2 + 2 * k : 4 + 2 * k] for k in uncertain_modes(machine))])
     every = [*(p.name for p in places), *mode_ports(machine)]
+
+    # forces enter where displacements are read: B = (N, alone)^T; outputs N and S; velocities N
     return SecondOrder(
         mass,
         damping,

@@ -63,8 +63,11 @@ def _full_modes(rotor: Rotor, forces: tuple[float, ...]) -> FreeModes:
     true = free_modes(rotor, kept)
     if kept == 2 * rotor.n_nodes - 2:
         return true
+    # loads: a unit force at every place, gyroscopic moments of tilting and the first bending modes
     turning = in_plane(true)[:, 1 : 2 + _TURNING].T @ rotor.plane_gyroscopic
     own, plane = residual_modes(rotor, kept, np.vstack([plane_rows(rotor, forces)[0], turning]))
+
+    # columns in turn: a mode in x, the same in y
     both = np.stack([to_plane(plane, "x"), to_plane(plane, "y")], axis=2).reshape(
         2 * len(plane), -1
     )
@@ -92,6 +95,7 @@ def gyroscopic_of(rotor: Rotor, modes: FreeModes) -> np.ndarray:
     Both planes share one symmetric matrix g, and G = g (x) [[0, 1], [-1, 0]]: an eighth of the work
     of the whole product.
     """
+    # g = Phi^T G Phi of one plane
     plane = in_plane(modes)
     whole = np.kron(plane.T @ rotor.plane_gyroscopic @ plane, np.array([[0.0, 1.0], [-1.0, 0.0]]))
     whole.flags.writeable = False

@@ -67,27 +67,40 @@ def compliance_error_bound(machine: Machine, speed: float, omega: ArrayLike) -> 
     if len(frequency) == kept == 2 * rotor.n_nodes:
         return np.zeros(len(omega))
     G = rotor.plane_gyroscopic
+
+    # theta; w_c, the first bending mode cut off; g
     theta = frequency[kept:]
     lowest = free_bending_frequencies(rotor, kept - 1)[-1]
     largest = float(sla.eigvalsh(G, rotor.plane_mass, subset_by_index=[len(G) - 1, len(G) - 1])[0])
+
+    # G and ports in the modes of the model; residual modes for the loads G Phi_a
     turning, ports = Phi.T @ G @ Phi, plane_rows(rotor, port_positions(machine))[0] @ Phi
     own, shapes = residual_modes(rotor, kept - 2, (G @ Phi[:, :kept]).T)
     # Lambda^-1/2 G_ca, whole and in Q
     loads, held = Phi[:, :kept].T @ G @ shapes / own, turning[:kept, kept:] / theta
+
+    # beside^T beside = loads loads^T - held held^T: |l_2| = |w Omega beside a|
     values, vectors = np.linalg.eigh(loads @ loads.T - held @ held.T)
     beside = (vectors * np.sqrt(np.maximum(values, 0.0))).T
     found = np.empty(len(omega))
     for i, w in enumerate(omega):
+        # the model's own a for unit forces on the ports, and |H_aa|
         Z = np.diag(frequency**2 - w**2 + 2j * zeta * frequency * w) + w * speed * turning
         a = np.linalg.solve(Z, np.hstack([ports.T, np.eye(len(Z))[:, :kept]]))[:kept]
         a, receptance = a[:, : len(ports)], np.linalg.norm(a[:, len(ports) :], 2)
+
+        # l_1 = theta^-1 (V^T b - w Omega V^T G_ca a), and the norms of l_1, l_2
         first = (ports[:, kept:].T - w * speed * turning[kept:, :kept] @ a) / theta[:, None]
         l_1, l_2 = np.linalg.norm(first, 2), np.linalg.norm(w * speed * beside @ a, 2)
+
+        # n = r + p, and the bound by damping where that is not small
         h, spin = abs(w * speed) * np.linalg.norm(loads, 2), largest * abs(w * speed)
         ratio = abs(w) / lowest
         n = ratio**2 + 2 * zeta * ratio + spin / lowest**2
         most = 1 + (w**2 + spin) / (2 * zeta * abs(w) * lowest) if zeta * w else np.inf
         r, p = ratio**2, n - ratio**2
+
+        # E_11: of damping, then (only for n < 1) of w^2 T; ``further`` is s
         x = (w / theta) ** 2
         missed = 2 * zeta * abs(w) / theta * (1 - lowest / theta)
         near = np.inf
@@ -98,6 +111,9 @@ def compliance_error_bound(machine: Machine, speed: float, omega: ArrayLike) -> 
                 np.linalg.norm(first.conj().T @ (missed[:, None] * first), 2) + 2 * further * l_1**2
             )
             near += (r / (1 - r) + 2 * (p + further)) * l_1 * l_2 + l_2**2 / (1 - n)
+
+        # what the error does to the kept modes: k^2 |H_aa|/(1 - 2 |H_aa| h^2 ...); the smaller
+        # bound each time
         answer = min(1 / (1 - n), most) if n < 1 else most
         moved = h * min((2 * n * l_1 + l_2) * answer, 2 * most * (l_1 + l_2))
         loop = 2 * receptance * h**2 * answer

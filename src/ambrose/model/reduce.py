@@ -62,6 +62,7 @@ class Reduction:
         (exactly, when the static correction is on).
         """
         omega = check_shape(omega, "omega", "(w,)")
+        # without velocities and the ports of single modes: displacements per force
         own = tuple(f"_{name}" for name in mode_ports(self.plant.machine))
         keep, used = (
             [
@@ -134,6 +135,8 @@ def modal_reduction(
             f"a whole number from 0 to {available}",
             "refine the mesh or keep fewer modes",
         )
+
+    # the lowest modes and the supports
     full = attached_rotor(machine, point, rotor)
     # all other modal coordinates are held at zero
     inner = 4 + 2 * min(available, bending_modes + _EXTRA_MODES)
@@ -141,6 +144,8 @@ def modal_reduction(
     kept = np.r_[:inner, full.n - len(base) : full.n]
     second_order = project(full, np.eye(full.n)[:, kept])
     small = to_statespace(second_order, point.speed)
+
+    # A support's pole that is slower than the first mode cut off is kept: s^2 + d s + k = 0.
     fastest = (
         np.inf
         if bending_modes == available
@@ -148,12 +153,16 @@ def modal_reduction(
     )
     own = [np.roots([1.0, d, k]) for d, k in zip(base.damping, base.stiffness, strict=True)]
     slower = int((np.abs(own) < fastest).sum())
+
+    # slow and fast part, each x_r' = L A R x_r + L B u, y = C R x_r + D u
     T_L, T_R, L_res, R_res = split_slow(small.A, 8 + 4 * bending_modes + slower)
     slow, fast = (
         StateSpace(L @ small.A @ R, L @ small.B, small.C @ R, small.D, small.inputs, small.outputs)
         for L, R in ((T_L, T_R), (L_res, R_res))
     )
     reduced = with_static_correction(slow, full) if static_correction else slow
+
+    # transforms from and to the full rotor's own states; those of seals and effects as they are
     lift_L, lift_R = _lift(second_order, full, state_scales(machine, rotor), kept)
     held = np.eye(part_states(machine, point))
     left, right = sla.block_diag(T_L @ lift_L, held), sla.block_diag(lift_R @ T_R, held)
@@ -166,6 +175,7 @@ def with_static_correction(slow: StateSpace, full: SecondOrder) -> StateSpace:
     """``slow`` with the feedthrough that makes its displacement outputs exact at zero frequency."""
     D = slow.D.copy()
     count = len(full.outputs)
+    # at s = 0 the full model has C K^-1 B, the slow one -C A^-1 B
     D[:count] += full.C @ np.linalg.solve(full.stiffness, full.B) + slow.C[
         :count
     ] @ np.linalg.solve(slow.A, slow.B)
@@ -199,6 +209,8 @@ def split_slow(A: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.nd
             f"{modulus[count]:.6g} rad/s and cannot be "
             "parted; keep one bending mode more or fewer"
         )
+
+    # Slow poles first: A = Q T Q^T, T = [T11, T12; 0, T22].
     threshold = np.inf if count == n else 0.5 * (modulus[count - 1] + modulus[count])
     T, Q, found = sla.schur(A, sort=lambda re, im: np.hypot(re, im) < threshold)
     if found != count:
@@ -207,9 +219,14 @@ def split_slow(A: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.nd
             "of modes"
         )
     r = count
+
+    # T11 X - X T22 = -T12: T [X; I] = [X; I] T22, so Q [I; 0] and Q [X; I] span the two invariant
+    # subspaces and [I, -X; 0, I] Q^T is the inverse.
     X = sla.solve_sylvester(T[:r, :r], -T[r:, r:], -T[:r, r:]) if r < n else np.zeros((r, 0))
     T_R, R_res = Q[:, :r], Q[:, r:] + Q[:, :r] @ X
     T_L, L_res = (Q[:, :r] - Q[:, r:] @ X.T).T, Q[:, r:].T
+
+    # states of the slow part of like size; both scalings undone in the transforms
     _, s = balance(T_L @ A @ T_R)
     return (T_L / s[:, None]) / t, (T_R * s) * t[:, None], L_res / t, R_res * t[:, None]
 
@@ -224,11 +241,17 @@ def _lift(
     Orthogonal in the full mass.
     """
     k, n = small.n, full.n
+
+    # M = L L^T; K = L^-1 k L^-T, of which to_statespace takes its scales
     L = sla.cholesky(small.mass, lower=True)
     K = sla.solve_triangular(L, sla.solve_triangular(L, small.stiffness, lower=True).T, lower=True)
     own = velocity_scales(K)[:, None]
+
+    # q = L^-T z at the kept coordinates, zero elsewhere; z = L^-1 M q, its inverse in the full mass
     up, down = np.zeros((n, k)), sla.solve_triangular(L, full.mass[kept], lower=True)
     up[kept] = sla.solve_triangular(L, np.eye(k), lower=True).T
+
+    # velocity states q'/s and z'/own
     return (
         sla.block_diag(down, down * scales / own),
         sla.block_diag(up, up * own.T / scales[:, None]),
@@ -241,6 +264,7 @@ def modal_sum_bound(
     """Sum over the modes of A of the norm of their contributions to C (j omega - A)^-1 B (minus its
     value at 0), (w,).
     """
+    # C (s - A)^-1 B = sum over the poles of residue/(s - pole)
     values, V = np.linalg.eig(A)
     W = np.linalg.solve(V, B)
     CV = C @ V
@@ -250,6 +274,8 @@ def modal_sum_bound(
         residue = np.outer(CV[:, i], W[i])
         part = residue[None] / (s - values[i])[:, None, None]
         at_zero = -residue / values[i]
+
+        # the conjugate pole with it, so that the two count as one mode
         if values[i].imag > 0:
             conjugate = residue.conj()
             part = part + conjugate[None] / (s - values[i].conj())[:, None, None]

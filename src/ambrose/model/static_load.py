@@ -63,7 +63,9 @@ def _in_plane(
         np.array([displacement_row(rotor, x, 0.0) for x in places]) @ shapes
         for places in (magnets, sensors)
     )
-    # of the coordinates: all have the stiffness of the first bending mode
+
+    # Unknowns: modal displacements q and the magnets' forces f; w^2 q - at^T f = W, read q = 0.
+    # size of the coordinates: all have the stiffness of the first bending mode
     size = np.maximum(w, w[2] if len(w) > 2 else 1.0)
     whole = np.block([[np.diag((w / size) ** 2), -(at / size).T], [read / size, np.zeros((b, b))]])
     right = np.concatenate([shapes.T @ gravity_load(rotor, 0.0) / size, np.zeros(b)])

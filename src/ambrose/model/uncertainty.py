@@ -74,6 +74,9 @@ def uncertain(plant: Plant, tolerances: Sequence[Tolerance] | None = None) -> Ge
     moved: list[RealBlock] = []
     blocks: list[RealBlock] = []
     members = [(offset, f"offset {offset.parameter}", moved) for offset, _ in plant.offsets]
+
+    # Per occurrence z = width * gradient . signals, and w = delta z joins the target's sum. Offsets
+    # that the plant has come first.
     for tolerance, label, group in [
         *members,
         *((tolerance, tolerance.parameter, blocks) for tolerance in tolerances),
@@ -94,6 +97,8 @@ def uncertain(plant: Plant, tolerances: Sequence[Tolerance] | None = None) -> Ge
     w = [f"w_{name[2:]}" for name, _ in rows]
     z = [name for name, _ in rows]
     drive = open_amplifier(machine.amplifier, machine.axes)
+
+    # inputs that no parameter acts on get empty sums
     idle = [
         *(name for name in drive.inputs if name.startswith("x_")),
         *(f"F_{name}" for name in mode_ports(machine)),
@@ -111,6 +116,8 @@ def uncertain(plant: Plant, tolerances: Sequence[Tolerance] | None = None) -> Ge
     system = connect(
         [*inner, gain], inputs=[*w, *u], outputs=[*z, *y], sums={**sums, **unused, **taps}
     )
+
+    # the offsets' blocks closed with their values; those of the tolerances stay open
     if moved:
         around = GeneralizedPlant(system, w, u, z, y, moved)
         system = close_uncertainty(
@@ -277,10 +284,12 @@ def _pressure_channels(plant: Plant, item: Seal) -> list[Channel]:
                 "positive for a tolerance",
                 "centre it on a point under pressure",
             )
+        # through the origin: K/p, k/p, C/p, c/p and the states' forces over p
         s = seal_model(plant.machine, item, plant.point).static
         direct = {"q": s.K / pressure, "qdot": s.C / pressure, "d": 1 / pressure}
         cross = {"q": s.k / pressure, "qdot": s.c / pressure, "e": 1 / pressure}
     else:
+        # slope between the ends of the table, or from zero to the reference pressure
         axes = {} if item.table is None else dict(item.table.axes)
         ends = axes.get("pressure", (0.0, item.reference_pressure or 1.0))
         low, high = (
@@ -318,6 +327,7 @@ def _impedance(plant: Plant, item: Seal, letter: str) -> tuple[float, dict[str, 
         return still, {"q": 1.0}
     nominal = float(getattr(seal_coefficients(item, plant.point), letter))
     slope = model.static.c if cross else model.static.C
+    # d (s - A)^-1 b + lacking + C_0 s, in units of the nominal C or c
     unit = nominal if nominal else 1.0
     return nominal, {"e" if cross else "d": 1 / unit, "q": lacking / unit, "qdot": slope / unit}
 
@@ -436,6 +446,7 @@ def open_amplifier(amplifier: Amplifier, axes: Sequence[str]) -> StateSpace:
         if n == 0:
             parts.append(static_gain([[1.0]], [f"u_{axis}"], [f"i_{axis}"]))
             continue
+        # nominal terms close the states; x_<state> adds to their derivatives
         A, B = np.zeros((n, n)), np.hstack([np.zeros((n, 1)), np.eye(n)])
         for _, value, state, a, b in terms:
             A[state] += value * np.array(a)

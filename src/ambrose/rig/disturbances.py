@@ -266,12 +266,15 @@ def sensed(
         item = next((sensor for sensor in reversed(sensors) if sensor.time <= start), _EXACT)
         # constant after the last knot
         end = float(edges[i + 1]) if i + 1 < len(edges) else start + 1.0
+        # gain p + offset at both ends: g and s
         begin, then = (
             item.gain * float(np.interp(t, knots, values)) + item.offset for t in (start, end)
         )
+        # a fault holds what was told last; without a lag the sensor tells g at once
         slope = 0.0 if item.fault else (then - begin) / (end - start)
         begin, behind = told if item.fault else begin, slope * item.lag
         told = begin if item.lag == 0 else told
+        # g + s t - s T + (l - g + s T) e^(-t/T); the last entry is the next segment's l
         since = np.append(time[at == i], end) - start
         left = np.exp(-since / item.lag) if item.lag > 0 else np.zeros(len(since))
         found = begin + slope * since - behind + (told - begin + behind) * left

@@ -108,6 +108,7 @@ def run(
     )
     y, error = _run_up(task) if course.moves and varies else (_constant_speed(task, pole), 0.0)
 
+    # The record ends with the first sample at which a displacement is past the limit.
     beyond = np.abs(y[index_of(watched, task.outputs, "output")]) > limit
     stop = int(np.argmax(beyond.any(axis=0))) if beyond.any() else None
     k = y.shape[1] if stop is None else stop + 1
@@ -167,6 +168,9 @@ class _Task:
         sampled loop.
         """
         c = self.c[:, :, first:last]
+
+        # A system with as many inputs as signals takes means: int (c_0 + c_1 t + c_2 t^2 + c_3 t^3)
+        # over t = 0...1; ``sample_polynomial`` has made four inputs of each.
         if len(system.inputs) == len(self.inputs):
             return np.tensordot([1, 1 / 2, 1 / 3, 1 / 4], c, 1)
         return c.reshape(4 * len(self.inputs), -1)
@@ -231,6 +235,7 @@ def _constant_speed(task: _Task, pole: complex | None) -> np.ndarray:
     stops before it overflows.
     """
     k = task.c.shape[2]
+    # twenty time constants of the rightmost pole, 16 samples at least
     length = (
         k if pole is None or pole.real <= 0 else max(16, int(min(20 / (pole.real * task.dt), k)))
     )
@@ -252,6 +257,7 @@ def _run_up(task: _Task) -> tuple[np.ndarray, float]:
         fine = _held_speed(task, count)
         k = min(coarse.shape[1], fine.shape[1])
         peak = np.abs(fine[rows, :k]).max(initial=0.0)
+        # second order: of twice as many intervals the error is a third of the change
         error = (
             float(np.abs(fine[rows, :k] - coarse[rows, :k]).max(initial=0.0) / 3 / peak)
             if peak > 0
@@ -260,6 +266,8 @@ def _run_up(task: _Task) -> tuple[np.ndarray, float]:
         if error <= _CLOSE or count >= min(_MOST, task.c.shape[2]):
             break
         coarse = fine
+
+    # a run that ends at the limit needs no such accuracy
     if error > _TOLERATED and not task.stop(fine):
         raise NumericalFailure(
             f"the run-up has an error of {error:.2g} of the peak with {count} intervals of "
@@ -275,6 +283,7 @@ def _held_speed(task: _Task, count: int) -> np.ndarray:
     final speed.
     """
     k = task.c.shape[2]
+    # edges at the corners of the course, too: no interval goes across one
     knots = np.minimum((task.course.times / task.dt).round().astype(int), k)
     edges = np.unique(
         [*np.linspace(0, knots[-1], count + 1).round().astype(int), *knots, k]
@@ -328,6 +337,8 @@ def _check_same_states(
                     f"as at {start:g} {unit}, {getattr(first, name)}",
                     "close the loop with the same parts at every speed",
                 )
+
+        # rows of C that read displacements and velocities, each in units of its largest entry
         ours, theirs = (x.C[index_of(rows, x.outputs, "output")] for x in (first, system))
         change = np.abs(theirs - ours).max(axis=1, initial=0.0) / np.abs(ours).max(
             axis=1, initial=1e-300
@@ -350,6 +361,7 @@ def _rightmost(frozen: Sequence[tuple[float, StateSpace]]) -> tuple[complex | No
     found: list[tuple[float, complex, float]] = []
     for value, system in frozen:
         z = poles(system)
+        # sampled: s = ln(z)/dt, a pole at zero far to the left
         s = (
             z
             if system.dt is None

@@ -114,6 +114,7 @@ def _refined(plant_at: Callable[[float], Plant], low: float, high: float) -> dic
         for left, right in open_:
             middle = (left + right) / 2
             members[middle] = plant_at(middle)
+            # each row in units of its largest entry
             A = members[middle].system.A
             mean = (members[left].system.A + members[right].system.A) / 2
             if (np.abs(A - mean).max(axis=1) > _STRAIGHT * np.abs(A).max(axis=1)).any():
@@ -194,6 +195,7 @@ def steps(
         part = values[:, inside]
         peak = float(np.abs(part).max())
         after = settling_time(time[inside] - k * every, part, band) if peak > 0 else 0.0
+        # the signal with the largest peak, what is beyond the band: its sign changes
         row = part[int(np.argmax(np.abs(part).max(axis=1)))]
         row = row[np.abs(row) > band * peak]
         found.append(

@@ -125,6 +125,8 @@ def _windows(item: Disturbance, dt: float, first: int, k: int) -> Iterator[tuple
         if isinstance(item, Pulse) and item.every is not None
         else 0
     )
+
+    # from the last repetition that begins at or before this piece
     if every and begin < first:
         begin += (first - begin) // every * every
     while begin < end:
@@ -164,8 +166,10 @@ def _sweep(chirp: Chirp, end: float) -> Callable[[np.ndarray], tuple[np.ndarray,
     """Angle and frequency over the time [s] since its start."""
     T = end - chirp.start if chirp.duration is None else chirp.duration
     a, b = chirp.frequency, chirp.to_frequency
+    # w = a + (b - a) t/T, angle its integral
     if chirp.spacing == "linear" or a == b:
         return lambda t: (a * t + (b - a) / T * t**2 / 2, a + (b - a) / T * t)
+    # w = a e^(g t), angle int w dt = a/g (e^(g t) - 1)
     g = np.log(b / a) / T
     return lambda t: (a / g * np.expm1(g * t), a * np.exp(g * t))
 
@@ -190,6 +194,8 @@ def _turning(
     amount = unbalance.mass_times_radius(mass)
     times, speeds = scenario.speed_knots
     _check_smooth(max(map(abs, speeds)), dt, f"the unbalance at {unbalance.port}")
+
+    # corners of the speed at the nearest samples, and its slope between them
     turns = [round(time / dt) for time in times]
     at = [scenario.speed_at(turn * dt) for turn in turns]
     pieces = [
@@ -201,8 +207,10 @@ def _turning(
     for begin, end, acceleration in (*pieces, (turns[-1], max(first + k, turns[-1]), 0.0)):
         low, high = max(begin, first), min(end, first + k)
         if low < high:
+            # W = W_0 + a t, phi = phi_0 + W_0 t + a t^2/2
             t = np.arange(low - begin, high - begin + 1) * dt
             W, phi = start + acceleration * t, angle + start * t + acceleration * t**2 / 2
+            # F = U e^(j phi) (W^2 - j a), F' = U e^(j phi) (2 W a + j W (W^2 - j a))
             size = W**2 - 1j * acceleration
             turned = amount * np.exp(1j * phi)
             yield (
@@ -211,6 +219,7 @@ def _turning(
                 turned * size,
                 turned * (2 * W * acceleration + 1j * W * size),
             )
+        # speed and angle at the start of the next stretch
         length = (end - begin) * dt
         start, angle = (
             start + acceleration * length,

@@ -89,8 +89,11 @@ def derivative(u: float, s_1: float, s_2: float, p: tuple[float, ...]) -> tuple[
     if order == 2.0:
         return min(max(w * (u - s_1), -slope), slope), other * (s_1 - s_2)
     if order == 3.0:
+        # s_1' = w s_2, s_2' = w (u - s_1) - d s_2
         d_1 = min(max(w * s_2, -slope), slope)
         d_2 = w * (u - s_1) - other * s_2
+        # at the slope's stop s_2 goes no further; at the current's s_1 stands and s_2 may only turn
+        # back
         if (w * s_2 >= slope and d_2 > 0.0) or (w * s_2 <= -slope and d_2 < 0.0):
             d_2 = 0.0
         if (s_1 >= limit and d_1 > 0.0) or (s_1 <= -limit and d_1 < 0.0):

@@ -95,6 +95,7 @@ def beam_element(
     )
     _check_section(L, outer, inner, heavy, rho, E, nu)
 
+    # phi = 12 E I/(kappa G A L^2), zero without shear
     EI = E * second_moment(outer, inner)
     phi = np.zeros_like(EI)
     if theory == "timoshenko":
@@ -104,6 +105,9 @@ def beam_element(
             * EI
             / (shear_coefficient(nu, inner / outer) * shear_modulus * area(outer, inner) * L**2)
         )
+
+    # rho A int w^T w dz and rho I int theta^T theta dz, the latter twice in the gyroscopic moments:
+    # a ring's polar moment is 2 I.
     w, theta = shape(_POINTS, L[..., None], phi[..., None])
     per_length = L[..., None, None]
     translational = (rho * area(heavy, inner))[..., None, None] * per_length * _integral(w)
@@ -144,6 +148,7 @@ def conical_element(
     def section(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """1/(E I), 1/(kappa G A), rho A and rho I at places x in 0...1."""
         do, di, dm = (pair[0] + x * (pair[1] - pair[0]) for pair in ends)
+        # E I; kappa G A with G = E/(2 (1 + nu))
         bending = youngs_modulus * second_moment(do, di)
         shear = (
             shear_coefficient(poisson_ratio, di / do)
@@ -158,6 +163,9 @@ def conical_element(
         """Deflection and rotation (p, 2) at places s [m] under unit force and moment at the right
         end; the left is held.
         """
+        # Gauss points t of 0...s. Force F and moment M at the right end give the curvature
+        # (F (L - t) + M)/(E I): theta(s) is its integral, w(s) that of (s - t) times it and of
+        # F/(kappa G A).
         t = s[:, None] * _FINE
         bend, slack, _, _ = section(t / length)
         weights = s[:, None] * _FINE_WEIGHTS
@@ -171,15 +179,23 @@ def conical_element(
         )
 
     # flexibility: [w, theta] of the right end under [force, moment]
+    # [w, theta] of the right end, beyond the rigid motion with the left one: deformation @ (w_1,
+    # theta_1, w_2, theta_2). Loads (force, moment) are the inverse of the flexibility times that;
+    # the flexibility is symmetric but for rounding.
     end = np.concatenate(deflection(np.array([length])))
     deformation = np.array([[-1.0, -length, 1.0, 0.0], [0.0, -1.0, 0.0, 1.0]])
     loads = np.linalg.solve((end + end.T) / 2, deformation)
+
+    # Shape functions: rigid motion w_1 + s theta_1, theta_1, and the deflection under these loads.
     w, theta = deflection(length * _FINE)
     one = np.ones_like(_FINE)
     zero = np.zeros_like(_FINE)
     place = length * _FINE
     w = np.stack([one, place, zero, zero], axis=1) + w @ loads
     theta = np.stack([zero, one, zero, zero], axis=1) + theta @ loads
+
+    # int rho A w^T w dz and int rho I theta^T theta dz;
+    # K = deformation^T flexibility^-1 deformation
     _, _, mass, tilting = section(_FINE)
     stiffness = deformation.T @ loads
 
@@ -207,6 +223,8 @@ def shape(
     x, L, phi = np.broadcast_arrays(*(np.asarray(a, dtype=float) for a in (xi, length, shear)))
     x2, x3 = x**2, x**3
     scale = (1 / (1 + phi))[..., None]
+
+    # columns: w, theta of the left end, w, theta of the right end
     w = np.stack(
         [
             1 - 3 * x2 + 2 * x3 + phi * (1 - x),
@@ -265,6 +283,8 @@ def _stiffness(EI: np.ndarray, L: np.ndarray, phi: np.ndarray) -> np.ndarray:
     zero = np.zeros_like(L)
     half = np.full_like(L, 0.5)
     inverse = 1 / L
+
+    # the deformations as rows on (w_1, theta_1, w_2, theta_2)
     bend = np.stack([zero, zero - 1, zero, zero + 1], axis=-1)
     shear = np.stack([inverse, half, -inverse, half], axis=-1)
     first = (EI / L)[..., None, None] * (bend[..., :, None] * bend[..., None, :])

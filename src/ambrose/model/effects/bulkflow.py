@@ -241,6 +241,8 @@ def bulk_flow(
         )
     if cells < 4 or cells % 2:
         raise invalid("the number of cells", cells, "even and at least 4", "100 is the default")
+
+    # on the grid and on half as many cells: what changes shows the grid's error
     walls = _walls(geometry, condition)
     flow, Z = _solve(walls, omega, cells)
     _, coarse = _solve(walls, omega, cells // 2)
@@ -251,6 +253,8 @@ def bulk_flow(
             f"than {_GRID_ERROR:g}; "
             f"use more cells, or stay away from choking (exit Mach number {_mach(walls, flow):.3f})"
         )
+
+    # Z(+-w) = K +- c w + j (+-C w - k); leakage 2 pi R G; Re = 2 rho H W/mu = 2 G/mu
     forward, backward = Z
     return BulkFlow(
         frequencies=omega,
@@ -336,6 +340,8 @@ def _solve(walls: Walls, omega: np.ndarray, cells: int) -> tuple[StaticFlow, np.
     """Zeroth-order flow and Z (2, w) [N/m] for forward and backward whirl."""
     flow = static_flow(walls, cells)
     both = whirl_flow(walls, flow, np.concatenate([omega, -omega]))
+
+    # pi R int p dz = Z r and p = -mean_p r
     return flow, -pi * walls.radius * both.mean_p.reshape(2, -1)  # h = -r
 
 

@@ -99,6 +99,8 @@ def static_flow(walls: Walls, cells: int) -> StaticFlow:
         )
     # beyond it no inlet pressure fits
     most = walls.p_in * walls.H_in / sqrt(2 * (1 + walls.inlet_loss) * walls.a2)
+
+    # Less flow leaves at more pressure: ``least`` is too small a flow, twice that too large a one.
     try:
         least = next(
             g for i in range(1, _HALVINGS) if _excess(walls, g := most * 0.5**i, cells) > 0
@@ -118,6 +120,9 @@ def static_flow(walls: Walls, cells: int) -> StaticFlow:
             f"no mass flow was found that leaves the seal at {walls.p_out:g} Pa; "
             "use more cells, or check clearances, viscosity and pressures for their units"
         ) from error
+
+    # Where the flow chokes the excess jumps to -p_out: a bracket that closed on that jump is no
+    # root.
     if abs(_excess(walls, G, cells)) > _TOLERANCE * walls.p_in:
         raise _choked(walls, G, cells)
     return _profile(walls, G, cells)
@@ -129,6 +134,8 @@ def slopes(walls: Walls, G, p, U, H):  # type: ignore[no-untyped-def]
     """
     rho = p / walls.a2
     W = G / (rho * H)
+
+    # sums over the walls of tau W/V and tau (U - wall)/V
     axial, around = 0.0, 0.0
     for (n, m), wall_speed in ((walls.stator, 0.0), (walls.rotor, walls.surface_speed)):
         V2 = W * W + (U - wall_speed) ** 2
@@ -136,6 +143,9 @@ def slopes(walls: Walls, G, p, U, H):  # type: ignore[no-untyped-def]
         stress = 0.5 * n * (2 * H / walls.viscosity) ** m * rho ** (1 + m) * V2 ** (0.5 * (1 + m))
         axial = axial + stress * W
         around = around + stress * (U - wall_speed)
+
+    # W = G a^2/(p H) gives W' = -W (p'/p + H'/H); G W/p = H W^2/a^2 turns G W' = -H p' - axial into
+    # H (1 - M^2) p' = G W H'/H - axial.
     mach2 = W * W / walls.a2
     return (G * W * walls.taper / H - axial) / (H * (1 - mach2)), -around / G, W, mach2
 
@@ -154,6 +164,7 @@ def _stations(length: float, cells: int) -> np.ndarray:
 
 def _inlet(walls: Walls, G: float) -> float:
     """p(0) [Pa] from 1/2 (1 + loss) rho W^2 = p_in - p(0), the subsonic root."""
+    # rho W^2 = a^2 (G/H)^2/p: p^2 - p_in p + head = 0
     head = 0.5 * (1 + walls.inlet_loss) * walls.a2 * (G / walls.H_in) ** 2
     return 0.5 * (walls.p_in + sqrt(max(walls.p_in**2 - 4 * head, 0.0)))
 
@@ -162,6 +173,7 @@ def _march(walls: Walls, G: float, cells: int) -> tuple[list[float], list[float]
     """p and U at the stations, ending early where the flow chokes. Integrates p^2, which falls
     nearly linearly.
     """
+    # s = p^2, s' = 2 p p'
     s = _inlet(walls, G) ** 2
     U = walls.inlet_swirl
     H = walls.H_in
@@ -172,12 +184,15 @@ def _march(walls: Walls, G: float, cells: int) -> tuple[list[float], list[float]
         half = 0.5 * step * walls.taper
         ds, dU = 0.0, 0.0
         trial_s, trial_U = s, U
+        # Classical Runge-Kutta: weight of a stage, how far from the start of the step the next
+        # trial lies, and the clearance's change at the stage.
         for weight, back, dH in (
             (1 / 6, 0.5, 0.0),
             (1 / 3, 0.5, half),
             (1 / 3, 1.0, half),
             (1 / 6, 0.0, 2 * half),
         ):
+            # A stage that chokes ends the march: the stations so far are fewer than 2 cells + 1.
             if trial_s <= 0:
                 return pressures, swirls
             p = sqrt(trial_s)
@@ -202,6 +217,8 @@ def _exit_pressure(walls: Walls, G: float, cells: int) -> float | None:
     pressures, _ = _march(walls, G, cells)
     if len(pressures) < 2 * cells + 1:
         return None
+
+    # p_out = p(L) + exit_recovery rho W^2/2, rho W^2 = a^2 (G/H)^2/p
     p = pressures[-1]
     return p + 0.5 * walls.exit_recovery * walls.a2 * (G / walls.H_out) ** 2 / p
 
@@ -216,6 +233,8 @@ def _excess(walls: Walls, G: float, cells: int) -> float:
 
 def _choked(walls: Walls, G: float, cells: int) -> Exception:
     """The complaint about a choked seal, with the lowest exit pressure that it can still follow."""
+    # Exit pressure of a flow just short of choking: less by the smallest share, from 1e-15 to 1e-6,
+    # that marches through.
     lowest = next(
         (
             p
@@ -238,5 +257,7 @@ def _profile(walls: Walls, G: float, cells: int) -> StaticFlow:
     z = _stations(walls.length, cells)
     H = walls.H_in + walls.taper * z
     p, U = np.array(pressures), np.array(swirls)
+
+    # W' = -W (p'/p + H'/H), from rho W H = G
     dp, dU, W, _ = slopes(walls, G, p, U, H)
     return StaticFlow(G, z, H, p, U, W, dp, dU, -W * (dp / p + walls.taper / H))

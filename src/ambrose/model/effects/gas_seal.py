@@ -73,6 +73,8 @@ def gas_flow(
         )
     if pressure == 0:
         return None, 0.0
+
+    # below the least drop the coefficients fall in proportion to it
     least = LEAST_DROP * (geometry.exit_pressure or geometry.inlet_pressure or 0.0)
     spin = speed if geometry.speed is None else geometry.speed
     asked = tuple(max(w, _SLOWEST) for w in frequencies)
@@ -88,6 +90,7 @@ def gas_flow(
 def _flow(
     geometry: GasSealGeometry, pressure: float, speed: float, frequencies: tuple[float, ...]
 ) -> BulkFlow:
+    # a finer grid where the first is too coarse
     seal, condition = described(geometry, pressure, speed)
     try:
         return bulk_flow(seal, condition, np.array(frequencies), _CELLS[0])

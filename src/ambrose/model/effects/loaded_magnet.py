@@ -76,9 +76,15 @@ def _found(
 ) -> LoadedMagnet:
     if not any((*load, *place, *bearing.magnetic_offset)):
         return LoadedMagnet(stated, (0.0, 0.0), p)
+
+    # The coefficients are those without load: the load finds its currents, the slopes are taken
+    # there.
     if bearing.coefficients_at == "no-load" or from_geometry(bearing, p[0]):
         currents = balance(p, load, place, bearing.name)
         return LoadedMagnet(slopes(p, currents, place), currents, p)
+
+    # The stated coefficients are those under load. Fixed point: scale those without load by stated
+    # over found until the slopes under load are the stated ones.
     scale, wanted = np.ones((2, 2)), _array(stated)
     for _ in range(_ITERATIONS):
         k_i, k_s = (scale * wanted).tolist()
@@ -120,6 +126,7 @@ def balance(p: tuple[float, ...], load: Pair, place: Pair, name: str) -> Pair:
     for _ in range(_ITERATIONS):
         if np.abs(left).max() <= _EXACT * size:
             return float(i[0]), float(i[1])
+        # Newton: J step = -left, J by central differences of 1e-4 i_0; halved until less is missing
         J = np.column_stack(
             [(missing(i + e) - missing(i - e)) for e in 1e-4 * p[0] * np.eye(2)]
         ) / (2e-4 * p[0])
@@ -131,6 +138,8 @@ def balance(p: tuple[float, ...], load: Pair, place: Pair, name: str) -> Pair:
             break
         i = i + share * step
         left = missing(i)
+
+    # rounding may keep it from the tighter tolerance
     if np.abs(left).max() <= 1e-9 * size:
         return float(i[0]), float(i[1])
     raise invalid(
@@ -149,11 +158,13 @@ def slopes(p: tuple[float, ...], currents: Pair, place: Pair = (0.0, 0.0)) -> Ma
     at = np.array([*currents, *place])
     found = []
     for way in range(4):
+        # over i_zeta, i_eta, then zeta, eta, the force along the same axis
         h = _STEP * (p[0] if way < 2 else min(p[5], p[8]))
         two, one, less, least = (
             force(v[0], v[1], v[2], v[3], p)[way % 2]
             for v in (at + n * h * np.eye(4)[way] for n in (2, 1, -1, -2))
         )
+        # f' = (8 (f_1 - f_-1) - (f_2 - f_-2))/(12 h), fourth order
         found.append((8 * (one - less) - (two - least)) / (12 * h))
     return MagnetCoefficients((found[0], found[1]), (found[2], found[3]))
 

@@ -77,6 +77,7 @@ def of_size(p: tuple[float, ...], bias: float, area: float = 1.0) -> MagnetCoeff
     """
     found = []
     for c, gap in ((p[4], p[5]), (p[7], p[8])):
+        # k_i = 4 c b_0 db/dI, k_s = b_0 k_i
         b, slope = _flux(bias, gap, p[2], p[3])
         found.append((4 * area * c * b * slope, 4 * area * c * b**2 * slope))
     return MagnetCoefficients((found[0][0], found[1][0]), (found[0][1], found[1][1]))
@@ -138,6 +139,8 @@ def force(
     f_zeta, f_eta = 0.0, 0.0
     for axis in range(2):
         if axis == 0:
+            # axis by axis: its own current and a share of the other's, its displacement from the
+            # magnetic centre
             i = i_zeta + cross * i_eta
             x = x_zeta - p[6]
             c = p[4]
@@ -149,9 +152,12 @@ def force(
             s_0 = p[8]
         total = 0.0
         for side in (1.0, -1.0):
+            # the two horseshoes of the pair: i_0 +- i over s_0 -+ x
             coil = max(i_0 + side * i, 0.0)
             s = max(s_0 - side * x, 0.02 * s_0)
             if b_s > 0.0:
+                # I (b_s - b) = s b (b_s - b) + l b b_s: s b^2 - q b + I b_s = 0, the root below
+                # b_s, written without cancellation
                 q = coil + (s + path) * b_s
                 b = 2.0 * coil * b_s / (q + math.sqrt(max(q * q - 4.0 * s * coil * b_s, 0.0)))
             else:
@@ -177,6 +183,7 @@ def _flux(current: float, gap: float, limit: float, path: float) -> tuple[float,
     """Flux b [A/m] of a horseshoe and its derivative db/dI [1/m]; -db/ds is b times that."""
     if limit <= 0.0:
         return current / gap, 1 / gap
+    # s b^2 - q b + I b_s = 0 as in ``force``; differentiated, (q - 2 s b) db/dI = b_s - b
     q = current + (gap + path) * limit
     b = 2 * current * limit / (q + math.sqrt(q * q - 4 * gap * current * limit))
     return b, (limit - b) / (gap * (limit - b) + current - gap * b + path * limit)
@@ -194,6 +201,8 @@ def _fitted(
             "positive",
             "the nonlinear force follows from its ratio to k_i",
         )
+
+    # I = s b + l b b_s/(b_s - b) solved for s at b = b_0
     if limit <= 0.0:
         gap = bias / b_0
     elif b_0 < limit:

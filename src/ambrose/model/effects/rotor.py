@@ -140,11 +140,14 @@ def _with_frequencies(rotor: Rotor, measured: tuple[tuple[int, float], ...]) -> 
     """The rotor with bending modes (number, frequency [rad/s]) as measured: K + sum (w^2 - w_0^2) M
     phi phi' M.
     """
+    # one mode above the highest that was measured, as its upper neighbour
     numbers = [number for number, _ in measured]
     own, shapes = _plane_bending(rotor, min(max(numbers) + 1, 2 * rotor.n_nodes - 2))
     found = own.copy()
     for number, frequency in measured:
         found[number - 1] = frequency
+
+    # the first pair out of order; the measured one of the two is named
     for k in np.flatnonzero(np.diff(found) <= 0)[:1]:
         number, frequency = next(one for one in measured if one[0] in {k + 1, k + 2})
         low = found[number - 2] if number > 1 else 0.0
@@ -156,6 +159,8 @@ def _with_frequencies(rotor: Rotor, measured: tuple[tuple[int, float], ...]) -> 
             f"{high / (2 * np.pi):.4g} Hz",
             "check which mode was measured, or correct the shaft",
         )
+
+    # M phi and w^2 - w_0^2
     places = [number - 1 for number in numbers]
     corrected, correction = (
         rotor.plane_mass @ shapes[:, places],
@@ -171,6 +176,8 @@ def _with_frequencies(rotor: Rotor, measured: tuple[tuple[int, float], ...]) -> 
 def _rotor(shaft: tuple[ShaftSection, ...], discs: tuple[Disc, ...], theory: str) -> Rotor:
     positions, element = _mesh(shaft, theory)
     mass, gyroscopic = _add_discs(element, positions, discs)
+
+    # stiffness against theta_2 - theta_1 and theta_1 + theta_2 in place of theta_1, theta_2
     bending = _CHORD.T @ element.stiffness[:, 1::2, 1::2] @ _CHORD
     arrays = (
         positions,
@@ -201,6 +208,7 @@ def plane_rows(rotor: Rotor, positions: ArrayLike) -> tuple[np.ndarray, np.ndarr
 
     positions (p,) [m]. Raises InvalidInput off the shaft.
     """
+    # the four columns of the element's two nodes
     e, *local = _local_rows(rotor.positions, rotor.shear, positions)
     w, theta = np.zeros((2, len(e), 2 * rotor.n_nodes))
     for rows, values in zip((w, theta), local, strict=True):
@@ -241,6 +249,7 @@ def to_plane(vector: np.ndarray, plane: str) -> np.ndarray:
 
 def mass_properties(rotor: Rotor) -> MassProperties:
     """Mass, centre of mass and inertias that the rotor's own matrices imply."""
+    # first moment over mass, then the moments about that centre
     translation, tilt = _rigid_motions(rotor.positions, 0.0)
     mass = translation @ rotor.plane_mass @ translation
     centre = translation @ rotor.plane_mass @ tilt / mass
@@ -292,6 +301,8 @@ def free_modes(rotor: Rotor, n_bending: int) -> FreeModes:
         _plane_bending(rotor, n_bending) if n_bending else (np.zeros(0), np.zeros((len(rigid), 0)))
     )
     plane = np.hstack([rigid, bending])
+
+    # columns in turn: a mode in x, the same in y
     shapes = np.stack([to_plane(plane, "x"), to_plane(plane, "y")], axis=2).reshape(
         2 * len(plane), -1
     )
@@ -312,21 +323,29 @@ def residual_modes(rotor: Rotor, kept: int, loads: np.ndarray) -> tuple[np.ndarr
     complement of Phi, where K is regular; a shift far below the kept modes makes the factorised
     matrix definite everywhere, and two corrections take it out again.
     """
+    # K of shaft and discs alone: banded, which the corrections of measured modes would undo
     M, K = (
         rotor.plane_mass,
         rotor.plane_stiffness - (rotor.corrected * rotor.correction) @ rotor.corrected.T,
     )
     frequencies, bending = _plane_bending(rotor, kept)
     Phi = np.hstack([_rigid_modes(rotor), bending])
+
+    # diagonals 0 to 3 below the main one: two coordinates per node, neighbours coupled
     shifted = K + _RESIDUAL_SHIFT * frequencies[0] ** 2 * M
     factor = sla.cholesky_banded(
         [np.append(np.diag(shifted, -i), np.zeros(i)) for i in range(4)], lower=True
     )
+
+    # L - M Phi Phi^T L; each pass solves (K + shift M) dX = left - K X and projects dX onto the
+    # complement of Phi, so that the shift's error falls pass by pass.
     left = loads.T - M @ (Phi @ (Phi.T @ loads.T))
     X = np.zeros_like(left)
     for _ in range(3):
         step = sla.cho_solve_banded((factor, True), left - K @ X)
         X += step - Phi @ (Phi.T @ (M @ step))
+
+    # Each X to norm one; directions that depend on the others drop out. Rayleigh-Ritz in the rest.
     left, size, _ = np.linalg.svd(X / np.linalg.norm(X, axis=0), full_matrices=False)
     X = left[:, size > _DEPENDENT * size[0]]
     squares, mix = sla.eigh(_strain_energy(rotor, X), X.T @ M @ X)
@@ -357,6 +376,8 @@ def _lowest_bending(rotor: Rotor, count: int) -> tuple[np.ndarray, np.ndarray]:
     # modes keeps them positive.
     shift = 1e-10 * np.max(np.diag(K) / np.diag(M))
     _, shapes = undamped_modes(M, K + shift * M, count + 2)
+
+    # the rigid modes are known exactly
     known = _rigid_modes(rotor)
     shapes = shapes[:, 2:]
     frequencies = np.zeros(0)
@@ -364,6 +385,9 @@ def _lowest_bending(rotor: Rotor, count: int) -> tuple[np.ndarray, np.ndarray]:
     if count > FINE_MESH_MODES:
         frequencies, lowest = _lowest_bending(rotor, FINE_MESH_MODES)
         known, shapes = np.hstack([known, lowest]), shapes[:, FINE_MESH_MODES:]
+
+    # M-orthogonal to what is known, then Rayleigh-Ritz with the strain energy element by element;
+    # the left end moves in the positive direction.
     shapes = shapes - known @ (known.T @ (M @ shapes))
     squares, mix = sla.eigh(_strain_energy(rotor, shapes), shapes.T @ M @ shapes)
     shapes = np.hstack([known[:, 2:], shapes @ mix])
@@ -378,7 +402,11 @@ def _strain_energy(rotor: Rotor, shapes: np.ndarray) -> np.ndarray:
     theta = shapes[1::2]
     length = np.diff(rotor.positions)[:, None]
     left, right = theta[:-1], theta[1:]
+
+    # theta_2 - theta_1 and theta_1 + theta_2 - 2 (w_2 - w_1)/L, as ``bending`` takes them
     e = np.stack([right - left, right + left - 2 * np.diff(w, axis=0) / length], axis=1)
+
+    # phi^T M shapes of the corrected modes
     seen = rotor.corrected.T @ shapes
     return np.asarray(
         np.tensordot(e, rotor.bending @ e, ([0, 1], [0, 1]))
@@ -459,6 +487,8 @@ def _add_discs(
         kilograms, diametral, polar = np.array(
             [[d.mass, d.diametral_inertia, d.polar_inertia] for d in discs]
         ).T[..., None, None]
+
+        # m w^T w + J_d theta^T theta and J_p theta^T theta; several discs may lie in one element
         tilting = theta[:, :, None] * theta[:, None, :]
         np.add.at(mass, at, kilograms * (w[:, :, None] * w[:, None, :]) + diametral * tilting)
         np.add.at(gyroscopic, at, polar * tilting)

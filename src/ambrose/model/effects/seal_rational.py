@@ -94,6 +94,8 @@ def poles_of(seal: Seal, speed: float = 0.0) -> np.ndarray:
             f"seal {seal.name} has no table over at least two frequencies, and no geometry; give "
             "one of them"
         )
+    # common poles of all pressures and speeds of the table; rows that are nothing beside the
+    # largest have no say
     data = [
         _samples(seal, pressure, at)[1]
         for pressure in axes.get("pressure", (seal.reference_pressure or 0.0,))
@@ -108,6 +110,7 @@ def linearised(model: RationalSeal, frequency: float) -> SealCoefficients:
     """The model's coefficients at a whirl frequency [rad/s], to compare with the seal's."""
     eye = np.eye(len(model.b))
     s = 1j * max(frequency, 1e-3)
+    # (s - A)^-1 b at s = j w, so that d times it is K + j w C beyond K_0 + C_0 s
     lags = np.linalg.solve(s * eye - model.A, model.b) if len(model.b) else np.zeros(0)
     direct, cross = complex(model.direct @ lags), complex(model.cross @ lags)
     m = model.static
@@ -132,6 +135,7 @@ def system(model: RationalSeal, name: str) -> StateSpace:
     direct = model.direct
     cross = model.cross
     no = np.zeros_like(model.b)
+    # over the states of x, then of y: h, d, e
     C = np.block(
         [[-direct, -cross], [cross, -direct], [direct, no], [no, direct], [cross, no], [no, cross]]
     )
@@ -218,6 +222,7 @@ def _model(
     error: float,
 ) -> RationalSeal:
     """States in metres: each counts its pole's modulus."""
+    # b times |pole| and C over it: in metres b is a rate
     A, b, C = RationalFit(poles, residues, constant, slope, np.zeros(2)).real_form()
     size = np.abs(poles)
     static = SealCoefficients(

@@ -88,8 +88,10 @@ def means(sensors: Sequence[Sensor], axes: Sequence[str]) -> np.ndarray:
             for j, (_, item, way) in enumerate(found)
             if item.bearing == axis.rpartition("_")[0]
         ]
+        # weights of one direction of all pairs
         total = sum(item.weight for _, item, way in own if way == own[0][2])
         for j, item, way in own:
+            # signals of a turned pair in the first pair's directions
             turned = (item.angle or 0.0) - (own[0][1].angle or 0.0)
             result[i, j] = (
                 item.weight / total * rotation(turned)[_INDEX[axis.rpartition("_")[2]], way]
@@ -138,6 +140,7 @@ def runout_phasors(sensors: Sequence[Sensor], axes: Sequence[str], order: int = 
     """The run-out in the measured signals (axes,) [m] as phasors on exp(j order angle), of the spin
     angle from the global x.
     """
+    # cos(n (angle - pair - way pi/2) + phase)
     phasors = [
         sum(
             amplitude * np.exp(1j * (phase - order * ((sensor.angle or 0.0) + way * math.pi / 2)))

@@ -50,6 +50,7 @@ def foundation(machine: MachineDescription) -> Foundation:
     coordinates: list[tuple[float, float, dict[str, tuple[float, float]], bool]] = []
     for item in machine.supports:
         for way in range(2):
+            # mass-normalised: k/m, d/m, and x, y of a unit coordinate 1/sqrt(m)
             angle, size = item.angle + way * np.pi / 2, 1 / np.sqrt(item.mass[way])
             row = (float(size * np.cos(angle)), float(size * np.sin(angle)))
             rows = dict.fromkeys((item.bearing, *item.seals), row)

@@ -161,12 +161,16 @@ def take_over(law: SampledLaw, errors: np.ndarray, outputs: np.ndarray) -> np.nd
         return np.zeros(n)
     free, power = np.zeros(n), np.eye(n)
     observed, missing = [], []
+
+    # u_i = C (A^i x_0 + free_i) + D e_i, free_i the state from zero: rows C A^i of x_0
     for i in range(k):
         observed.append(law.C @ power)
         missing.append(outputs[:, i] - law.C @ free - law.D @ errors[:, i])
         free = law.A @ free + law.B @ errors[:, i]
         power = law.A @ power
     matrix = np.vstack(observed)
+
+    # columns to norm one; what the samples hardly tell falls under rcond and stays zero
     scale = np.linalg.norm(matrix, axis=0)
     scale[scale == 0] = 1.0
     start = np.linalg.lstsq(matrix / scale, np.concatenate(missing), rcond=1e-8)[0] / scale
@@ -184,6 +188,8 @@ def closed_loop_poles(
     Cd = sampled.C
     n = len(A)
     m = len(law.A)
+
+    # states z, x and, with a delay, the held u; e = -y
     loop = np.zeros((n + m + a, n + m + a))
     loop[:n, :n] = Ad
     loop[n : n + m, :n], loop[n : n + m, n : n + m] = -law.B @ Cd, law.A
@@ -193,5 +199,6 @@ def closed_loop_poles(
     else:
         loop[:n, : n + m] += Bd @ out
         loop = loop[: n + m, : n + m]
+    # s = ln(z)/dt; a pole at zero far to the left
     values = np.linalg.eigvals(loop)
     return np.log(np.where(np.abs(values) < 1e-12, 1e-12, values).astype(complex)) / dt

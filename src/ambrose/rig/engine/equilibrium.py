@@ -44,12 +44,16 @@ def state_at_rest(rig: Rig, q: np.ndarray, u: np.ndarray) -> np.ndarray:
     n, a = rig.coordinates, len(rig.axes)
     z = np.zeros(rig.states)
     z[:n] = q
+
+    # both lags in turn of "twice-first" settle at u; else the second state is at rest at zero
     currents = z[2 * n : 2 * n + 2 * a].reshape(a, 2)
     currents[:, 0] = u
     if rig.machine.amplifier.order == "twice-first":
         currents[:, 1] = u
     z[rig.bias] = np.repeat(rig.constants.magnet[:, 0], 2)
     z[rig.sensed] = _seen(rig) @ q + rig.constants.sensor[:, 1]
+
+    # seals' states: A x + b q = 0
     first = len(rig.machine.bearings) + rig.attached_stations
     everywhere = _places(rig, q)
     places = everywhere[first : first + len(rig.machine.seals)]
@@ -107,6 +111,8 @@ def levitated_state(
     NumericalFailure where weight and loads need more current than there is.
     """
     n, m = rig.coordinates, len(law.A)
+
+    # y = S q + offset with r = 0: e = aim - S q
     mean = rig.constants.mean
     S = mean @ _seen(rig)
     aim = -mean @ rig.constants.sensor[:, 1]
@@ -117,7 +123,10 @@ def levitated_state(
 
     for _ in range(_ITERATIONS):
         u = law.C @ x + law.D @ (aim - S @ q)
+        # unknowns (q, x): accelerations f(q, u) = 0 and (A - I) x + B e = 0, with u = C x + D e
         missing = np.concatenate([force(q, u), (law.A - np.eye(m)) @ x + law.B @ (aim - S @ q)])
+
+        # Jacobian by (q, x): du = C dx - D S dq, de = -S dq
         by_place = _differences(lambda q, u=u: force(q, u), q, 1e-8)  # type: ignore[misc]
         by_current = _differences(lambda u, q=q: force(q, u), u, 1e-6)  # type: ignore[misc]
         matrix = np.block(
@@ -126,6 +135,8 @@ def levitated_state(
                 [-law.B @ S, law.A - np.eye(m)],
             ]
         )
+
+        # Rows and columns scaled to norm one; the smallest step where the matrix is singular.
         rows = np.linalg.norm(matrix, axis=1)
         columns = np.linalg.norm(matrix / np.where(rows == 0, 1.0, rows)[:, None], axis=0)
         rows, columns = np.where(rows == 0, 1.0, rows), np.where(columns == 0, 1.0, columns)
@@ -134,6 +145,8 @@ def levitated_state(
             / columns
         )
         q, x = q + step[:n], x + step[n:]
+
+        # displacements to 1e-14 m and the step's current to 1e-12 A
         still = np.abs(step[:n]).max() < 1e-14 and np.abs(law.C @ step[n:]).max() < 1e-12
         if still:
             break
@@ -172,6 +185,7 @@ def _displaced(rig: Rig, distance: np.ndarray, direction: list[float]) -> np.nda
     direction (2,).
     """
     plane = np.zeros(rig.modes)
+    # the two rigid modes of a plane, fitted to the distances
     plane[:2] = np.linalg.lstsq(rig.constants.shape[: len(distance), :2], distance, rcond=None)[0]
     q = np.concatenate([np.kron(plane, direction), np.zeros(len(rig.constants.support))])
     return state_at_rest(rig, q, np.zeros(len(rig.axes)))
@@ -191,6 +205,8 @@ def linear_view(
 ) -> tuple[np.ndarray, np.ndarray]:
     """A = d(dz/dt)/dz (n, n) and B = d(dz/dt)/du (n, a) by central differences."""
     n, a = rig.coordinates, len(rig.axes)
+    # steps: displacements 1e-8 m, velocities 1e-5 m/s, amplifiers and bias 1e-5 A, then sensors,
+    # seals and effects
     size = np.concatenate(
         [
             np.full(n, 1e-8),
@@ -221,6 +237,8 @@ def fastest_pole(rig: Rig, drives: list[Drive]) -> float:
     in all of the drives.
     """
     gaps, u = rig.constants.touchdown[:, 0], np.zeros(len(rig.axes))
+
+    # free, and 5 % beyond every clearance: in contact
     states = [state_at_rest(rig, np.zeros(rig.coordinates), u)]
     if np.isfinite(gaps).all():
         states.append(_displaced(rig, 1.05 * gaps, [1.0, 0.0]))

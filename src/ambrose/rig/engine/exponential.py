@@ -44,6 +44,9 @@ def settled(rig: Any, work: Any, drive: Any, k: int, z: Any) -> bool:
             or abs(z[bias + a] - rig.magnet[a // 2, 0]) > 1e-13 * rig.magnet[a // 2, 0]
         ):
             return False
+
+        # "second": s_1' = p_1 s_2, s_2' = p_1 (u - s_1) - p_2 s_2; reach falls all the time, so
+        # |s_2| <= reach, and within the sample |s_1'| <= p_1 reach and |s_2'| <= (p_1 + p_2) reach.
         u = min(max(work.command[a], -p[4]), p[4])
         if p[0] == 3.0:
             reach = math.sqrt((u - s_1) * (u - s_1) + s_2 * s_2)
@@ -70,6 +73,8 @@ def _add_force(rig: Any, drive: Any, P: Any, k: int, tau: float, start: Any, F: 
         x = y[2 * i : 2 * i + 2]
         first, second = y[2 * b + 2 * i], y[2 * b + 2 * i + 1]
         known = (p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9])
+
+        # the magnet's force in its axes, turned to x and y, less its linear part
         f, g = magnet_force(first, second, c * x[0] + s * x[1], c * x[1] - s * x[0], known)
         by = P.magnet[i]
         F[2 * i] = (
@@ -78,6 +83,8 @@ def _add_force(rig: Any, drive: Any, P: Any, k: int, tau: float, start: Any, F: 
         F[2 * i + 1] = (
             s * f + c * g - by[1, 0] * x[0] - by[1, 1] * x[1] - by[1, 2] * first - by[1, 3] * second
         )
+
+    # at, out: where the next of F and of y are; b bearings have 2 b displacements and 2 b currents
     at, out = 2 * b, 4 * b
     speed = drive.speed[k] + tau * (drive.speed[k + 1] - drive.speed[k])
     if drive.unbalance.shape[0] and P.turns:
@@ -88,6 +95,7 @@ def _add_force(rig: Any, drive: Any, P: Any, k: int, tau: float, start: Any, F: 
         F[at], F[at + 1] = fx - start[0], fy - start[1]
         at += 2
     if P.turns:
+        # gyroscopic moments of the speed beyond the propagator's
         p, over = rig.stiffness.shape[0], speed - P.speed
         for j in range(p):
             gx, gy = 0.0, 0.0
@@ -99,6 +107,7 @@ def _add_force(rig: Any, drive: Any, P: Any, k: int, tau: float, start: Any, F: 
     if P.seals:
         lags, long = rig.seal_lags.shape[1], drive.seal.shape[0] > 1
         for i in range(drive.seal.shape[1]):
+            # coefficients beyond the propagator's, linear within the sample
             row, ref = P.seal[1, i], P.seal[0, i]
             for m in range(row.shape[0]):
                 here, next_ = (
@@ -135,6 +144,11 @@ def _show_runout(rig: Any, drive: Any, k: int, tau: float, step: float, z: Any) 
                 order = rig.runout[h, 0]
                 pieces = 1 + int(step * math.sqrt(order * abs(rise) / (8.0 * _OFF)))
                 piece = step / pieces
+
+                # A lag at rate w of cos(phase + turn t) over a piece d adds
+                # w Re (e^(j ahead) - e^(-w d) e^(j phase))/(w + j turn); what was there before
+                # decays by e^(-w d). Within a piece the phase at its mean speed is off by
+                # order |rise| d^2/8 at most.
                 left, total = math.exp(-w * piece), 0.0
                 phase = (
                     order * (angle - rig.sensor_angle[a // 2] - rig.sensor[a, 5]) + rig.runout[h, 2]
@@ -172,6 +186,8 @@ def _enter(rig: Any, work: Any, drive: Any, P: Any, k: int, tau: float, z: Any) 
     for i in range(a):
         known[n + i] = min(max(work.command[i], -rig.amplifier[i, 4]), rig.amplifier[i, 4])
     known[n + a] = 1.0
+
+    # unbalance at the step's start; the propagator turns it on at this speed
     at, step = n + a + 1, 1.0 / P.steps
     if drive.unbalance.shape[0]:
         speed = drive.speed[k] + tau * (drive.speed[k + 1] - drive.speed[k])
@@ -181,6 +197,7 @@ def _enter(rig: Any, work: Any, drive: Any, P: Any, k: int, tau: float, z: Any) 
         )
         at += 2
     for m in range(drive.force_at.shape[0]):
+        # cubic in tau; derivatives by the step's own time, ``step`` of a sample
         c = drive.force[:, m, k]
         known[at] = c[0] + tau * (c[1] + tau * (c[2] + tau * c[3]))
         known[at + 1] = step * (c[1] + tau * (2.0 * c[2] + 3.0 * tau * c[3]))
@@ -197,12 +214,16 @@ def propagate(rig: Any, work: Any, drive: Any, P: Any, k: int, z: Any) -> None:
     for step in range(P.steps):
         tau, width = step / P.steps, 1.0 / P.steps
         _enter(rig, work, drive, P, k, tau, z)
+
+        # all that is linear: states after the step, y at start, middle and end
         for i in range(P.out.shape[0]):
             value = 0.0
             for j in range(P.known.shape[0]):
                 value += P.linear[i, j] * P.known[j]
             P.out[i] = value
         for stage in range(3):
+            # y in the middle with F_0 held, at the end with 2 F_m - F_0 held (Cox & Matthews 2002,
+            # ETD3RK)
             if stage == 0:
                 for i in range(outputs):
                     P.y[i] = P.out[n + i]
@@ -212,11 +233,15 @@ def propagate(rig: Any, work: Any, drive: Any, P: Any, k: int, z: Any) -> None:
                 for j in range(P.F.shape[1]):
                     P.F[2, j] = 2.0 * P.F[1, j] - P.F[0, j]
                 _combine(P.out, n + 2 * outputs, P.y, P.whole, P.F[2])
+
+            # unbalance at the propagator's speed, turned to the stage; F has what is beyond it
             if P.turns and drive.unbalance.shape[0]:
                 c, s = P.turn[stage, 0], P.turn[stage, 1]
                 P.start[0] = c * P.known[turned] - s * P.known[turned + 1]
                 P.start[1] = s * P.known[turned] + c * P.known[turned + 1]
             _add_force(rig, drive, P, k, tau + stage * width / 2, P.start, P.F[stage])
+
+        # states: linear part plus the weights of F_0, F_m, F_1
         for i in range(n):
             value = P.out[i]
             for stage in range(3):

@@ -92,6 +92,7 @@ class Plan:
     def angles(self, time: np.ndarray) -> np.ndarray:
         """Spin angle [rad] at times (n,) [s]."""
         times, speeds = self._speed_knots
+        # trapezoids: the speed is linear between its knots
         turned = np.concatenate([[0.0], np.cumsum(np.diff(times) * (speeds[1:] + speeds[:-1]) / 2)])
         k = np.searchsorted(times, time, side="right") - 1
         return np.asarray(turned[k] + (time - times[k]) * (speeds[k] + self.speeds(time)) / 2)
@@ -267,6 +268,7 @@ def _unbalance(plan: Plan) -> np.ndarray:
         station = (
             rig.port_names.index(directions(item.port, plan.inputs)[0].removeprefix("f_")) // 2
         )
+        # from x: the station's first axis is turned by its angle
         phase = item.phase + rig.constants.angle[station]
         amount = item.mass_times_radius(rig.mass)
         total += amount * np.outer(rig.constants.shape[station], [np.cos(phase), np.sin(phase)])
@@ -313,9 +315,12 @@ def _over_time(
     ``first`` on: looked up at every so many-th sample since the start, where the pressure bends,
     and linear between.
     """
+    # the grid starts at sample 0, whatever piece is asked for
     before, after = first % _SEAL_GRID, -(first + count - 1) % _SEAL_GRID
     time = np.arange(first - before, first + count + after) * plan.dt
     pressure, speed = plan.pressures(time), plan.speeds(time)
+
+    # and at the pressure's corners, where its second difference is not zero
     kinks = np.flatnonzero(np.abs(np.diff(pressure, 2)) > 1e-9 * np.abs(pressure).max()) + 1
     grid = np.unique([*range(0, len(time), _SEAL_GRID), *kinks])
     rows = np.array([row(float(pressure[g]), float(speed[g])) for g in grid])
@@ -370,9 +375,12 @@ def _mass_inverse(rig: Rig, coefficients: np.ndarray) -> np.ndarray:
         return np.zeros((0, p, p))
     first = len(rig.machine.bearings) + rig.attached_stations
     shape = rig.constants.shape[first : first + added.shape[1]]
+
+    # in the middle of a sample: the mean of its ends
     middle = added if len(added) == 1 else (added[1:] + added[:-1]) / 2
     on = rig.constants.support_shape[first : first + added.shape[1]]
     if on[added.any(axis=0)].any() or more.any():
+        # x, y of the seals over all coordinates: modes in both planes, less the supports
         rows = np.concatenate(
             [np.einsum("sp,de->sdpe", shape, np.eye(2)).reshape(len(shape), 2, 2 * p), -on], axis=2
         )
@@ -392,6 +400,7 @@ def _attached_mass(rig: Rig) -> np.ndarray:
     count = rig.attached_stations
     first = len(rig.machine.bearings)
     here = slice(first, first + count)
+    # to the axes of the effects' ports
     turn = np.array([[[c, s], [-s, c]] for c, s in k.direction[here]]).reshape(-1, 2, 2)
     plane = np.einsum("sp,de->sdpe", k.shape[here], np.eye(2)).reshape(count, 2, 2 * rig.modes)
     rows = np.concatenate([plane, -k.support_shape[here]], axis=2)

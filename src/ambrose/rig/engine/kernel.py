@@ -71,6 +71,7 @@ def _move(rig: Any, work: Any, z: Any) -> None:
             y += shape * z[2 * j + 1]
             vx += shape * z[n + 2 * j]
             vy += shape * z[n + 2 * j + 1]
+        # less what the supports move under the station
         for i in range(rig.support.shape[0]):
             a, b = rig.support_shape[s, 0, i], rig.support_shape[s, 1, i]
             x, y = x - a * z[2 * p + i], y - b * z[2 * p + i]
@@ -86,6 +87,7 @@ def _magnetise(rig: Any, work: Any, z: Any) -> None:
     amp = 2 * coordinates(rig)
     bias = amp + 2 * rig.amplifier.shape[0]
     for b in range(rig.magnet.shape[0]):
+        # x, y in the bearing's axes: zeta = c x + s y, eta = c y - s x
         c = rig.direction[b, 0]
         s = rig.direction[b, 1]
         p = rig.magnet[b]
@@ -97,11 +99,15 @@ def _magnetise(rig: Any, work: Any, z: Any) -> None:
         second = effective_current(
             work.command[j], z[amp + 2 * j], z[amp + 2 * j + 1], rig.amplifier[j]
         )
+
+        # parameters with the bias current as it is now in place of i_0
         known = (z[bias + i], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9])
         f_zeta, f_eta = magnet_force(first, second, c * x + s * y, c * y - s * x, known)
         if z[bias + j] != z[bias + i]:  # one of the axes has failed
             other = (z[bias + j], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9])
             _, f_eta = magnet_force(first, second, c * x + s * y, c * y - s * x, other)
+
+        # back to x and y
         work.magnet[i], work.magnet[j] = f_zeta, f_eta
         work.force[b, 0] += c * f_zeta - s * f_eta
         work.force[b, 1] += s * f_zeta + c * f_eta
@@ -129,11 +135,16 @@ def _attach(
     """Registered effects: [f; x'] = block [q; q'; x] in their axes, the block linear within a
     sample; or the force at an address.
     """
+    # count: stations of effects, after the bearings' ``first``
     count, first = rig.force_at.shape[0], rig.magnet.shape[0]
     if count == 0:
         return
+
+    # their states follow those of the seals' lags
     states = 2 * coordinates(rig) + 3 * rig.amplifier.shape[0] + rig.sensor.shape[0]
     states += 2 * rig.seal_lags.shape[0] * rig.seal_lags.shape[1]
+
+    # the columns (q, q', x): displacements, then velocities in the effects' axes, then states
     for i in range(count):
         c, s = rig.direction[first + i, 0], rig.direction[first + i, 1]
         x, y = work.place[first + i, 0], work.place[first + i, 1]
@@ -144,6 +155,8 @@ def _attach(
     rows = drive.reaction.shape[1]
     for j in range(rows - 2 * count):
         work.attached[4 * count + j] = z[states + j]
+
+    # [f; x'] with the block linear between the samples k and k + 1
     varying = drive.reaction.shape[0] > 1
     here, ahead = drive.reaction[k if varying else 0], drive.reaction[k + 1 if varying else 0]
     t = tau if varying else 0.0
@@ -158,6 +171,7 @@ def _attach(
     for i in range(count):
         c, s = rig.direction[first + i, 0], rig.direction[first + i, 1]
         f, g = work.pull[2 * i], work.pull[2 * i + 1]
+        # a force that is not linear: asked (x, y, vx, vy, speed), answered behind these five
         if rig.force_at[i, 0] != 0:
             for j in range(2):
                 work.asked[j] = work.attached[2 * i + j]
@@ -179,6 +193,7 @@ def _whirl(rig: Any, work: Any, drive: Any, k: int, tau: float, z: Any, dz: Any)
     first = rig.magnet.shape[0] + rig.force_at.shape[0]
     varying = drive.seal.shape[0] > 1
     for i in range(drive.seal.shape[1]):
+        # K, k, C, c, M, then direct and cross of every state; linear within the sample
         at, to = drive.seal[k if varying else 0, i], drive.seal[k + 1 if varying else 0, i]
         t = tau if varying else 0.0
         stiffness, cross = at[0] + t * (to[0] - at[0]), at[1] + t * (to[1] - at[1])
@@ -188,6 +203,7 @@ def _whirl(rig: Any, work: Any, drive: Any, k: int, tau: float, z: Any, dz: Any)
         fx, fy = seal_force(x, y, vx, vy, 0.0, 0.0, (stiffness, cross, damping, across, 0.0))
         count = rig.seal_lags.shape[1]
         end = lag + 2 * count
+        # states' forces, and their lags behind the displacements
         for m in range(count):
             direct = at[5 + 2 * m] + t * (to[5 + 2 * m] - at[5 + 2 * m])
             cross = at[6 + 2 * m] + t * (to[6 + 2 * m] - at[6 + 2 * m])
@@ -206,6 +222,8 @@ def _disturb(rig: Any, work: Any, drive: Any, k: int, tau: float, speed: float) 
     """The scenario's forces, weight and unbalance, on the rotor alone."""
     for j in range(rig.weight.shape[0]):
         work.modal[j] = rig.weight[j]
+
+    # forces: cubics in tau along an axis of their station
     for m in range(drive.force_at.shape[0]):
         value = drive.force[0, m, k] + tau * (
             drive.force[1, m, k] + tau * (drive.force[2, m, k] + tau * drive.force[3, m, k])
@@ -216,6 +234,8 @@ def _disturb(rig: Any, work: Any, drive: Any, k: int, tau: float, speed: float) 
         for j in range(rig.stiffness.shape[0]):
             work.modal[2 * j] += rig.shape[s, j] * fx
             work.modal[2 * j + 1] += rig.shape[s, j] * fy
+
+    # unbalance; the angle is the integral of a speed linear in the sample
     acceleration = (drive.speed[k + 1] - drive.speed[k]) / drive.dt
     if drive.unbalance.shape[0] and (speed != 0.0 or acceleration != 0.0):
         angle = drive.angle[k] + tau * drive.dt * (drive.speed[k] + speed) / 2
@@ -232,6 +252,8 @@ def _accelerate(rig: Any, work: Any, drive: Any, k: int, speed: float, z: Any, d
     mass.
     """
     p, n = rig.stiffness.shape[0], coordinates(rig)
+
+    # q'' = f - omega^2 q - 2 zeta omega q'
     for j in range(p):
         fx, fy = work.modal[2 * j], work.modal[2 * j + 1]
         for s in range(work.force.shape[0]):
@@ -241,6 +263,8 @@ def _accelerate(rig: Any, work: Any, drive: Any, k: int, speed: float, z: Any, d
         dz[2 * j], dz[2 * j + 1] = vx, vy
         dz[n + 2 * j] = fx - rig.stiffness[j] * z[2 * j] - rig.damping[j] * vx
         dz[n + 2 * j + 1] = fy - rig.stiffness[j] * z[2 * j + 1] - rig.damping[j] * vy
+
+    # supports: the reaction to the stations' forces
     for i in range(rig.support.shape[0]):
         f, v = 0.0, z[n + 2 * p + i]
         for s in range(work.force.shape[0]):
@@ -250,6 +274,8 @@ def _accelerate(rig: Any, work: Any, drive: Any, k: int, speed: float, z: Any, d
             )
         dz[2 * p + i] = v
         dz[n + 2 * p + i] = f - rig.support[i, 0] * z[2 * p + i] - rig.support[i, 1] * v
+
+    # -Omega G q', G = g (x) [[0, 1], [-1, 0]]
     if speed != 0.0:
         for j in range(p):
             gx, gy = 0.0, 0.0
@@ -258,10 +284,14 @@ def _accelerate(rig: Any, work: Any, drive: Any, k: int, speed: float, z: Any, d
                 gy += rig.gyroscopic[j, m] * z[n + 2 * m + 1]
             dz[n + 2 * j] -= speed * gy
             dz[n + 2 * j + 1] += speed * gx
+
+    # added mass M of seals and effects: (I + M)^-1 times the accelerations so far
     if drive.mass_inverse.shape[0]:
         inverse = drive.mass_inverse[k if drive.mass_inverse.shape[0] > 1 else 0]
         for j in range(n):
             work.modal[j] = dz[n + j]
+
+        # over all coordinates, or over those of one plane, the same in x and y
         if inverse.shape[0] == n:  # a seal with added mass on a support
             for j in range(n):
                 total = 0.0
@@ -287,6 +317,7 @@ def _amplify(rig: Any, work: Any, drive: Any, k: int, z: Any, dz: Any) -> None:
         j = amp + 2 * count + a
         p = rig.amplifier[a]
         dz[i], dz[i + 1] = amplifier_derivative(work.command[a], z[i], z[i + 1], p)
+        # bias current, off without power
         target = rig.magnet[a // 2, 0] * drive.powered[a, k]
         dz[j] = min(max(rig.bias_rate * (target - z[j]), -p[3]), p[3])
 
@@ -305,6 +336,8 @@ def _signal(rig: Any, z: Any, a: int, angle: float) -> float:
     for i in range(rig.support.shape[0]):
         x -= rig.sensor_support[b, 0, i] * z[2 * p + i]
         y -= rig.sensor_support[b, 1, i] * z[2 * p + i]
+
+    # the sensor's own direction, then run-out, then gain, offset
     value = c * x + s * y if a % 2 == 0 else c * y - s * x
     track = rig.runout[rig.runout_start[b] : rig.runout_start[b + 1]]
     if track.shape[0]:
@@ -369,11 +402,14 @@ def _regime(rig: Any, work: Any, z: Any, depth: Any) -> int:
         y = work.place[b, 1]
         vx = work.velocity[b, 0]
         vy = work.velocity[b, 1]
+        # 0 free, 1 in contact and pushed, 2 in contact with no force: the damping outweighs the
+        # spring
         depth[b], kind = max(np.sqrt(x * x + y * y) - rig.touchdown[b, 0], 0.0), 0
         if depth[b] > 0.0:
             kind = 1 if contact_force(x, y, vx, vy, 0.0, rig.touchdown[b])[3] > 0.0 else 2
         number = 5 * number + kind
     for a in range(rig.amplifier.shape[0]):
+        # 0 to 3: either state at its stop, or both
         first, second = stops(rig.amplifier[a])
         at, slope_at = (
             abs(z[amp + 2 * a]) >= first * _STOPPED,
@@ -407,6 +443,7 @@ def _step(rig: Any, work: Any, drive: Any, k: int, tau: float, width: float, z: 
     for i in range(n):
         trial[i] = total[i] = z[i]
     for stage in range(4):
+        # weights 1/6, 1/3, 1/3, 1/6; the next stage lies h/2, h/2, h from z
         inner = 0.0 if stage == 0 else (1.0 if stage == 3 else 0.5)
         _derivative(rig, work, drive, k, tau + inner * width, trial, dz)
         weight = h / 3 if inner == 0.5 else h / 6
@@ -414,6 +451,8 @@ def _step(rig: Any, work: Any, drive: Any, k: int, tau: float, width: float, z: 
         for i in range(n):
             total[i] += weight * dz[i]
             trial[i] = z[i] + ahead * dz[i]
+
+    # a state may not end beyond its stop
     for a in range(rig.amplifier.shape[0]):
         i, (first, second) = 2 * coordinates(rig) + 2 * a, stops(rig.amplifier[a])
         total[i], total[i + 1] = (
@@ -438,6 +477,9 @@ def _integrate(rig: Any, work: Any, drive: Any, k: int, steps: int, z: Any) -> N
         if _followed(rig, work, regime, total):
             _accept(work, z)
             continue
+
+        # once more in parts, and parts that change the regime in pieces; these are taken as they
+        # come
         for part in range(_PARTS):
             _step(rig, work, drive, k, tau + part * width / _PARTS, width / _PARTS, z)
             if _followed(rig, work, regime, total):
@@ -472,6 +514,8 @@ def _measure(rig: Any, drive: Any, k: int, z: Any, y: Any) -> None:
     start = 2 * coordinates(rig) + 3 * rig.amplifier.shape[0]
     for a in range(y.shape[0]):
         y[a] = 0.0
+
+    # single sensors, lagged or immediate, with noise, through the converter; y = mean @ these
     for c in range(rig.sensor.shape[0]):
         value = z[start + c] if rig.sensor[c, 2] > 0.0 else _signal(rig, z, c, drive.angle[k])
         value = converted(value + drive.noise[c, k], rig.sensor[c])
@@ -488,6 +532,8 @@ def _log(rig: Any, work: Any, z: Any, y: Any, u: Any, row: Any) -> None:
     amp = 2 * coordinates(rig)
     _move(rig, work, z)
     _magnetise(rig, work, z)
+
+    # columns: y, u, coil currents, magnet forces (count each), then two per station
     for a in range(count):
         row[a], row[count + a], row[3 * count + a] = y[a], u[a], work.magnet[a]
         row[2 * count + a] = coil_current(

@@ -123,11 +123,18 @@ def _built(
     p = rig.modes
     n = rig.coordinates
     b, first = len(k.magnet), len(k.magnet) + rig.attached_stations
+
+    # z' = L z + Bu u + w without the magnets
     L, Bu, w = _linear_parts(rig, quiet)
+
+    # M^-1 of the added mass over all coordinates
     inverse = np.eye(n)
     if len(quiet.mass_inverse):
         inverse = quiet.mass_inverse[0]
         inverse = inverse if len(inverse) == n else _both_planes(inverse, n)
+
+    # (S, 2, n) displacements of the stations in x and y over the coordinates; ``pushes`` is their
+    # transpose through M^-1, what a force there does to the velocities.
     rows = np.concatenate(
         [np.einsum("sp,de->sdpe", k.shape, np.eye(2)).reshape(-1, 2, 2 * p), -k.support_shape],
         axis=2,
@@ -138,12 +145,17 @@ def _built(
     pushes[:, :, n : 2 * n] = rows @ inverse.T
     modal = np.zeros((2 * p, rig.states))
     modal[:, n : 2 * n] = inverse[:, : 2 * p].T  # acceleration of all coordinates by a modal force
+
+    # the currents that make force: over the states, or over the commands where the amplifier is
+    # ideal
     currents, direct = np.zeros((a, rig.states)), np.zeros((a, a))
     for i in range(a):
         if k.amplifier[i, 0] == 0.0:
             direct[i, i] = 1.0
         else:
             currents[i, 2 * n + 2 * i + (k.amplifier[i, 0] == 2.0)] = 1.0
+
+    # f = by (x, y, i_zeta, i_eta) at every bearing joins L and Bu
     by = _magnets(
         rig,
         places[:b].reshape(2 * b, -1) @ near,
@@ -153,9 +165,14 @@ def _built(
         push = pushes[i].T
         L += push @ (by[i, :, :2] @ places[i] + by[i, :, 2:] @ currents[2 * i : 2 * i + 2])
         Bu += push @ by[i, :, 2:] @ direct[2 * i : 2 * i + 2]
+
+    # F, in this order: magnets (2 b), then if the speed varies unbalance (2) and modal forces (2
+    # p), then if the seals vary theirs (2 each). y: displacements at the bearings (2 b), currents
+    # (a), modal velocities (2 p), per seal displacement, velocity and states.
     forces, outputs = [pushes[:b].reshape(2 * b, -1)], [places[:b].reshape(2 * b, -1), currents]
     unbalance = np.zeros((0, rig.states))
     if len(drive.unbalance):
+        # modal forces of a unit force along x and along y: (a, b) and (-b, a) per mode
         turned = np.stack(
             [drive.unbalance, np.column_stack([-drive.unbalance[:, 1], drive.unbalance[:, 0]])]
         )
@@ -174,17 +191,25 @@ def _built(
                 np.eye(rig.states)[start : start + lags],
             ]
             forces.append(pushes[first + i])
+
+    # a unit force along a station's axis, in modes
     driven = np.zeros((len(drive.force_at), rig.states))
     for m, (s, axis) in enumerate(drive.force_at):
         c, d = k.direction[s]
         driven[m] = np.kron(k.shape[s], [c, d] if axis == 0 else [-d, c]) @ modal
+
+    # states without a row or column in L stay out; the bias stands still
     used = (L != 0).any(axis=0) | (L != 0).any(axis=1)
     used[rig.bias] = False
     B, C = np.vstack(forces).T[used], np.vstack(outputs)[:, used]
+
+    # y = C z + D u; columns after u do not reach y directly
     D = np.zeros((len(C), a))
     D[2 * b : 2 * b + a] = direct
     held = np.column_stack([Bu, w])[used]
     speed, h = float(quiet.speed[0]), quiet.dt / steps
+
+    # the step, and half of it
     whole = _propagated(L[np.ix_(used, used)], B, held, unbalance.T[used], driven.T[used], speed, h)
     middle = _propagated(
         L[np.ix_(used, used)], B, held, unbalance.T[used], driven.T[used], speed, h, 0.5
@@ -193,8 +218,14 @@ def _built(
     linear, half = whole[0], middle[0]
     D = np.hstack([np.zeros((len(C), states)), D, np.zeros((len(C), linear.shape[1] - states - a))])
     begin = np.hstack([C, np.zeros((len(C), linear.shape[1] - states))])
+
+    # rows: states after the step; y at its start, middle and end, less what F does
     linear = np.vstack([linear, begin + D, C @ half + D, C @ linear + D])
     linear = np.pad(linear, ((0, 0), (0, -linear.shape[1] % _WHOLE)))
+
+    # F as a parabola through its values at start, middle and end: F_0 + t (-3 F_0 + 4 F_m - F_1) +
+    # t^2/2 (4 F_0 - 8 F_m + 4 F_1) gives the weights. Of the stages, the middle sees F_0 held for
+    # half a step, the end 2 F_m - F_0 held for a whole one.
     one, two, three = whole[1]  # h phi_1 B, h phi_2 B, h phi_3 B
     angle = speed * h * np.array([0.0, 0.5, 1.0])
     seal = np.stack([quiet.seal[0], np.zeros_like(quiet.seal[0])])
@@ -239,6 +270,9 @@ def _linear_parts(rig: Rig, drive: Drive) -> tuple[np.ndarray, np.ndarray, np.nd
     idle = k.magnet.copy()
     free = k.touchdown.copy()
     endless = k.amplifier.copy()
+
+    # magnets without bias current or force constant, touchdown bearings out of reach, no limits of
+    # slope and current, no run-out
     idle[:, [0, 4, 7]] = 0.0
     free[:, 0] = np.inf
     endless[:, 3:] = np.inf
@@ -251,8 +285,12 @@ def _linear_parts(rig: Rig, drive: Drive) -> tuple[np.ndarray, np.ndarray, np.nd
         runout_start=np.zeros_like(k.runout_start),
     )
     straight = Rig(rig.machine, rig.point, smooth, rig.port_names, rig.mass)
+
+    # at z = 0, u = 0: what weight and sensors' offsets do
     nothing, silent = np.zeros(rig.states), np.zeros(a)
     w = slope(straight, drive, nothing, silent)
+
+    # without these the slope is homogeneous: a column for every unit vector
     sensor = k.sensor.copy()
     sensor[:, 1] = 0.0
     straight = Rig(
@@ -274,6 +312,8 @@ def _magnets(rig: Rig, places: np.ndarray, currents: np.ndarray) -> np.ndarray:
     for i, p in enumerate(rig.constants.magnet):
         c, s = rig.constants.direction[i]
         turn = np.array([[c, -s], [s, c]])
+        # in the bearing's axes (i_zeta, i_eta, zeta, eta), central differences; columns end as
+        # (zeta, eta, i_zeta, i_eta)
         at = np.concatenate([currents[2 * i : 2 * i + 2], turn.T @ places[2 * i : 2 * i + 2]])
         for j, size in enumerate((1e-4, 1e-4, 1e-7, 1e-7)):
             step = size * np.eye(4)[j]
@@ -282,6 +322,8 @@ def _magnets(rig: Rig, places: np.ndarray, currents: np.ndarray) -> np.ndarray:
                 for v in (at + step, at - step)
             ]
             result[i, :, (j + 2) % 4] = turn @ (ends[0] - ends[1]) / (2 * size)
+
+        # displacements back to x and y; the forces are turned already
         result[i, :, :2] = result[i, :, :2] @ turn.T
     return result
 
@@ -299,6 +341,8 @@ def _propagated(
     """After a part of a step of h [s]: states from (states, held, turning at its start, driven and
     three derivatives over h); and what forces B that grow as 1, t, t^2/2 (t over h) have moved.
     """
+    # Blocks: 0 states; 1, 2, 3 forces B growing as 1, t, t^2/2; 4 held; 5 turning (x, y); 6 to 9
+    # driven forces and three derivatives. Time counts in steps.
     n = len(A)
     f = B.shape[1]
     m = driven.shape[1]
@@ -308,11 +352,17 @@ def _propagated(
     part_of = [slice(at[i], at[i + 1]) for i in range(len(sizes))]
     for block, columns in ((0, A), (1, B), (4, held), (5, turning), (6, driven)):
         Z[:n, part_of[block]] = h * columns
+
+    # a block's derivative is the next one
     for block in (1, 2, 6, 7, 8):
         Z[part_of[block], part_of[block + 1]] = np.eye(sizes[block])
     if turning.shape[1]:
         Z[part_of[5], part_of[5]] = speed * h * np.array([[0.0, -1.0], [1.0, 0.0]])
+
+    # first rows of exp(part Z): exp(part h A), and the integrals of exp(h A s) with what drives
     X = scipy.linalg.expm(part * Z)[:n]
     order = [X[:, part_of[0]], X[:, part_of[4]], X[:, part_of[5]]]
+
+    # per driven force its value and three derivatives side by side
     growth = np.stack([X[:, part_of[i]] for i in (6, 7, 8, 9)], axis=2).reshape(n, 4 * m)
     return np.hstack([*order, growth]), (X[:, part_of[1]], X[:, part_of[2]], X[:, part_of[3]])

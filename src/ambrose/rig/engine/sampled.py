@@ -22,6 +22,7 @@ def control(
     ahead (m,) is scratch.
     """
     n, m = x.shape[0], y.shape[0]
+    # e = r - y; with a delay of one sample what was computed last acts now
     for a in range(m):
         u[a] = held[a]
         err[a] = drive.reference[a, k] - y[a]
@@ -32,6 +33,8 @@ def control(
         for j in range(m):
             value += law.D[a, j] * err[j]
         held[a] = min(max(value, -law.limit[a]), law.limit[a])
+
+    # x_(k+1) = A x_k + B e_k
     for i in range(n):
         value = 0.0
         for j in range(n):
@@ -57,6 +60,8 @@ def run_program(
     for a in range(m):
         u[a] = held[a]
         err[a] = drive.reference[a, k] - y[a]
+
+    # signals: inputs (m), outputs (m), then what it is scheduled over; 8 bytes each
     for i in range(m):
         program.signals[i] = err[program.into[i]]
     for i in range(drive.told.shape[1]):
