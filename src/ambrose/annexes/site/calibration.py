@@ -258,9 +258,8 @@ def _circle(
     scale, back = np.array([np.mean(e.radius) for e in ellipses]), np.linalg.inv(levers)
 
     def model(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        # x = (offset / radius (2n), gain (2n) or clearance / mean radius (n), compliance (n)), the
-        # last
-        # in 1e-3 mean radii per kN: unknowns of order one
+        # x = (offset / radius (2n), gain (2n) or clearance / mean radius (n), compliance (n)),
+        # the last in 1e-3 mean radii per kN: unknowns of order one
         offset, compliance = x[: 2 * n].reshape(n, 2) * scale[:, None], x[-n:] * scale.mean() * 1e-3
         gain = x[2 * n : 4 * n].reshape(n, 2) if find == "gain" else given
         return (
@@ -308,9 +307,8 @@ def _circle(
             "clearance"
         )
 
-    # covariance (J^T J)^-1 |residual|^2 / freedom: each sector of each pair counts as one
-    # independent
-    # observation
+    # covariance (J^T J)^-1 |residual|^2 / freedom: each sector of each pair counts as
+    # one independent observation
     freedom = max(_SECTORS * n - len(x), 1)  # neighbouring samples err together
     spread = np.sqrt(
         np.diag(np.linalg.pinv(found.jac.T @ found.jac)) * float(found.fun @ found.fun) / freedom
@@ -437,9 +435,8 @@ def _ellipse(y: np.ndarray, bearing: str) -> _Ellipse:
             np.sqrt(level / np.array([A, B])) * scale,
         )
 
-        # relative distance from the ellipse; what is far off was not in contact, and the rest is
-        # fitted
-        # anew until the choice stays
+        # relative distance from the ellipse; what is far off was not in contact, and the rest
+        # is fitted anew until the choice stays
         off = np.abs(np.linalg.norm((y - centre[:, None]) / radius[:, None], axis=0) - 1)
         inner = off <= np.clip(_OUTSIDE * float(np.median(off[used])), *_THICK)
         if (inner == used).all():

@@ -100,9 +100,8 @@ def unbalance_from_amplitudes(
                     "name a bearing, disc, seal or coupling",
                 )
 
-            # a forward force of phase zero at x is (1, -j) along x and y; along axes turned by b it
-            # is
-            # exp(-j b) (1, -j)
+            # a forward force of phase zero at x is (1, -j) along x and y; along axes turned by b
+            # it is exp(-j b) (1, -j)
             turned = next((b.angle for b in loop.machine.bearings if b.name == name), 0.0)
             forces += [f"f_{port}" for port in pair]
             patterns.append(np.exp(-1j * turned) * np.array([1.0, -1j]))
