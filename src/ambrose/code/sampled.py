@@ -235,7 +235,7 @@ def deploy_scheduled(
     _refuse(problems, force)
     progress("sampling at every grid point")
 
-    # common states first, for the code interpolates matrices; then Tustin's map point by point
+    # common states first, for the code interpolates matrices; then each point is sampled
     common, sizes = common_states(source)
     sampled, increments = sample_schedule(common, sample_time, method, prewarp)
     deviation, where = interpolation_deviation(common, sampled, sample_time, method, prewarp)
@@ -295,7 +295,7 @@ def instability(source: StateSpace, where: str = "") -> list[str]:
     """One sentence if the controller itself is unstable; integrators are meant to be on the
     boundary.
     """
-    # integrators lie within rounding of the boundary, in proportion to the fastest pole
+    # integrators lie within rounding of the boundary, in proportion to the largest pole
     size = max(float(np.abs(poles(source)).max(initial=0.0)), 1.0)
     abscissa = spectral_abscissa(source)
     if not source.n_states or abscissa <= 1e-9 * size:
@@ -346,8 +346,8 @@ def _verify_over_range(
         first = along.of(start)
         source = deployment.source
 
-        # tolerances at both ends and one value between: the start's own, else the middle of the
-        # grid
+        # tolerances at both ends and one value between: the start's own, else the middle of
+        # the grid
         inner = (
             first
             if _within(low, first, high, strictly=True)

@@ -156,6 +156,7 @@ def size(
         )
     done: list[Trial] = []
     try:
+        # from the machine file's size outwards, each begun with the nearest one's controller
         for item in sorted(sizes, key=_distance):
             near = min(
                 (t for t in done if t.controller is not None),
@@ -193,5 +194,6 @@ def _sorted(values: Sequence[float], what: str) -> list[float]:
 
 
 def _distance(one: Size, other: Size | None = None) -> float:
+    # in the logarithms: a half is as far as the double
     other = other or Size()
     return float(np.hypot(np.log(one.area / other.area), np.log(one.bias / other.bias)))

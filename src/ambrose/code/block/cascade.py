@@ -153,15 +153,15 @@ def build_cascade(
     into, out = axes_mixings(settings, axes, mixed)
     dt = float(K.dt or 0.0)
 
-    # s = rate (z - 1)/(z + 1) with (z - 1)/(z + 1) = j tan(w dt/2) at z = exp(j w dt): exact at
-    # prewarp
+    # s = rate (z - 1)/(z + 1) with (z - 1)/(z + 1) = j tan(w dt/2) at z = exp(j w dt):
+    # exact at prewarp
     rate = 2 / dt if prewarp is None else prewarp / np.tan(prewarp * dt / 2)
     stages, chains = list[Stage](), list[np.ndarray]()
     for c, (label, (gain, sections)) in enumerate(
         zip(channel_names(settings, axes), channel_chains(settings, axes), strict=True)
     ):
-        # sections with states are stages; constant ones and the channel's gain go into its column
-        # of out
+        # sections with states are stages; constant ones and the channel's gain go into its
+        # column of out
         own = [
             _stage(c, f"{label}: {section.kind}, {section_text(section)}", section, rate)
             for section in sections

@@ -82,11 +82,11 @@ def to_fixed_cascade(
     currents = block.current_limit
     channels = _inputs(block)
 
-    # what is cut off an output may exceed its limit 2^cut_bits times
+    # what is cut off an output is up to 2^cut_bits times its limit
     cut_bits = np.ceil(np.log2(block.raw_limit / currents)).astype(int)
 
-    # channels' inputs from errors, both in parts of their ranges; then the sections' rows (y, x1,
-    # x2)
+    # channels' inputs from errors, both in parts of their ranges; then the sections' rows
+    # (y, x1, x2)
     into, into_bits = quantise_rows(
         block.into * errors / channels[:, None], word, "a channel's input"
     )
@@ -162,8 +162,8 @@ def to_fixed_cascade(
         )
     share = noise / currents
     if not share.max() <= largest_error:
-        # noise goes with the signals' ranges, hence with error_limit: a tenth below what would just
-        # do
+        # noise goes with the signals' ranges, hence with error_limit: a tenth below what would
+        # just do
         worst = int(share.argmax())
         narrow = 0.9 * largest_error / share.max() * errors.min()
         raise invalid(
@@ -208,8 +208,8 @@ def cascade_error(block: CascadeBlock, bits: int, steps: float = HORIZON) -> np.
         x1 = block.bound[i]
         signals.append(unit * (2 * d * v + output))
 
-        # x1: b1 v - a1 x1 + x2;  x2: b2 v - a2 x1: at most four roundings of each term, and the
-        # sum's error by 2^-2 bits where it is compensated
+        # x1: b1 v - a1 x1 + x2;  x2: b2 v - a2 x1: at most four roundings of each term, and
+        # the state's own sum of second order, for it is compensated
         rows = [
             (b1 * v, a1 * x1, block.bound[i + 1] if stage.order > 1 else 0.0),
             (b2 * v, a2 * x1),

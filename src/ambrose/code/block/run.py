@@ -208,8 +208,6 @@ def _follow_one(
     status = np.where(good, 0, status | bit)
     first = int(np.argmax(good)) if good.any() else len(good)
     known = known[:, 0].astype(float)
-
-    # before the first good value the schedule stands at the lowest
     known[:first] = low  # nothing is known yet
     target = np.clip(known, low, high)
     status |= np.where(known != target, CLAMPED, 0)

@@ -187,9 +187,9 @@ def build_scheduled_block(
     unwind = _unwinding(law, currents, dt / windup_time)
     bound, raw = _bounds(law, unwind, settings)
     scale = np.exp2(np.ceil(np.log2(bound)))
-    middle = deployment.increments[len(deployment.increments) // 2]
 
     # transfer by the slow states of the grid's middle
+    middle = deployment.increments[len(deployment.increments) // 2]
     steady, pick, passes = _transfer(
         law, slow_states(middle, deployment.sizes, dt, windup_time), currents
     )
@@ -362,8 +362,8 @@ def _bounds(law: _Points, unwind: np.ndarray, settings: Settings) -> tuple[np.nd
     n, errors = law.increment.shape[1], settings.error_limit
     bound, raw = np.full(n, np.finfo(float).tiny), np.abs(law.D[0]) @ errors
     for share in law.examined():
-        # the code's interpolation: matrices linear in the shares; x[k+1] = (A - L C) x + (B - L D)
-        # e + L us
+        # the code's interpolation: matrices linear in the shares;
+        # x[k+1] = (A - L C) x + (B - L D) e + L us
         E, B, C, D, L = (
             np.tensordot(share, X, 1) for X in (law.increment, law.B, law.C, law.D, unwind)
         )

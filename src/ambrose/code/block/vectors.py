@@ -136,7 +136,8 @@ def _supervised_vectors(block: SupervisedBlock, single: bool) -> Vectors:
     watch, (low, high) = block.watch, block.range
     band, wide = watch.band, high - low
 
-    # waits [samples], cut to a row's longest; move and below stay under what counts as a change
+    # waits [samples], cut to a row's longest; move is within the step that is allowed between
+    # samples, below within the margin of the range
     fade, dwell, crossing = (
         min(block.samples(t) or 0, _LONGEST) for t in (watch.fade, watch.dwell, wide / watch.rate)
     )

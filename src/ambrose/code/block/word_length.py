@@ -92,8 +92,8 @@ def _pole_shift(block: ControlBlock, bits: int) -> float:
         old = np.sort_complex(np.linalg.eigvals(block.increment[own, own]))
         new = np.sort_complex(np.linalg.eigvals(round_to_bits(block.increment[own, own], bits)))
 
-        # eigenvalues of A - I: distance from z = 1; an integrator's is zero and has no relative
-        # shift
+        # eigenvalues of A - I: distance from z = 1; an integrator's is zero and has no
+        # relative shift
         size = np.abs(old)
         worst = max(worst, float((np.abs(new - old)[size > 0] / size[size > 0]).max(initial=0.0)))
     return worst
