@@ -495,8 +495,8 @@ def _checks(loop: MeasuredLoop, machine: Machine, highest: float) -> list[Check]
         f"asked for: {highest / TWO_PI:.4g} Hz",
     )
 
-    # not measured as high as asked, and still near the peak at the last lines: the peak may lie
-    # beyond
+    # not measured as high as asked, and still near the peak at the last lines: the peak may
+    # lie beyond
     edge = own[-max(len(own) // 20, 1) :].max() if measured < 0.95 * highest else 0.0
     rises = bool(edge >= 0.9 * own.max())
     found.append(
@@ -549,8 +549,8 @@ def phase_margin(omega: np.ndarray, L: np.ndarray) -> tuple[float, float]:
     """
     size = np.log(np.abs(L))
 
-    # crossings of unit gain: log |L| changes its sign; between the lines by a straight line in log
-    # |L|
+    # crossings of unit gain: log |L| changes its sign; between the lines by a straight line
+    # in log |L|
     i = np.flatnonzero(size[:-1] * size[1:] <= 0)
     if not len(i):
         return float("inf"), float("nan")

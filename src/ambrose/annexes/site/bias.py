@@ -187,8 +187,8 @@ def identify_over_bias(
                     "give it",
                 )
 
-            # what small motion tells is written into the machine; static loads only where it tells
-            # nothing
+            # what small motion tells is written into the machine; static loads only
+            # where it tells nothing
             dynamic = _identify(bias, known, moving, law, unknown=tuple(unknown), **options)
             known = dynamic.machine
             findings += _at(bias, dynamic)

@@ -179,8 +179,8 @@ def _levers(machine: Machine) -> np.ndarray:
     places = np.array([bearing.position for bearing in machine.bearings])
     levers = np.zeros((len(places), len(places)))
     for k, port in enumerate(measured_ports(machine)[0::2]):
-        # the straight line through the two nearest bearings; one bearing alone: its own
-        # displacement
+        # the straight line through the two nearest bearings; one bearing alone: its
+        # own displacement
         near = np.argsort(np.abs(places - port.position))[:2]
         if len(near) < 2:
             levers[k, near] = 1.0

@@ -259,8 +259,8 @@ def price(
         if not found:
             raise
 
-    # what holds a wider range holds a narrower one: from the widest down the better of the two
-    # stays
+    # what holds a wider range holds a narrower one: from the widest down the better
+    # of the two stays
     for i in range(len(found) - 2, -1, -1):
         if sign * found[i + 1].value < sign * found[i].value:
             found[i] = found[i + 1]

@@ -84,7 +84,7 @@ def resized(machine: Machine, size: Size) -> Machine:
     held = operating_magnets(found)
     free = []
     for bearing, item in zip(bearings, held, strict=True):
-        # what is left of the largest control current; never nothing, for the file must stay valid
+        # what the static load leaves of the largest control current, kept positive
         most = _most(bearing, machine.requirements.max_current)
         free.append(
             replace(
@@ -131,8 +131,8 @@ def costs(machine: Machine, size: Size) -> Costs:
     # resistive loss: all coil currents squared, times the length of a turn
     loss = [_squares(item) for item in (found, machine)]
 
-    # reserve: force at the largest control current over the weight along each axis, the least of
-    # all
+    # reserve: force at the largest control current over the weight along each axis, the
+    # least of all
     weight = np.abs(static_sag(machine)[1])
     reserve = np.inf
     for bearing, item, load in zip(found.bearings, operating_magnets(found), weight, strict=True):

@@ -287,7 +287,7 @@ def balance(
             "measures it"
         )
 
-    # rows in y = S d where the loop is known at every run, else in d
+    # rows in y = S d where the loop is known at every run (blind: d is y as it is), else in d
     closed = [one.at.closed for one in runs]
     in_y = blind or all(S is not None for S in closed)
     rows = []
