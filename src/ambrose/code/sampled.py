@@ -333,7 +333,7 @@ def _verify_over_range(
     own = machine.operation.envelope
     inside = [point for point in own if _within(low, along.of(point), high)]
 
-    # all but the parameter as at the first own point within the range
+    # all but the parameter as at the first own point within the range, else the first of all
     start = (inside or list(own))[0]
 
     def check(point: OperatingPoint) -> Checks:

@@ -500,8 +500,8 @@ def _runout(
                 spread, np.abs(at.per_unbalance) @ (allowed.moment * np.array(allowed.share)) / 2
             )
         for k, (pair, port) in enumerate(zip(pairs, measured_ports(machine)[0::2], strict=True)):
-            # a profile p of order n reads p exp(-j n phi) at the angle phi: turned back for each
-            # sensor
+            # a profile p of order n reads p exp(-j n phi) at the angle phi: turned back
+            # for each sensor
             ahead = np.exp(1j * order * (port.direction + np.array([0.0, np.pi / 2])))
             own = d.mean(axis=0)[2 * k : 2 * k + 2] / pair.gain * ahead
 

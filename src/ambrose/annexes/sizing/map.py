@@ -40,6 +40,8 @@ class Sizing(Presented):
         met = sorted(
             (t for t in self.trials if t.met), key=lambda t: (t.costs.volume, t.costs.copper_loss)
         )
+
+        # by rising volume: a size is on the front where its loss is below all before it
         kept: list[Trial] = []
         for trial in met:
             if not kept or trial.costs.copper_loss < kept[-1].costs.copper_loss - 1e-12:

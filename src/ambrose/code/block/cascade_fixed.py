@@ -104,8 +104,8 @@ def to_fixed_cascade(
         "a state's unwinding",
     )
 
-    # states at transfer from errors (m) and currents (p); large coefficients may have negative
-    # fraction bits
+    # states at transfer from errors (m) and currents (p); large coefficients may have
+    # negative fraction bits
     transfer, transfer_bits = quantise_rows(
         np.hstack([block.from_error * errors, block.from_output * currents]) / block.bound[:, None],
         word,

@@ -174,8 +174,8 @@ def state_bounds(
         if not slow[block].any():
             bound[block] = peak_gains(E[block, block], K.B[block] * errors) @ np.ones(len(errors))
     if slow.any():
-        # slow states: x[k+1] = (A - L C) x + (B - L D) e - L C_fast x_fast + L us, fast ones at
-        # their bounds
+        # slow states: x[k+1] = (A - L C) x + (B - L D) e - L C_fast x_fast + L us,
+        # fast ones at their bounds
         L, fast = unwind[slow], ~slow
         B = np.hstack(
             [
