@@ -167,9 +167,13 @@ def deploy(
             "the controller is a schedule, a program or a function; deploy_scheduled() takes a "
             "schedule, deploy() a fixed one"
         )
+
+    # the controller's own status first: its loop is not closed in vain
     count = whole_samples(delay, sample_time)
     problems = _status_problems(controller, examined=bool(plants)) + instability(source)
     _refuse(problems, force)
+
+    # sampled, and every loop closed with the computing delay
     sampled, increment, sizes = sample_controller(source, sample_time, method, prewarp)
     checks, box = verify_sampled(plants, delayed(sampled, count), progress)
     if not plants:
@@ -221,6 +225,8 @@ def deploy_scheduled(
     source = _schedule_of(controller)
     count = whole_samples(delay, sample_time)
     problems = _status_problems(controller, examined=machine is not None)
+
+    # grid points and values between them, at which the law must be stable itself
     values = grid_points([interval_points(axis, between) for axis in source.axes])
     along = scheduling_named(source.parameter, source.unit)
     problems += next(
@@ -228,6 +234,8 @@ def deploy_scheduled(
     )
     _refuse(problems, force)
     progress("sampling at every grid point")
+
+    # common states first, for the code interpolates matrices; then each point is sampled
     common, sizes = common_states(source)
     sampled, increments = sample_schedule(common, sample_time, method, prewarp)
     deviation, where = interpolation_deviation(common, sampled, sample_time, method, prewarp)
@@ -287,6 +295,7 @@ def instability(source: StateSpace, where: str = "") -> list[str]:
     """One sentence if the controller itself is unstable; integrators are meant to be on the
     boundary.
     """
+    # integrators lie within rounding of the boundary, in proportion to the largest pole
     size = max(float(np.abs(poles(source)).max(initial=0.0)), 1.0)
     abscissa = spectral_abscissa(source)
     if not source.n_states or abscissa <= 1e-9 * size:
@@ -323,6 +332,8 @@ def _verify_over_range(
     (low, high), along = deployment.sampled.range, deployment.along
     own = machine.operation.envelope
     inside = [point for point in own if _within(low, along.of(point), high)]
+
+    # all but the parameter as at the first own point within the range, else the first of all
     start = (inside or list(own))[0]
 
     def check(point: OperatingPoint) -> Checks:
@@ -334,6 +345,9 @@ def _verify_over_range(
     if machine.tolerances:
         first = along.of(start)
         source = deployment.source
+
+        # tolerances at both ends and one value between: the start's own, else the middle of
+        # the grid
         inner = (
             first
             if _within(low, first, high, strictly=True)
@@ -342,6 +356,8 @@ def _verify_over_range(
         for value in sorted({*grid_points([axis[[0, -1]] for axis in source.axes]), inner}):
             progress(f"verifying the sampled loop over the tolerances at {along.number(value)}")
             plant = assemble(machine, _point_at(machine, start, along, value))
+
+            # over speed every tolerance counts, also those given around other points
             every = (
                 [replace(item, around=()) for item in machine.tolerances]
                 if along is SPEED

@@ -224,9 +224,13 @@ def _measure(
         len(axes),
         all(f"u_{axis}" in record.signals for record in records for axis in axes),
     )
+
+    # the range that limits are judged in: of the standard, or of the highest speed
     highest = max(
         SENSITIVITY_RANGE.limits[0].value, SPEED_RANGE_FACTOR * max(top_speed(machine), point.speed)
     )
+
+    # M: y per excitation; with the currents u per excitation below it
     signals = [f"{name}_{axis}" for name in ("y", "u")[: 1 + currents] for axis in axes]
     both = local_response(
         records,
@@ -235,17 +239,23 @@ def _measure(
         band=(0.0, min(highest, 0.95 * np.pi / timing.sample_time)),
         harmonics=harmonics,
     )
+
+    # T_o = M K from excitation currents, M itself from references: S_o = I - M through
     M, omega = both.select(outputs=both.outputs[:a]), both.omega
     K = frequency_response(law, omega).values
     through = K if kind == "e" else np.broadcast_to(np.eye(a), K.shape)
     S = np.eye(a) - M.values @ through
     t = float(stdtrit(2 * M.freedom, 0.975)) / np.sqrt(2)  # of one component of a circular error
+
+    # half-width of S_ii: variance of e_i^T dM through e_i, with that of the curvature
     unit = np.eye(a)
     half = t * np.sqrt(
         np.array(
             [_spread(M, np.tile(unit[i], (len(omega), 1)), through[:, :, i]) for i in range(a)]
         ).T
     )
+
+    # largest singular value u^H S v: first order d sigma = -Re(u^H dM through v), v = conj(right)
     left, sigma, right = np.linalg.svd(S)
     half = np.hypot(half, _CURVED * np.abs(np.einsum("wii->wi", unit - S)))
     top = np.einsum("wij,wj->wi", through, right[:, 0].conj())
@@ -253,7 +263,11 @@ def _measure(
         np.einsum("wi,wij,wj->w", left[:, :, 0].conj(), unit - S, right[:, 0].conj())
     )
     above = np.hypot(t * np.sqrt(_spread(M, left[:, :, 0], top)), curved)
+
+    # the noise lifts the largest singular value, so that the lower end allows for its norm
     low, high = sigma[:, 0] - np.maximum(above, _norm_of_error(M, through)), sigma[:, 0] + above
+
+    # the prediction, and beside it the one with the magnets at the load that the currents tell
     models = [("predicted", plant)]
     if loaded != machine:
         models.append(("at the static load", assemble(loaded, point)))
@@ -288,6 +302,7 @@ def _measure(
 
 def _sensitivity(plant: Plant, K: np.ndarray, omega: np.ndarray, dt: float) -> np.ndarray:
     """S_o (w, a, a) of the sampled loop, without approximation."""
+    # S_o = (I + G K)^-1 with G sampled through its hold
     G = frequency_response(
         c2d(select(plant.system, plant.named("u"), plant.named("y")), dt), omega
     ).values
@@ -333,10 +348,16 @@ def _law_checks(both: Frf, K: np.ndarray, kind: str, timing: Timing) -> Iterator
     as late as was told.
     """
     a = K.shape[1]
+
+    # u per excitation: K (I - M) from references, -K M from currents
     y, u = both.values[:, :a], both.values[:, a:]
     expected = K @ ((np.eye(a) if kind == "r" else 0.0) - y)
+
+    # lines whose displacements are coherent; all of them where none are
     told = (both.coherence[:, :a] > _WHOLE).all(axis=1)
     told = told if told.any() else np.ones_like(told)
+
+    # delays from none to _LATE more than told, which sits at the index delay_samples
     late = np.arange(-timing.delay_samples, _LATE + 1)
     turned = np.exp(-1j * both.omega[told, None] * late * timing.sample_time)
     left = np.linalg.norm(
@@ -350,6 +371,8 @@ def _law_checks(both: Frf, K: np.ndarray, kind: str, timing: Timing) -> Iterator
         "currents at their limit"
     )
     yield judge("controller.difference", title, value, "-", Demand(_SAME_LAW, "<=", ""), detail)
+
+    # another delay is told where it agrees clearly better and the stated one does not agree already
     other = int(late[best]) if off[best] < _BETTER * value and value > _EXACT else 0
     words = (
         f"with {timing.delay_samples + other} samples instead of {timing.delay_samples} they agree "
@@ -384,6 +407,9 @@ def _norm_of_error(T: Frf, through: np.ndarray) -> np.ndarray:
     lifted by all of the noise, so that the largest of them is measured too large.
     """
     noise, share = _together(T)
+
+    # E |A N B| <= |A| |B|_F + |A|_F |B| for N of independent unit entries; noise = A A^H, and
+    # share behind through = B B^H
     share = np.einsum("wji,wjk,wkl->wil", through, share, through.conj())
     a, b = (np.sqrt(np.maximum(np.linalg.eigvalsh(item), 0.0)) for item in (noise, share))
     return np.asarray(a[:, -1] * np.linalg.norm(b, axis=1) + np.linalg.norm(a, axis=1) * b[:, -1])
@@ -393,6 +419,8 @@ def _checks(loop: MeasuredLoop, machine: Machine, highest: float) -> list[Check]
     requirements, found = machine.requirements, []
     file, last = loop.predicted[0][1], loop.predicted[-1]
     own, predicted = loop.modulus, np.abs(np.einsum("wii->wi", file))
+
+    # the lower end holds for all lines together: the peak is the largest of many
     low, high = own - _ALL_LINES * loop.half, own + loop.half
     for i, axis in enumerate(loop.axes):
         wanted = demand("sensitivity of an axis", requirements)
@@ -441,6 +469,8 @@ def _checks(loop: MeasuredLoop, machine: Machine, highest: float) -> list[Check]
                 detail,
             )
         )
+
+    # distance from the last prediction, with the magnets at their load where that is known
     off = np.abs(own - np.abs(np.einsum("wii->wi", last[1])))
     worst = int(np.argmax(off.max(axis=1)))
     inside = (
@@ -464,6 +494,9 @@ def _checks(loop: MeasuredLoop, machine: Machine, highest: float) -> list[Check]
         "rad/s",
         f"asked for: {highest / TWO_PI:.4g} Hz",
     )
+
+    # not measured as high as asked, and still near the peak at the last lines: the peak may
+    # lie beyond
     edge = own[-max(len(own) // 20, 1) :].max() if measured < 0.95 * highest else 0.0
     rises = bool(edge >= 0.9 * own.max())
     found.append(
@@ -515,10 +548,15 @@ def phase_margin(omega: np.ndarray, L: np.ndarray) -> tuple[float, float]:
     inf, nan without any.
     """
     size = np.log(np.abs(L))
+
+    # crossings of unit gain: log |L| changes its sign; between the lines by a straight line
+    # in log |L|
     i = np.flatnonzero(size[:-1] * size[1:] <= 0)
     if not len(i):
         return float("inf"), float("nan")
     share = size[i] / (size[i] - size[i + 1])
+
+    # angle of -L, measured from the critical point
     angle = np.abs(np.angle(-(L[i] + share * (L[i + 1] - L[i]))))
     k = int(np.argmin(angle))
     return float(angle[k]), float(omega[i[k]] + share[k] * (omega[i[k] + 1] - omega[i[k]]))

@@ -87,6 +87,8 @@ def _sections(loop: MeasuredLoop, requirement: float | None, several: bool) -> l
         S,
         zone_lines(SENSITIVITY, requirement),
     )
+
+    # T_ii = 1 - S_ii has the error of S_ii
     T = np.abs(1 - np.einsum("wii->wi", loop.S))
     opened = {label: 1 / own - 1 for label, own in diagonal.items()}
     closed = {label: np.abs(1 - own) for label, own in diagonal.items()}

@@ -150,6 +150,8 @@ def identify_over_bias(
         )
     own, laws = _own_bias(machine), dict(controllers or {})
     names = tuple(Path(item).name for item in (*records, *loads) if not isinstance(item, Record))
+
+    # by bias current: (closed-loop records, records of static loads)
     groups: dict[float, tuple[list[Record], list[Record]]] = {}
     for place, several in enumerate((records, loads)):
         for item in several:
@@ -172,6 +174,8 @@ def identify_over_bias(
         dynamic = static = None
         if moving:
             progress(f"{bias:g} A: {len(moving)} closed-loop record{'s' * (len(moving) > 1)}")
+
+            # the controller of this bias; None stands for all others
             law = laws.get(
                 next((b for b in laws if b is not None and abs(b - bias) <= _SAME * bias), None)
             )
@@ -182,6 +186,9 @@ def identify_over_bias(
                     "the one that ran at every bias",
                     "give it",
                 )
+
+            # what small motion tells is written into the machine; static loads only
+            # where it tells nothing
             dynamic = _identify(bias, known, moving, law, unknown=tuple(unknown), **options)
             known = dynamic.machine
             findings += _at(bias, dynamic)
@@ -214,6 +221,7 @@ def with_bias(machine: Machine, bias: float) -> Machine:
 
 
 def _begun(bearing: MagneticBearing, bias: float) -> MagneticBearing:
+    # the coefficients that the file has, those at the bearing's own bias among them
     rows = list(bearing.measured)
     if bearing.force_per_current is not None and bearing.negative_stiffness is not None:
         rows.append(
@@ -221,9 +229,13 @@ def _begun(bearing: MagneticBearing, bias: float) -> MagneticBearing:
         )
     if not rows or (bearing.geometry is not None and not bearing.measured):
         return bearing  # its geometry tells
+
+    # between the rows the file interpolates; beyond, one is added
     currents = [row.bias_current for row in rows]
     if min(currents) * (1 - _SAME) <= bias <= max(currents) * (1 + _SAME):
         return bearing
+
+    # square law: k_i by the bias, k_s by its square
     near = min(rows, key=lambda row: abs(row.bias_current - bias))
     share = bias / near.bias_current
     zeta, eta = (share * k for k in near.force_per_current)
@@ -248,6 +260,8 @@ def _disagreement(row: BiasRow) -> list[Finding]:
     dynamic, found = row.values(), []
     for path, (value, half) in row.values(static=True).items():
         other, other_half = dynamic.get(path, (np.nan, 0.0))
+
+        # 10 %, and the half-widths of both
         if abs(value - other) > _AGREE * abs(other) + np.hypot(half, other_half):
             what = (
                 f"at {row.bias:g} A: {path} by static loads is {value / other:.3g} times that of "

@@ -70,6 +70,8 @@ def _picture(done: BiasCampaign, quantity: str, unit: str) -> Any:
     rows = -(-len(axes) // _COLUMNS)
     gaps = {"horizontal_spacing": 0.12, "vertical_spacing": 0.3 / rows}
     picture = theme.subplots(rows=rows, cols=_COLUMNS, subplot_titles=titles, **gaps)
+
+    # one scale for all axes, of the largest value found
     every = [row.values(static) for row in done.rows for static in (False, True)]
     found = [value for values in every for path, (value, _) in values.items() if quantity in path]
     factor, shown = units.scale(unit, max(map(abs, found), default=0.0))

@@ -179,6 +179,8 @@ def _levers(machine: Machine) -> np.ndarray:
     places = np.array([bearing.position for bearing in machine.bearings])
     levers = np.zeros((len(places), len(places)))
     for k, port in enumerate(measured_ports(machine)[0::2]):
+        # the straight line through the two nearest bearings; one bearing alone: its
+        # own displacement
         near = np.argsort(np.abs(places - port.position))[:2]
         if len(near) < 2:
             levers[k, near] = 1.0
@@ -209,8 +211,12 @@ def _circle(
             "gains known"
         )
     pairs, levers = _pairs(machine), _levers(machine)
+
+    # y (pairs, 2, k) [m]: the two axes of every sensor pair
     y = record.select([f"y_{axis}" for axis in machine.axes]).values.reshape(len(pairs), 2, -1)
     step = max(y.shape[2] // _SAMPLES, 1)
+
+    # a channel that stays still beside the others is dead
     spread = np.ptp(y.reshape(len(machine.axes), -1), axis=1)
     for axis, width in zip(machine.axes, spread.tolist(), strict=True):
         if width <= _DEAD * spread.max():
@@ -218,8 +224,12 @@ def _circle(
             raise invalid(
                 f"y_{axis}", f"still within {1e6 * width:.3g} um", "moved as all others are", remedy
             )
+
+    # z (pairs, k): samples about the unit circle, in the sensors' own directions
     ellipses = [_ellipse(own[:, ::step], pair.bearing) for own, pair in zip(y, pairs, strict=True)]
     z = np.array([e.normal(own[:, ::step]) for e, own in zip(ellipses, y, strict=True)])
+
+    # all pairs must go around in phase: mean of z_k conj(z_1), both in global directions
     directions = np.array([port.direction for port in measured_ports(machine)[0::2]])
     for pair, own in zip(pairs[1:], (z * np.exp(1j * directions)[:, None])[1:], strict=True):
         apart = float(np.abs(np.angle(np.mean(own * (z[0] * np.exp(1j * directions[0])).conj()))))
@@ -229,17 +239,27 @@ def _circle(
             raise invalid(
                 where, f"{np.degrees(apart):.0f} degrees off", "in phase with the first", remedy
             )
+
+    # samples on the ellipse at every pair
     used = np.all([e.used for e in ellipses], axis=0)
+
+    # reach: mean radius over gain, the displacement at the sensors; reach = levers clearance
     given = np.array([pair.gain for pair in pairs])
     reach = np.array(
         [np.mean(np.array(e.radius) / g) for e, g in zip(ellipses, given, strict=True)]
     )
     known = np.array(gaps, float) if find == "gain" else np.linalg.solve(levers, reach)
+
+    # every step-th sample that is used, of the displacements and of the whole record
     n, y, kept = len(pairs), y[:, :, ::step][:, :, used], record.values[:, ::step][:, used]
     part = replace(record, values=kept, start_time=0.0)
+
+    # back: displacements at the bearings from those at the sensors
     scale, back = np.array([np.mean(e.radius) for e in ellipses]), np.linalg.inv(levers)
 
     def model(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        # x = (offset / radius (2n), gain (2n) or clearance / mean radius (n), compliance (n)),
+        # the last in 1e-3 mean radii per kN: unknowns of order one
         offset, compliance = x[: 2 * n].reshape(n, 2) * scale[:, None], x[-n:] * scale.mean() * 1e-3
         gain = x[2 * n : 4 * n].reshape(n, 2) if find == "gain" else given
         return (
@@ -251,10 +271,12 @@ def _circle(
 
     def displaced(x: np.ndarray) -> np.ndarray:
         """At the sensors (n, k) [m], in global directions."""
+        # q = ((y_1 - offset_1)/gain_1 + j (y_2 - offset_2)/gain_2) exp(j direction)
         offset, gain, *_ = model(x)
         along = (y - offset[:, :, None]) / gain[:, :, None]
         return np.asarray((along[:, 0] + 1j * along[:, 1]) * np.exp(1j * directions)[:, None])
 
+    # the first guess: the ellipses, and a stiff contact
     x = np.concatenate(
         [
             np.ravel([np.array(e.offset) / s for e, s in zip(ellipses, scale, strict=True)]),
@@ -270,6 +292,7 @@ def _circle(
         pressed = _pressed(machine, part, back @ displaced(x)) / 1e3
 
         def left(x: np.ndarray, pressed: np.ndarray = pressed) -> np.ndarray:
+            # |q| - levers (clearance + compliance force), in radii
             *_, gap, compliance = model(x)
             return np.ravel(
                 (np.abs(displaced(x)) - levers @ (gap[:, None] + compliance[:, None] * pressed))
@@ -283,15 +306,22 @@ def _circle(
             "the record holds no currents, so that the compliance of the contact is in gain or "
             "clearance"
         )
+
+    # covariance (J^T J)^-1 |residual|^2 / freedom: each sector of each pair counts as
+    # one independent observation
     freedom = max(_SECTORS * n - len(x), 1)  # neighbouring samples err together
     spread = np.sqrt(
         np.diag(np.linalg.pinv(found.jac.T @ found.jac)) * float(found.fun @ found.fun) / freedom
     )
     offset, gain, gap, _ = model(x)
+
+    # half-widths of 95 %: model() is linear in x, so that it scales two standard deviations, too
     wide, wide_gain, wide_gap, _ = model(2 * spread)
     wide = wide + given * [
         [sum(item.amplitude for item in pair.runout)] for pair in pairs
     ]  # at what angle the rotor stood is not known
+
+    # entries as found, and the machine with them
     bearings = list(machine.bearings)
     for k, pair in enumerate(pairs):
         for way, axis in enumerate(("zeta", "eta")):
@@ -336,6 +366,8 @@ def _pressed(machine: Machine, record: Record, q: np.ndarray) -> np.ndarray:
     k) [m], x + j y; zero where the record holds no currents.
     """
     forces = np.zeros(q.shape)
+
+    # measured coil currents i before commanded ones u + e
     kind = next(
         (kind for kind in "iu" if all(f"{kind}_{axis}" in record.signals for axis in machine.axes)),
         "",
@@ -347,6 +379,8 @@ def _pressed(machine: Machine, record: Record, q: np.ndarray) -> np.ndarray:
         i = record.select([f"{kind}_{row}" for row in rows]).values
         if kind == "u":
             i = i + np.stack(signal_rows(record, [f"e_{row}" for row in rows]))
+
+        # displacement along the bearing's own axes
         own = q[b] * np.exp(-1j * bearing.angle)
         p, load = magnets[b].of_force, weight[b]
         pulls = (
@@ -358,6 +392,8 @@ def _pressed(machine: Machine, record: Record, q: np.ndarray) -> np.ndarray:
             )
             + load
         )
+
+        # F . q / |q|; a magnet that pulls inward leaves the contact without force
         outward = pulls[:, 0] * own.real + pulls[:, 1] * own.imag
         forces[b] = np.maximum(outward / np.abs(own), 0.0)
     return forces
@@ -385,21 +421,29 @@ def _ellipse(y: np.ndarray, bearing: str) -> _Ellipse:
     scale, used = float(np.ptp(y)), np.ones(y.shape[1], bool)
     centre, radius = np.zeros(2), np.zeros(2)
     for _ in range(8):
+        # A z1^2 + B z2^2 + C z1 + D z2 = 1 by least squares, axes along the sensors
         z = y[:, used] / scale
         A, B, C, D = np.linalg.lstsq(np.vstack([z**2, z]).T, np.ones(z.shape[1]))[0]
         if A <= 0 or B <= 0:
             radius = np.zeros(2)
             break
+
+        # A (z1 + C/2A)^2 + B (z2 + D/2B)^2 = 1 + C^2/4A + D^2/4B
         level = 1 + C**2 / (4 * A) + D**2 / (4 * B)
         centre, radius = (
             np.array([-C / (2 * A), -D / (2 * B)]) * scale,
             np.sqrt(level / np.array([A, B])) * scale,
         )
+
+        # relative distance from the ellipse; what is far off was not in contact, and the rest
+        # is fitted anew until the choice stays
         off = np.abs(np.linalg.norm((y - centre[:, None]) / radius[:, None], axis=0) - 1)
         inner = off <= np.clip(_OUTSIDE * float(np.median(off[used])), *_THICK)
         if (inner == used).all():
             break
         used = inner
+
+    # sectors of the turn that the samples on the ellipse pass
     angle = np.arctan2(
         *((y[:, used] - centre[:, None]) / np.where(radius > 0, radius, 1.0)[:, None])[::-1]
     )
@@ -435,21 +479,33 @@ def _runout(
     profiles: list[list[Runout]] = [[] for _ in pairs]
     allowed = residual_unbalance(machine)
     for order in range(1, harmonics + 1):
+        # the multiple of the turning; unbalance makes 1x alone
         step = Step(order * turn.frequency, turn.start, turn.stop)
         names = (
             tuple(bearing.name for bearing in machine.bearings) if order == 1 and allowed else ()
         )
         at = influence(plant, names, None, record, step, settle)
+
+        # d without the currents' part and without the sensors' lag: run-out itself, block by block
         d = at.blocks / at.per_runout
+
+        # standard deviation of the mean: half the distance between the record's halves, with the
+        # scatter of the blocks
         drift = np.abs(d[: len(d) // 2].mean(axis=0) - d[len(d) // 2 :].mean(axis=0)) / 2
         spread = np.hypot(drift, np.std(d, axis=0) / np.sqrt(len(d) - 1))
+
+        # the unbalance that the grade allows counts as two standard deviations
         if names and allowed:
             spread = np.hypot(
                 spread, np.abs(at.per_unbalance) @ (allowed.moment * np.array(allowed.share)) / 2
             )
         for k, (pair, port) in enumerate(zip(pairs, measured_ports(machine)[0::2], strict=True)):
+            # a profile p of order n reads p exp(-j n phi) at the angle phi: turned back
+            # for each sensor
             ahead = np.exp(1j * order * (port.direction + np.array([0.0, np.pi / 2])))
             own = d.mean(axis=0)[2 * k : 2 * k + 2] / pair.gain * ahead
+
+            # both sensors of a pair see one profile; half their difference is doubt
             p, apart = own.mean(), float(np.abs(own[0] - own[1])) / 2
             half = 2 * float(np.hypot(spread[2 * k : 2 * k + 2].max(), apart))
             before = next((r.amplitude for r in pair.runout if r.order == order), 0.0)
@@ -492,6 +548,8 @@ def _centres(
                 f"record {number} of the levitated rotor lacks i_<axis> and u_<axis>; record the "
                 "currents"
             )
+
+        # means of the record: (y - offset)/gain along the actuators' axes, then at the bearings
         x = sensor_turn(machine) @ (
             (record.select([f"y_{axis}" for axis in machine.axes]).values.mean(axis=1) - offset)
             / gain
@@ -503,8 +561,12 @@ def _centres(
             .reshape(-1, 2)
         )
         biases.append(record.point.bias_current)
+
+    # between sensor and bearing the shaft hangs through: a straight line does not tell that
     hangs, weight = static_sag(machine)
     places = [place + hangs for place in places]
+
+    # weight and centre are told apart by another bias or another position alone
     free = (
         len(
             {
@@ -514,6 +576,8 @@ def _centres(
         )
         > 1
     )
+
+    # magnets without an offset, at each record's bias: displacements are then from the centre
     bearings = []
     bare = replace(
         machine,
@@ -521,6 +585,7 @@ def _centres(
     )
     centred = [operating_magnets(bare, bias) for bias in biases]
     for k, bearing in enumerate(machine.bearings):
+        # v = (centre (2), and where free the load's change over k_s (2)) in 1e-4 m
         magnets = [own[k].of_force for own in centred]
         guess = weight[k]
         k_s = np.array(centred[0][k].coefficients.negative_stiffness)
@@ -528,6 +593,7 @@ def _centres(
         def left(
             v: np.ndarray, k: int = k, magnets: Any = magnets, guess: Any = guess, k_s: Any = k_s
         ) -> np.ndarray:
+            # (force of the magnets at q - centre + weight) / k_s = 0, as a displacement
             load = guess + v[2:] * k_s * _UNIT if free else guess
             pulls = []
             for i, q, p in zip(currents, places, magnets, strict=True):
@@ -536,12 +602,17 @@ def _centres(
             return np.ravel((np.array(pulls) + load) / k_s / _UNIT)
 
         found = least_squares(left, np.zeros(4 if free else 2))
+
+        # (J^T J)^-1 times the residual's variance per degree of freedom
         J = np.linalg.pinv(found.jac.T @ found.jac)
         power = float(np.sum(found.fun**2)) / max(len(found.fun) - len(found.x), 1)
         noise = np.sqrt(np.diag(J) * power)[:2] * _UNIT
+
+        # a wrong weight moves the centre by dW / k_s; where it is an unknown, not at all
         doubt = np.zeros(2) if free else _WEIGHT * np.abs(guess) / k_s
         centre = found.x[:2] * _UNIT
         for way, axis in enumerate(("zeta", "eta")):
+            # run-out adds to the half-width whole: at what angle the rotor stood is not known
             half = float(2 * np.hypot(noise[way], doubt[way] / 2)) + sum(
                 item.amplitude for item in pairs[k].runout
             )

@@ -213,6 +213,8 @@ def respond(
             if one.code != Code.NO_EXCITATION
         ]
     refuse(findings)
+
+    # records of one operating point go together, whatever their label
     groups: dict[OperatingPoint, list[Record]] = {}
     for record in read:
         groups.setdefault(replace(record.point, label=""), []).append(record)
@@ -270,12 +272,16 @@ class _Model:
             name not in self.loop.inputs for group in together for name in group
         ):
             return None
+
+        # v = u + e: the response of u, and 1 from its own e
         inputs = [name for group in together for name in group]
         outputs = [f"u_{name[2:]}" if name.startswith("v_") else name for name in measured.outputs]
         values = frequency_response(select(self.loop, inputs, outputs), measured.omega).values
         for j, source in enumerate(inputs):
             for i, target in enumerate(measured.outputs):
                 values[:, i, j] += target.startswith("v_") and source == f"e_{target[2:]}"
+
+        # axes driven alike: the sum of their columns
         starts = np.cumsum([0, *(len(group) for group in together)])
         summed = np.stack(
             [values[:, :, a:b].sum(axis=2) for a, b in pairwise(starts.tolist())], axis=2
@@ -292,6 +298,7 @@ def _responses(machine: Machine, loop: LoopFrf, model: _Model) -> Iterator[Respo
         model.loop_response(motion, loop.together),
     )
     for group in loop.together:
+        # S_o of an axis: v/e directly, or 1 - y/r; not told where axes are driven alike
         kind, axis = group[0][:2], group[0][2:]
         if len(group) > 1 or axis not in machine.axes or (kind == "e_" and not loop.commanded):
             continue
@@ -305,6 +312,8 @@ def _responses(machine: Machine, loop: LoopFrf, model: _Model) -> Iterator[Respo
         yield Response(
             "sensitivity", f"Sensitivity of {axis}, the other loops closed", own, predicted
         )
+
+    # the plant needs currents as excitations throughout
     plant = loop.plant
     if plant is not None and all(
         name.startswith("e_") for group in loop.together for name in group
@@ -346,6 +355,8 @@ def summary(point: PointResponse) -> list[dict[str, Any]]:
 
 def _doubts(loop: LoopFrf, point: OperatingPoint) -> Iterator[Finding]:
     motion = loop.motion
+
+    # the largest entry of each column: small ones beside it may well be unsure
     size, radius = np.abs(motion.values).max(axis=1), motion.radius().max(axis=1)
     for j, group in enumerate(loop.together):
         weak = radius[:, j] > _UNSURE * size[:, j]

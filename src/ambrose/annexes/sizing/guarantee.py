@@ -101,6 +101,8 @@ def attempt(
     words = _screened(machine, found, size, price, method, reserve)
     if words:
         return Trial(size, found, price, float("inf"), words)
+
+    # the neighbour's controller first; the reference where that does not meet all
     best = Trial(size, found, price, float("inf"), "no controller was found")
     for start in (near, None) if near is not None else (None,):
         trial = _tuned(best, method, start, time_limit)
@@ -130,6 +132,8 @@ def _tuned(before: Trial, method: Tuned, near: Trial | None, time_limit: float) 
         return replace(before, binding=f"no controller was found: {error}")
     if synthesis.stopped_early == INTERRUPTED:
         raise KeyboardInterrupt
+
+    # what binds: the largest ratio of a value to its limit
     ratios = {
         name.removeprefix("ratio_"): v
         for name, v in synthesis.certificate.margins.items()
@@ -160,6 +164,8 @@ def _screened(
             f"static load: {price.reserve:.3g} times it are left at the largest current, "
             f"{reserve:.3g} are asked"
         )
+
+    # the sensitivity that no controller avoids, given the unstable poles and the delay
     limit = (
         demand("maximum singular value of a sensitivity", found.requirements).limit
         or SENSITIVITY.limits[0].value
@@ -177,6 +183,7 @@ def _scaled(near: Trial, found: Machine) -> StateSpace:
     """A neighbour's controller with the gain that gives the same force per displacement, over what
     the magnets need.
     """
+    # K_p k_i/k_s is kept: the gain by the mean k_s/k_i after over before
     before, after = (
         np.mean([need(item) for item in operating_magnets(machine)])
         for machine in (near.machine, found)

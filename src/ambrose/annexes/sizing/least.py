@@ -143,6 +143,8 @@ def _heaviest(machine: Machine, method: Tuned, progress: Callable[[str], None]) 
         return found[factor].gamma
 
     low = high = 1.0
+
+    # mu(low) <= 1 < mu(high): halved down while mu is above 1, else doubled up while it is not
     while mu(low) > 1 and low > _LOWEST:
         high, low = low, low / 2
     while low == high and mu(2 * high) <= 1 and high < 1 / _LOWEST:
@@ -150,6 +152,8 @@ def _heaviest(machine: Machine, method: Tuned, progress: Callable[[str], None]) 
     high = 2 * high if low == high else high
     if found[low].gamma > 1:
         return Least("weight", 0.0, low, "mu", machine=machine)
+
+    # bisection in the logarithm
     while high / low > _CLOSE:
         middle = (low * high) ** 0.5
         low, high = (middle, high) if mu(middle) <= 1 else (low, middle)
@@ -184,9 +188,12 @@ def _stepped(
             best = trial
         return trial.met
 
+    # share: the least that met all; low: the largest that failed (0: none did)
     share, low = 1.0, 0.0
     if not meets(share):
         return Least(lever, float("inf"), share, tried[-1].binding)
+
+    # down in steps of _STEP, then bisection in the logarithm
     while share > _LOWEST:
         if not meets(share * _STEP):
             low = share * _STEP
@@ -199,6 +206,8 @@ def _stepped(
         else:
             low = middle
     assert best is not None
+
+    # what bound at the size that failed
     failed = [trial.binding for trial in tried if getattr(trial.size, lever) == low]
     return Least(
         lever, share, low, failed[0] if failed else best.binding, best.synthesis, best.machine
@@ -227,6 +236,8 @@ def price(
         raise InvalidInput(
             "no widths of the tolerance were given; give shares of its value, such as 0.5 and 1"
         )
+
+    # from the narrowest to the widest, each as a relative tolerance
     wanted = sorted({check_positive(width, "a width", "1 is +-100 %") for width in widths})
     others = tuple(item for item in machine.tolerances if item.parameter != parameter)
     stated = next(
@@ -247,6 +258,9 @@ def price(
     except KeyboardInterrupt:
         if not found:
             raise
+
+    # what holds a wider range holds a narrower one: from the widest down the better
+    # of the two stays
     for i in range(len(found) - 2, -1, -1):
         if sign * found[i + 1].value < sign * found[i].value:
             found[i] = found[i + 1]

@@ -75,6 +75,7 @@ def resized(machine: Machine, size: Size) -> Machine:
     keeps the stiffness K_p k_i / k_s. Raises InvalidInput where no magnet follows from the machine
     file's coefficients.
     """
+    # magnets of the size, then the currents that hold the static load in them
     given = operating_magnets(machine)
     bearings = tuple(
         _bearing(b, item.of_force, size) for b, item in zip(machine.bearings, given, strict=True)
@@ -83,12 +84,15 @@ def resized(machine: Machine, size: Size) -> Machine:
     held = operating_magnets(found)
     free = []
     for bearing, item in zip(bearings, held, strict=True):
+        # what the static load leaves of the largest control current, kept positive
         most = _most(bearing, machine.requirements.max_current)
         free.append(
             replace(
                 bearing, max_current=max(most - float(np.abs(item.currents).max()), _NOTHING * most)
             )
         )
+
+    # K_p k_i/k_s is kept: gains in the proportion of k_s/k_i, axis by axis, else by the mean
     settings = machine.reference or first_settings(machine)
     factors = np.concatenate(
         [need(after) / need(before) for before, after in zip(given, held, strict=True)]
@@ -123,7 +127,12 @@ def costs(machine: Machine, size: Size) -> Costs:
             for b, item in zip(machine.bearings, operating_magnets(machine), strict=True)
         ),
     )
+
+    # resistive loss: all coil currents squared, times the length of a turn
     loss = [_squares(item) for item in (found, machine)]
+
+    # reserve: force at the largest control current over the weight along each axis, the
+    # least of all
     weight = np.abs(static_sag(machine)[1])
     reserve = np.inf
     for bearing, item, load in zip(found.bearings, operating_magnets(found), weight, strict=True):
@@ -156,6 +165,8 @@ def drives(machine: Machine, size: Size, turns: Sequence[float] = TURNS) -> tupl
         for b, item in zip(machine.bearings, operating_magnets(machine), strict=True)
     ]
     slopes = [magnet.linearised(bearing) for bearing in magnets]
+
+    # the frequency of the sine [rad/s]: top speed, or sqrt(sum k_s/m)
     stiffness = sum(max(item.negative_stiffness) for item in slopes)
     rate, found = (
         max(
@@ -168,6 +179,8 @@ def drives(machine: Machine, size: Size, turns: Sequence[float] = TURNS) -> tupl
         k_i = max(here.force_per_current)
         k_s = max(here.negative_stiffness)
         of = bearing.geometry
+
+        # L with the turns of the machine file
         if machine.amplifier.inductance is not None:
             L = size.area * machine.amplifier.inductance
         elif of is not None:
@@ -175,6 +188,8 @@ def drives(machine: Machine, size: Size, turns: Sequence[float] = TURNS) -> tupl
         else:
             L = k_i**2 / (2 * k_s) if k_s > 0 else 0.0
         found.append((rate * L * _most(bearing), _most(bearing), bearing.bias_current, L))
+
+    # n times the turns at the same flux: currents by 1/n, L by n^2, voltage w L i by n
     voltage, current, bias, inductance = max(found)
     return tuple(Drive(n, bias / n, current / n, n**2 * inductance, n * voltage) for n in turns)
 
@@ -187,6 +202,7 @@ def flux_within(machine: Machine, size: Size) -> bool:
 
 
 def _bearing(bearing: MagneticBearing, p: tuple[float, ...], size: Size) -> MagneticBearing:
+    # a force limit goes with the area, a current limit with the bias
     bias, area = size.bias * p[0], size.area
     here = magnet.of_size(p, bias, area)
     return replace(

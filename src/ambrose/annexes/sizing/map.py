@@ -40,6 +40,8 @@ class Sizing(Presented):
         met = sorted(
             (t for t in self.trials if t.met), key=lambda t: (t.costs.volume, t.costs.copper_loss)
         )
+
+        # by rising volume: a size is on the front where its loss is below all before it
         kept: list[Trial] = []
         for trial in met:
             if not kept or trial.costs.copper_loss < kept[-1].costs.copper_loss - 1e-12:
@@ -156,6 +158,7 @@ def size(
         )
     done: list[Trial] = []
     try:
+        # from the machine file's size outwards, each begun with the nearest one's controller
         for item in sorted(sizes, key=_distance):
             near = min(
                 (t for t in done if t.controller is not None),
@@ -193,5 +196,6 @@ def _sorted(values: Sequence[float], what: str) -> list[float]:
 
 
 def _distance(one: Size, other: Size | None = None) -> float:
+    # in the logarithms: a half is as far as the double
     other = other or Size()
     return float(np.hypot(np.log(one.area / other.area), np.log(one.bias / other.bias)))

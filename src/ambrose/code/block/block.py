@@ -154,6 +154,7 @@ def slow_states(
     """
     slow = np.zeros(len(increment), bool)
     for block in block_slices(sizes):
+        # slow: 1 - |z| < dt/(_SLOW windup_time), for the slowest mode of the block
         radius = np.abs(np.linalg.eigvals(increment[block, block]) + 1).max()
         slow[block] = 1 - radius < dt / (_SLOW * windup_time)
     return slow
@@ -173,9 +174,12 @@ def anti_windup_gain(
     n) in parts of the currents (p,) [A]; with one integrator per output the unwinding takes rate =
     dt / windup_time per sample. Raises NumericalFailure.
     """
+    # states size x: A = size A/size, C = C/size, so that each moves the outputs by about 1
     A, C = np.eye(len(increment)) + increment * size[:, None] / size, C / size
     p = len(currents)
     try:
+        # P = A P A' - A P C'(I + C P C')^-1 C P A' + rate^2 I,   L = A P C'(I + C P C')^-1;
+        # one integrator, A = C = 1: P^2 = rate^2 (1 + P), hence L = rate for small rates
         P = sla.solve_discrete_are(A.T, C.T, rate**2 * np.eye(len(A)), np.eye(p))
         L = A @ np.linalg.solve(np.eye(p) + C @ P @ C.T, C @ P).T
     except np.linalg.LinAlgError as error:
@@ -188,6 +192,8 @@ def anti_windup_gain(
         raise NumericalFailure(
             f"the anti-windup gain {where} does not stabilise the states; give another windup_time"
         )
+
+    # back from size x, and from parts of the currents to [1/A]
     return L / size[:, None] / currents
 
 
@@ -207,16 +213,23 @@ def transfer_gains(
     steady = np.zeros((k, n, B.shape[2]))
     pick = np.zeros((k, n, p))
     fast = ~slow
+
+    # spans: whether the slow states alone reach every output, at every point
     C = C / currents[:, None]
     size = np.maximum(np.linalg.norm(C, axis=1).max(axis=0, initial=0.0), _UNSEEN)
     spans = slow.any() and all(
         np.linalg.matrix_rank(c[:, slow] / size[slow], tol=1e-3) == p for c in C
     )
+
+    # W: states by their effect on the outputs, the fast ones left alone where the slow ones span
     weight = np.where(slow | (not spans), 1 / size**2, 0.0)
     for i in range(k):
+        # C W C'; singular where no state reaches some combination of the outputs
         gram = (C[i] * weight) @ C[i].T
         if n == 0 or np.linalg.matrix_rank(gram, tol=1e-9 * max(np.trace(gram), 1e-300)) < p:
             return None
+
+        # (I - A) x = B e of the fast states;  pick = W C'(C W C')^-1
         steady[i, fast] = np.linalg.solve(-increment[i][np.ix_(fast, fast)], B[i, fast])
         pick[i] = weight[:, None] * np.linalg.solve(gram, C[i]).T / currents
     return steady, pick

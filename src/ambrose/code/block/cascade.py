@@ -58,6 +58,7 @@ class Stage:
     @property
     def theta(self) -> np.ndarray:
         """[[D, C], [B, A - I]] (order + 1, order + 1)."""
+        # (y, x1 step, x2 step) from (v, x1, x2)
         d, b1, b2, a1, a2 = self.coefficients
         whole = np.array([[d, 1.0, 0.0], [b1, -a1, 1.0], [b2, -a2, 0.0]])
         return whole[: self.order + 1, : self.order + 1]
@@ -92,6 +93,7 @@ class CascadeBlock(ControlBlock):
         """The currents asked for (p,) [A] and what is added to the states (n,), section by section
         as the code computes.
         """
+        # v (c,): what every channel's next section is given; i: the section's first state
         v = self.into @ e
         step = np.empty(len(x))
         i = 0
@@ -139,6 +141,8 @@ def build_cascade(
             "sections keep their names by Tustin's map alone; use --sampling tustin, or the modal "
             "form"
         )
+
+    # mixings between axes and channels
     axes = tuple(item.removeprefix("err_") for item in K.inputs)
     if machine is None and settings.coordinates != "axes":
         raise InvalidInput(
@@ -148,11 +152,16 @@ def build_cascade(
     mixed = None if machine is None else mixings(settings, machine)
     into, out = axes_mixings(settings, axes, mixed)
     dt = float(K.dt or 0.0)
+
+    # s = rate (z - 1)/(z + 1) with (z - 1)/(z + 1) = j tan(w dt/2) at z = exp(j w dt):
+    # exact at prewarp
     rate = 2 / dt if prewarp is None else prewarp / np.tan(prewarp * dt / 2)
     stages, chains = list[Stage](), list[np.ndarray]()
     for c, (label, (gain, sections)) in enumerate(
         zip(channel_names(settings, axes), channel_chains(settings, axes), strict=True)
     ):
+        # sections with states are stages; constant ones and the channel's gain go into its
+        # column of out
         own = [
             _stage(c, f"{label}: {section.kind}, {section_text(section)}", section, rate)
             for section in sections
@@ -161,6 +170,8 @@ def build_cascade(
         out = out * np.where(np.arange(len(into)) == c, gain * _constant(sections), 1.0)
         chains.append(chain(1.0, [stage.theta for stage in own]))
         stages += own
+
+    # [[D, C], [B, A - I]] of the whole bank, outputs (p) and inputs (m) first
     theta = bank(chains, into, out)
     m = len(K.inputs)
     p = len(K.outputs)
@@ -168,6 +179,8 @@ def build_cascade(
     C = theta[:p, m:]
     B = theta[p:, :m]
     E = theta[p:, m:]
+
+    # what runs must be what was verified, by its response
     law, exact = sampled_response(E, B, C, D), sampled_response(deployment.increment, K.B, K.C, K.D)
     if not response_error(exact, law, FLOOR) <= _SAME:
         raise InvalidInput(
@@ -180,6 +193,8 @@ def build_cascade(
             )
             + "or use the modal form"
         )
+
+    # limits, anti-windup and transfer follow in _guarded; empty until then
     block = ControlBlock(
         name=name,
         inputs=K.inputs,
@@ -215,9 +230,12 @@ def _stage(channel: int, label: str, section: Section, rate: float) -> Stage:
     if order == 0:
         return Stage(channel, label, (float(D), 0.0, 0.0, 0.0, 0.0), 0)
     if order == 1:
+        # D + C B/(s - A) = (D (s - A) + C B)/(s - A); rows: coefficients of s^2, s, 1
         below = np.array([0.0, 1.0, -A[0, 0]])
         above = D * below + [0.0, 0.0, C[0] * B[0]]
     else:
+        # below = det(s - A) = s^2 - tr A s + det A; above = D below + C adj(s - A) B,
+        # C adj(s - A) B = C B s + straight
         below = np.array([1.0, -A[0, 0] - A[1, 1], A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]])
         straight = C[0] * (A[0, 1] * B[1] - A[1, 1] * B[0]) + C[1] * (
             A[1, 0] * B[0] - A[0, 0] * B[1]
@@ -227,7 +245,11 @@ def _stage(channel: int, label: str, section: Section, rate: float) -> Stage:
     powers = np.array([[rate**2, 0.0, 0.0], [rate, 2 * rate, 0.0], [1.0, 4.0, 4.0]])
     if order == 1:
         powers = np.array([[0.0, 0.0, 0.0], [rate, 0.0, 0.0], [1.0, 2.0, 0.0]])  # times 2 + delta
+
+    # columns: the highest power of delta first, so that lead is that of the denominator
     (n2, n1, n0), (lead, a1, a2) = above @ powers, below @ powers
+
+    # n/(delta^2 + a1 delta + a2) = d + (b1 delta + b2)/(...), b = n - a d
     d = n2 / lead
     a1 = a1 / lead
     a2 = a2 / lead
@@ -252,6 +274,8 @@ def _guarded(
     m = len(block.inputs)
     errors = block.error_limit
     currents = block.current_limit
+
+    # modal form with the cascade's states x as outputs beside the currents
     whole = StateSpace(
         block.increment,
         block.B,
@@ -264,12 +288,16 @@ def _guarded(
     B = form.system.B
     C = form.system.C[: len(out)]
     T = form.system.C[len(out) :]
+
+    # what the transform leaves outside the blocks is rounding
     inside = np.zeros((n, n), bool)
     for start, k in zip(form.starts, form.sizes, strict=True):
         inside[start : start + k, start : start + k] = True
     A = np.where(inside, A, 0.0)
     K = StateSpace(A + np.eye(n), B, C, block.D, block.inputs, block.outputs, block.sample_time)
     modal = replace(deployment, controller=K, increment=A, sizes=form.sizes)
+
+    # anti-windup, bounds and transfer of the modal law, states unscaled
     slow = slow_states(A, form.sizes, block.sample_time, block.windup_time)
     settings = check_settings(
         K, block.name, errors, currents, block.windup_time, block.hold_samples
@@ -282,9 +310,16 @@ def _guarded(
     decaying = (
         T @ np.where(slow[:, None] | slow, -np.eye(n) * slow, A) @ np.linalg.inv(T) if n else A
     )
+
+    # part of the slow modes: |T_slow| bound_slow
     share = np.abs(T[:, slow]) @ bound[slow]
+
+    # signals (c + s) and currents asked for (p), from errors (m) and states (n)
     rows = _signal_rows(block, into, stages)
     rows = np.vstack([rows, np.hstack([block.D, block.C])])
+
+    # fast modes alone, slow ones of A set to zero: states x, then the rows as states of one
+    # sample's memory, whose next value is row (e, x): its peak gain is that of the signal
     driven = np.where(slow[:, None], 0.0, B)
     fast = peak_gains(
         np.block(
@@ -295,6 +330,8 @@ def _guarded(
         ),
         np.vstack([T @ driven, rows[:, :m]]) * errors,
     ).sum(axis=1)
+
+    # bound of each signal: fast modes' peak, and the slow modes through its row
     signals = HEADROOM * fast[n:] + np.abs(rows[:, m:] @ T[:, slow]) @ bound[slow]
     signals = np.maximum(signals, np.finfo(float).tiny)
     kept = {key: getattr(block, key) for key in ControlBlock.__dataclass_fields__}
@@ -318,6 +355,7 @@ def _signal_rows(block: ControlBlock, into: np.ndarray, stages: Sequence[Stage])
     """Every channel's input, then every section's output, from errors and states: (c + s, m +
     n).
     """
+    # at (c, m + n): what every channel holds so far; y = d v + x1 after each section
     at = np.hstack([into, np.zeros((len(into), block.n_states))])
     rows, i = [*at.copy()], 0
     for stage in stages:

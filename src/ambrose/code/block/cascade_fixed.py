@@ -81,7 +81,12 @@ def to_fixed_cascade(
     errors = block.error_limit
     currents = block.current_limit
     channels = _inputs(block)
+
+    # what is cut off an output is up to 2^cut_bits times its limit
     cut_bits = np.ceil(np.log2(block.raw_limit / currents)).astype(int)
+
+    # channels' inputs from errors, both in parts of their ranges; then the sections' rows
+    # (y, x1, x2)
     into, into_bits = quantise_rows(
         block.into * errors / channels[:, None], word, "a channel's input"
     )
@@ -89,6 +94,8 @@ def to_fixed_cascade(
     whole = [quantise_rows(item, word, name) for item, name in zip(rows, names, strict=True)]
     sections = np.array([table for table, _ in whole], np.int64).reshape(-1, 3, 3)
     section_bits = np.array([bits for _, bits in whole], int).reshape(-1, 3)
+
+    # currents from the channels' last signals; states' unwinding from what is cut off
     last = _outputs(block)
     output, output_bits = quantise_rows(block.out * last / currents[:, None], word, "an output")
     unwind, unwind_bits = quantise_rows(
@@ -96,6 +103,9 @@ def to_fixed_cascade(
         word,
         "a state's unwinding",
     )
+
+    # states at transfer from errors (m) and currents (p); large coefficients may have
+    # negative fraction bits
     transfer, transfer_bits = quantise_rows(
         np.hstack([block.from_error * errors, block.from_output * currents]) / block.bound[:, None],
         word,
@@ -103,6 +113,8 @@ def to_fixed_cascade(
         least=_LEAST_BITS - s,
         most=2 * word - 3 - s,
     )
+
+    # sums have s + bits of the row; shifted by update_shift they have the state's bits
     own = _state_rows(block, section_bits)
     smallest = min(own.min(initial=2 * word), unwind_bits.min(initial=2 * word))
     # a state and two increments fit into the double word
@@ -134,6 +146,8 @@ def to_fixed_cascade(
         np.zeros(0),
         0.0,
     )
+
+    # rounded coefficients: another law; rounding while it runs: noise
     error, noise = _rounding(fixed)
     moved = response_error(
         sampled_response(*block_law(block)), sampled_response(*_running_law(fixed)), FLOOR
@@ -148,6 +162,8 @@ def to_fixed_cascade(
         )
     share = noise / currents
     if not share.max() <= largest_error:
+        # noise goes with the signals' ranges, hence with error_limit: a tenth below what would
+        # just do
         worst = int(share.argmax())
         narrow = 0.9 * largest_error / share.max() * errors.min()
         raise invalid(
@@ -177,9 +193,13 @@ def cascade_error(block: CascadeBlock, bits: int, steps: float = HORIZON) -> np.
     unit = 2.0**-bits
     inputs = _inputs(block)
     outputs = block.signals[len(block.into) :]
+
+    # m products and their sum, where channels are mixed
     mixed = unit * (1 + len(block.inputs)) * (np.abs(block.into) @ block.error_limit) * block.mixes
     signals = [*mixed]
     states = np.zeros(block.n_states)
+
+    # y = d v + x1: coefficient and product of d v, and the sum
     at = inputs.copy()
     i = 0
     for stage, output in zip(block.stages, outputs, strict=True):
@@ -187,6 +207,9 @@ def cascade_error(block: CascadeBlock, bits: int, steps: float = HORIZON) -> np.
         d, b1, b2, a1, a2 = np.abs(stage.coefficients)
         x1 = block.bound[i]
         signals.append(unit * (2 * d * v + output))
+
+        # x1: b1 v - a1 x1 + x2;  x2: b2 v - a2 x1: at most four roundings of each term, and
+        # the state's own sum of second order, for it is compensated
         rows = [
             (b1 * v, a1 * x1, block.bound[i + 1] if stage.order > 1 else 0.0),
             (b2 * v, a2 * x1),
@@ -194,6 +217,8 @@ def cascade_error(block: CascadeBlock, bits: int, steps: float = HORIZON) -> np.
         for j in range(stage.order):
             states[i + j] = unit * 4 * sum(rows[j]) + 4 * unit**2 * block.bound[i + j]
         at[stage.channel], i = output, i + stage.order
+
+    # a state as read lacks what the compensation carries: 2 units of its bound
     by_signal, by_state, _ = _gains(block, np.array(signals), states, 2 * unit * block.bound, steps)
     asked = np.abs(block.out) @ _outputs(block)
     return by_signal + by_state + unit * (2 + len(block.into)) * asked
@@ -237,6 +262,7 @@ def _section_rows(block: CascadeBlock) -> tuple[list[np.ndarray], list[str]]:
     rows = []
     i = 0
     for stage, size in zip(block.stages, block.signals[len(block.into) :], strict=True):
+        # y/size, x/bound from v/range, x/bound
         own = block.bound[i : i + stage.order]
         theta = stage.theta * np.array([at[stage.channel], *own]) / np.array([size, *own])[:, None]
         rows.append(np.pad(theta, (0, 2 - stage.order)))
@@ -260,6 +286,7 @@ def _running_law(fixed: FixedCascade) -> tuple[np.ndarray, np.ndarray, np.ndarra
     for stage, size, table in zip(
         block.stages, block.signals[len(block.into) :], tables, strict=True
     ):
+        # back from parts of ranges: rows times the outputs' ranges, columns over the inputs'
         own = block.bound[i : i + stage.order]
         k = stage.order + 1
         thetas.append(
@@ -288,6 +315,8 @@ def _law(
         chain(1.0, [t for t, stage in zip(thetas, block.stages, strict=True) if stage.channel == c])
         for c in range(len(into))
     ]
+
+    # bank: [[D, C], [B, A - I]]
     theta = bank(chains, into, out)
     m = len(block.inputs)
     p = len(block.outputs)
@@ -299,12 +328,19 @@ def _rounding(fixed: FixedCascade) -> tuple[np.ndarray, np.ndarray]:
     none is limited.
     """
     block, half = fixed.block, 0.5 * 2.0**-fixed.signal_bits
+
+    # half a unit of every signal's word: inputs of mixed channels are kept for the next sample
+    # (saved), sections' outputs are not
     saved = half * _inputs(block) * block.mixes
     signals = np.concatenate([np.zeros(len(saved)), half * block.signals[len(saved) :]])
+
+    # a state is rounded to a signal's word when read, and lacks the fraction that is saved
     reads = (half + 0.5 * 2.0**-fixed.state_bits) * block.bound
     by_signal, by_state, energy = _gains(
         block, signals, np.zeros(block.n_states), reads, HORIZON, saved
     )
+
+    # rounding of the current itself
     own = half * block.current_limit
     # a uniform error within +-h has the variance h^2/3
     return by_signal + by_state + own, np.sqrt((energy + own**2) / 3)
@@ -330,6 +366,9 @@ def _gains(
     count = len(block.into)
     B, D = _from_signals(block)
     E, C = block.increment, block.C
+
+    # by source: how unit errors of its columns reach the states at the next sample, and the
+    # currents at once
     sources = [
         (B * signals, D * signals),
         (np.diag(states), np.zeros((p, n))),
@@ -337,6 +376,7 @@ def _gains(
     ]
     direct = [np.abs(item).sum(axis=1) for _, item in sources]
     if saved is not None:
+        # saved errors: D (1 - 1/z) and C B/z at once, then C (z - A)^-1 E B/z
         b, d = B[:, :count] * saved, D[:, :count] * saved
         sources.append((E @ b, C @ b))
         direct.append((np.abs(C @ b) + 2 * np.abs(d)).sum(axis=1))
@@ -349,10 +389,14 @@ def _gains(
     bounds = [np.nan_to_num(item, nan=np.inf, posinf=np.inf) for item in bounds]
     if saved is None:
         return bounds[0], bounds[1] + bounds[2], np.zeros(p)
+
+    # squares of what reaches the currents at once; x x^T: what all sources put into the states
     energy, x = (
         sum((item**2).sum(axis=1) for _, item in sources) + 2 * (d**2).sum(axis=1),
         np.hstack([s for s, _ in sources]),
     )
+
+    # sum of A^k x x^T A^kT:  G_2N = G_N + A^N G_N A^NT
     power, gramian = E + np.eye(n), x @ x.T
     for _ in range(_DOUBLINGS):  # the gramian of the first 2, 4, 8 ... samples
         gramian, power = gramian + power @ gramian @ power.T, power @ power
@@ -367,9 +411,11 @@ def _peak(block: CascadeBlock, B: np.ndarray, steps: float) -> np.ndarray:
     """Bounds (p,) on C x for errors of +-1 through B (n, k), channel by channel."""
     total = np.zeros(len(block.outputs))
     for own in block_slices(block.sizes):
+        # the columns that reach this channel's states
         used = B[own][:, np.abs(B[own]).max(axis=0, initial=0.0) > 0]
         k, p = own.stop - own.start, len(total)
         if used.size:
+            # its states, then C x as states of one sample's memory, whose peak gain is that of C x
             whole = np.block(
                 [[block.increment[own, own], np.zeros((k, p))], [block.C[:, own], -np.eye(p)]]
             )
@@ -384,6 +430,9 @@ def _from_signals(block: CascadeBlock) -> tuple[np.ndarray, np.ndarray]:
     currents: B (n, c + s), D.
     """
     count, n = len(block.into), block.n_states
+
+    # at (c, c + s): errors in what every channel holds so far; a section's input errors reach its
+    # states by b1, b2 and its output by d
     at = np.zeros((count, count + len(block.stages)))
     at[:, :count] = np.eye(count)
     B, i = np.zeros((n, at.shape[1])), 0

@@ -54,11 +54,17 @@ def changes_of(tables: np.ndarray, beside: np.ndarray) -> Changes:
     middle one is rounding.
     """
     middle = tables[len(tables) // 2]
+
+    # differences from the middle point, entries of all about 1: rounding is then of one size
     moved = tables - middle
     rows, columns = _sizes(np.abs(tables).max(axis=0))
     scaled = moved / rows[:, None] / columns
     size = _ROUNDING * max(1.0, np.abs(scaled).max(initial=0.0))
+
+    # columns that span those of every difference, and the same of their rows
     left, right = _space(np.hstack(list(scaled)), size), _space(np.vstack(list(scaled)).T, size)
+
+    # moved_i = rows left (left' scaled_i right) right' columns
     return Changes(
         middle - beside, left * rows[:, None], left.T @ scaled @ right, right.T * columns
     )
@@ -71,6 +77,7 @@ def _sizes(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     rows, columns = np.ones(len(x)), np.ones(x.shape[1])
     for _ in range(_SWEEPS if x.size else 0):
         for sizes, axis in ((rows, 1), (columns, 0)):
+            # half of each row's excess, then half of each column's: the product tends to 1
             largest = (x / rows[:, None] / columns).max(axis=axis)
             np.multiply(sizes, np.sqrt(np.where(largest > 0, largest, 1.0)), out=sizes)
     return rows, columns
@@ -89,6 +96,8 @@ def beside_blocks(increments: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
     it is rounding; else 0.
     """
     middle = increments[len(increments) // 2]
+
+    # entries between different blocks; where they are more than rounding they stay
     owner = np.repeat(np.arange(len(sizes)), sizes)
     outside = np.where(owner[:, None] == owner, 0.0, middle)
     small = np.abs(outside).max(initial=0.0) <= _ROUNDING * np.abs(middle).max(initial=0.0)

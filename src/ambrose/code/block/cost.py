@@ -56,13 +56,19 @@ def step_cost(block: ControlBlock, arithmetic: str) -> Cost:
     m = len(block.inputs)
     p = len(block.outputs)
     w = block.winding
+
+    # products: diagonals of A - I, B, C and D
     direct = m * p if block.D.any() else 0
     products = len(diagonals_of(block.increment)) * n + n * m + n * p + direct
     signal, state = _BYTES[arithmetic]
     floating = arithmetic in {"double", "float"}
     if isinstance(block, CascadeBlock):
+        # a cascade: per state a and b, in whole numbers the factor between ranges as well; d of
+        # each section; out, and into where channels are mixed
         per_state = 2 if floating else 3  # and a feedthrough of every section
         products = per_state * n + len(block.stages) + m * p + (m * m if block.mixes else 0)
+
+    # kept between samples: what compensated sums lost, or the fractions saved
     carry = (
         w * signal
         if floating
@@ -70,6 +76,8 @@ def step_cost(block: ControlBlock, arithmetic: str) -> Cost:
         if isinstance(block, CascadeBlock)
         else 0
     )
+
+    # coefficients with the unwinding, limits and transfer, then the shifts of the rows, a byte each
     tables = products + w * p + (m + p if floating else 0) + (n * (m + p) if block.transfers else 0)
     shifts = 0 if floating else n + 2 * p + (n if block.transfers else 0)
     return Cost(
@@ -93,6 +101,8 @@ def scheduled_cost(block: ScheduledBlock, arithmetic: str) -> Cost:
     d, places = len(block.axes), sum(len(axis) for axis in block.axes)
     points = 2**d  # around a value
     fixed = len(diagonals_of(increment_of(block))) * n + n * m + n * p + m * p
+
+    # left (n + p, r) and right (q, n + m); core (r, q) at every corner of the cell
     around = r * (n + p) + q * (n + m)
     transfer = k * n * (m + p) if block.transfers else 0
     cost = Cost(

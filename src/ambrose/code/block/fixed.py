@@ -89,13 +89,19 @@ def build_block(
     settings = check_settings(K, name, error_limit, current_limit, windup_time, hold_samples)
     errors, currents = settings.error_limit, settings.current_limit
     dt = float(K.dt or 0.0)
+
+    # anti-windup L and bounds in the deployment's states, then scale: z = x/scale within +-1
     slow = slow_states(deployment.increment, deployment.sizes, dt, windup_time)
     unwind = unwinding(deployment, slow, currents, dt / windup_time)
     bound = state_bounds(deployment, unwind, slow, settings)
     scale = _powers(deployment.sizes, bound)
+
+    # currents asked for at most: |C| bound + |D| errors
     C, D = K.C * scale, K.D
     raw = np.abs(C) @ (bound / scale) + np.abs(D) @ errors
     from_error, from_output = transfer(deployment, scale, slow, currents)
+
+    # states that wind up first; A - I in scaled states
     order, sizes = _winding_first(deployment.sizes, slow)
     increment = (deployment.increment * scale / scale[:, None])[np.ix_(order, order)]
     return ControlBlock(
@@ -136,6 +142,8 @@ def unwinding(
     gain = np.zeros((deployment.controller.n_states, len(currents)))
     if not slow.any():
         return gain
+
+    # currents in parts of their limits, seen from the slow states
     C = deployment.controller.C[:, slow] / currents[:, None]
     size = np.linalg.norm(C, axis=0)
     if not (size > 0).all():
@@ -160,10 +168,14 @@ def state_bounds(
     E = deployment.increment
     errors = settings.error_limit
     bound = np.zeros(K.n_states)
+
+    # blocks without slow states have no anti-windup: x[k+1] = A x + B e
     for block in block_slices(deployment.sizes):
         if not slow[block].any():
             bound[block] = peak_gains(E[block, block], K.B[block] * errors) @ np.ones(len(errors))
     if slow.any():
+        # slow states: x[k+1] = (A - L C) x + (B - L D) e - L C_fast x_fast + L us,
+        # fast ones at their bounds
         L, fast = unwind[slow], ~slow
         B = np.hstack(
             [
@@ -184,6 +196,8 @@ def state_bounds(
 def _powers(sizes: Sequence[int], bound: np.ndarray) -> np.ndarray:
     """Powers of two (n,), not below the bounds, one for the two states of a rotation."""
     scale = np.exp2(np.ceil(np.log2(bound)))
+
+    # one scale keeps a rotation a rotation
     for block in block_slices(sizes):
         if block.stop - block.start == 2:
             scale[block] = scale[block].max()
@@ -200,5 +214,8 @@ def transfer(
     gains = transfer_gains(deployment.increment[None], K.B[None], K.C[None], slow, currents)
     if gains is None:
         return np.zeros(K.B.shape), np.zeros(K.C.T.shape)
+
+    # x = steady e + pick (u - (D + C steady) e): fast states at constant errors, moved
+    # until the outputs are u
     steady, pick = gains[0][0], gains[1][0]
     return (steady - pick @ (K.D + K.C @ steady)) / scale[:, None], pick / scale[:, None]

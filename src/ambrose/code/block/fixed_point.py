@@ -66,6 +66,8 @@ def to_fixed_point(
         raise invalid("word", word, "16 or 32 bits", "choose one of them")
     signal = word - 2
     cut_bits = np.ceil(np.log2(block.raw_limit / block.current_limit)).astype(int)
+
+    # coefficients between parts of limits, in words row by row
     update, unwind, output, transfer = _normalise(block, cut_bits)
     q_update, update_bits = quantise_rows(update, word, "a state's increment")
     q_unwind, unwind_bits = quantise_rows(unwind, word, "a state's unwinding")
@@ -102,6 +104,8 @@ def to_fixed_point(
         cut_bits,
         np.zeros(0),
     )
+
+    # what rounding does, as a share of the limit
     error = _error(fixed, update, output)
     share = error / block.current_limit
     if not share.max() <= largest_error:
@@ -144,9 +148,13 @@ def quantise_rows(
     for i, row in enumerate(matrix):
         largest, total = np.abs(row).max(initial=0.0), np.abs(row).sum()
         f = word - 1
+
+        # largest 2^f < 2^(word-1) and sum 2^f <= 2^word
         if largest > 0:
             f = int(np.floor(min(word - 1 - np.log2(largest), word - np.log2(total))))
         f = min(f, most, 2 * word - 3)  # a shift by the double word's bits is undefined
+
+        # rounding may lift an entry or the sum over its limit: a bit less then
         while True:
             scaled = np.round(row * np.exp2(f))
             if (
@@ -171,8 +179,12 @@ def _error(fixed: FixedBlock, update: np.ndarray, output: np.ndarray) -> np.ndar
     """
     block, n = fixed.block, fixed.block.n_states
     half = 0.5 * 2.0**-fixed.signal_bits
+
+    # increments: rounded coefficients at signals of 1, states rounded to words, bits of the state
     wrong = np.abs(fixed.update * np.exp2(-fixed.update_bits)[:, None] - update).sum(axis=1)
     source = wrong + half * np.abs(update[:, :n]).sum(axis=1) + 0.5 * 2.0**-fixed.state_bits
+
+    # outputs: accumulated and read states, rounded coefficients, and the output's own rounding
     wrong = np.abs(fixed.output * np.exp2(-fixed.output_bits)[:, None] - output).sum(axis=1)
     return block.current_limit * (
         np.abs(output[:, :n]) @ (accumulate_rounding(block, source) + half) + wrong + half
@@ -184,6 +196,8 @@ def accumulate_rounding(block: ControlBlock, source: np.ndarray) -> np.ndarray:
     over HORIZON samples.
     """
     result = np.zeros(block.n_states)
+
+    # block by block of the diagonal: the others are zero
     for own in block_slices(block.sizes):
         result[own] = peak_gains(block.increment[own, own], np.diag(source[own]), HORIZON).sum(
             axis=1

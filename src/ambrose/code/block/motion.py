@@ -65,8 +65,12 @@ def bound_motion(
             root = np.linalg.cholesky((P + P.T) / 2)  # P = R R^T, |x|_P = |R^T x|
         except np.linalg.LinAlgError:
             continue
+
+        # |N|_P = |R^T N R^-T|_2, the largest over the vertices
         contraction = max(float(np.linalg.norm(_in_norm(root, N), 2)) for N in vertices)
         if contraction < 1:
+            # |x|_P <= push/(1 - contraction) with push the sum of the columns' |b|_P times their
+            # limits, and |x_i| <= sqrt((P^-1)_ii) |x|_P
             push = max(
                 float(np.linalg.norm(root.T @ b, axis=0) @ inputs)
                 for b in _driving(B, unwind, D, pairs)
@@ -87,6 +91,7 @@ def _vertices(
     A: np.ndarray, L: np.ndarray, C: np.ndarray, pairs: list[tuple[int, int]]
 ) -> list[np.ndarray]:
     """A - L C at the grid points, then the mean of the mixed terms of every pair of neighbours."""
+    # sum s_i s_j (A_i - L_i C_j) = sum s_i^2 V_ii + sum_(i<j) 2 s_i s_j (V_ij + V_ji)/2
     own = [a - gain @ c for a, gain, c in zip(A, L, C, strict=True)]
     mixed = [(A[i] + A[j] - L[i] @ C[j] - L[j] @ C[i]) / 2 for i, j in pairs]
     return own + mixed
@@ -114,6 +119,8 @@ def _candidates(vertices: list[np.ndarray]) -> Iterator[np.ndarray]:
     yield P
     if n > _LARGEST:
         return
+
+    # the rest in the first candidate's norm, where the vertices are of order one: P = R X R^T
     found = _common([_in_norm(root, N) for N in vertices])
     if found is not None:
         yield root @ found @ root.T
@@ -124,10 +131,14 @@ def _common(vertices: list[np.ndarray]) -> np.ndarray | None:
     found.
     """
     n = len(vertices[0])
+
+    # P = sum of x_k basis_k; the last unknown is t
     basis = smat(np.eye(n * (n + 1) // 2))
     count = len(basis)
     every = np.arange(count + 1)
     one = svec(np.eye(n))
+
+    # I - P >= 0, then P - N^T P N - t I >= 0 at every vertex
     items = [Inequality(-np.eye(count), one, every[:-1])]
     for N in vertices:
         items.append(

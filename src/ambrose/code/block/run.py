@@ -65,6 +65,8 @@ def run_block(
     for k in range(len(e)):
         u, step = block.respond(e[k], x)
         currents[k] = np.minimum(np.maximum(u, -block.current_limit), block.current_limit)
+
+        # anti-windup: unwind (us - u), on the first states alone
         cut = currents[k] - u
         if cut.any():
             status[k] |= LIMITED
@@ -95,11 +97,15 @@ def run_scheduled(
             f"the shape of {block.along.plural} is {v.shape}, but must be {size}, one for every "
             "sample"
         )
+
+    # grid points of the cell and their shares, sample by sample
     schedule, told_status = follow_told(block, v)
     status |= told_status
     index, share = corners(block.axes, schedule.reshape(len(e), d))
     x = np.zeros(block.n_states, kind) if start is None else np.array(start, dtype=kind)
     carry, largest = np.zeros_like(x), np.abs(x)
+
+    # [A - I, B] and [C, D] act on z = (x, e), interpolated: sum of share_i M_i z
     to_state = np.concatenate([block.increment, block.B], axis=2).astype(kind)
     to_current = np.concatenate([block.C, block.D], axis=2).astype(kind)
     unwind, limit = block.unwind.astype(kind), block.current_limit.astype(kind)
@@ -112,6 +118,8 @@ def run_scheduled(
         at = list(zip(index[k], share[k], strict=True))
         u = sum(to_current[i] @ (part * z) for i, part in at)
         currents[k] = np.minimum(np.maximum(u, lowest), limit)
+
+        # step, and anti-windup where a current is limited
         cut = currents[k] - u
         step = sum(to_state[i] @ (part * z) for i, part in at)
         if cut.any():
@@ -166,9 +174,13 @@ def _add_compensated(
     next sample.
     """
     w = len(carry)
+
+    # what the last sums lost is added first; what this one loses is step - (total - x)
     step[:w] += carry
     total = x + step
     carry[:] = step[:w] - (total[:w] - x[:w])
+
+    # a state that decays would end in denormal numbers: zero below the floor
     total[np.abs(total) < floor] = 0.0
     return total
 
@@ -201,6 +213,8 @@ def _follow_one(
     status |= np.where(known != target, CLAMPED, 0)
     if not np.isfinite(step):
         return target, status
+
+    # it moves by at most step a sample; the first known value is taken at once
     place, at = np.empty(len(target)), low
     for k, wanted in enumerate(target.tolist()):
         if k > first and abs(wanted - at) > step:
@@ -225,8 +239,12 @@ def run_fixed(fixed: FixedBlock, errors: ArrayLike, valid: ArrayLike | None = No
     X, largest = np.zeros(n, np.int64), np.zeros(n, np.int64)
     edge = 1 << fixed.state_bits
     currents = np.empty((len(e), len(block.outputs)), np.int64)
+
+    # sums of the inputs for all samples at once; states go in one by one
     driven, direct = e @ fixed.update[:, n:].T, e @ fixed.output[:, n:].T
     A, C = fixed.update[:, :n], fixed.output[:, :n]
+
+    # shifts with half a unit for rounding: double-word state to word, sums to outputs and to states
     to_signal = _half(fixed.state_bits - s, n)
     to_output = _half(fixed.output_bits)
     to_cut = _half(fixed.cut_bits)
@@ -234,10 +252,13 @@ def run_fixed(fixed: FixedBlock, errors: ArrayLike, valid: ArrayLike | None = No
         _half(bits + s - fixed.state_bits) for bits in (fixed.update_bits, fixed.unwind_bits)
     )
     for k in range(len(e)):
+        # currents: C x + D e, then the limit
         x = _shift(X, *to_signal)
         u = _shift(direct[k] + C @ x, *to_output)
         cut = np.minimum(np.maximum(u, -one), one)
         currents[k] = cut
+
+        # states: increment and, where limited, the unwinding; both have state_bits
         step = _shift(driven[k] + A @ x, *to_state)
         if (cut != u).any():
             status[k] |= LIMITED
@@ -262,6 +283,8 @@ def run_fixed_cascade(
     X = np.zeros(n, np.int64)
     rest = np.zeros(n, np.int64)
     largest = np.zeros(n, np.int64)
+
+    # kept (c,), rest (n,): what shifts cut off channels' inputs and increments, for the next sample
     kept, currents = (
         np.zeros(len(block.into), np.int64),
         np.empty((len(e), len(block.outputs)), np.int64),
@@ -282,10 +305,13 @@ def run_fixed_cascade(
         sums = np.empty(n, np.int64)
         i = 0
         if block.mixes:
+            # v = into e, with the fraction saved
             total = fixed.into @ e[k] + kept
             v = _shift(total, *to_input)
             kept = (total - (v << fixed.into_bits)) * (n > 0)  # without states nothing is kept
             v = np.clip(v, -one, one)
+
+        # section by section: (y, x1 step, x2 step) from (v, x1, x2), y saturated
         x = _shift(X, *to_signal)
         at = v.copy()
         for j, stage in enumerate(block.stages):
@@ -297,9 +323,13 @@ def run_fixed_cascade(
             y = _shift(np.array([y]), to_section[0][j, :1], to_section[1][j, :1])[0]
             at[stage.channel] = min(max(y, -one), one)
             i += stage.order
+
+        # currents and their limit
         u = _shift(fixed.output @ at, *to_output)
         cut = np.minimum(np.maximum(u, -one), one)
         currents[k] = cut
+
+        # increments with the fraction saved, then the unwinding
         sums += rest
         step = _shift(sums, *to_state)
         rest = sums - (step << fixed.update_shift)
@@ -350,6 +380,8 @@ def _hold_last(e: np.ndarray, good: np.ndarray, hold: int) -> tuple[np.ndarray, 
     (k,) without limiting.
     """
     row = np.arange(len(e))[:, None]
+
+    # row of the last good sample, -1 before the first
     last = np.maximum.accumulate(np.where(good, row, -1), axis=0)
     filled = np.where(last >= 0, np.take_along_axis(e, np.maximum(last, 0), axis=0), 0)
     missing = row - last  # before the first good sample counted from the start

@@ -181,19 +181,27 @@ def build_scheduled_block(
     along = law_of(K).scheduled_over or SPEED
     limits, rates = check_told_limits(K.axes, along, told_limit, rate_limit)
     dt = float(K.dt or 0.0)
+
+    # bounds at frozen values, then states within +-1: x = scale z
     law = _Points.of(deployment)
     unwind = _unwinding(law, currents, dt / windup_time)
     bound, raw = _bounds(law, unwind, settings)
     scale = np.exp2(np.ceil(np.log2(bound)))
+
+    # transfer by the slow states of the grid's middle
     middle = deployment.increments[len(deployment.increments) // 2]
     steady, pick, passes = _transfer(
         law, slow_states(middle, deployment.sizes, dt, windup_time), currents
     )
+
+    # A - I, B, C and L in scaled states
     rows = scale[:, None]
     increment = law.increment * scale / rows
     B = law.B / rows
     C = law.C * scale
     L = unwind / rows
+
+    # the code holds one matrix and its changes: the tables are read back from those
     changes = _changes(
         increment, B, C, law.D, beside_blocks(law.increment, deployment.sizes) * scale / rows
     )
@@ -246,6 +254,8 @@ def neighbours(axes: tuple[np.ndarray, ...]) -> list[tuple[int, int]]:
     middles = np.array(grid_points([(axis[1:] + axis[:-1]) / 2 for axis in axes])).reshape(
         -1, len(axes)
     )
+
+    # every cell by its middle
     cells = corners(axes, middles)[0].tolist()
     return sorted({pair for cell in cells for pair in combinations(cell, 2)})
 
@@ -332,6 +342,8 @@ def _unwinding(law: _Points, currents: np.ndarray, rate: float) -> np.ndarray:
     """
     C = law.C / currents[:, None]
     size = np.linalg.norm(C, axis=1).max(axis=0)
+
+    # a state that no output sees at any point is scaled by 1, not by 0
     size[size == 0] = 1.0
     if not len(size):
         return np.zeros(law.C.transpose(0, 2, 1).shape)
@@ -350,6 +362,8 @@ def _bounds(law: _Points, unwind: np.ndarray, settings: Settings) -> tuple[np.nd
     n, errors = law.increment.shape[1], settings.error_limit
     bound, raw = np.full(n, np.finfo(float).tiny), np.abs(law.D[0]) @ errors
     for share in law.examined():
+        # the code's interpolation: matrices linear in the shares;
+        # x[k+1] = (A - L C) x + (B - L D) e + L us
         E, B, C, D, L = (
             np.tensordot(share, X, 1) for X in (law.increment, law.B, law.C, law.D, unwind)
         )
@@ -362,6 +376,8 @@ def _bounds(law: _Points, unwind: np.ndarray, settings: Settings) -> tuple[np.nd
                 "integrator that no output sees; design a stable controller for code, or a finer "
                 "grid"
             )
+
+        # the largest over all values; currents |C| x + |D| e
         bound = np.maximum(bound, states)
         raw = np.maximum(raw, np.abs(C) @ states + np.abs(D) @ errors)
     return bound, raw
@@ -380,10 +396,14 @@ def _transfer(
         return np.zeros(law.B.shape), np.zeros(law.C.transpose(0, 2, 1).shape), 0
     steady, pick = gains
     C = law.C / currents[:, None]
+
+    # I - C pick, currents in parts of their limits: what of the missing currents a pass leaves
     left = [
         np.eye(len(currents)) - np.tensordot(s, C, 1) @ np.tensordot(s, pick, 1) * currents
         for s in law.examined()
     ]
+
+    # passes until miss^n is at most _LEFT; a pass that leaves too much is not used
     miss = max(float(np.linalg.norm(x, 2)) for x in left)
     if miss > _TRANSFER:
         return steady, pick, 0

@@ -52,6 +52,8 @@ class SupervisedBlock(ScheduledBlock):
         """The least number of samples that last so long [s]; None where that is for ever."""
         if not np.isfinite(duration):
             return None
+
+        # counted up by the product itself: the rounded quotient may be one off
         count = max(0, round(duration / self.sample_time) - 2)
         while count * self.sample_time < duration:
             count += 1

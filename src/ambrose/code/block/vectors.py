@@ -58,6 +58,8 @@ def make_vectors(
     whole numbers; single: errors that single precision holds.
     """
     e, valid = _errors(len(block.inputs), _SAMPLES)
+
+    # long limiting, an implausible value, a flag that outlasts the hold
     e[40:60] = 1.0
     e[70] = 3.0  # implausible
     valid[64:82, -1] = 0
@@ -85,6 +87,8 @@ def make_scheduled_vectors(block: ScheduledBlock, single: bool = False) -> Vecto
     """
     if isinstance(block, SupervisedBlock):
         return _supervised_vectors(block, single)
+
+    # rows: a sweep beyond both ends, limiting over the range, every grid point, silence
     k = max(len(axis) for axis in block.axes)
     limited = max(24, 2 * k)
     e, valid = _errors(len(block.inputs), _SWEEP + limited + k + _TAIL)
@@ -104,11 +108,15 @@ def make_scheduled_vectors(block: ScheduledBlock, single: bool = False) -> Vecto
                 np.full(_TAIL, np.nan),
             ]
         )
+
+        # none at the start; at the end one implausible value and jumps from end to end
         column[:2], column[-4:] = np.nan, [2 * limit, low, high, low]
         columns.append(np.roll(column, 5 * i))  # so that one is told while the other is not
     told = columns[0] if len(columns) == 1 else np.stack(columns, axis=1)
     e, told = _held_exactly(e * block.error_limit, single), _held_exactly(told, single)
     run = run_scheduled(block, e, told, valid)
+
+    # what single precision makes of the same run
     rounding = np.abs(
         run_scheduled(block, e, told, valid, single=True).currents - run.currents
     ).max(axis=0)
@@ -127,6 +135,9 @@ def _supervised_vectors(block: SupervisedBlock, single: bool) -> Vectors:
     """Every doubt and every change of who is in charge; long waits are one row each, in silence."""
     watch, (low, high) = block.watch, block.range
     band, wide = watch.band, high - low
+
+    # waits [samples], cut to a row's longest; move is within the step that is allowed between
+    # samples, below within the margin of the range
     fade, dwell, crossing = (
         min(block.samples(t) or 0, _LONGEST) for t in (watch.fade, watch.dwell, wide / watch.rate)
     )
@@ -159,6 +170,8 @@ def _supervised_vectors(block: SupervisedBlock, single: bool) -> Vectors:
         (low, none, none, 1, 12, "all", 0.0),
         (low, none, none, fade + dwell + 2, 1, "none", move),
     ]
+
+    # rows spread out: readings, samples each stands for, moves
     counts = np.array([row[4] for row in rows])
     told = np.repeat([row[:3] for row in rows], counts, axis=0)
     times, moves = (
@@ -172,6 +185,8 @@ def _supervised_vectors(block: SupervisedBlock, single: bool) -> Vectors:
     flagged = np.flatnonzero(kind == "flags")
     e[flagged[0]], valid[flagged[1:], -1] = 3.0, 0
     e, told, moves = (_held_exactly(x, single) for x in (e * block.error_limit, told, moves))
+
+    # every second sample of a row has its move added; a row's last sample is compared
     odd = np.concatenate([np.arange(n) % 2 for n in times])
     readings = np.repeat(told, times, axis=0)
     readings[:, 0] += odd * np.repeat(moves, times)

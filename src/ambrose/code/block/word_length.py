@@ -66,6 +66,8 @@ def response_error(exact: np.ndarray, found: np.ndarray, floor: float = 0.0) -> 
     zero, Tustin's at the Nyquist frequency).
     """
     size = np.linalg.norm(exact, 2, axis=(1, 2))
+
+    # gains below the floor count as the floor: relative errors at a zero mean nothing
     size = np.maximum(size, max(floor * float(np.median(size)), np.finfo(float).tiny))
     return float((np.linalg.norm(found - exact, 2, axis=(1, 2)) / size).max())
 
@@ -78,6 +80,8 @@ def sampled_response(
     """
     if not len(increment):
         return np.broadcast_to(D, (len(_ANGLES), *D.shape)).astype(complex)
+
+    # delta = exp(j angle) - 1 without cancellation
     inner = np.expm1(1j * _ANGLES)[:, None, None] * np.eye(len(increment)) - increment
     return C @ np.linalg.solve(inner, np.broadcast_to(B, (len(_ANGLES), *B.shape))) + D
 
@@ -87,6 +91,9 @@ def _pole_shift(block: ControlBlock, bits: int) -> float:
     for own in block_slices(block.sizes):
         old = np.sort_complex(np.linalg.eigvals(block.increment[own, own]))
         new = np.sort_complex(np.linalg.eigvals(round_to_bits(block.increment[own, own], bits)))
+
+        # eigenvalues of A - I: distance from z = 1; an integrator's is zero and has no
+        # relative shift
         size = np.abs(old)
         worst = max(worst, float((np.abs(new - old)[size > 0] / size[size > 0]).max(initial=0.0)))
     return worst
@@ -101,10 +108,17 @@ def floating_error(block: ControlBlock, bits: int) -> np.ndarray:
     """
     unit, n = 2.0**-bits, block.n_states
     terms = n and max(block.sizes) + len(block.inputs) + 1
+
+    # each sum: a coefficient and a rounding per term, scaled states at most 1
     size = np.abs(block.increment).sum(axis=1) + np.abs(block.B) @ block.error_limit
     source = unit * (1 + terms) * size
+
+    # the state's own sum: its rounding for fast states; for slow ones, compensated, second order
+    # and the rounding of the increment
     source[block.winding :] += unit
     source[: block.winding] += 2 * unit**2 * (terms + 1) + 2 * unit * size[: block.winding]
+
+    # outputs: accumulated states, and the rounding of C x + D e
     asked = np.abs(block.C).sum(axis=1) + np.abs(block.D) @ block.error_limit
     states = accumulate_rounding(block, source) + 2 * unit * (np.arange(n) < block.winding)
     return np.abs(block.C) @ states + unit * (2 + n + len(block.inputs)) * asked

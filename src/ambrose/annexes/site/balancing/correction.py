@@ -176,6 +176,7 @@ class _Run:
     @property
     def noise(self) -> np.ndarray:
         """Variance (a,) [m2] of the mean of the blocks."""
+        # sum |block - mean|^2 / (b (b - 1))
         b = len(self.at.blocks)
         return np.asarray(np.sum(np.abs(self.at.blocks - self.d) ** 2, axis=0) / (b - 1) / b)
 
@@ -206,6 +207,8 @@ def balance(
             "no correction plane is given; name a bearing, disc, seal or coupling of the machine, "
             "and a radius"
         )
+
+    # planes, their radii, and the records read
     radii = tuple(
         check_positive(r, f"the radius of plane {name}", "give it in m")
         for name, r in planes.items()
@@ -232,11 +235,14 @@ def balance(
             influence(plant, names, controller, record, turn, settle),
         )
 
+    # every record's d, A and L at its speed; those as they are carry no weights
     none = np.zeros(len(names), complex)
     runs, with_weights = (
         [run(record, none) for record in read],
         [run(record, weights) for record, weights in tried],
     )
+
+    # what the angle and the currents rest on; one d for all: without currents anywhere d = y
     notes = [doubt] if (doubt := load_doubt(machine, read)) else []
     if not any(name in r.signals for r in read for name in ("key", "angle")):
         notes.append(
@@ -251,6 +257,9 @@ def balance(
             "record them in all"
         )
     blind = sources == {NONE}
+
+    # U, then its change with each uncertain parameter at the end of its tolerance, taken as
+    # COVERAGE standard deviations: covariance += (dU/c) (dU/c)^H
     first = _estimate(machine, names, runs, with_weights, blind)
     spread = np.zeros((len(names), len(names)), complex)
     if not blind:
@@ -277,13 +286,19 @@ def balance(
             f"the records are of one speed: run-out was taken as {what}; a record at slow roll "
             "measures it"
         )
+
+    # rows in y = S d where the loop is known at every run (blind: d is y as it is), else in d
     closed = [one.at.closed for one in runs]
     in_y = blind or all(S is not None for S in closed)
     rows = []
     for one, A, var in zip(runs, first.influence, first.noise, strict=True):
         S = one.at.closed if in_y and one.at.closed is not None else np.eye(len(A))
+
+        # before: d - L R, what unbalance makes; after the correction -U: d - L R - A U
         turning = one.d - one.at.per_runout * first.runout
         left = turning - A @ first.unbalance
+
+        # covariance of what is left, S (A cov(U) A^H + noise) S^H, as a circle of 95 % per axis
         C = S @ (A @ covariance @ A.conj().T + np.diag(var)) @ S.conj().T
         before = S @ turning
         after = S @ left
@@ -339,8 +354,12 @@ def _estimate(
 ) -> _Estimate:
     p, a = len(planes), len(machine.axes)
     speeds = [run.speed for run in runs]
+
+    # run-out is an unknown where speeds are apart: it does not grow as unbalance does
     free = len(runs) > 1 and max(speeds) > _APART * min(speeds)
     R = np.zeros(a, complex) if free else runout_phasors(machine.sensor_pairs, machine.axes)
+
+    # A_s of every run: the model's, or measured where trial weights span all planes there
     influences = []
     extra = []
     measured = False
@@ -349,6 +368,7 @@ def _estimate(
         own = [trial for trial in trials if abs(trial.speed / run.speed - 1) < _SAME_SPEED]
         A, back = run.at.per_unbalance, None
         if own:
+            # W (p, t): the weights of the trial runs at this speed, a column each
             W = np.array([trial.weights for trial in own]).T
             if np.linalg.matrix_rank(W, 1e-6 * float(np.abs(W).max())) == p:
                 back = np.linalg.pinv(W)
@@ -358,8 +378,12 @@ def _estimate(
                         "a trial run is the very run without weights; give the record with the "
                         "weight on"
                     )
+
+                # A_s = (d with W - d without) W^+
                 A = change @ back
                 measured = True
+
+                # model = scale * measured by least squares
                 scales.append(np.vdot(A, run.at.per_unbalance) / np.vdot(A, A))
         influences.append(A)
         extra.append((own, back))
@@ -369,7 +393,11 @@ def _estimate(
             "trial weights in every plane at "
             "every speed"
         )
+
+    # the error of measured coefficients is in their noise; a model's is never taken as nothing
     least = 0.0 if measured else _LEAST
+
+    # trial runs that do not span the planes are rows of their own, beside the model's A_s
     beside = (
         []
         if measured
@@ -382,6 +410,9 @@ def _estimate(
             "that of a run without weights",
             "repeat it",
         )
+
+    # rows (s, a): runs as they are, then trial runs less A_s W; unknowns U (p), then R (a) if free:
+    # d_s = A_s U + L_s R
     d = np.array(
         [run.d for run in runs] + [run.d - run.at.per_unbalance @ run.weights for run in beside]
     )
@@ -389,6 +420,8 @@ def _estimate(
     lag = np.array([run.at.per_runout for run in (*runs, *beside)])
     X = np.concatenate([A, lag[:, :, None] * np.eye(a)], axis=2) if free else A
     target = d if free else d - lag * R
+
+    # complex equations less complex unknowns
     freedom = target.size - X.shape[2]
     if freedom < 0:
         raise invalid(
@@ -397,8 +430,13 @@ def _estimate(
             f"at most {target.size}, that of 1x vectors",
             "add a record",
         )
+
+    # what the model's relative error is of: |A_s U| and the part of d that the currents make, both
+    # the model's; U is not known at first, so that the size of d itself begins
     by_currents = np.array([run.at.size for run in (*runs, *beside)])
     size, U = np.sqrt(np.mean(np.abs(target) ** 2, axis=1)), np.zeros(p, complex)
+
+    # noise of measured coefficients and size depend on U: weights and U in turn
     for _ in range(_REFINEMENTS):
         noise = np.array(
             [_noise(run, own, back, U) for run, (own, back) in zip(runs, extra, strict=True)]
@@ -409,10 +447,13 @@ def _estimate(
         size = np.hypot(np.sqrt(np.mean(np.abs(A @ U) ** 2, axis=1)), by_currents)
     if free:
         R = x[p:]
+
+    # the variance was told by the misfit where that is the larger, else by the blocks' scatter
     blocks = min(len(run.at.blocks) for run in runs)
     told = freedom if error > least else (blocks - 1) * a
     from scipy.special import fdtri
 
+    # |error|^2 / variance of a circular complex error: F(2, 2 nu), nu complex degrees of freedom
     factor = float(np.sqrt(fdtri(2, 2 * max(told, 1), 0.95)))
     with_error = [*(noise + (error * size[:, None]) ** 2)][: len(runs)]
     return _Estimate(
@@ -436,6 +477,9 @@ def _noise(run: _Run, own: Sequence[_Run], back: np.ndarray | None, U: np.ndarra
     """
     if back is None:
         return run.noise
+
+    # d - A U = (1 + sum c_t) d - sum c_t d_t with c = W^+ U: var = |1 + sum c_t|^2 var d +
+    # sum |c_t|^2 var d_t
     c = back @ U
     trials = sum(abs(share) ** 2 * trial.noise for share, trial in zip(c, own, strict=True))
     return np.asarray(abs(1 + c.sum()) ** 2 * run.noise + trials)
@@ -452,14 +496,18 @@ def _weighted(
     """
     from scipy.optimize import brentq
 
+    # records without noise would weigh without limit
     floor = 1e-24 * float(np.max(np.abs(d) ** 2)) + 1e-40
 
     def solved(error: float) -> tuple[float, np.ndarray, np.ndarray]:
+        # rows over their standard deviation, sqrt(noise + (error size)^2)
         w = 1 / np.sqrt(noise + (error * size[:, None]) ** 2 + floor)
         M, right = (X * w[:, :, None]).reshape(-1, X.shape[2]), (d * w).ravel()
         x = np.linalg.lstsq(M, right)[0]
         return float(np.sum(np.abs(M @ x - right) ** 2)), x, M
 
+    # Paule & Mandel: the common error at which the weighted misfit equals its expectation, the
+    # freedom; where 10 is not enough, no root is sought
     error = least
     if freedom and solved(least)[0] > freedom:
         error = (
@@ -468,6 +516,8 @@ def _weighted(
             else 10.0
         )
     _, x, M = solved(error)
+
+    # columns of unit length: the condition tells planes apart, not units
     length = np.linalg.norm(M, axis=0)
     s = np.linalg.svd(M / length, compute_uv=False)
     if s[-1] < 1e-9 * s[0]:

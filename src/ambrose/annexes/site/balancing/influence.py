@@ -76,15 +76,22 @@ def influence(
     dt = record.dt
     forces = [name for plane in planes for name in _forces(plant, plane)]
     inputs, outputs = [*plant.named("u"), *forces], [*plant.named("y"), *plant.named("i")]
+
+    # y, i (rows) from u, f (columns): G = y/u, G_i = i/u, H = y/f, two columns of H per plane
     P = frequency_response(select(plant.system, inputs, outputs), omega).values[0]
     a = len(axes)
     G = P[:a, :a]
     G_i = P[a:, :a]
     H = P[:a, a:]
+
+    # W^2 U exp(j W t) in a plane: the force's phasor is (1, -j) along x and y, and exp(-j angle)
+    # times that along ports turned by angle
     angle = {port.name: port.direction for port in ports(plant.machine)}
     first = np.array([angle[forces[2 * i].removeprefix("f_")] for i in range(len(planes))])
     along = np.exp(-1j * first)  # U exp(j angle) rotates as (1, -j) along x and y
     per_unbalance = omega[0] ** 2 * (H[:, 0::2] - 1j * H[:, 1::2]) * along
+
+    # S = (I + G K)^-1, K with its hold where it is sampled
     closed = None
     if controller is not None:
         timing = timing_of(plant.machine, controller) or Timing(dt)
@@ -94,6 +101,8 @@ def influence(
             1.0 if law.dt is None else hold(omega, law.dt)[0]
         )
         closed = np.linalg.inv(np.eye(a) + G @ K)
+
+    # d = y - G v, block by block as rows
     source = source_of_currents(record, plant, controller)
     kinds = {CURRENTS: ("y", "u", "e"), COILS: ("y", "i")}.get(source, ("y",))
     blocks = once_per_turn(
@@ -101,11 +110,16 @@ def influence(
     ).blocks
     y = shown = blocks[:, :a]
     if source == CURRENTS:
+        # v = hold (u + e): the commands are held over a sample
         y = y - (blocks[:, a : 2 * a] + blocks[:, 2 * a :]) @ (G * hold(omega, dt)[0]).T
     elif source == COILS:
+        # coil currents i = G_i v, hence G v = G G_i^-1 i
         y = y - blocks[:, a:] @ np.linalg.solve(G_i.T, G.T)
     elif closed is not None:
+        # d = S^-1 y
         y = y @ np.linalg.inv(closed).T
+
+    # root mean square of d - y over the axes
     size = float(np.sqrt(np.mean(np.abs(np.mean(y - shown, axis=0)) ** 2)))
     return Influence(per_unbalance, _sensors_lag(plant, omega), closed, y, size)
 
@@ -113,6 +127,8 @@ def influence(
 def _sensors_lag(plant: Plant, omega: np.ndarray) -> np.ndarray:
     """The response (a,) of the measured signals to what their sensors see, over that at rest."""
     sensors = linearised(plant.machine.sensor_pairs, plant.axes)
+
+    # least squares of the response turning on that at rest, row by row: 1 for sensors without lag
     rest, turning = frequency_response(sensors, np.array([0.0, omega[0]])).values
     return np.asarray(np.sum(turning * rest, axis=1) / np.sum(rest * rest, axis=1))
 

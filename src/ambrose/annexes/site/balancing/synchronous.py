@@ -83,6 +83,8 @@ def unbalance_from_amplitudes(
             f"enough for {unknowns} unknowns",
             "give more of them",
         )
+
+    # rows: every speed's amplitudes; columns: U of the planes, then the run-out of the axes
     rows = np.zeros((len(speeds) * n, unknowns), complex)
     for k, speed in enumerate(speeds):
         plant = loop.plant(float(speed), condition)
@@ -97,17 +99,25 @@ def unbalance_from_amplitudes(
                     f"one of {known}",
                     "name a bearing, disc, seal or coupling",
                 )
+
+            # a forward force of phase zero at x is (1, -j) along x and y; along axes turned by b
+            # it is exp(-j b) (1, -j)
             turned = next((b.angle for b in loop.machine.bearings if b.name == name), 0.0)
             forces += [f"f_{port}" for port in pair]
             patterns.append(np.exp(-1j * turned) * np.array([1.0, -1j]))
+
+        # (1): W^2 G_p for plane p, columns 2p and 2p + 1 the forces along its two ports
         G = response_at(select(plant.system, forces, plant.named("y")), float(speed))
         for p, pattern in enumerate(patterns):
             rows[k * n : (k + 1) * n, p] = speed**2 * (G[:, 2 * p : 2 * p + 2] @ pattern)
         if runout:
+            # run-out enters every speed as itself
             rows[k * n : (k + 1) * n, count:] = np.eye(n)
     # columns of one size, so that neither unbalance nor run-out is cut off
     scale: np.ndarray = np.linalg.norm(rows, axis=0)
     solution = np.linalg.lstsq(rows / scale, a.ravel(), rcond=1e-8)[0] / scale
+
+    # residual as a share of the amplitudes
     left = float(np.linalg.norm(rows @ solution - a.ravel())) / max(
         float(np.linalg.norm(a)), 1e-300
     )

@@ -36,6 +36,8 @@ def revolution(record: Record, settle: float = 0.3) -> Step:
             f"longer than the {settle:g} s left out",
             "record longer",
         )
+
+    # angle over time: from the edges of the key, the angle signal, or the record's own speed
     steady = record.between(time[0] + settle, np.inf)
     if "key" in record.signals:
         at, angle = _edges(steady)
@@ -51,6 +53,8 @@ def revolution(record: Record, settle: float = 0.3) -> Step:
             f"at least three turns after {settle:g} s",
             "record longer",
         )
+
+    # angle = speed (t - t_0) + offset by least squares; what is left of it is drift
     speed, offset = np.polyfit(at - at[0], angle, 1)
     drift = float(np.ptp(angle - speed * (at - at[0])))
     if speed <= 0:
@@ -67,6 +71,8 @@ def revolution(record: Record, settle: float = 0.3) -> Step:
             "steady",
             "record at a held speed",
         )
+
+    # the mark passes where the line is zero; then the first such time not before the record's start
     zero = at[0] - offset / speed
     turns = np.ceil((time[0] - zero) * speed / (2 * np.pi) - 1e-9)
     return Step(float(speed), float(zero + turns * 2 * np.pi / speed), float(time[-1] + record.dt))
@@ -85,6 +91,8 @@ def _edges(record: Record) -> tuple[np.ndarray, np.ndarray]:
     """Times [s] of the key's rising edges, and the angle 2 pi n [rad] at them."""
     key, time = record["key"], record.time
     level = (key.min() + key.max()) / 2
+
+    # rising passages of the mid level, between samples by a straight line
     up = np.flatnonzero((key[:-1] < level) & (key[1:] >= level))
     if len(up) < 3:
         raise invalid(
@@ -105,6 +113,7 @@ def _own_angle(record: Record, steady: Record) -> np.ndarray:
             "the record is of a rotor at rest; unbalance is found with the rotor turning"
         )
     if "speed" not in record.signals:
+        # the turning as the displacements show it: away is what it gains on the stated speed [rad]
         shown = [
             row - row.mean()
             for name, row in zip(steady.signals, steady.values, strict=True)
@@ -120,6 +129,8 @@ def _own_angle(record: Record, steady: Record) -> np.ndarray:
                 "record key (a pulse per turn) or angle, or state the speed with more digits",
             )
         return np.asarray(turning.rate * steady.time / steady.dt)
+
+    # the recorded speed's integral by trapezoids, from the record's time zero
     speed = np.abs(record["speed"])
     within = np.concatenate([[0.0], np.cumsum(speed[:-1] + speed[1:]) / 2]) * record.dt
     return np.asarray(within + speed[0] * record.start_time)[-k:]
