@@ -17,7 +17,7 @@ import numpy as np
 
 from ambrose import load_machine
 from ambrose.law.pid import pid_controller
-from ambrose.model.effects import amplifier, coupling, magnet, seal
+from ambrose.model.effects import amplifier, magnet, seal
 from ambrose.record.record import Record
 from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import Prbs
@@ -132,6 +132,7 @@ def _in_python(rig: Rig, drive: Drive) -> Callable[[np.ndarray, np.ndarray], np.
     """
     k, p, a = rig.constants, rig.modes, len(rig.axes)
     rows = drive.seal[0]
+    couplings = rig.machine.couplings
 
     def derivative(z: np.ndarray, u: np.ndarray) -> np.ndarray:
         q = z[: 2 * p].reshape(p, 2)
@@ -147,14 +148,13 @@ def _in_python(rig: Rig, drive: Drive) -> Callable[[np.ndarray, np.ndarray], np.
             )
             force[b] += c * f - s * g, s * f + c * g
         b = len(k.magnet)
-        for i in range(len(k.coupling)):
+        for i, spring in enumerate(couplings):
             c, s = k.direction[b + i]
             (x, y), (vx, vy) = place[b + i], velocity[b + i]
-            f, g = coupling.force(
-                c * x + s * y, c * y - s * x, c * vx + s * vy, c * vy - s * vx, k.coupling[i]
-            )
+            f = -spring.stiffness[0] * (c * x + s * y) - spring.damping[0] * (c * vx + s * vy)
+            g = -spring.stiffness[1] * (c * y - s * x) - spring.damping[1] * (c * vy - s * vx)
             force[b + i] += c * f - s * g, s * f + c * g
-        b += len(k.coupling)
+        b += len(couplings)
         for i in range(len(rows)):
             force[b + i] += seal.force(*place[b + i], *velocity[b + i], 0.0, 0.0, rows[i, :5])
         dz[: 2 * p] = z[2 * p : 4 * p]

@@ -207,7 +207,7 @@ def test_a_record_of_a_run_into_the_bearings_is_refused(plants, reference, tmp_p
         reference.controller, C=0.2 * reference.controller.C, D=0.2 * reference.controller.D
     )
     with pytest.raises(InvalidInput, match=r"no record to identify from: .*touchdown"):
-        stage.recorded(plants[0], weak, tmp_path / "record.h5", lambda text: None)
+        stage.recorded(plants, weak, tmp_path, lambda text: None)
 
 
 def test_a_controller_unstable_over_the_tolerances_is_not_run(commissioned, directory):

@@ -174,7 +174,7 @@ def test_wheel_holds_the_package_and_its_data(wheel):
     kept = {path for path in source.rglob("*") if path.suffix in {".py", *DATA_SUFFIXES}}
     assert names == {path.relative_to(source).as_posix() for path in kept}
     folders = {Path(name).parent.as_posix() for name in names if Path(name).suffix in DATA_SUFFIXES}
-    rooms = {"machines", "simulation/scenarios", "report/templates", "deployment/templates"}
+    rooms = {"machines", "rig/scenarios", "report/templates", "code/templates"}
     assert folders >= {"ambrose"} | {f"ambrose/{room}" for room in rooms}
     assert f"\nVersion: {ambrose.__version__}\n" in metadata
 

@@ -232,7 +232,7 @@ def test_the_command_forces_and_says_so(file, tmp_path):
     [
         (
             ["--to", "st", "--arithmetic", "fixed32"],
-            "arithmetic of a scheduled controller is 'fixed32'",
+            "--arithmetic is 'fixed32'",
         ),
         (
             ["--to", "fmu", "--arithmetic", "fixed16"],

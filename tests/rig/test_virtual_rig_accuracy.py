@@ -121,7 +121,8 @@ def test_energy_without_damping_is_kept():
                         factor * k.magnet[s, 0] ** 2 * (1 / (gap - x) + 1 / (gap + x) - 2 / gap)
                     )
             elif s < 4:
-                total += 0.5 * (k.coupling[s - 2, 0] * zeta**2 + k.coupling[s - 2, 1] * eta**2)
+                stiff = springs[s - 2].stiffness
+                total += 0.5 * (stiff[0] * zeta**2 + stiff[1] * eta**2)
         return total
 
     drift = []

@@ -19,6 +19,8 @@ from ambrose.core.statespace import StateSpace
 from ambrose.core.time_limit import TimeLimit
 from ambrose.model.assemble import assemble
 from ambrose.synthesis import design
+from ambrose.synthesis.fixed_order import polish
+from ambrose.synthesis.mu import synthesis as mu
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.pid import pid_synthesis
 
@@ -137,8 +139,8 @@ def test_a_polished_controller_says_how_its_start_ended(monkeypatch):
     """Polishing hid it: only its own status was left."""
     plant = assemble(load_machine("seal-rig"))
     held = pid_synthesis(plant)
-    monkeypatch.setattr(design, "mu_synthesis", lambda model, **_: stopped(held))
-    monkeypatch.setattr(design, "polish_synthesis", lambda model, start, **_: held)
+    monkeypatch.setattr(mu, "mu_synthesis", lambda model, **_: stopped(held))
+    monkeypatch.setattr(polish, "polish_synthesis", lambda model, start, **_: held)
     found = design.design(plant, "polish", match_reference=False)
     assert found.status == "verified"
     assert found.stopped_early.startswith("its start, by mu: after iteration 1, the time limit")

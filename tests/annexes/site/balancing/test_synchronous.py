@@ -67,14 +67,13 @@ def test_one_hold_on_the_rig_falls_by_30_db_and_tells_93_percent_of_the_unbalanc
     """Nonlinear rig with noise, C block, key phasor: 1x current by 30 dB, and what balancing
     leaves.
     """
-    from ambrose.synthesis.synchronous.design import design_synchronous
-    from ambrose.synthesis.synchronous.table import running_law
-
     from ambrose.code.c.synchronous import CompiledSynchronous
+    from ambrose.law.synchronous_table import running_law
     from ambrose.rig.disturbances import Unbalance
     from ambrose.rig.scenario import Scenario
     from ambrose.rig.synchronous import synchronous_program
     from ambrose.rig.virtual_rig import run
+    from ambrose.synthesis.synchronous_design import design_synchronous
 
     machine = load_machine("flywheel")
     law = pid_controller(machine.reference, machine)
