@@ -339,6 +339,9 @@ def first_bank(
                 else f"{states}, or {2 * len(names)}, {4 * len(names)} ... more"
             )
             raise invalid("order", order, f"{wanted} with structure {structure!r}", "leave it out")
+
+    # Notches at the bending modes: beyond the four rigid ones, one of each pair of planes. Zeros
+    # and poles coincide, so that they do nothing yet.
     bending = free_modes(finite_element_rotor(machine), max(extra, 1)).frequencies[4::2]
     places = [min(float(bending[min(i, len(bending) - 1)]), 0.5 * fastest) for i in range(extra)]
     notches = tuple(
@@ -357,6 +360,8 @@ def first_bank(
     )
     kept = {key: getattr(settings, key) for key in ("coordinates", "sample_time", "delay")}
     found, x = filter_bank(PidSettings(channels=tuple(channels), **kept), machine, fastest)
+
+    # The start is kept off the limits.
     most = [
         item.unknown(_INSIDE * item.limit) if np.isfinite(item.limit) else np.inf
         for item in found.unknowns

@@ -201,6 +201,7 @@ def _by_samples(weights: np.ndarray, fine: np.ndarray, w: np.ndarray) -> np.ndar
     # Within interval i, with left + right = 1 and bends M = y'':
     # y = left y_i + right y_i+1 + h^2/6 ((left^3 - left) M_i + (right^3 - right) M_i+1).
     i = np.clip(np.searchsorted(w, fine, side="right") - 1, 0, len(w) - 2)
+    # below the first frequency: its value
     h, at = np.diff(w), np.maximum(fine, w[0])
     left, right = (w[i + 1] - at) / h[i], (at - w[i]) / h[i]
     rows, size = np.arange(len(fine)), (len(fine), len(w))

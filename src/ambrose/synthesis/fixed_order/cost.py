@@ -74,6 +74,7 @@ class Form:
         self, dA: np.ndarray, dB: np.ndarray, dC: np.ndarray, dD: np.ndarray
     ) -> np.ndarray:
         """df/dx from df/dA .. df/dD."""
+        # df/da = df/dA dA/da: each slope times the size of its entry
         root = np.sqrt(self.rate)
         return np.concatenate(
             [

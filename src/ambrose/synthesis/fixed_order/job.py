@@ -159,6 +159,8 @@ def bending_modes_for(
     above = np.flatnonzero(frequencies[judged:] < top)[:_LISTENED]
     if start is None or not len(above):
         return judged
+
+    # sigma_max(G K) within 1 % of each mode; up to the last one that is heard all are taken
     near = (frequencies[judged:][above][:, None] * np.linspace(0.99, 1.01, 9)).ravel()
     G = loop_model(plant, timing).response(near)[:, : len(plant.axes), : len(plant.axes)]
     gain = largest_gain(G @ frequency_response(start, warped(near, timing)).values).reshape(
@@ -178,6 +180,7 @@ def first_law(job: Job, start: Law, order: int | None, structure: str) -> Law:
     m, n = start.D.shape[0], start.n_states
     late = job.timing is not None and fastest_pole(start) * job.timing.sample_time > 0.5 * np.pi
     if late and (order is None or n + m <= order):
+        # lag l on every output: u' = l (C x + D err - u); states (x, u)
         A = np.block([[start.A, np.zeros((n, m))], [_LAG * start.C, -_LAG * np.eye(m)]])
         B, C = np.vstack([start.B, _LAG * start.D]), np.hstack([np.zeros((m, n)), np.eye(m)])
         start = StateSpace(A, B, C, np.zeros((m, m)), start.inputs, start.outputs)
@@ -204,6 +207,9 @@ def with_states(K: StateSpace, extra: int, groups: Groups) -> StateSpace:
         size = extra // len(groups) + (k < extra % len(groups))
         if not size:
             continue
+
+        # Complex pairs of modulus w and damping 0.5 (a real pole if one is left over); B and C in
+        # proportion to sqrt(w), so that all respond alike; C small: the start hardly changes.
         rates = np.geomspace(100.0, 6000.0, size)
         block = -np.diag(rates)
         for j in range(0, size - 1, 2):

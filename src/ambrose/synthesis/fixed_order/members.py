@@ -42,6 +42,9 @@ def worst_member(
     if timing is not None:
         P[:, :, n:] *= lateness(omega, timing)[:, None, None]
     K = frequency_response(controller, warped(omega, timing)).values
+
+    # Loop closed with u = -K (y + d), P = [P_zw P_zu; P_yw G], S = (I + G K)^-1:
+    # z = (P_zw - P_zu K S P_yw) w - P_zu K S d,   y + d = S P_yw w + S d
     S = np.linalg.inv(np.eye(K.shape[-1]) + P[:, n:, n:] @ K)
     KS = K @ S
     M = P[:, :n, :n] - P[:, :n, n:] @ KS @ P[:, n:, :n]
@@ -49,6 +52,8 @@ def worst_member(
     owner = np.repeat(np.arange(len(names)), [block.n_w for block in model.blocks])
     limit = aims.sensitivity_limit(omega)
     ratio = largest_gain(S) / limit
+
+    # Only frequencies where the loop without deviations is high.
     near = ratio >= 0.5 * ratio.max()
     M = M[near]
     into = into[near]
@@ -58,6 +63,7 @@ def worst_member(
     tried = _corners(len(names))
     best, worst = -np.inf, tried[0]
     for delta in tried:
+        # w = delta z:   y + d = (S + out delta (I - M delta)^-1 into) d
         spread = delta[owner]
         closed = S + out @ (spread[:, None] * np.linalg.solve(np.eye(n) - M * spread, into))
         # the norm is no smaller than the gain

@@ -87,6 +87,7 @@ class Objective:
 
     def _parts(self) -> tuple[list[Channel], Settling | None]:
         if self._made is None:
+            # grids of a few points serve the poles alone
             timed = self.aims.settling is not None and len(self.omega) > 20
             settling = Settling(self.omega, self.aims.settling or 0.0) if timed else None
             self._made = (
@@ -404,6 +405,8 @@ class _LoopPoles:
         i, j = np.nonzero(weight)
         if not len(i):
             return np.zeros((self.left.shape[2], self.right.shape[1]))
+
+        # Re(weight conj(d lambda)) = Re(conj(weight) left_i dTheta right_i)
         w = np.conj(weight[i, j])
         return np.asarray(((self.left[i, j] * w[:, None]).T @ self.right[i, :, j]).real)
 

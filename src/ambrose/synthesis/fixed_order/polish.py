@@ -240,6 +240,8 @@ def _judge(job: _Job, controller: StateSpace) -> _Point:
         found |= _corner_search(job, controller, max(found, key=lambda delta: found[delta][0]))
     worst = max(found, key=lambda delta: found[delta][0])
     value = found[worst][0]
+
+    # The worst parameter values join the models where they are worse than all; true peaks the grid.
     known = max(found[delta][0] for delta in job.models)
     if worst not in job.models and (value > 1.002 * known or not np.isfinite(value)):
         job.models.append(worst)
@@ -310,6 +312,7 @@ def _grid(job: _Job, controller: StateSpace) -> np.ndarray:
         [resonances, np.array(job.extra), np.geomspace(grid[-1], top, 12), [1e3 * top]]
     )
     grid = np.unique(np.concatenate([grid, more]))
+    # points less than 0.1 % apart are one
     return grid[np.append(True, np.diff(np.log(grid)) > 1e-3)]
 
 
@@ -328,6 +331,8 @@ def _round(job: _Job, point: _Point, number: int) -> _Point:
             )
     power = _POWERS[min(number, len(_POWERS)) - 1]
     cost = Cost(form, _models(job, scale), _grid(job, point.controller))
+
+    # A loop may lose most of its decay but not all, nor the controller gain ever faster poles.
     limit = _SLOWEST * cost.abscissa(x)
     fastest = 3 * max(fastest_pole(point.controller), cost.omega[-2] / 10)
 
@@ -375,6 +380,7 @@ def _proved(job: _Job, best: _Point) -> float:
         if job.clock.left <= 0:
             break
         level = factor * best.worst
+        # only the rows of the performance are divided by the level
         gain = np.concatenate([np.ones(n), np.full(len(job.plant.z) - n, 1 / level)])
         scaled = StateSpace(loop.A, loop.B, gain[:, None] * loop.C, gain[:, None] * loop.D)
         if proved_below(scaled, with_performance_block(job.plant).blocks, 1.0):

@@ -64,6 +64,8 @@ def reduce_controller(
     keep = order
     if 0 < keep and values[keep] > _PAIR * values[keep - 1]:
         keep -= 1
+
+    # Values lost in rounding have no balanced state.
     rank = int((values > 1e-13 * values[0]).sum())
     keep = min(keep, rank)
 

@@ -284,6 +284,8 @@ def _descended(job: Job, law: Law, power: int) -> tuple[Law, int]:
     controller = structure.controller(x)
     rough = Objective(structure, job.models, np.array([100.0]), job.aims)
     cost = Objective(structure, job.models, _grid(job, rough, x, _TUNED), job.aims, job.reference)
+
+    # The fastest pole that the descent may use.
     fastest = FASTEST * max(fastest_pole(controller), job.aims.highest)
     if isinstance(structure, FilterBank):  # whose poles end at their limit softly
         fastest = max(fastest, job.fastest)
@@ -345,6 +347,8 @@ def without_drift(law: StateSpace) -> StateSpace:
     drift = float(np.linalg.eigvals(law.A).real.max(initial=-np.inf))
     if not _ROUNDING < drift <= _DRIFT:
         return law
+
+    # all poles move by -2 a: the rightmost from a to -a
     A = law.A - 2 * drift * np.eye(law.n_states)
     return StateSpace(A, law.B, law.C, law.D, law.inputs, law.outputs)
 

@@ -312,6 +312,7 @@ def _first_scaling(job: _Job, start: _Iterate) -> FittedScaling:
             tried[k] = _gamma(job, at(k).scaling)
         return tried[k]
 
+    # Downhill over the level 2^k, by four steps, then by single ones.
     best = 0
     for stride in (4, 1):
         while abs(best) < _FURTHEST:
@@ -336,6 +337,7 @@ def _first_scaling(job: _Job, start: _Iterate) -> FittedScaling:
         step = d_step(lft(job.plant, made.controller), job.blocks, job.grid[::2], rounds=0)
         return _gamma(job, fit_scaling(step, job.order, job.fit_tolerance).scaling, _GAIN)
 
+    # What the K-step reaches after one more D-step from each.
     follow = {k: ahead(k) for k in (best, best - 1, best + 1)}
     # no detour for nothing
     chosen = min(follow, key=lambda k: follow[k] * (1.0 if k == best else 1.01))
@@ -380,10 +382,14 @@ def _mu(job: _Job, step: DStep) -> dict[str, float]:
     """Complex and mixed bounds of the plant's own blocks, on the step's grid."""
     blocks = job.plant.blocks
     ceiling = step.upper
+
+    # The D-step's bound holds for d I on repeated blocks, thus also for full D there, and for
+    # mixed mu: a ceiling that spares frequencies.
     complex_peak = step.peak
     if any(not isinstance(b, FullBlock) and b.repeat > 1 for b in blocks):
         complex_peak, ceiling, _ = peak_below(step, blocks, ceiling, g_scaling=False)
     mixed, values, known = peak_below(step, blocks, ceiling, g_scaling=True)
+    # the lower bound where the upper one is highest
     at = np.flatnonzero(known)[np.argsort(-values[known])[:3]]
     lower = mu_bounds(step.M[at], blocks, tolerance=1e-3).lower.max()
     return {

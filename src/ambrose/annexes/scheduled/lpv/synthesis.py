@@ -263,6 +263,7 @@ def _verified(
         ]
         if not weak:
             break
+        # the new points join the schedule, and each gets a checked point on either side
         axes = _with(axes, weak)
         checked = tuple(
             np.unique(np.append(old, interval_points(new, 1)))
@@ -289,6 +290,7 @@ def _scheduled(
                 raise
             without.append(np.atleast_1d(value))
             continue
+        # out of the scaled time, then out of the scaled u and y
         matrices = original_matrices(plant, (A * family.rate, B * root, C * root, D))
         systems[value] = StateSpace(*matrices, given.y, given.u)
     for i, own in enumerate(family.axes):
