@@ -148,8 +148,8 @@ SLIPS = {
         '"mm"',
     ),
     "unit in other case": (
-        '"6000 rpm"',
-        '"6000 RPM"',
+        'speed = "6000 rpm"',
+        'speed = "6000 RPM"',
         "[[operation.point]] 1",
         "unit is unknown",
         'did you mean "rpm"?',
@@ -886,8 +886,8 @@ SLIPS = {
         "not decibels",
     ),
     "margin of degrees as radians": (
-        '"30 deg"',
-        "30",
+        'phase_margin = "30 deg"',
+        "phase_margin = 30",
         "[requirements]",
         "phase_margin is 30 rad",
         '"30 deg"',
