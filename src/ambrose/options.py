@@ -76,7 +76,9 @@ def check_option(item: Field[Any], value: Any, name: str) -> None:
     known = option_of(item)
     if value is None and item.default is None:
         return
-    if known.choices and value not in known.choices:
+    # an array compares by element: what is no word (or number) of the choices' kind is none of them
+    chosen = any(isinstance(value, type(one)) and value == one for one in known.choices)
+    if known.choices and not chosen:
         words = ", ".join(map(str, known.choices))
         raise invalid(name, repr(value), f"one of {words}", "leave the default")
     if known.check is not None:
