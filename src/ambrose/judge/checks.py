@@ -136,6 +136,11 @@ class Checks(Presented):
         return self.stable and all(check.passed is not False for check in self.checks)
 
     @property
+    def lost(self) -> tuple[Check, ...]:
+        """Of these, those that speak of stability: over the tolerances, or between points."""
+        return tuple(check for check in self.failed if "stability" in check.name)
+
+    @property
     def failed(self) -> tuple[Check, ...]:
         """The checks whose limit is not met."""
         return tuple(check for check in self.checks if check.passed is False)

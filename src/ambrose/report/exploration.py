@@ -133,10 +133,14 @@ def _words(item: PoleMap) -> str:
 
 def _ends(item: PoleMap) -> Table:
     rows: list[Row] = []
-    for value, real, ratio in zip(
-        item.values.tolist(), item.abscissa.tolist(), item.damping.tolist(), strict=True
+    for value, real, ratio, stable in zip(
+        item.values.tolist(),
+        item.abscissa.tolist(),
+        item.damping.tolist(),
+        item.stable.tolist(),
+        strict=True,
     ):
-        verdict = "stable" if real < 0 else "unstable"
+        verdict = "stable" if stable else "unstable"
         told = (
             units.quantity(value, item.unit, 4),
             units.quantity(real, "1/s"),

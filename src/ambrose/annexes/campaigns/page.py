@@ -137,7 +137,7 @@ def _worst_tables(found: Campaign, pages: Collection[str]) -> tuple[Table, ...]:
     rows: list[Row] = []
     for i in order:
         key, value = found.keys[i], float(found.values[found.measure][i])
-        words = f"{value:.4g}" if math.isfinite(value) else "unstable"
+        words = "unstable" if found.lost[i] else f"{value:.4g}"
         link = f"cases/{key}.html" if key in pages else ""
         rows.append(
             (
@@ -196,12 +196,11 @@ def _map(found: Campaign, a: str, b: str) -> Any:
     x, across = _axis(found, a)
     y, down = _axis(found, b)
     worst = np.full((len(down), len(across)), np.nan)
+    unstable = worst.copy()
     there = ~np.isnan(values)
     np.fmax.at(worst, (y[there], x[there]), values[there])
-    finite, unstable = (
-        np.where(np.isfinite(worst), worst, np.nan),
-        np.where(np.isposinf(worst), 1.0, np.nan),
-    )
+    unstable[y[found.lost], x[found.lost]] = 1.0  # one case is enough for a cell
+    finite = np.where(np.isfinite(worst) & np.isnan(unstable), worst, np.nan)
     picture = theme.subplots(rows=1, cols=1)
     hover = f"{theme.plain(a)} %{{x}}<br>{theme.plain(b)} %{{y}}<br>"
     bar = {
@@ -299,7 +298,7 @@ def _distribution(found: Campaign, machine: Machine) -> Any:
             line={"dash": "dash", "color": theme.LIMIT, "width": 1.2},
         )
     theme.dress(picture, 240, legend=False)
-    unstable = int(np.isposinf(values).sum())
+    unstable = int(found.lost.sum())
     beside = f" ({unstable} unstable cases beside)" if unstable else ""
     axis = theme.decades(float(edges[0]), float(edges[-1])) if positive else {}
     picture.update_xaxes(title_text=f"{theme.plain(found.measure)}{beside}", **axis)
@@ -337,7 +336,7 @@ def _parallel(found: Campaign) -> Any:
                     "ticktext": names,
                 }
             )
-    end = " (unstable: at the top)" if len(finite) < len(values) else ""
+    end = " (unstable: at the top)" if found.lost[order].any() else ""
     columns.append({"label": f"{theme.plain(found.measure)}{end}", "values": drawn(colour)})
     for i, entry in enumerate(columns):  # long names would cover their neighbours
         entry["label"] = f"{i + 1}. {str(entry['label'])[-22:]}"

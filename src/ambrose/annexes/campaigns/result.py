@@ -29,9 +29,9 @@ class Campaign(Presented):
     """The cases of a plan with what is there of them, in the plan's order.
 
     settings and values: columns (c,) by path and by name, numbers as floats (NaN: not there,
-    infinite: the loop is unstable), words as texts. units: of the settings, as written in the plan.
-    failures (c,): why a case has no values, "" where it has. keys (c,): of the cases; missing: how
-    many are not computed yet.
+    infinite: there is none, as of a loop that is unstable), words as texts. units: of the settings,
+    as written in the plan. failures (c,): why a case has no values, "" where it has. keys (c,): of
+    the cases; missing: how many are not computed yet.
     """
 
     plan: Plan
@@ -69,6 +69,11 @@ class Campaign(Presented):
         return there[np.argsort(-column[there], kind="stable")]
 
     @property
+    def lost(self) -> np.ndarray:
+        """Which cases (c,) the judge called unstable; none where the task does not ask it."""
+        return self.values.get("stable", np.ones(len(self.keys))) == 0
+
+    @property
     def failed(self) -> int:
         return sum(bool(text) for text in self.failures)
 
@@ -95,9 +100,7 @@ class Campaign(Presented):
             if len(order)
             else {}
         )
-        unstable = (
-            {"unstable": int((self.values["stable"] == 0).sum())} if "stable" in self.values else {}
-        )
+        unstable = {"unstable": int(self.lost.sum())} if "stable" in self.values else {}
         return {
             "task": self.plan.task,
             "cases": len(self.keys),

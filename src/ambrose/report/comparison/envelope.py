@@ -74,10 +74,10 @@ def share(checks: Checks) -> Share:
     """What binds in these checks, at an operating point or over the tolerances around it."""
     judged = [check for check in checks.checks if check.passed is not None]
     worst = max(judged, key=lambda check: (not check.passed, check.ratio or 0.0), default=None)
-    lost = [check for check in judged if not check.passed and "stability" in check.name]
-    if not checks.stable or lost:
+    if not checks.stable or checks.lost:
         margin = find(checks, "robust.stability.margin")
-        return Share(margin if margin in lost else lost[0] if lost else None, False)
+        named = margin if margin in checks.lost else next(iter(checks.lost), None)
+        return Share(named, False)
     return Share(worst if worst is not None and (worst.ratio or not worst.passed) else None)
 
 
