@@ -1,5 +1,5 @@
 """Excitation signals as arrays, peak 1 (the rig makes its own,
-ambrose/simulation/disturbances.py).
+ambrose/rig/disturbances.py).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Oracle of verification/margins.py: gain and phase margins of one scalar loop from eigenvalues, so
+"""Oracle of judge/margins.py: gain and phase margins of one scalar loop from eigenvalues, so
 that no crossing is missed for falling between grid points; slow on large plants.
 """
 

@@ -53,7 +53,7 @@ def over_the_range(rigid, robust_controller) -> Checks:
 
 
 def sensitivity_peak(plant: Plant, controller: StateSpace) -> float:
-    """H-infinity norm of S_o, from the loop of plant/loop.py."""
+    """H-infinity norm of S_o, from the loop of law/loop.py."""
     loop = closed_loop(plant, controller)
     return hinf_norm(select(loop, [f"d_{a}" for a in plant.axes], plant.named("y"))).value
 

@@ -1,4 +1,4 @@
-"""plant/synchronous_block.py: the angle through run-ups, the states, what a fault may do."""
+"""law/synchronous_block.py: the angle through run-ups, the states, what a fault may do."""
 
 import numpy as np
 import pytest

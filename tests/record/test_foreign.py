@@ -20,7 +20,7 @@ from ambrose.record.mat_tdms import read_variables
 
 @pytest.fixture(autouse=True)
 def in_this_process(monkeypatch):
-    """The readers' own process takes most of a second; test_sizes.py looks at it."""
+    """The readers' own process takes most of a second."""
     monkeypatch.setattr(
         foreign, "variables_of", lambda path, names: nullcontext(list(read_variables(path, names)))
     )

@@ -22,7 +22,7 @@ from ambrose.terminal import (
     say_json,
 )
 
-# evaluation/family.py, which is not imported for --help
+# those of judge/exploration.py, which is not imported for --help
 PARTS = ("poles", "campbell", "pulses", "unbalance")
 
 

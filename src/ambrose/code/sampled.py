@@ -3,7 +3,7 @@ with its delay, everywhere.
 
 Timing: the displacements are read at sample k, the code computes u[k] from e[k], and the currents
 reach the amplifiers ``delay`` samples later, held until the next ones. The code holds the
-controller without the delay; every verification (verification/sampled.py) holds it with the delay.
+controller without the delay; every verification (judge/sampled.py) holds it with the delay.
 
 Of a scheduled controller every grid point is sampled by itself, in states common to all, and the
 code takes the sampled matrices linearly between the points. That is not the sampled form of the

@@ -61,7 +61,7 @@ class Code(StrEnum):
     # Stepped sines at a seal (seal/stepped_sine.py)
     AT_SPEED = "step-at-speed"  # unbalance answers too
     NOISY = "noisy-step"
-    # Frequency responses (evaluation/response.py)
+    # Frequency responses (annexes/site/frf.py)
     UNCERTAIN_LINES = "uncertain-lines"  # the excitation is too weak there
 
 

@@ -51,7 +51,7 @@ def certify(plant: Plant | StateSpace, controller: LawLike, margins: bool = True
     - ``disk_gain_margin``, ``disk_gain_reduction`` [-], ``disk_phase_margin_rad``: what every axis
       at once may change, each by its own factor, the better of the bounds M_S/(M_S-1), M_S/(M_S+1),
       2 asin(1/2M_S) and 1+1/M_T, 1-1/M_T, 2 asin(1/2M_T) (Lehtomaki, Sandell & Athans 1981).
-      Margins of single axes: verification/margins.py. Without ``margins`` they are left out, and
+      Margins of single axes: judge/margins.py. Without ``margins`` they are left out, and
       the norm of T_o, which takes as long as that of S_o, is not computed.
 
     An unstable loop is a verdict: stable False, closed_loop_norm inf, no margins. Raises

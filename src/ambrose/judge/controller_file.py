@@ -323,7 +323,7 @@ def _layout(content: Mapping[str, Any]) -> str:
 def read_controller(path: str | os.PathLike[str], **stated: Any) -> Synthesis:
     """The controller file at ``path``, every part of it checked; nothing in it is ever executed.
 
-    A table of another program (synthesis/filter_table.py), *.csv, *.mat or JSON without "format",
+    A table of another program (law/filter_table.py), *.csv, *.mat or JSON without "format",
     is a controller that nothing is known of. stated: what such a table leaves open: rate_hz;
     delay_samples; input, "error" (r - y) or "displacement" (y, whose sign is turned); input_unit
     ("um"), output_unit ("mA"); axes, names for its channels in their order, and default_axes, where

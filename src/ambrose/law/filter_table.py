@@ -351,7 +351,7 @@ def _channels(channels: Any, dt: float | None) -> Iterator[_Channel]:
 
 
 def _filter(where: str, item: Any, dt: float | None) -> list[np.ndarray]:
-    """Theta of every section of a filter (synthesis/filters.py). Raises InvalidInput."""
+    """Theta of every section of a filter (law/filters.py). Raises InvalidInput."""
     item = _named(item) if isinstance(item, dict) else {}
     where = item.pop("where", where)
     form = next((key for key in _FILTERS if key in item), "zeros")

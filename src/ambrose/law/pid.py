@@ -120,7 +120,7 @@ def axes_mixings(
 
 
 def theta_system(theta: np.ndarray, axes: tuple[str, ...], dt: float | None = None) -> StateSpace:
-    """The controller of Theta = [[D, C], [B, A]] (synthesis/filters.py); dt [s]: it is sampled."""
+    """The controller of Theta = [[D, C], [B, A]] (law/filters.py); dt [s]: it is sampled."""
     m = len(axes)
     parts = theta[m:, m:], theta[m:, :m], theta[:m, m:], theta[:m, :m]
     return StateSpace(*parts, [f"err_{a}" for a in axes], [f"u_{a}" for a in axes], dt)

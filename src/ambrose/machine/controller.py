@@ -3,7 +3,7 @@ of filter sections.
 
 A channel is a bearing axis ("A_zeta"), or with coordinates "tilt-translate" a translation, a tilt
 or a bending (``modal_channels``). Formulas and state-space forms of the sections are in
-``synthesis/filters.py``.
+``law/filters.py``.
 """
 
 from __future__ import annotations

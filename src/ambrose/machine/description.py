@@ -392,7 +392,7 @@ class DesignWeights(Part):
     """What a robust design (H-infinity, mu) aims at; weights are the inverse of what is allowed.
 
     With a control_crossover W_u rises from control_level through 1 there to control_limit, with
-    control_order (``synthesis/weights.py`` makes transfer functions of it).
+    control_order (``law/weights.py`` makes transfer functions of it).
     """
 
     error_scale: Annotated[Length, "D_e, the largest acceptable control error"]

@@ -54,7 +54,7 @@ def run(
 ) -> Trace:
     """Simulate a closed loop from rest.
 
-    loop: the closed loop of plant/loop.py, a StateSpace (or python-control system) with inputs e_,
+    loop: the closed loop of law/loop.py, a StateSpace (or python-control system) with inputs e_,
     d_, r_, f_ and outputs y_, u_, i_, q_, qdot_; or, for a speed that changes, a function from
     speed [rad/s] to that (with ``along`` PRESSURE, from seal pressure [Pa], for one that changes),
     always in the same states, such as those of ``model.assemble`` and

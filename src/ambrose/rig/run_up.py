@@ -4,7 +4,7 @@ time-varying loop, and how each step settles.
 The plant is computed at a few speeds in states that mean the same at all of them (modes of the free
 rotor) and is linear in between; speeds are added until half-way between two of them it agrees with
 the plant computed there. The controller is taken at every speed as it is. The linear simulation
-then holds both over short intervals, as many as its answer needs (simulation/linear.py).
+then holds both over short intervals, as many as its answer needs (rig/linear.py).
 """
 
 from __future__ import annotations

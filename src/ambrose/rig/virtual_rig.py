@@ -1,6 +1,6 @@
 """The virtual rig: a nonlinear machine in a scenario, under a controller as it is deployed.
 
-Every control sample is a short list of stages (rig/kernel.py): measure, control, command the
+Every control sample is a short list of stages (rig/engine/kernel.py): measure, control, command the
 amplifiers, log, integrate. The machine between the samples is the rotor in free modes under magnet,
 contact, coupling, seal, weight and unbalance forces.
 """

@@ -59,7 +59,7 @@ def truth():
 
 
 def measured(loop, e, point, noise=0.0, seed=0, machine="seal-rig", skip=0):
-    """A record of the loop, an independent assembly (plant/loop.py), for excitations e (4, k)."""
+    """A record of the loop, an independent assembly (law/loop.py), for excitations e (4, k)."""
     y = simulate(select(loop, E, Y), e)
     y = (y + noise * np.random.default_rng(seed).standard_normal(y.shape))[:, skip:]
     return Record(

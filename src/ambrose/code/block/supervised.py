@@ -10,7 +10,7 @@ every sample, one in charge.
 
 L is the anti-windup gain of either block: to wait is to have what one asks for replaced by what
 acts. Therefore the bounds on the states of block/fixed.py and block/scheduled.py hold, whoever is
-in charge: what replaces u never leaves the limits. Who is in charge, and why: plant/supervision.py,
+in charge: what replaces u never leaves the limits. Who is in charge, and why: law/supervision.py,
 which is also the block's twin in Python (``supervised_twin``).
 """
 

@@ -1,7 +1,7 @@
 """The sampled closed loop as a function of the unknown parameters, and its exact derivatives.
 
 The plant is affine in its parameters, A(theta) = A0 + sum (theta_j - theta0_j) A_j and B likewise:
-a changed parameter is a feedback through the block that plant/uncertainty.py gives it. A bending
+a changed parameter is a feedback through the block that model/uncertainty.py gives it. A bending
 mode enters by w^2 and 2 zeta w. The loop is the one of core/lft.py, as it runs: plant held between
 the samples, sampled controller, computing delay. So the derivative of the loop is exact through
 that of the matrix exponential (core/response.py: held_derivative), and that of the outputs through

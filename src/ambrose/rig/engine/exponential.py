@@ -1,7 +1,7 @@
 """The virtual rig's fast step: an exponential Runge-Kutta method of third order, exact in all that
 is linear.
 
-z' = L z + B_u u + w + B F(y, t), y = C z + D u: the propagator (rig/propagator.py) moves the linear
+z' = L z + B_u u + w + B F(y, t), y = C z + D u: the propagator (propagator.py) moves the linear
 part exactly; F is what the magnets' force is beyond its linear part, and what a change of speed or
 pressure within the stretch adds. Weight, driven forces and unbalance at the propagator's speed are
 exact as well. This module imports numba: import it only in functions.

@@ -1,5 +1,5 @@
 """What the compiled parts of the virtual rig have in common: numba's options, and the forces of
-``physics`` made to be inlined.
+``model.effects`` made to be inlined.
 
 This module imports numba: import it only inside functions.
 """

@@ -4,9 +4,9 @@ Runge-Kutta method around them.
 State z (n,): displacements - the rotor's modal ones, x and y in turn (q_1x, q_1y, q_2x, ...), then
 those of the supports -, their velocities, then two amplifier states [A] per axis, the bias currents
 [A], the sensors' lagged signals [m], the seals' lagged displacements x, y [m], the states of
-registered effects. The forces are those of ``physics``, compiled as they stand. This module imports
-numba: import it only inside functions. What the arrays hold is said in rig/state.py and
-rig/inputs.py.
+registered effects. The forces are those of ``model.effects``, compiled as they stand. This module
+imports numba: import it only inside functions. What the arrays hold is said in state.py and
+inputs.py.
 """
 
 from __future__ import annotations

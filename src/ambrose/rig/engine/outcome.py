@@ -38,7 +38,7 @@ class Watch:
     inside: tuple[float, str] | None = None
 
     def follow(self, task: Plan, number: int, log: np.ndarray) -> None:
-        """One stretch: number of its first sample, log (k, columns) as rig/kernel.py writes it."""
+        """One stretch: number of its first sample, log (k, columns) as kernel.py writes it."""
         a = len(self.rig.axes)
         time = (number + np.arange(len(log))) * task.dt
         outputs, places = log[:, a : 2 * a].T, log[:, 4 * a : 5 * a].T

@@ -1,5 +1,5 @@
 """The linear part of the virtual rig, moved exactly through a step: the matrices that
-rig/exponential.py applies.
+rig/engine/exponential.py applies.
 """
 
 from __future__ import annotations

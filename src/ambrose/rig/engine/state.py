@@ -1,6 +1,6 @@
 """The virtual rig as arrays: what does not change during a run, and its state.
 
-The rotor is that of plant/assemble.py in its free modes (p per plane), without the bearings' linear
+The rotor is that of model/assemble.py in its free modes (p per plane), without the bearings' linear
 negative stiffness, seals and registered effects: those act as forces at S stations, in the order
 bearings, effects (couplings among them), seals, discs, each with two axes.
 """
@@ -331,7 +331,7 @@ def _seal_lags(machine: Machine, point: OperatingPoint) -> np.ndarray:
 
 @cache
 def compiled() -> tuple[Any, Any]:
-    """The compiled functions ``advance`` and ``slope`` of rig/kernel.py; half a minute on a machine
+    """The compiled functions ``advance`` and ``slope`` of kernel.py; half a minute on a machine
     that never ran them.
     """
     from ambrose.rig.engine import exponential, inlined, sampled

@@ -1,7 +1,7 @@
 """A filter bank that is tuned: its unknowns are the logarithms of the gains, times, frequencies and
 dampings of every chain.
 
-Theta of the whole bank (synthesis/filters.py) is a product of small matrices, analytic in the
+Theta of the whole bank (law/filters.py) is a product of small matrices, analytic in the
 parameters. The slope goes back through the products, and each section's own derivative is a complex
 step, exact to rounding (Squire & Trapp 1998). Poles that would run to infinity, and dampings, end
 softly at limits: value = least + 1/(1/(limit - least) + exp(-x)).
