@@ -14,6 +14,7 @@ import ambrose as amb
 from ambrose.cli import main
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
+from ambrose.law.pid import axes_controller
 from ambrose.synthesis.imported_controller import not_held
 
 RIG = "turbomolecular-pump"
@@ -108,6 +109,45 @@ def test_a_wrong_sign_and_a_wrong_unit_are_noticed(place, tmp_path, left_out, wo
     assert any(
         "the loop is unstable at" in problem and words in problem for problem in told["problems"]
     )
+
+
+def test_channels_of_tilting_and_translating_are_taken(place, tmp_path):
+    """A PID of the rotor's coordinates, channel by channel as its program has it, in A per mm."""
+    machine = amb.load_machine(RIG)
+    settings = replace(machine.reference, coordinates="tilt-translate", gain=(4e4,), tilt_gain=0.8)
+    law = amb.design(replace(machine, reference=settings, tolerances=()), "pid")
+    names = ("translate_x", "translate_y", "tilt_x", "tilt_y")
+    alone = replace(settings, coordinates="axes", gain=(4e4, 4e4, 3.2e4, 3.2e4), tilt_gain=1.0)
+    own = axes_controller(alone, names)
+    K = c2d(own, DT, "tustin")
+    told = {"inputs": list(names), "outputs": list(names), "sample_time": DT}
+    told |= {key: getattr(K, key).tolist() for key in "AB"}
+    told |= {key: (getattr(K, key) / 1e3).tolist() for key in "CD"}
+    (tmp_path / "modal.json").write_text(json.dumps(told), encoding="utf-8")
+    call_it = ["convert", "controller", tmp_path / "modal.json", "--machine", RIG]
+    call_it += ["-o", tmp_path / "k.json"]
+    wrong = call(*call_it)
+    assert wrong.exit_code == 1 and "in mm (--input-unit mm), it would be stable" in wrong.output
+    done = call(*call_it, "--input-unit", "mm", "--delay-samples", 1)
+    assert done.exit_code == 0, done.output
+    omega = np.geomspace(1, 2e4, 20)
+    np.testing.assert_allclose(
+        frequency_response(amb.read_controller(tmp_path / "k.json").controller, omega).values,
+        frequency_response(c2d(law.controller, DT, "tustin"), omega).values,
+        rtol=1e-9,
+        atol=1e-6,
+    )
+
+
+def test_a_unit_that_nearly_holds_is_named(place):
+    """With a filter that is too slow A per mm does not hold the rotor either, but it hardly
+    leaves.
+    """
+    law = amb.read_controller(place / "pid.json")
+    machine = amb.load_machine(RIG)
+    slow = replace(law, controller=replace_gain(law.controller, 0.12e-3))
+    (told,) = not_held(machine, slow)
+    assert "in mm (--input-unit mm), still, but with" in told
 
 
 def test_a_controller_that_no_sign_and_unit_holds(place):

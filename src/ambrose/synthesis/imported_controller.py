@@ -15,8 +15,10 @@ from ambrose.core.statespace import StateSpace
 from ambrose.judge.certificate import certify_envelope
 from ambrose.judge.result import Synthesis
 from ambrose.law.loop import match_axes
+from ambrose.law.pid import modes
 from ambrose.law.sampling import check_rate
 from ambrose.law.timing import timing_of
+from ambrose.machine.controller import modal_channels
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
@@ -26,15 +28,21 @@ _UNITS = {
     1e3: "in mm (--input-unit mm)",
     1e6: "in um (--input-unit um)",
     1e-3: "with a gain 1e3 times smaller",
+    1e-6: "with a gain 1e6 times smaller",
 }
+_FALLEN = 0.1  # of the largest real part, to which another unit must lower it to be worth a word
 _SIGNS = {1.0: "", -1.0: "of the other sign (--input displacement turns it)"}
 
 
 def named_for(machine: Machine, system: StateSpace) -> StateSpace:
-    """The controller with the machine's axes in their order. Raises InvalidInput where its axes are
-    others.
+    """The controller with the machine's axes in their order; one whose channels are translate_x,
+    tilt_y ... (machine/controller.py) with the rotor's coordinates around it. Raises InvalidInput
+    where its channels are others.
     """
     own = [name.removeprefix("err_") for name in system.inputs]
+    modal = modal_channels(len(machine.bearings))
+    if own and set(own) <= set(modal) and not set(own) & set(machine.axes):
+        return _between_modes(machine, system, own, modal)
     if missing := [axis for axis in machine.axes if axis not in own]:
         remedy = f"name its channels in their order (--axes), or add those of {', '.join(missing)}"
         raise invalid(
@@ -44,6 +52,36 @@ def named_for(machine: Machine, system: StateSpace) -> StateSpace:
             remedy,
         )
     return match_axes(system, machine.axes, machine.name)
+
+
+def _between_modes(
+    machine: Machine, system: StateSpace, own: Sequence[str], modal: Sequence[str]
+) -> StateSpace:
+    """Behind measured displacements to channels, before channels to currents; a channel that it
+    lacks is not controlled. Raises InvalidInput.
+    """
+    given = [name.removeprefix("u_") for name in system.outputs]
+    if sorted(given) != sorted(own):
+        raise invalid(
+            "the outputs of the controller",
+            ", ".join(given),
+            f"those of its inputs, {', '.join(own)}",
+            "name both alike",
+        )
+
+    # u = out K into err, the rows and columns of the channels that it has
+    into, out = modes(machine)
+    into = into[[modal.index(name) for name in own]]
+    out = out[:, [modal.index(name) for name in given]]
+    return StateSpace(
+        system.A,
+        system.B @ into,
+        out @ system.C,
+        out @ system.D @ into,
+        [f"err_{axis}" for axis in machine.axes],
+        [f"u_{axis}" for axis in machine.axes],
+        system.dt,
+    )
 
 
 def resampled(
@@ -94,19 +132,25 @@ def not_held(
     progress("trying other signs and units")
     others = [(sign, unit) for unit in _UNITS for sign in _SIGNS if (sign, unit) != (1.0, 1.0)]
     counts = {pair: _lost(plants, _scaled(law, pair[0] * pair[1]), machine) for pair in others}
-    best = min(others, key=lambda pair: len(counts[pair]))
+    best = min(others, key=lambda pair: (len(counts[pair]), max(counts[pair].values(), default=0)))
+    before, after = (max(of.values(), default=0.0) for of in (lost, counts[best]))
     points = ", ".join(f"{label} ({abscissa:+.4g} rad/s)" for label, abscissa in lost.items())
-    if len(counts[best]) >= len(lost):
-        check = (
-            "check the order of the axes, the rate and the delay"
-            if len(lost) == len(plants)
-            else "it holds the others"
-        )
-        return [
-            f"the loop is unstable at {points}, and no other sign or unit of length does better; "
-            f"{check}"
-        ]
+    check = (
+        "check the order of the axes, the rate and the delay"
+        if len(lost) == len(plants)
+        else "it holds the others"
+    )
     words = " and ".join(filter(None, (_SIGNS[best[0]], _UNITS[best[1]])))
+    if len(counts[best]) >= len(lost):
+        if len(counts[best]) == len(lost) and after < _FALLEN * before:
+            return [
+                f"the loop is unstable at {points}; were the controller {words}, still, but with "
+                f"{after:+.4g} rad/s at most: if that is its unit, {check}"
+            ]
+        return [
+            f"the loop is unstable at {points}, and no other sign or unit of length (m, mm, um) "
+            f"does better; {check}"
+        ]
     where = "everywhere" if not counts[best] else f"but for {', '.join(counts[best])}"
     return [
         f"the loop is unstable at {points}; were the controller {words}, it would be stable "

@@ -2,6 +2,7 @@
 and its command.
 """
 
+import hashlib
 import json
 from dataclasses import replace
 from functools import cache
@@ -211,3 +212,7 @@ def test_the_command_writes_the_page_to_sign(tmp_path):
     )
     told = json.loads(CliRunner().invoke(main, [*call, "--json"]).output)
     assert told["passed"] and len(told["points"][0]["sensitivity"]) == 4
+
+    # the record that was signed for is known again, as `sha256sum run.h5` gives it
+    digest = hashlib.sha256((tmp_path / "run.h5").read_bytes()).hexdigest()
+    assert told["records"] == [{"name": "run.h5", "sha256": digest}] and digest in page

@@ -11,6 +11,7 @@ accepted = accept(machine, controller, ["standstill.h5", "running.h5"])
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -93,13 +94,15 @@ class MeasuredLoop:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Acceptance(Presented):
-    """What was measured at every operating point; controller: its digest; records: their names."""
+    """What was measured at every operating point; records: the name of each and its SHA-256, of the
+    file, or of its samples where it was none.
+    """
 
     machine: Machine
     controller: LawLike
     timing: str
     points: tuple[MeasuredLoop, ...]
-    records: tuple[str, ...] = ()
+    records: tuple[tuple[str, str], ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -136,6 +139,7 @@ class Acceptance(Presented):
             "machine": self.machine.name,
             "passed": self.passed,
             "timing": self.timing,
+            "records": [{"name": name, "sha256": digest} for name, digest in self.records],
             "points": points,
         }
 
@@ -164,7 +168,7 @@ def accept(
             "every axis"
         )
     read = [item if isinstance(item, Record) else read_record(item) for item in several]
-    names = tuple(Path(item).name for item in several if not isinstance(item, Record))
+    names = tuple(_named(item, number) for number, item in enumerate(several, 1))
     points: dict[OperatingPoint, list[Record]] = {}
     for number, record in enumerate(read, 1):
         _check(machine, record, number)
@@ -189,6 +193,16 @@ def accept(
         _measure(machine, controller, timing, group, harmonics) for group in points.values()
     )
     return Acceptance(machine, controller, str(timing), measured, names)
+
+
+def _named(item: Record | str | Path, number: int) -> tuple[str, str]:
+    """The name of a record and its SHA-256."""
+    if not isinstance(item, Record):
+        with Path(item).open("rb") as file:
+            return Path(item).name, hashlib.file_digest(file, "sha256").hexdigest()
+    digest = hashlib.sha256(repr((item.signals, item.units, item.sample_rate_hz)).encode())
+    digest.update(np.ascontiguousarray(item.values).tobytes())
+    return f"record {number}", digest.hexdigest()
 
 
 def _check(machine: Machine, record: Record, number: int) -> None:

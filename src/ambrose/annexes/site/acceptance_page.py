@@ -53,7 +53,7 @@ def acceptance_page(accepted: Acceptance, *, date: str = "") -> Page:
     rows = (
         ("Machine file", accepted.machine.name, Cell("", detail=machine_hash(accepted.machine))),
         ("Controller", f"{accepted.timing}", Cell("", detail=digest)),
-        ("Records", ", ".join(accepted.records) or "given in the program", ""),
+        *(("Record", name, Cell("", detail=sha256)) for name, sha256 in accepted.records),
     )
     sections.append(
         Section(

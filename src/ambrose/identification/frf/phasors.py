@@ -18,6 +18,9 @@ _ALIKE = 0.02  # relative difference of successive periods within one step
 _SLACK = 1e-3  # [s] by which steps of two signals may overlap and still follow each other
 _MOST_BLOCKS = 20
 _LEAST_PERIODS, _LEAST_BLOCKS = 4, 3  # of a step, and of its fit
+_HARMONICS = 8  # that are fitted beside the sine, as far as the sampling shows them
+_SHOWN = 0.9  # of half the sample rate, below which a harmonic is told from another one
+_SAMPLES_EACH = 2  # per unknown, that a block has at least
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,9 +108,11 @@ def phasors(record: Record, step: Step, signals: Sequence[str], settle: float = 
     """The phasors of ``signals`` in a step, after the first ``settle`` [s] of it were left to the
     transient; zero for an excitation e_<axis> that the record lacks.
 
-    Each block of whole periods is fitted by least squares with a sine, an offset and a drift, so
-    periods need not be whole numbers of samples. Raises InvalidInput for a step too short for three
-    periods after settling.
+    Offset, drift and harmonics are fitted over all periods together: in one period alone a drift
+    looks like sines, and what a harmonic has of it would pass for the sine. Each block of whole
+    periods then has a sine, its harmonics and an offset of its own, so that periods need not be
+    whole numbers of samples. Raises InvalidInput for a step too short for three periods after
+    settling.
     """
     check_positive(settle, "settle", "give it in seconds", zero_allowed=True)
     period = (
@@ -142,17 +147,36 @@ def phasors(record: Record, step: Step, signals: Sequence[str], settle: float = 
     ]
     rows = record.values[list(index_of([signals[i] for i in known], record.signals, "signal"))]
     blocks = np.zeros((count, len(signals)), complex)
-    for block, (i, j) in zip(blocks, pairwise(edges.tolist()), strict=True):
-        block[known] = _fit(rows[:, i:j], step, record.start_time + i * record.dt, record.dt)
+
+    # x = sum over n of a_n cos n angle + b_n sin n angle, with n from 1, and the phasor a_1 - j b_1
+    samples = int(np.diff(edges).min())
+    orders = _orders(step.frequency * record.dt, samples)
+    first, last = int(edges[0]), int(edges[-1])
+    angle = step.frequency * (record.start_time + np.arange(first, last) * record.dt - step.start)
+    waves = np.stack([wave(n * angle) for n in orders for wave in (np.cos, np.sin)])
+
+    # what is no sine of order 1, from all periods: harmonics, offset and drift
+    ramp = np.stack([np.ones(last - first), np.linspace(-1, 1, last - first)])
+    whole_record = rows[:, first:last]
+    found = _least_squares(np.vstack([waves, ramp]), whole_record)
+    left = whole_record - found[2:].T @ np.vstack([waves[2:], ramp])
+
+    # block by block
+    for block, (i, j) in zip(blocks, pairwise((edges - first).tolist()), strict=True):
+        own = _least_squares(np.vstack([waves[:, i:j], np.ones(j - i)]), left[:, i:j])
+        block[known] = own[0] - 1j * own[1]
     return Phasors(step.frequency, tuple(signals), blocks.mean(axis=0), blocks)
 
 
-def _fit(values: np.ndarray, step: Step, start: float, dt: float) -> np.ndarray:
-    """The phasors (s,) of values (s, k) that begin at ``start`` [s]."""
-    k = values.shape[1]
+def _orders(per_sample: float, samples: int) -> range:
+    """The multiples of a frequency [rad per sample] that a block of so many samples tells apart."""
+    shown = int(_SHOWN * np.pi / per_sample)
 
-    # x = a cos + b sin + offset + drift: the phasor is a - j b
-    angle = step.frequency * (start + np.arange(k) * dt - step.start)
-    X = np.stack([np.cos(angle), np.sin(angle), np.ones(k), np.linspace(-1, 1, k)])
-    coefficients = np.linalg.solve(X @ X.T, X @ values.T)
-    return coefficients[0] - 1j * coefficients[1]
+    # a cos and a sin of every order, and an offset
+    told = (samples // _SAMPLES_EACH - 1) // 2
+    return range(1, max(min(_HARMONICS, shown, told), 1) + 1)
+
+
+def _least_squares(basis: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The coefficients (c, s) of a basis (c, k) that values (s, k) have."""
+    return np.linalg.solve(basis @ basis.T, basis @ values.T)

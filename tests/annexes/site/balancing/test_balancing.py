@@ -13,6 +13,8 @@ from ambrose.annexes.site.balancing.correction import balance
 from ambrose.annexes.site.balancing.vectors import revolution
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
+from ambrose.machine.description import Tolerance
+from ambrose.machine.seals import Seal
 from ambrose.machine.stator import Runout
 from ambrose.model.effects import sensor
 from ambrose.model.static_load import stated_at_load
@@ -127,6 +129,20 @@ def test_several_speeds_lower_the_condition():
     one, two = found([record(TOP)]), found([record(TOP), record(1.5 * TOP), record(SLOW)])
     assert off(two) < 0.01
     assert two.condition > one.condition > 1  # run-out is unknown, too
+
+
+def test_a_tolerance_of_nothing_moves_nothing():
+    """A seal without pressure has no coefficients, and a share of them is none."""
+    seal = Seal("seal", 0.1, k=1e6, reference_pressure=2e5, scales_with_pressure=("k",))
+    bearing = Tolerance(f"bearing.{machine().bearings[0].name}.force_per_current", relative=0.03)
+    loose, tight = (
+        replace(machine(), seals=(seal,), tolerances=tolerances)
+        for tolerances in ((Tolerance("seal.seal.k", relative=0.2), bearing), (bearing,))
+    )
+    turning = replace(record(TOP), point=replace(record(TOP).point, seal_pressure=0.0, label=""))
+    both = [found([turning], described=item) for item in (loose, tight)]
+    np.testing.assert_allclose(both[0].uncertainty, both[1].uncertainty, rtol=1e-9)
+    assert (both[0].uncertainty > found([turning]).uncertainty).all()
 
 
 @pytest.mark.parametrize("mark", ["key", "angle", "none"])

@@ -263,10 +263,13 @@ def balance(
     first = _estimate(machine, names, runs, with_weights, blind)
     spread = np.zeros((len(names), len(names)), complex)
     if not blind:
-        for tolerance in tolerances_around(runs[0].plant):
-            moved = _moved(
-                machine, names, runs, with_weights, tolerance.parameter, controller, settle
-            )
+        around = dict.fromkeys(
+            tolerance.parameter
+            for one in (*runs, *with_weights)
+            for tolerance in tolerances_around(one.plant)
+        )
+        for parameter in around:
+            moved = _moved(machine, names, runs, with_weights, parameter, controller, settle)
             change = (moved.unbalance - first.unbalance) / COVERAGE
             spread += np.outer(change, change.conj())
     covariance = first.covariance + spread
@@ -537,10 +540,15 @@ def _moved(
     controller: LawLike | None,
     settle: float,
 ) -> _Estimate:
-    """The estimate with one uncertain parameter at the end of its tolerance."""
+    """The estimate with one uncertain parameter at the end of its tolerance, in the runs around
+    which it has one.
+    """
 
     def moved(run: _Run) -> _Run:
-        plant = perturbed(run.plant, {path: 1.0})
+        held = [item for item in tolerances_around(run.plant) if item.parameter == path]
+        if not held:
+            return run
+        plant = perturbed(run.plant, {path: 1.0}, held)
         turn = revolution(run.record, settle)
         at = influence(plant, planes, controller, run.record, turn, settle)
         return _Run(run.record, plant, run.speed, run.weights, at)
