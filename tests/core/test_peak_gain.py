@@ -57,3 +57,10 @@ def test_unstable_and_marginal_are_infinite():
     assert np.isinf(peak_gains(np.array([[0.0]]), np.array([[1.0]]))).all()
     assert np.isinf(peak_gains(np.array([[0.0, 1.0], [0.0, 0.0]]), np.ones((2, 1)))).all()
     assert (peak_gains(np.array([[0.0, 1.0], [0.0, 0.0]]), np.zeros((2, 1))) == 0).all()
+
+
+def test_a_slow_state_in_large_units_is_summed_to_its_end():
+    """Beside a fast one of order 1 its sum 1e-19/(1 - 0.99999) ended after a batch of samples."""
+    B = np.diag([1.0, 1e-19])
+    found = peak_gains(np.diag([-0.9, -1e-5]), B)
+    assert np.diag(found) * [0.9, 1e14] == pytest.approx(np.ones(2), rel=1e-6)

@@ -146,3 +146,15 @@ def test_a_continuous_loop_and_a_matrix_of_another_size_are_refused():
         with_resonator(StateSpace([[-1.0]], [[1.0]], [[1.0]], [[-1.0]]), np.eye(1), 10.0, 1.0)
     with pytest.raises(InvalidInput, match="T is"):
         with_resonator(rigid(), np.eye(2), 10.0, 1.0)
+
+
+def test_the_largest_gain_is_stable_even_where_there_are_several_borders(monkeypatch):
+    """A band of unstable gains below the highest: what is returned lies below it and is stable."""
+    stable = lambda gain: gain < 0.2 or 0.5 < gain < 0.53 or gain > 0.9  # noqa: E731
+    monkeypatch.setattr(
+        "ambrose.core.synchronous.slowest_pole",
+        lambda loop, T, W, gain, leak=0.0: -1.0 if stable(gain) else 1.0,
+    )
+    for highest in (1.0, 0.52):
+        found = largest_gain(rigid(), np.eye(1), 1.0, highest)
+        assert stable(found) and 0.19 < found < 0.2

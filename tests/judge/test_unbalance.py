@@ -242,3 +242,22 @@ def test_shares_for_other_than_two_bearings_are_equal(rig):
     one = replace(rig, bearings=rig.bearings[:1], sensors=rig.sensors[:1])
     assert residual_unbalance(one).share == (1.0,)
     assert isinstance(assemble(one).system, StateSpace)
+
+
+def test_every_maximum_of_the_reassembled_rotor_keeps_its_refined_point(
+    rig_plants, rig_controller, monkeypatch
+):
+    """Two maxima between the speeds given, the first the larger: its point was dropped."""
+    bump = lambda w: 1 / (1 + (w / 60.0) ** 2)  # noqa: E731
+    orbit = lambda w: 3 * bump(w - 210.0) + 2 * bump(w - 612.0)  # noqa: E731
+    at = "ambrose.judge.unbalance."
+    monkeypatch.setattr(at + "loop_at", lambda plant, controller, speed: speed)
+    monkeypatch.setattr(at + "worst_orbit", lambda speed, residual: np.array([orbit(speed)]))
+    monkeypatch.setattr(at + "distributed_orbits", lambda *_, antiphase: np.zeros((2, 1)))
+    speeds = np.arange(100.0, 901.0, 100.0)
+    curve = unbalance_curve(lambda _: rig_plants["zero"], speeds, rig_controller)
+    assert len(curve.x) == len(speeds) + 2
+    for low, high in ((100.0, 400.0), (400.0, 800.0)):
+        inside = (curve.x > low) & (curve.x < high)
+        most = orbit(np.linspace(low, high, 100_001)).max()
+        assert curve.y[0, inside].max() == pytest.approx(most, rel=1e-6)

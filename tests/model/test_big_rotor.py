@@ -124,6 +124,18 @@ def test_residual_modes_hold_the_static_compliance_of_all_others():
     assert np.abs(shapes.T @ rotor.plane_mass @ shapes - np.eye(3)).max() <= 1e-10
 
 
+def test_loads_that_leave_nothing_in_the_residual_modes_give_none():
+    """None where all modes are kept, and none of a load of zeros (moments of a rotor that has no
+    polar inertia).
+    """
+    rotor = finite_element_rotor(amb.load_machine("two-disc-rotor"))
+    loads = plane_rows(rotor, [rotor.positions[0], rotor.positions[3]])[0]
+    frequencies, shapes = residual_modes(rotor, 2 * rotor.n_nodes - 2, loads)
+    assert frequencies.shape == (0,) and shapes.shape == (2 * rotor.n_nodes, 0)
+    both = residual_modes(rotor, 5, np.vstack([loads, np.zeros(loads.shape[1])]))
+    np.testing.assert_array_equal(both[0], residual_modes(rotor, 5, loads)[0])
+
+
 def test_modes_up_to_100_khz_are_kept():
     kept = {
         name: bending_modes_of(finite_element_rotor(amb.load_machine(name)))

@@ -20,7 +20,7 @@ from scipy.interpolate import CubicSpline
 from ambrose import load_machine
 from ambrose.core.checks import InvalidInput
 from ambrose.core.mechanical import to_statespace
-from ambrose.core.statespace import static_gain
+from ambrose.core.statespace import StateSpace, static_gain
 from ambrose.law.loop import closed_loop
 from ambrose.law.pid import pid_controller
 from ambrose.machine.machine import Machine
@@ -268,3 +268,9 @@ def test_the_linear_simulation_of_a_run_up_changes_the_plant_with_the_speed():
     )
     held = linear.run(closed_loop(plant, controller("table")), short)
     assert error(held, found.record.select(OUTPUTS).values) > 0.01
+
+
+def test_states_that_differ_over_pressure_are_told_in_pascal():
+    loops = [StateSpace([[-1.0]], [[1.0]], [[c]], [[0.0]], ["d_x"], ["q_x"]) for c in (1.0, 1.5)]
+    with pytest.raises(InvalidInput, match=r"others at 300000 than at 1000 Pa \(q_x reads"):
+        linear._check_same_states([(1e3, loops[0]), (3e5, loops[1])], ["q_x"], "Pa")

@@ -137,13 +137,17 @@ def largest_gain(
     one border between a stable small gain and an unstable large one, which is checked at three
     gains below the one returned.
     """
-    if slowest_pole(loop, T, frequency, highest, leak) < 0:
+
+    def stable(gain: float) -> bool:
+        return slowest_pole(loop, T, frequency, gain, leak) < 0
+
+    if stable(highest):
         low = highest
     else:
         low, high = 0.0, highest
         trial = highest / 10
         while low == 0.0 and trial > _LEAST * highest:  # a stable gain, from above
-            if slowest_pole(loop, T, frequency, trial, leak) < 0:
+            if stable(trial):
                 low = trial
             else:
                 high, trial = trial, trial / 10
@@ -151,15 +155,21 @@ def largest_gain(
         # Bisection of the logarithm: low is stable, high is not.
         while low > 0 and high > (1 + tolerance) * low:
             middle = float(np.sqrt(low * high))
-            if slowest_pole(loop, T, frequency, middle, leak) < 0:
+            if stable(middle):
                 low = middle
             else:
                 high = middle
 
-    # One border is only assumed: three gains below, and half of the first that is not stable.
+    # One border is only assumed: where one of three gains below is not stable, the search begins
+    # anew below it.
     for share in (0.75, 0.4, 0.1):
-        if low and not slowest_pole(loop, T, frequency, share * low, leak) < 0:
-            low = share * low / 2
+        if low and not stable(share * low):
+            below = share * low
+            return (
+                largest_gain(loop, T, frequency, below, tolerance, leak)
+                if below > _LEAST * highest
+                else 0.0
+            )
     return low
 
 

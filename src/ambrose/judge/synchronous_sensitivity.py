@@ -1,10 +1,10 @@
 """The sensitivity with a synchronous block on, as it is measured in operation (ISO 14839-3).
 
 With the block's H(z) = (eps Ts/2) (D e^{j W Ts}/(z - e^{j W Ts}) + its conjugate) from what it
-reads to c, and the loop's M from c to that, the disturbance d at the sensors gives e = S (d - c) +
-..., so that
+reads to c, and the loop's M from c and M_d from the disturbance d at the sensors to that, e = S d +
+M_e c with M_e = -S, so that
 
-    e = (S - M_e H (1 - M H)^-1 M_d) d
+    e = (S + M_e H (1 - M H)^-1 M_d) d
 
 which has a zero at the speed for the mode current-free, and peaks beside it that grow with eps.
 """

@@ -344,6 +344,7 @@ def unbalance_curve(
 
     # local maxima of at least half the largest are refined between their neighbours
     values = np.array([worst(float(speed)) for speed in speeds])
+    kept = set(speeds.tolist())
     for k in range(1, len(speeds) - 1):
         if values[k] >= max(values[k - 1], values[k + 1], 0.5 * values.max()):
             bounds = (float(speeds[k - 1]), float(speeds[k + 1]))
@@ -353,8 +354,8 @@ def unbalance_curve(
                 method="bounded",
                 options={"xatol": 1e-4 * speeds[k]},
             )
-            columns = {w: column for w, column in columns.items() if w in speeds or w == best.x}
-    x = np.array(sorted(columns))
+            kept.add(float(best.x))
+    x = np.array(sorted(kept))
     return _orbit_curve(machine, x, np.array([columns[w] for w in x]).T, machine.requirements)
 
 

@@ -347,7 +347,7 @@ def _check_same_states(
             k = int(np.argmax(change))
             raise invalid(
                 "the states of the loop",
-                f"others at {speed:g} than at {start:g} rad/s ({rows[k]} reads them "
+                f"others at {speed:g} than at {start:g} {unit} ({rows[k]} reads them "
                 f"{change[k]:.1%} "
                 "otherwise)",
                 "the same at every speed, for the run-up carries them over",

@@ -12,7 +12,12 @@ import scipy.signal
 import code_driver as driver
 from ambrose import load_machine
 from ambrose.code.block.cascade import build_cascade
-from ambrose.code.block.cascade_fixed import cascade_error, to_fixed_cascade
+from ambrose.code.block.cascade_fixed import (
+    _from_signals,
+    _gains,
+    cascade_error,
+    to_fixed_cascade,
+)
 from ambrose.code.block.fixed import build_block
 from ambrose.code.block.run import LIMITED, run_block, run_fixed_cascade
 from ambrose.code.c.code import generate
@@ -439,3 +444,21 @@ def test_four_channels_of_three_bearings_run_as_code():
         virtual_rig.run(train, item, push).record["u_MID_zeta"] for item in (code, law)
     )
     assert np.abs(expected).max() > 0.1 and found == pytest.approx(expected, abs=1e-9)
+
+
+def test_energy_of_errors_that_are_made_good_a_sample_later():
+    """An error of one unit at a channel's input, taken back at the next sample: the sum of squares
+    of what it does to the currents, sample by sample.
+    """
+    block, _ = both("tilt-translate")
+    B, D = _from_signals(block)
+    count = len(block.into)
+    x, squares = np.zeros((block.n_states, count)), np.zeros(len(block.outputs))
+    for k in range(8192):
+        u = np.diag(block.signals[:count]) * (1.0, -1.0)[k] if k < 2 else np.zeros((count, count))
+        squares += ((block.C @ x + D[:, :count] @ u) ** 2).sum(axis=1)
+        x = x + block.increment @ x + B[:, :count] @ u
+    nothing = np.zeros(block.n_states)
+    signals = np.zeros(len(block.signals))
+    energy = _gains(block, signals, nothing, nothing, 8192, block.signals[:count])[2]
+    assert energy == pytest.approx(squares, rel=1e-6)

@@ -5,6 +5,7 @@ at rest, motions in time.
 from __future__ import annotations
 
 from fractions import Fraction
+from functools import reduce
 from itertools import pairwise
 from math import comb
 
@@ -17,6 +18,7 @@ from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace
 from ambrose.core.varying.cells import (
     Cell,
+    CellSearch,
     _entries,
     accurate_product,
     elevated,
@@ -210,3 +212,27 @@ def test_an_unstable_parameter_has_no_proof() -> None:
     A = np.array([[oscillator(0.0, -0.4 * v) for v in row] for row in p])
     with pytest.raises(NumericalFailure, match=r"no quadratic function|does not hold"):
         proved_on_cells([Cell(A, np.tile([[0.0], [1.0]], (2, 2, 1, 1)), p)], C, 0.1)
+
+
+def exact(*factors: np.ndarray) -> np.ndarray:
+    """The product without rounding."""
+    return reduce(np.matmul, [np.vectorize(Fraction)(factor) for factor in factors])
+
+
+def test_y_keeps_its_digits_in_any_coordinates_and_rounding_covers_every_part() -> None:
+    rng = np.random.default_rng(1)
+    A, C = -np.eye(2) + 0.3 * rng.normal(size=(2, 2)), np.array([[1 / 3, -1 / 3]])
+    T = np.array([[1.0, 1.0], [1.0, 1.0 + 2.0**-30]])
+    for B in (rng.normal(size=(2, 1)), 1e9 * rng.normal(size=(2, 1))):
+        cell = Cell(A[None, None], B[None, None], np.array([[-1.0], [1.0]]))
+        search = CellSearch([cell], C, np.inf, 0, 1.0, (T, np.linalg.inv(T)))
+
+        # C T: what is left of 1/3 - 1/3 (1 + 2^-30)
+        wanted = exact(C, T).astype(float) / np.sqrt(search.pace)
+        assert np.abs(search.C - wanted).max() <= 2e-16 * np.abs(wanted).max()
+
+        # X B in floating point against the same without rounding
+        X, e = np.array([[1 / 3, 0.1], [0.1, 0.7]]), search.entries[0]
+        error = np.abs(exact(X @ e.B[0], np.eye(1)) - exact(X, e.B[0])).astype(float).max()
+        assert error < search.rounding(X[None], 1.0)
+    assert error > 1.0  # of entries of 1e18

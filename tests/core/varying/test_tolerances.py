@@ -4,6 +4,8 @@ worse than any of them.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -80,3 +82,17 @@ def test_a_stiffness_that_may_move_as_it_likes_is_not_proved_where_a_square_wave
             )
         ).value
     )
+
+
+def test_a_tolerance_that_nothing_shows_changes_nothing() -> None:
+    """A row of zeros in Z, of a coefficient that acts on no state: w = 0."""
+    silent = np.vstack([Z, np.zeros((1, 2))])
+    wide = [
+        replace(cell, B=np.concatenate([cell.B[..., :2], cell.B[..., 1:]], axis=-1))
+        for cell in CELLS[1:2]
+    ]
+    with_it, without = (
+        proved_over_tolerances(cells, C, rows, pole=None).gamma
+        for cells, rows in ((wide, silent), (CELLS[1:2], Z))
+    )
+    assert with_it == pytest.approx(without, rel=1e-6)

@@ -147,11 +147,14 @@ def _heaviest(machine: Machine, method: Tuned, progress: Callable[[str], None]) 
     # mu(low) <= 1 < mu(high): halved down while mu is above 1, else doubled up while it is not
     while mu(low) > 1 and low > _LOWEST:
         high, low = low, low / 2
-    while low == high and mu(2 * high) <= 1 and high < 1 / _LOWEST:
-        low = high = 2 * high
-    high = 2 * high if low == high else high
+    while low == high and low < 1 / _LOWEST:
+        low, high = (2 * low, 2 * low) if mu(2 * low) <= 1 else (low, 2 * low)
     if found[low].gamma > 1:
         return Least("weight", 0.0, low, "mu", machine=machine)
+
+    # the largest that is tried met it as well: none failed
+    if low == high:
+        return Least("weight", low, 0.0, "the largest that is tried", found[low], machine)
 
     # bisection in the logarithm
     while high / low > _CLOSE:

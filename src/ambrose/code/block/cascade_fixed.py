@@ -376,10 +376,10 @@ def _gains(
     ]
     direct = [np.abs(item).sum(axis=1) for _, item in sources]
     if saved is not None:
-        # saved errors: D (1 - 1/z) and C B/z at once, then C (z - A)^-1 E B/z
+        # saved errors: D at once, C B - D a sample later, then C (z - A)^-1 E B/z
         b, d = B[:, :count] * saved, D[:, :count] * saved
-        sources.append((E @ b, C @ b))
-        direct.append((np.abs(C @ b) + 2 * np.abs(d)).sum(axis=1))
+        sources.append((E @ b, C @ b - d))
+        direct.append((np.abs(C @ b - d) + np.abs(d)).sum(axis=1))
     # of an unstable controller that somebody insists on
     with np.errstate(over="ignore", invalid="ignore"):
         bounds = [
@@ -392,7 +392,7 @@ def _gains(
 
     # squares of what reaches the currents at once; x x^T: what all sources put into the states
     energy, x = (
-        sum((item**2).sum(axis=1) for _, item in sources) + 2 * (d**2).sum(axis=1),
+        sum((item**2).sum(axis=1) for _, item in sources) + (d**2).sum(axis=1),
         np.hstack([s for s, _ in sources]),
     )
 

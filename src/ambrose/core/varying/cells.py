@@ -123,11 +123,11 @@ class CellSearch:
         # left out: F^3, and the rounding of the products with F
         size = float(np.linalg.norm(F, 2))
         skew = size**3 + np.finfo(float).eps * len(A) * size
-        self.error = 0.0  # by which rounding in the change of coordinates moves A
+        self.error = 0.0  # by which rounding in the change of coordinates moves A and B/2
 
         # x in units of 1/sqrt(pace) as well: A / pace, B / sqrt(pace), C / sqrt(pace) keep the gain
         self.T, self.pace = T, pace
-        self.C = C @ T / np.sqrt(pace)
+        self.C = sum(accurate_product(C, T)) / np.sqrt(pace)
 
         # X_0 has all entries as variables; X_1 .. X_D only the rows and columns of the first states
         self.entries: list[_Entry] = []
@@ -149,8 +149,9 @@ class CellSearch:
 
             # T^-1 = (I + F)^-1 inverse = (I - F + F^2) inverse, but for F^3
             nets = [net - F @ (net - F @ net) for net in nets]
-            largest = float(np.linalg.norm(nets[0], 2, axis=(2, 3)).max())
-            self.error = max(self.error, (2 * skew + np.finfo(float).eps * len(A)) * largest)
+            of_A, of_B = (float(np.linalg.norm(net, 2, axis=(2, 3)).max()) for net in nets)
+            share = 2 * skew + np.finfo(float).eps * len(A)
+            self.error = max(self.error, share * (of_A + of_B / 2))
             self.entries += _entries(cell.p, nets[0], nets[1], self.degree, rate / pace)
 
     @property
@@ -222,11 +223,23 @@ class CellSearch:
             found.append(np.linalg.eigvalsh(np.block([[Y + Y.T + C.T @ C, Z], [Z.T, corner]]))[-1])
         return np.array(found)
 
-    def rounding(self, X: np.ndarray) -> float:
-        """A bound of the error of ``excess``: of the coordinates, and of the products."""
+    def rounding(self, X: np.ndarray, gamma: float) -> float:
+        """A bound of the error of ``excess``: of the coordinates, of the products, and of the
+        eigenvalues of what they add up to.
+        """
+        n, m = self.entries[0].B.shape[1:]
         size = np.linalg.norm(X, 2, axis=(1, 2)).sum()
-        largest = max(np.linalg.norm(e.A, 2, axis=(1, 2)).sum() for e in self.entries)
-        return float(size * (2 * self.error + 4 * len(X[0]) * np.finfo(float).eps * (1 + largest)))
+
+        # |X A| + |X' / 2| + |X B| over (x, w, d), and beside them |C|^2, |C| and gamma^2
+        largest = max(
+            np.linalg.norm(np.concatenate([e.A, e.B], axis=2), 2, axis=(1, 2)).sum()
+            + np.abs(e.slope).sum() / 2
+            for e in self.entries
+        )
+        own = (1 + np.linalg.norm(self.C, 2)) ** 2 + gamma**2
+        return float(
+            2 * size * self.error + 4 * (n + m) * np.finfo(float).eps * (size * (1 + largest) + own)
+        )
 
 
 def _entries(p: np.ndarray, A: np.ndarray, B: np.ndarray, degree: int, rate: float) -> list[_Entry]:
@@ -379,7 +392,8 @@ def proved_on_cells(
             )
             break
         X = search.functions(found.x)
-        least, rounding = float(np.sqrt(found.x[-1])), search.rounding(X)
+        least = float(np.sqrt(found.x[-1]))
+        rounding = search.rounding(X, least * (1 + _ROOMS[-1]))
         tell(
             f"round {step + 1}: gain below {least:.4f} at {len(chosen)} of {len(search.entries)} "
             "entries"

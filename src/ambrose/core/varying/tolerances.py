@@ -64,6 +64,13 @@ def proved_over_tolerances(
     q = len(C)
     T, inverse = own_coordinates(A, B[:, -q:], C)
 
+    # a parameter whose z is zero does nothing: w = delta z = 0
+    acts = Z.any(axis=1)
+    if not acts.all():
+        columns = np.append(acts, np.ones(q, bool))
+        cells = [replace(cell, B=cell.B[..., columns]) for cell in cells]
+        Z = Z[acts]
+
     # w and z in units in which each row of Z is 1 long in the middle loop's states; delta stays
     size = np.linalg.norm(Z @ T, axis=1)
     cells, Z = [_scaled(cell, size) for cell in cells], Z / size[:, None]
@@ -139,7 +146,8 @@ def proved_over_tolerances(
             time_limit=end - time.monotonic(),
         )
         X, m = search.functions(found.x), found.x[search.begin : -1]
-        slack, rounding = -float(search.excess_with(X, m, gamma).max()), search.rounding_with(X, m)
+        slack = -float(search.excess_with(X, m, gamma).max())
+        rounding = search.rounding_with(X, m, gamma)
         if search.admitted(m) and slack > rounding:
             return Proof(gamma, X, slack, rounding)
     raise NumericalFailure(
@@ -300,12 +308,12 @@ class _Tolerant(CellSearch):
             )
         return np.array(found)
 
-    def rounding_with(self, X: np.ndarray, m: np.ndarray) -> float:
+    def rounding_with(self, X: np.ndarray, m: np.ndarray, gamma: float) -> float:
         """``rounding``, and that of the multipliers' forms."""
         size = sum(
             abs(a) * float(np.linalg.norm(form)) for a, form in zip(m, self.forms, strict=True)
         )
-        return self.rounding(X) + 4 * (len(self.T) + self.count) * np.finfo(float).eps * size
+        return self.rounding(X, gamma) + 4 * (len(self.T) + self.count) * np.finfo(float).eps * size
 
 
 def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:

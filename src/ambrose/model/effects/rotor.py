@@ -30,6 +30,7 @@ STANDARD_GRAVITY = 9.80665  # [m/s2]
 _PLANES = {"x": (0, 3, 1.0), "y": (1, 2, -1.0)}
 _RESIDUAL_SHIFT = 0.01  # of the first bending mode's square
 _DEPENDENT = 1e-8  # of a load's own part of the residual displacements, below which it has none
+_NOTHING = 1e-10  # of a load, below which its part in the residual modes is rounding
 # rotations at both ends, of their difference and their sum
 _CHORD = 0.5 * np.array([[-1.0, 1.0], [1.0, 1.0]])
 
@@ -321,7 +322,8 @@ def residual_modes(rotor: Rotor, kept: int, loads: np.ndarray) -> tuple[np.ndarr
     loads (l, 2N): rows as of ``plane_rows``, a load each. The static displacement X that they leave
     in those modes solves K X = L - M Phi Phi^T L, Phi the rigid and the kept modes, within the
     complement of Phi, where K is regular; a shift far below the kept modes makes the factorised
-    matrix definite everywhere, and two corrections take it out again.
+    matrix definite everywhere, and two corrections take it out again. Loads that leave nothing in
+    those modes give none.
     """
     # K of shaft and discs alone: banded, which the corrections of measured modes would undo
     M, K = (
@@ -340,6 +342,13 @@ def residual_modes(rotor: Rotor, kept: int, loads: np.ndarray) -> tuple[np.ndarr
     # L - M Phi Phi^T L; each pass solves (K + shift M) dX = left - K X and projects dX onto the
     # complement of Phi, so that the shift's error falls pass by pass.
     left = loads.T - M @ (Phi @ (Phi.T @ loads.T))
+
+    # forces and moments by the inertia they act on; what is left of some is rounding
+    unit = np.sqrt(np.diag(M))[:, None]
+    own = np.linalg.norm(left / unit, axis=0) > _NOTHING * np.linalg.norm(loads.T / unit, axis=0)
+    if not own.any():
+        return np.zeros(0), np.zeros((len(M), 0))
+    left = left[:, own]
     X = np.zeros_like(left)
     for _ in range(3):
         step = sla.cho_solve_banded((factor, True), left - K @ X)
