@@ -30,7 +30,7 @@ _UNITS = {
     1e-3: "with a gain 1e3 times smaller",
     1e-6: "with a gain 1e6 times smaller",
 }
-_FALLEN = 0.1  # of the largest real part, to which another unit must lower it to be worth a word
+_FALLEN = 0.2  # of the largest real part, to which another unit must lower it to be worth a word
 _SIGNS = {1.0: "", -1.0: "of the other sign (--input displacement turns it)"}
 
 
