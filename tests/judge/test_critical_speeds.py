@@ -106,3 +106,13 @@ def test_a_critical_speed_is_judged_by_its_place(at, damping, passed):
     assert {950: "allowed 2.5", 760: "allowed", 1280: "far enough"}.get(
         at, ""
     ) in found.detail or damping == 0.21
+
+
+def test_the_critical_speed_that_binds_is_named_first():
+    """A value of 16.1 was explained by an innocent mode at a lower speed, "far enough"."""
+    speeds = np.linspace(10, 2000, 20000)
+    rows = response(speeds, (300.0, 0.1), (950.0, 0.02))
+    found = separation_check(speeds, rows, Requirements(), RUNNING)
+    first, *others = found.detail.split("; ")
+    assert found.value == pytest.approx(10, rel=0.05) and first.endswith("allowed 2.5")
+    assert any(other.endswith("far enough") for other in others)

@@ -4,6 +4,7 @@ sentence.
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import ambrose as amb
@@ -11,7 +12,7 @@ from ambrose.core.checks import NumericalFailure
 from ambrose.law.pid import pid_controller
 from ambrose.law.timing import Timing
 from ambrose.machine.rotor_model import ShaftSection
-from ambrose.synthesis.explanation import stiffness_margin, why_none, why_unstable
+from ambrose.synthesis.explanation import explained, stiffness_margin, why_none, why_unstable
 from ambrose.synthesis.pid import pid_synthesis
 from coarse import coarse
 
@@ -142,3 +143,27 @@ def test_what_only_a_continuous_controller_holds_is_said_with_the_remedy():
     )
     fast = amb.design(machine, "pid", rate=200_000)
     assert not any("judged as continuous" in note for note in fast.notes)
+
+
+def test_a_tuned_loop_says_which_checks_of_verify_it_fails():
+    """Gamma 0.91 and "verified", and verify then failed on the amplification factor of a mode."""
+    rig = coarse("seal-rig")
+    speed = 2 * np.pi * 45
+    point = replace(rig.operation.nominal, speed=speed)
+    machine = replace(
+        rig,
+        tolerances=(),
+        operation=replace(rig.operation, points=(point,), speed_range=(0.0, speed)),
+        requirements=replace(rig.requirements, running_speeds=(speed, speed)),
+    )
+    plant = amb.assemble(machine)
+    made = replace(amb.design(plant, "pid"), method="tuned", gamma=0.91)
+    assert not made.missed
+    found = explained(plant, made, None, 0)
+    failed = {c.name: c for c in amb.verify(machine, made, tolerances=False).points[0].failed}
+    told = [note for note in found.notes if note.startswith("verify fails")]
+    assert len(told) == len(failed) and found.missed and "not every requirement" in found.verdict
+    (said,) = (note for note in told if "amplification" in note)
+    separation = failed["unbalance.separation"]
+    assert f"{separation.value:.4g}, not <= 1" in said and point.label in said
+    assert "42.93 Hz has 3.51, allowed 2.87" in said and "far enough" not in said

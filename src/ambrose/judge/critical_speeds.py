@@ -44,7 +44,7 @@ def separation_check(
     617 allows, or past it.
 
     Its value is the amplification factor over the allowed one: 0 where no peak stands near
-    ``running`` [rad/s].
+    ``running`` [rad/s]. The detail lists all critical speeds, the one that binds first.
     """
     found = _different(omega, orbits)
     allowed = allowed_amplification(np.array([speed for speed, _ in found]), running)
@@ -52,7 +52,9 @@ def separation_check(
     listed = "; ".join(
         f"{speed / TWO_PI:.4g} Hz has {factor:.3g}, "
         f"{f'allowed {most:.3g}' if math.isfinite(most) else 'far enough'}"
-        for (speed, factor), most in zip(found, allowed, strict=True)
+        for (speed, factor), most in (
+            (found[k], allowed[k]) for k in np.argsort(-ratio, kind="stable")
+        )
         if factor >= LEAST_AMPLIFICATION
     )
     low, high = (speed / TWO_PI for speed in running)

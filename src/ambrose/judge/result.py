@@ -206,12 +206,15 @@ class Synthesis(Presented, Law):
 
     @property
     def missed(self) -> bool:
-        """Whether a requirement that it was designed for is not met."""
+        """Whether a requirement that it was designed for is not met, or a check of ``verify`` at the
+        operating points.
+        """
         margins = self.certificate.margins
         beyond = margins.get("corner_sensitivity", 0.0) > margins.get(
             "corner_sensitivity_limit", math.inf
         )
-        return beyond or (self.method == "tuned" and self.gamma > 1)
+        unmet = margins.get("unmet_checks", 0.0) > 0
+        return beyond or unmet or (self.method == "tuned" and self.gamma > 1)
 
     @property
     def verdict(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,8 +10,11 @@ import numpy as np
 from ambrose.core.checks import AmbroseError
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
+from ambrose.judge.checks import Check
+from ambrose.judge.envelope import envelope_of
 from ambrose.judge.result import Synthesis
 from ambrose.judge.unavoidable import beyond_reach, unavoidable_sensitivity
+from ambrose.judge.verdict import verify_points
 from ambrose.law.law import law_of
 from ambrose.law.loop import closed_loop
 from ambrose.law.pid import channel_chains
@@ -34,7 +38,8 @@ def explained(
     plant: Plant, result: Synthesis, timing: Timing | None, bending_modes: int
 ) -> Synthesis:
     """The synthesis; a note says why where it does not hold an operating point, and where its S_o
-    is above the file's limit or only a continuous controller would.
+    is above the file's limit or only a continuous controller would. Of a tuned one that holds them
+    all: which checks of ``verify`` fail at the points, however tuning went.
     """
     result = replace(
         result,
@@ -44,7 +49,8 @@ def explained(
     if result.status != "unstable" and not lost:
         missed = result.method == "tuned" and result.gamma > 1
         why = why_none(plant, timing) if missed else ""
-        return replace(result, notes=(*result.notes, why)) if why else result
+        result = replace(result, notes=(*result.notes, why)) if why else result
+        return _with_unmet(plant, result, timing) if result.method == "tuned" else result
     point = next((p for p in plant.machine.operation.envelope if p.label in lost), plant.point)
     place = (
         plant
@@ -72,6 +78,41 @@ def _above_limit(plant: Plant, result: Synthesis) -> list[str]:
         f"sigma_max(S_o) of {peak:.3g} is above the machine's limit of {limit:g}; verify tells "
         "all that is missed"
     ]
+
+
+def _with_unmet(plant: Plant, result: Synthesis, timing: Timing | None) -> Synthesis:
+    """The synthesis with a note of every check that ``verify`` fails at the operating points, each
+    where it is worst, and the margin "unmet_checks"; unchanged where all pass.
+
+    What verification judges has no other name for what tuning minimises: an amplification factor is
+    read off a response, tuning asks poles for damping.
+    """
+    worst: dict[str, tuple[float, str, Check]] = {}
+    for checks in verify_points(envelope_of(plant), result.law, timing=timing):
+        for check in checks.failed:
+            ratio = check.ratio or math.inf
+            if ratio > worst.get(check.name, (0.0,))[0]:
+                worst[check.name] = ratio, checks.label, check
+    if not worst:
+        return result
+    margins = {**result.certificate.margins, "unmet_checks": float(len(worst))}
+    return replace(
+        result,
+        certificate=replace(result.certificate, margins=margins),
+        notes=(
+            *result.notes,
+            *(f"verify fails {_in_words(label, item)}" for _, label, item in worst.values()),
+        ),
+    )
+
+
+def _in_words(label: str, check: Check) -> str:
+    """A failed check in a clause: what, where, value against limit, the first cause."""
+    unit = "" if check.unit == "-" else f" {check.unit}"
+    limit = "" if check.limit is None else f", not {check.relation} {check.limit:.4g}{unit}"
+    cause = check.detail.partition(";")[0]
+    title = check.title if check.title[:2].isupper() else check.title[:1].lower() + check.title[1:]
+    return f"{title} at {label}: {check.value:.4g}{unit}{limit}{f' ({cause})' if cause else ''}"
 
 
 def _unsampled(plant: Plant, result: Synthesis, timing: Timing | None) -> list[str]:

@@ -31,4 +31,4 @@ def test_the_heaviest_control_weight_with_mu_at_most_one():
 def test_the_least_gain_that_meets_every_requirement():
     """Another processor may end in another minimum, some per cent away."""
     found = amb.least(amb.load_machine("seal-rig"), "gain", Tuned(rate=10_000))
-    assert found.value == pytest.approx(1.33e5, rel=0.08) and found.synthesis.gamma <= 1.02
+    assert found.value == pytest.approx(1.26e5, rel=0.08) and found.synthesis.gamma <= 1.02

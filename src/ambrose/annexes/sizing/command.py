@@ -253,6 +253,7 @@ def _least(
                 "least": _finite(item.value),
                 "failed": _finite(item.refused),
                 "binding": item.binding,
+                "searched": item.searched,
             }
             for label, item in zip(labels, found, strict=True)
         ]
@@ -262,14 +263,16 @@ def _least(
             (label, _number(item.value), _number(item.refused), item.binding)
             for label, item in zip(labels, found, strict=True)
         ]
-        word = "largest" if lever == "weight" else "least"
+        word, fewer = ("largest", "more") if lever == "weight" else ("least", "less")
         heads = (
             tolerance or "tolerances",
             f"{word} {lever} [{unit}]",
             "next, failed",
             "what binds",
         )
-        print_table(f"{machine.name}: the least that meets all", heads, cells)
+        print_table(f"{machine.name}: the {word} found that meets all", heads, cells)
+        for words in dict.fromkeys(item.searched for item in found):
+            say(f"Searched: {words}. More states or another start may find {fewer}.")
     sys.exit(0 if all(0 < item.value < math.inf for item in found) else 1)
 
 

@@ -22,6 +22,7 @@ from ambrose.machine.description import Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.synthesis.design import design
+from ambrose.synthesis.fixed_order.job import with_states
 from ambrose.synthesis.methods.mu import Mu
 from ambrose.synthesis.methods.tuned import Tuned
 from ambrose.synthesis.trade_off import lowest
@@ -32,6 +33,9 @@ _STEP = 0.7
 _CLOSE = 1.05
 _LOWEST = 0.02
 _AIMS = 8
+_PER_AXIS = (3, 4)  # states of the controllers that a gain is searched with
+_BISECTED = "bisection over the weight; mu as D-K iteration with scalings of first order bounds it"
+_BEGUN = ("the best with fewer",)  # starts that were tuned before
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -40,10 +44,17 @@ class Least(Presented):
 
     value: gain [A/m] of K S_o, or a share of the machine file's; inf where nothing met all (of the
     weight, which is as large as may be: 0). refused: the next one that was tried and did not (0:
-    none). synthesis: the controller; None without one.
+    none). synthesis: the controller; None without one. searched: what the search went over, for it
+    is the least of that alone.
     """
 
-    _FACTS: ClassVar = ("lever", "least=value", "next smaller that failed=refused", "binding")
+    _FACTS: ClassVar = (
+        "lever",
+        "least=value",
+        "next smaller that failed=refused",
+        "binding",
+        "searched",
+    )
 
     lever: str
     value: float
@@ -51,6 +62,7 @@ class Least(Presented):
     binding: str
     synthesis: Synthesis | None = None
     machine: Machine | None = None
+    searched: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -93,9 +105,12 @@ def least(
 
     lever: "gain" (of K S_o), or "area" of the magnets' poles, "bias" current or amplifier
     "bandwidth" as shares of the machine file's. What "meets" covers: ``map.size``. Smaller ones may
-    exist: it is the smallest found. "weight" asks in the thesis' own terms: the largest factor on
-    [weights] control_level at which mu of the design at its point is proved to be at most 1, so
-    that performance is robust on the design model. Raises InvalidInput.
+    exist: it is the smallest of what was searched, which ``Least.searched`` says. "gain" is
+    searched at the method's order, without one at three and four states per axis, from the
+    reference controller and, with more states, from the best with fewer. "weight" asks in the
+    thesis' own terms: the largest factor on [weights] control_level at which mu of the design at
+    its point is proved to be at most 1, so that performance is robust on the design model. Raises
+    InvalidInput.
     """
     method = (method or Tuned()).without_bank().on(machine)
     if lever not in LEVERS:
@@ -106,14 +121,50 @@ def least(
             "gain is the thesis' minimum control action",
         )
     if lever == "gain":
-        job, law = tuning_job(machine, method, time_limit)
-        value, met, binding, found = lowest(
-            job, law, method.structure, False, time_limit, progress, "gain", _AIMS
-        )
-        return Least("gain", value if met else float("inf"), 0.0, binding, found, machine)
+        return _least_gain(machine, method, time_limit, progress)
     if lever == "weight":
         return _heaviest(machine, method, progress)
     return _stepped(machine, lever, method, reserve, time_limit, progress)
+
+
+def _least_gain(
+    machine: Machine, method: Tuned, time_limit: float, progress: Callable[[str], None]
+) -> Least:
+    """The least gain over orders and starts: a descent ends in the minimum next to its start, and
+    more states reach a lower one.
+    """
+    axes = len(machine.axes)
+    orders = _PER_AXIS if method.order is None else (method.order / axes,)
+    best: tuple[float, bool, str, Synthesis | None] = (float("inf"), False, "", None)
+    searched: list[str] = []
+    for order in (round(axes * states) for states in orders):
+        # from the reference, then from the best so far with states that act weakly at first
+        job, law = tuning_job(machine, method, time_limit, order)
+        starts = [(job, law, "the reference controller")]
+        if best[3] is not None and best[3].controller.n_states < order:
+            job, _ = tuning_job(machine, method, time_limit, order)
+            more = order - best[3].controller.n_states
+            grown = with_states(best[3].controller, more, job.groups)
+            job.aims = replace(job.aims, gain=best[0])
+            starts.append((job, grown, "the best with fewer"))
+        for job, law, start in starts:
+            progress(f"{order} states, from {start}")
+            here = lowest(
+                job, law, method.structure, start in _BEGUN, time_limit, progress, "gain", _AIMS
+            )
+            searched.append(f"{order} states from {start}")
+            if not searched[:-1] or (not here[1], here[0]) < (not best[1], best[0]):
+                best = here
+    value, met, binding, found = best
+    return Least(
+        "gain",
+        value if met else float("inf"),
+        0.0,
+        binding,
+        found,
+        machine,
+        ", ".join(searched),
+    )
 
 
 def _heaviest(machine: Machine, method: Tuned, progress: Callable[[str], None]) -> Least:
@@ -150,7 +201,7 @@ def _heaviest(machine: Machine, method: Tuned, progress: Callable[[str], None]) 
     while low == high and low < 1 / _LOWEST:
         low, high = (2 * low, 2 * low) if mu(2 * low) <= 1 else (low, 2 * low)
     if found[low].gamma > 1:
-        return Least("weight", 0.0, low, "mu", machine=machine)
+        return Least("weight", 0.0, low, "mu", machine=machine, searched=_BISECTED)
 
     # the largest that is tried met it as well: none failed
     if low == high:
@@ -160,7 +211,7 @@ def _heaviest(machine: Machine, method: Tuned, progress: Callable[[str], None]) 
     while high / low > _CLOSE:
         middle = (low * high) ** 0.5
         low, high = (middle, high) if mu(middle) <= 1 else (low, middle)
-    return Least("weight", low, high, "mu", found[low], machine)
+    return Least("weight", low, high, "mu", found[low], machine, _BISECTED)
 
 
 def _stepped(
@@ -193,8 +244,12 @@ def _stepped(
 
     # share: the least that met all; low: the largest that failed (0: none did)
     share, low = 1.0, 0.0
+    searched = (
+        f"{3 * len(machine.axes) if method.order is None else method.order} states, from the "
+        "reference controller and from the next larger size's"
+    )
     if not meets(share):
-        return Least(lever, float("inf"), share, tried[-1].binding)
+        return Least(lever, float("inf"), share, tried[-1].binding, searched=searched)
 
     # down in steps of _STEP, then bisection in the logarithm
     while share > _LOWEST:
@@ -213,7 +268,13 @@ def _stepped(
     # what bound at the size that failed
     failed = [trial.binding for trial in tried if getattr(trial.size, lever) == low]
     return Least(
-        lever, share, low, failed[0] if failed else best.binding, best.synthesis, best.machine
+        lever,
+        share,
+        low,
+        failed[0] if failed else best.binding,
+        best.synthesis,
+        best.machine,
+        searched,
     )
 
 
