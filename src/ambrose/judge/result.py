@@ -206,8 +206,8 @@ class Synthesis(Presented, Law):
 
     @property
     def missed(self) -> bool:
-        """Whether a requirement that it was designed for is not met, or a check of ``verify`` at the
-        operating points.
+        """Whether a requirement that it was designed for is not met, or a check of ``verify`` at
+        the operating points.
         """
         margins = self.certificate.margins
         beyond = margins.get("corner_sensitivity", 0.0) > margins.get(
