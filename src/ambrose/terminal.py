@@ -223,9 +223,11 @@ def _encoding(stream: Any) -> str:
     """The stream's, but ASCII where LC_ALL=C asks for it, which Python by itself takes for UTF-8
     (PEP 538, 540).
     """
-    told = {"PYTHONIOENCODING", "PYTHONUTF8"} & os.environ.keys()
+    stated = {"PYTHONIOENCODING", "PYTHONUTF8"} & os.environ.keys()
     return (
-        "ascii" if os.environ.get("LC_ALL") in {"C", "POSIX"} and not told else str(stream.encoding)
+        "ascii"
+        if os.environ.get("LC_ALL") in {"C", "POSIX"} and not stated
+        else str(stream.encoding)
     )
 
 
@@ -424,12 +426,12 @@ def claim(**places: Path | None) -> None:
                 f"{path} is to hold the {other} and the {what}; give one of them another name"
             )
         if (
-            (own := _SUFFIX.get(what, "")) != path.suffix.lower()
-            and own
+            (suffix := _SUFFIX.get(what, "")) != path.suffix.lower()
+            and suffix
             and path.suffix.lower() in _KINDS
         ):
             raise InvalidInput(
-                f"the {what} is to be {path}, but must be a file *{own}; that ending means "
+                f"the {what} is to be {path}, but must be a file *{suffix}; that ending means "
                 "another kind of file"
             )
         click.get_current_context().with_resource(claimed(path, what))

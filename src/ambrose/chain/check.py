@@ -100,8 +100,11 @@ def springs(machine: Machine) -> dict[str, tuple[float, float]]:
     )
     terms = np.array([[gain for gain, _ in chains], times * [gain for gain, _ in chains]])
     # of every axis over its own displacement
-    own = np.einsum("ic,tc,ci->ti", out, terms, into @ sensor_turn(machine).T)
-    k, c = ((part.reshape(-1, 2)).mean(axis=1) for part in (own[0] * k_i - k_s, own[1] * k_i))
+    stiffnesses = np.einsum("ic,tc,ci->ti", out, terms, into @ sensor_turn(machine).T)
+    k, c = (
+        (part.reshape(-1, 2)).mean(axis=1)
+        for part in (stiffnesses[0] * k_i - k_s, stiffnesses[1] * k_i)
+    )
     return {
         bearing.name: (float(a), float(b))
         for bearing, a, b in zip(machine.bearings, k, c, strict=True)
@@ -156,7 +159,7 @@ def capacities(machine: Machine, properties: MassProperties) -> list[Capacity]:
             properties.centre,
             [b.position for b in machine.bearings],
         )
-    held = operating_magnets(machine, machine.operation.design.bias_current)
+    magnets = operating_magnets(machine, machine.operation.design.bias_current)
     k_i, k_s = (
         values.reshape(-1, 2) for values in magnet_coefficients(machine, machine.operation.design)
     )
@@ -171,7 +174,7 @@ def capacities(machine: Machine, properties: MassProperties) -> list[Capacity]:
                 float(k_s[number].max()),
                 force,
                 float(loads[number]),
-                float(np.abs(held[number].currents).max()),
+                float(np.abs(magnets[number].currents).max()),
             )
         )
     return found

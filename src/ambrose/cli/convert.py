@@ -118,7 +118,7 @@ def _convert_machine(
         left += [f"{len(machine.bending_modes)} measured bending modes"] * bool(
             machine.bending_modes
         )
-        told: dict[str, object] = {"rotor_model": str(output), "left_out": left}
+        summary: dict[str, object] = {"rotor_model": str(output), "left_out": left}
         springy = "a model of ROSS, bearings as springs of the reference controller"
         words = f"{output}: {springy}; left out: {', '.join(left) or 'nothing'}"
     else:
@@ -141,7 +141,7 @@ def _convert_machine(
         machine = machine_of_rotor(rotor, Known(vertical=vertical))
         save_machine(machine, output)
         reasons = dict(machine.assumed)
-        told = {
+        summary = {
             "machine": str(output),
             "axes": machine.axes,
             "assumed": reasons,
@@ -157,5 +157,5 @@ def _convert_machine(
                 "; left out: "
                 f"{', '.join(rotor.left_out[:6])}{' ...' if len(rotor.left_out) > 6 else ''}"
             )
-    say_json(told) if as_json else say(words)
+    say_json(summary) if as_json else say(words)
     sys.exit(1 if NOT_HELD in words else 0)

@@ -118,25 +118,25 @@ def write_imported(
     kind = (
         "continuous" if law.controller.dt is None else f"sampled at {1 / law.controller.dt:.6g} Hz"
     )
-    held = None if known is None else not lost
-    told = {
+    verified = None if known is None else not lost
+    summary = {
         "controller": str(output),
         "inputs": law.controller.inputs,
         "states": law.controller.n_states,
         "kind": kind,
-        "held": held,
+        "held": verified,
         "problems": [*wrong, *lost],
     }
-    where = f"; it holds {known.name} at every operating point" if known and held else ""
+    where = f"; it holds {known.name} at every operating point" if known and verified else ""
     text = (
         f"{output}: {law.controller.n_states} states, {kind}, from "
         f"{', '.join(law.controller.inputs)}{where}"
     )
     if as_json:
-        say_json(told)
+        say_json(summary)
     else:
         for line in (text, *lost):
             say(line)
     for problem in wrong:
         say(f"careful: {problem}", err=True)
-    sys.exit(1 if held is False else 0)
+    sys.exit(1 if verified is False else 0)

@@ -90,7 +90,7 @@ def map_command(
     if speed_rpm is not None:
         reach["speed"] = (pi / 30 * speed_rpm[0], pi / 30 * speed_rpm[1])
     with progress_shown(as_json) as progress:
-        found = explore(
+        exploration = explore(
             description,
             law,
             parts=what or PARTS,
@@ -101,41 +101,41 @@ def map_command(
             delay_samples=delay_samples,
             progress=progress,
         )
-        failure = kept_page(found, output, progress=progress)
+        failure = kept_page(exploration, output, progress=progress)
     if as_json:
-        say_json({**found.to_dict(), "page": str(output) if output else None})
+        say_json({**exploration.to_dict(), "page": str(output) if output else None})
     else:
-        report = exploration_page(found)
+        report = exploration_page(exploration)
         rows = [(verdict.label, verdict.text) for verdict in report.verdicts]
-        for item in found.maps:
+        for item in exploration.maps:
             rows.append(
                 (
                     f"largest real part over {item.over}",
                     units.quantity(float(item.abscissa.max()), "1/s"),
                 )
             )
-        if found.pulses is not None and found.pulses.stable.all():
+        if exploration.pulses is not None and exploration.pulses.stable.all():
             rows.append(
                 (
                     "settled after a pulse, worst member",
-                    units.quantity(float(found.pulses.settling().max()), "s"),
+                    units.quantity(float(exploration.pulses.settling().max()), "s"),
                 )
             )
-        if found.unbalance is not None:
+        if exploration.unbalance is not None:
             worst, at = (
-                float(found.unbalance.found.max()),
-                float(found.unbalance.speeds[found.unbalance.found.argmax()]),
+                float(exploration.unbalance.found.max()),
+                float(exploration.unbalance.speeds[exploration.unbalance.found.argmax()]),
             )
             rows.append(
                 ("worst orbit found", f"{units.quantity(worst, 'm')} at {at * units.RPM:.4g} rpm")
             )
-        title = f"{description.name}, {found.point.label or 'its design point'}"
+        title = f"{description.name}, {exploration.point.label or 'its design point'}"
         print_table(title, ("what", "found"), [tuple(map(str, row)) for row in rows])
-        for note in found.notes:
+        for note in exploration.notes:
             say(f"note: {note}")
-        say(f"The loop is {found.timing}.")
+        say(f"The loop is {exploration.timing}.")
         if output is not None and failure is None:
             say(f"Page: {output}")
     if failure is not None:
         raise failure
-    sys.exit(0 if found.stable else 1)
+    sys.exit(0 if exploration.stable else 1)

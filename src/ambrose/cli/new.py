@@ -96,20 +96,22 @@ def new(file: Path, force: bool, as_json: bool, **given: Any) -> None:
         **{key: _united(key, value) for key, value in given.items()},
     )
     save_machine(machine, file)
-    told = dict(machine.assumed)
-    held = NOT_HELD not in told["controller"]
+    reasons = dict(machine.assumed)
+    holds_shaft = NOT_HELD not in reasons["controller"]
     if as_json:
-        say_json({"machine": str(file), "axes": machine.axes, "held": held, "assumed": told})
-        sys.exit(0 if held else 1)
+        say_json(
+            {"machine": str(file), "axes": machine.axes, "held": holds_shaft, "assumed": reasons}
+        )
+        sys.exit(0 if holds_shaft else 1)
     say(
         f"{file}: {len(machine.bearings)} bearings of {machine.bearings[0].max_force:g} N; "
-        f"{told['controller']}"
+        f"{reasons['controller']}"
     )
     say(
-        f"{len(told)} entries are assumed, each with its reason in the file; next: ambrose check "
+        f"{len(reasons)} entries are assumed, each with its reason in the file; next: ambrose check "
         f"{file}"
     )
-    sys.exit(0 if held else 1)
+    sys.exit(0 if holds_shaft else 1)
 
 
 _LISTS = ('"300 mm, 8 kg, 250 mm"', '"75 mm, 525 mm"')
@@ -163,12 +165,12 @@ def _checked(key: str, answer: str) -> None:
 def _split(text: str, what: str, parts: str, count: int | None) -> list[str]:
     from ambrose.core.checks import invalid
 
-    found = [_united(what, part.strip()) for part in text.split(",")]
-    if (count is not None and len(found) != count) or not all(found):
+    values = [_united(what, part.strip()) for part in text.split(",")]
+    if (count is not None and len(values) != count) or not all(values):
         raise invalid(
             what, f'"{text}"', f"{parts}, separated by commas", f"such as {_LISTS[count is None]}"
         )
-    return found
+    return values
 
 
 def _united(key: str, value: Any) -> Any:

@@ -182,8 +182,8 @@ def synthesize(
             for row in description.assumed
             if row[0] in stays or row[0].partition(".")[0] != "controller"
         )
-        found = replace(description, controller=settings, assumed=reasons)
-        failure = kept(lambda path: save_machine(found, path), machine_file) or failure
+        with_filters = replace(description, controller=settings, assumed=reasons)
+        failure = kept(lambda path: save_machine(with_filters, path), machine_file) or failure
     certificate = result.certificate.to_dict()
     factor = None if result.weights is None else result.weights.control_factor
     if as_json:
@@ -251,12 +251,12 @@ def _numbers(certificate: dict[str, Any]) -> dict[str, Any]:
     as_run = {name: value for name, value in margins.items() if name.startswith("sampled_")}
     if not as_run:
         return numbers | margins
-    told = {name: numbers.pop(name) for name in ("stable", "plant")} | as_run
+    leading = {name: numbers.pop(name) for name in ("stable", "plant")} | as_run
     if not certificate["stable"]:
-        return told
+        return leading
     others = numbers | {name: value for name, value in margins.items() if name not in as_run}
     full = {"full_spectral_abscissa", "full_sensitivity_peak"}
-    return told | {
+    return leading | {
         name if name == "fastest_pole" else f"continuous {name}": value
         for name, value in others.items()
         if name not in full

@@ -207,9 +207,9 @@ def prove(
         start, end = waiting.pop()
         middle = (start + end) / 2
         enclosure = enclose(pencil(start, end))
-        shown = -1.0
+        proved = -1.0
         if enclosure is not None:
-            shown = proved_angle(enclosure, [table(start), table(end)], allowance(start, end))
+            proved = proved_angle(enclosure, [table(start), table(end)], allowance(start, end))
             here = sector_angle(table(middle) @ enclosure.middle)
             if here <= 0:  # no cell around the middle can be shown
                 eigenvalues = np.linalg.eigvals(table(middle) @ enclosure.middle)
@@ -219,12 +219,12 @@ def prove(
         narrow = end - start <= narrowest * (high - low)
 
         # Both halves wait, the lower one on top; the narrowest is taken as it is.
-        if shown <= wanted and not narrow:
+        if proved <= wanted and not narrow:
             waiting += [(middle, end), (start, middle)]
             continue
-        if shown <= 0:
-            return IntervalProof(False, shown, middle, cells, middle)
+        if proved <= 0:
+            return IntervalProof(False, proved, middle, cells, middle)
         cells += 1
-        if shown < angle:
-            angle, worst = shown, middle
+        if proved < angle:
+            angle, worst = proved, middle
     return IntervalProof(True, float(angle), worst, cells)

@@ -40,12 +40,12 @@ class Presented:
             return dict(_chosen(self, self._FACTS))
         fields = dataclasses.fields(self)  # type: ignore[arg-type]  # every subclass is a dataclass
         values = {field.name: getattr(self, field.name) for field in fields}
-        told = [
+        names = [
             f.name
             for f in fields
             if hasattr(values[f.name], "shape") or values[f.name] not in ((), f.default)
         ]
-        return {name: _fact(values[name]) for name in told}
+        return {name: _fact(values[name]) for name in names}
 
     def to_dict(self) -> dict[str, Any]:
         """What belongs to it, ready for JSON (``to_plain``): all fields of the dataclass, where it

@@ -208,15 +208,15 @@ def _relocate(
 
     # sigma H_i = (sum r_in/(s - p_n) + d_i + s e_i): own unknowns (r, d, e) of every response,
     # shared ones (c, d) of sigma.
-    own = np.column_stack([basis, np.ones_like(s)] + ([s] if slope else []))
+    columns = np.column_stack([basis, np.ones_like(s)] + ([s] if slope else []))
     shared = np.column_stack([basis, np.ones_like(s)])
     blocks = []
     for response, weight in zip(H, weights, strict=True):
         # [own, -H_i shared] = 0, weighted. After QR the rows below the own unknowns hold the shared
         # ones alone (Deschrijver et al. 2008).
-        rows = _stack(np.column_stack([own, -response[:, None] * shared]) * weight[:, None])
+        rows = _stack(np.column_stack([columns, -response[:, None] * shared]) * weight[:, None])
         R = np.asarray(np.linalg.qr(rows, mode="r"))
-        blocks.append(R[own.shape[1] :, own.shape[1] :])
+        blocks.append(R[columns.shape[1] :, columns.shape[1] :])
 
     # Gustavsen (2006): sum_k Re sigma(s_k) = number of points, weighted like all the data together;
     # without it sigma = 0 would solve the homogeneous rows.

@@ -190,7 +190,7 @@ def _matched(system: StateSpace, dt: float, prewarp: float | None) -> StateSpace
     """Every channel with the states, A and B of its zero-order hold, and the C and D that give it
     the zeros it must have.
     """
-    held = _zoh(system, dt, 0.0)
+    sampled = _zoh(system, dt, 0.0)
     n = system.n_states
     m = len(system.inputs)
     C, D = np.zeros((m, n)), np.zeros((m, m))
@@ -208,20 +208,20 @@ def _matched(system: StateSpace, dt: float, prewarp: float | None) -> StateSpace
     z = np.exp(1j * omega * dt)
     for i in range(m):
         # Channel i alone: the states between its input and its output.
-        own = _between(system, i)
-        A = system.A[np.ix_(own, own)]
-        b = system.B[own, i : i + 1]
-        c = system.C[i : i + 1, own]
+        inner_states = _between(system, i)
+        A = system.A[np.ix_(inner_states, inner_states)]
+        b = system.B[inner_states, i : i + 1]
+        c = system.C[i : i + 1, inner_states]
         d = system.D[i : i + 1, i : i + 1]
         target = _matched_response(StateSpace(A, b, c, d), before[:, i, i], omega, dt, prewarp)
 
         # (z - Ad)^-1 Bd of the hold: the channel's response is C times this + D, linear in C and D.
         states = _responses(
             StateSpace(
-                held.A[np.ix_(own, own)],
-                held.B[own, i : i + 1],
-                np.eye(len(own)),
-                np.zeros((len(own), 1)),
+                sampled.A[np.ix_(inner_states, inner_states)],
+                sampled.B[inner_states, i : i + 1],
+                np.eye(len(inner_states)),
+                np.zeros((len(inner_states), 1)),
             ),
             z,
         )
@@ -242,18 +242,18 @@ def _matched(system: StateSpace, dt: float, prewarp: float | None) -> StateSpace
             np.vstack([known.real, known.imag])[:, seen] / size[seen],
             np.concatenate([wanted.real, wanted.imag]),
         )
-        found = np.linalg.lstsq(rows, right, rcond=None)[0]
+        coefficients = np.linalg.lstsq(rows, right, rcond=None)[0]
 
         # The zeros asked for are met only if the fit is exact.
-        if np.abs(rows @ found - right).max() > _MATCHED:
+        if np.abs(rows @ coefficients - right).max() > _MATCHED:
             raise NumericalFailure(
                 "'matched' misses its zeros: the channel's poles are too close for that; use "
                 "'tustin'"
             )
         values = np.zeros(len(size))
-        values[seen] = found / size[seen]
-        C[i, own], D[i, i] = values[:-1], values[-1]
-    return StateSpace(held.A, held.B, C, D, system.inputs, system.outputs, dt)
+        values[seen] = coefficients / size[seen]
+        C[i, inner_states], D[i, i] = values[:-1], values[-1]
+    return StateSpace(sampled.A, sampled.B, C, D, system.inputs, system.outputs, dt)
 
 
 def _between(system: StateSpace, i: int) -> np.ndarray:

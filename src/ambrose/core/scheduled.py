@@ -154,7 +154,7 @@ class ScheduledSystem(Presented):
         outside the range, unless it clamps.
         """
         names, d = self.parameter.split(AND), len(self.axes)
-        found = np.atleast_1d(
+        clipped = np.atleast_1d(
             check_shape(value, self.parameter, "()" if d == 1 else f"({d})")
         ).astype(float)
         for i, (name, unit, axis) in enumerate(
@@ -162,18 +162,18 @@ class ScheduledSystem(Presented):
         ):
             low = float(axis[0])
             high = float(axis[-1])
-            given = float(found[i])
+            coordinate = float(clipped[i])
             slack = _EDGE * (high - low)
-            if not low - slack <= given <= high + slack and self.outside == "refuse":
+            if not low - slack <= coordinate <= high + slack and self.outside == "refuse":
                 raise invalid(
                     f"the {name}",
-                    f"{given:g} {unit}",
+                    f"{coordinate:g} {unit}",
                     f"between {low:g} and {high:g} {unit}",
                     'design over a wider range; outside="clamp" holds the controller of the '
                     "nearest end, without any guarantee",
                 )
-            found[i] = min(max(given, low), high)
-        index, share = (part[0].tolist() for part in corners(self.axes, found[None]))
+            clipped[i] = min(max(coordinate, low), high)
+        index, share = (part[0].tolist() for part in corners(self.axes, clipped[None]))
         A, B, C, D = (
             sum(part * getattr(self.systems[i], x) for i, part in zip(index, share, strict=True))
             for x in "ABCD"

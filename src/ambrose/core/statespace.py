@@ -383,8 +383,8 @@ def match_signals(system: Any, inputs: Sequence[str], outputs: Sequence[str]) ->
     """
     system = as_statespace(system)
     for side, names in (("inputs", inputs), ("outputs", outputs)):
-        own = getattr(system, side)
-        if set(names) == set(own) and tuple(names) != own:
+        existing = getattr(system, side)
+        if set(names) == set(existing) and tuple(names) != existing:
             system = select(system, **{side: names})
     return rename(system, inputs, outputs)
 

@@ -145,16 +145,16 @@ def identify_loop(
     # no longer relevant
     checks = tuple(finding for finding in checks if finding.code != Code.FAR_FROM_START)
     doubts = diagnose_result(machine, result, outputs)
-    found: tuple[Suspect, ...] = ()
+    suspected: tuple[Suspect, ...] = ()
     if method == "closed-loop" and (
         result.converged or any(item.code == Code.MISSING_RESPONSE for item in doubts)
     ):
         progress("looking for what the model lacks")
-        found = suspects(machine, records, controller, result, options)
-    checks += tuple(explained(item, found) for item in doubts)
+        suspected = suspects(machine, records, controller, result, options)
+    checks += tuple(explained(item, suspected) for item in doubts)
     refuse(checks)
     if result.converged and method == "closed-loop":
-        result = judged(result, found, records[0].dt)
+        result = judged(result, suspected, records[0].dt)
     if not result.adequate and not any(finding.code == Code.OTHER_DELAY for finding in checks):
         # what was taken out went by the wrong one
         checks += _other_delay(machine, measured, controller, result, options)
@@ -203,11 +203,11 @@ def _other_delay(
 
     delay = float(options.computing_delay)
     try:
-        given = refit(delay)
+        refitted = refit(delay)
     except InvalidInput:  # the first second says too little
         return ()
     return delay_findings(
-        given, delay, records[0].dt, lambda: refit(delay, CONTROLLER_DELAY), refit
+        refitted, delay, records[0].dt, lambda: refit(delay, CONTROLLER_DELAY), refit
     )
 
 

@@ -66,8 +66,8 @@ class LoopMethod(Identifying):
         """How the loop is modelled and fitted; computing_delay [samples]: the controller's own."""
         from ambrose.identification.output_error.problem import FitOptions
 
-        own = {item.name for item in fields(self)}
-        known = {i.name: getattr(self, i.name) for i in fields(FitOptions) if i.name in own}
+        names = {item.name for item in fields(self)}
+        known = {i.name: getattr(self, i.name) for i in fields(FitOptions) if i.name in names}
         if self.computing_delay is None:
             known["computing_delay"] = 1 if computing_delay is None else computing_delay
         return FitOptions(**known)

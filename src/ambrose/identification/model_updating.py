@@ -75,7 +75,7 @@ def update_machine(
         for item in machine.tolerances
         if not any(parse_parameter(item.parameter).overlaps(p) for p, _ in values)
     ]
-    own = {
+    amplifier_values = {
         parameter.quantity: value for parameter, value in values if parameter.table == "amplifier"
     }
     attached = [_attached(item, values) for item in machine.attached]
@@ -107,7 +107,7 @@ def update_machine(
         ),
         couplings=tuple(attached[:coupled]),
         effects=tuple(attached[coupled:]),
-        amplifier=replace(machine.amplifier, **own),  # type: ignore[arg-type]
+        amplifier=replace(machine.amplifier, **amplifier_values),  # type: ignore[arg-type]
         seals=seals,
         tolerances=(*kept, *tolerances),
         source="; ".join(part for part in (machine.source, origin) if part),
@@ -171,7 +171,7 @@ def _within_pressure(machine: Machine, point: OperatingPoint, entry: _Entry) -> 
     """Whether a stated tolerance of the seal's pressure moves this coefficient by more than what
     was found leaves open.
     """
-    one, own = entry.parameter, f"seal.{entry.parameter.name}.pressure"
+    one, pressure_path = entry.parameter, f"seal.{entry.parameter.name}.pressure"
     if not any(
         one.quantity in item.scales_with_pressure
         for item in machine.seals
@@ -181,7 +181,7 @@ def _within_pressure(machine: Machine, point: OperatingPoint, entry: _Entry) -> 
     ranges = [
         half_width(item, point.seal_pressure)
         for item in machine.tolerances
-        if item.parameter == own
+        if item.parameter == pressure_path
     ]
     return any(half * abs(entry.value) > entry.width * point.seal_pressure for half in ranges)
 

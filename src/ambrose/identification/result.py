@@ -246,20 +246,20 @@ class LoopIdentification(Identification):
         stop; no doubts.
         """
         loads = {} if self.magnets is None else self.magnets.loads
-        own = load_remarks(self.given, [output.record for output in self.outputs], loads)
+        remarks = load_remarks(self.given, [output.record for output in self.outputs], loads)
         if self.seen_delay is not None:
-            own = (
+            remarks = (
                 f"u follows the controller after {self.seen_delay} samples, which was taken as "
                 "its delay",
-                *own,
+                *remarks,
             )
-        own = own if self.magnets is None else (self.magnets.words, *own)
-        return own if self.seal is None or not self.seal.note else (*own, self.seal.note)
+        remarks = remarks if self.magnets is None else (self.magnets.words, *remarks)
+        return remarks if self.seal is None or not self.seal.note else (*remarks, self.seal.note)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        own = (*self.checks, *self.result.warnings)
-        return own if self.seal is None else (*own, *self.seal.findings)
+        findings = (*self.checks, *self.result.warnings)
+        return findings if self.seal is None else (*findings, *self.seal.findings)
 
     @property
     def origin(self) -> str:
@@ -286,13 +286,14 @@ class LoopIdentification(Identification):
 
     def updated(self) -> Identification:
         if self.seal is None:
-            done = Identification.updated(self)
-            return replace(done, machine=self._as_late(done.machine))
-        made = self.seal.update(self.given, self.result)
+            with_values = Identification.updated(self)
+            return replace(with_values, machine=self._as_late(with_values.machine))
+        with_seal = self.seal.update(self.given, self.result)
         return replace(
             self,
             machine=replace(
-                made, source="; ".join(part for part in (self.given.source, self.origin) if part)
+                with_seal,
+                source="; ".join(part for part in (self.given.source, self.origin) if part),
             ),
         )
 

@@ -72,13 +72,13 @@ def sampled_margins(plant: Plant, law: LawLike, timing: Timing | None) -> dict[s
     if timing is None:
         return {}
     law = law_of(law)
-    found = []
+    margins = []
     for point in law.points(plant.point):
         place = plant if point == plant.point else assemble(plant.machine, point)
-        found.append(certify(place, timing.in_loop(law.at(point)), margins=False))
+        margins.append(certify(place, timing.in_loop(law.at(point)), margins=False))
     return {
-        "sampled_spectral_abscissa": max(item.spectral_abscissa for item in found),
-        "sampled_sensitivity_peak": max(item.closed_loop_norm for item in found),
+        "sampled_spectral_abscissa": max(item.spectral_abscissa for item in margins),
+        "sampled_sensitivity_peak": max(item.closed_loop_norm for item in margins),
     }
 
 

@@ -26,16 +26,16 @@ def check_range(
     law: a controller or a schedule that covers the range; timing: the loop as it runs (None:
     continuous).
     """
-    found = search(machine, area, law, timing)
-    point = found.worst(area)
+    extremes = search(machine, area, law, timing)
+    point = extremes.worst(area)
     plant = assemble(machine, point)
     full = certify(plant, running_law(law, plant, timing), margins=False)
     size = (
-        f"{len(found.speeds)} speeds x {len(found.pressures)} pressures, {100 * found.change:.2g} "
+        f"{len(extremes.speeds)} speeds x {len(extremes.pressures)} pressures, {100 * extremes.change:.2g} "
         "% between neighbours"
     )
     wanted = demand("maximum singular value of a sensitivity", machine.requirements)
-    abscissa = max(float(found.abscissa.max()), full.spectral_abscissa)
+    abscissa = max(float(extremes.abscissa.max()), full.spectral_abscissa)
     checks = (
         judge(
             "range.abscissa",
@@ -55,8 +55,8 @@ def check_range(
         ),
     )
     curves: tuple[Curve, ...] = ()
-    if len(found.speeds) > 1:
-        labels = tuple(f"{pressure / 1e5:.4g} bar" for pressure in found.pressures)
+    if len(extremes.speeds) > 1:
+        labels = tuple(f"{pressure / 1e5:.4g} bar" for pressure in extremes.pressures)
         limits = zone_lines(wanted.zones, wanted.limit) if wanted.zones is not None else ()
         title = f"Largest sensitivity over {area.label}"
         curves = (
@@ -64,8 +64,8 @@ def check_range(
                 "range.sensitivity",
                 title,
                 "speed",
-                found.speeds,
-                found.peak.T,
+                extremes.speeds,
+                extremes.peak.T,
                 labels,
                 "rad/s",
                 "-",

@@ -80,15 +80,15 @@ def campbell(
 
 def _ringing(plant: Plant, controller: LawLike | None) -> Modes:
     """Every oscillating mode of the plant or of its closed loop."""
-    found = modes(
+    eigenmodes = modes(
         plant.system if controller is None else closed_loop(plant, controller), plant.ports
     )
-    return found[found.poles.imag > 0]
+    return eigenmodes[eigenmodes.poles.imag > 0]
 
 
-def _lowest(found: Modes, count: int) -> Modes:
-    chosen = np.flatnonzero(np.abs(found.damping) < OSCILLATORY)
-    chosen = chosen[np.argsort(found.frequency[chosen], kind="stable")][:count]
+def _lowest(eigenmodes: Modes, count: int) -> Modes:
+    chosen = np.flatnonzero(np.abs(eigenmodes.damping) < OSCILLATORY)
+    chosen = chosen[np.argsort(eigenmodes.frequency[chosen], kind="stable")][:count]
     if len(chosen) < count:
         raise invalid(
             "the number of modes",
@@ -96,12 +96,12 @@ def _lowest(found: Modes, count: int) -> Modes:
             f"at most {len(chosen)}",
             "ask for fewer, or keep more bending modes in the plant",
         )
-    return found[chosen]
+    return eigenmodes[chosen]
 
 
-def _follow(found: Modes, candidates: Modes) -> np.ndarray:
+def _follow(eigenmodes: Modes, candidates: Modes) -> np.ndarray:
     """Which candidate continues which mode, (m,)."""
-    poles, shapes = found.poles, found.shapes
+    poles, shapes = eigenmodes.poles, eigenmodes.shapes
     if len(candidates.poles) < len(poles):
         raise invalid(
             "the number of oscillating modes",
@@ -121,18 +121,18 @@ def _follow(found: Modes, candidates: Modes) -> np.ndarray:
     return order
 
 
-def campbell_curves(found: CampbellMap) -> list[Curve]:
+def campbell_curves(diagram: CampbellMap) -> list[Curve]:
     """The map as two curves: "campbell" (frequencies and the line of the speed itself) and
     "campbell.damping".
     """
-    names = found.names
-    lines = np.vstack([found.frequency, found.speeds])
+    names = diagram.names
+    lines = np.vstack([diagram.frequency, diagram.speeds])
     return [
         Curve(
             "campbell",
             "Natural frequencies against speed",
             "speed",
-            found.speeds,
+            diagram.speeds,
             lines,
             (*names, "once per revolution"),
             "rad/s",
@@ -142,8 +142,8 @@ def campbell_curves(found: CampbellMap) -> list[Curve]:
             "campbell.damping",
             "Damping ratios against speed",
             "speed",
-            found.speeds,
-            found.damping,
+            diagram.speeds,
+            diagram.damping,
             names,
             "rad/s",
             "-",
@@ -163,7 +163,7 @@ def speed_stability_check(
     k = int(np.argmax(values))
     span = f"{len(speeds)} speeds from {speeds[0] / TWO_PI:.4g} to {speeds[-1] / TWO_PI:.4g} Hz"
     unstable = speeds[values >= 0] / TWO_PI
-    found = (
+    unstable_words = (
         "" if not unstable.size else f"; unstable at {', '.join(f'{w:.4g}' for w in unstable)} Hz"
     )
     return judge(
@@ -172,5 +172,5 @@ def speed_stability_check(
         values[k],
         "rad/s",
         Demand(0.0, "<", "asymptotic stability"),
-        f"largest at {speeds[k] / TWO_PI:.4g} Hz, of {span}{found}",
+        f"largest at {speeds[k] / TWO_PI:.4g} Hz, of {span}{unstable_words}",
     )

@@ -66,11 +66,11 @@ def certify(plant: Plant | StateSpace, controller: LawLike, margins: bool = True
         return Certificate(False, abscissa, float("inf"), fastest, {}, label)
     loop = continuous_equivalent(loop)  # margins and norms do not change under the bilinear map
     peak = float(hinf_norm(feedback(static_gain(identity), loop)).value)
-    found = {"sensitivity_peak": peak}
+    figures = {"sensitivity_peak": peak}
     if margins:
         complementary = float(hinf_norm(feedback(loop, static_gain(identity))).value)
-        found |= {"complementary_peak": complementary, **disk_margins(peak, complementary)}
-    return Certificate(True, abscissa, peak, fastest, found, label)
+        figures |= {"complementary_peak": complementary, **disk_margins(peak, complementary)}
+    return Certificate(True, abscissa, peak, fastest, figures, label)
 
 
 def certify_envelope(
@@ -120,12 +120,12 @@ def full_plant_margins(plant: Plant, law: LawLike) -> tuple[bool, dict[str, floa
     law = law_of(law)
     along = law.scheduled_over
     if along is None or law.schedule is None:
-        found = certify(plant, law, margins=False)
+        certificate = certify(plant, law, margins=False)
         margins = {
-            "full_spectral_abscissa": found.spectral_abscissa,
-            "full_sensitivity_peak": found.closed_loop_norm,
+            "full_spectral_abscissa": certificate.spectral_abscissa,
+            "full_sensitivity_peak": certificate.closed_loop_norm,
         }
-        return found.stable, margins, found.plant
+        return certificate.stable, margins, certificate.plant
     machine, points = plant.machine, law.points(plant.point)
     results = [certify(assemble(machine, point), law.at(point), False) for point in points]
     worst = int(np.argmax([item.closed_loop_norm for item in results]))
@@ -203,8 +203,8 @@ def _loop_parts(plant: Plant | StateSpace, controller: LawLike) -> tuple[StateSp
                 "select() the plant's currents and displacements",
             )
         errors, currents = (
-            [f"{to}_{name.removeprefix(own)}" for name in names]
-            for to, own, names in (
+            [f"{to}_{name.removeprefix(prefix)}" for name in names]
+            for to, prefix, names in (
                 ("err", "y_", system.outputs),
                 ("u", "u_", system.inputs),
             )

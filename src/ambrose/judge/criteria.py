@@ -57,9 +57,9 @@ def zone_lines(
     """Labelled horizontal lines for a Curve: the user's own limit, and the borders "zone A/B" ...
     of the criterion.
     """
-    own = () if requirement is None else (("required", float(requirement)),)
+    required = () if requirement is None else (("required", float(requirement)),)
     above = [*(limit.zone for limit in criterion.limits[1:]), criterion.beyond]
-    return own + tuple(
+    return required + tuple(
         (f"zone {limit.zone}/{next_}", limit.value)
         for limit, next_ in zip(criterion.limits, above, strict=True)
     )

@@ -87,20 +87,20 @@ class Exploration(Presented):
 
     def facts(self) -> dict[str, Any]:
         """Where stability ends, how many members are stable, the largest orbit."""
-        found: dict[str, Any] = {"machine": self.machine.name, "stable": self.stable}
+        facts: dict[str, Any] = {"machine": self.machine.name, "stable": self.stable}
         for item in self.maps:
-            found[f"ends over {item.over}"] = [value for value, _ in item.ends]
+            facts[f"ends over {item.over}"] = [value for value, _ in item.ends]
         if self.pulses is not None:
-            found["stable members"] = (
+            facts["stable members"] = (
                 f"{int(self.pulses.stable.sum())} of {len(self.pulses.stable)}"
             )
         if self.unbalance is not None:
-            found["largest orbit found"] = float(self.unbalance.found.max())
-        return found
+            facts["largest orbit found"] = float(self.unbalance.found.max())
+        return facts
 
     def to_dict(self) -> dict[str, Any]:
         """Everything, SI, ready for JSON; of the pulse family envelope and settling."""
-        found: dict[str, Any] = {
+        data: dict[str, Any] = {
             "machine": self.machine.name,
             "point": self.point.label,
             "timing": self.timing,
@@ -126,7 +126,7 @@ class Exploration(Presented):
         }
         if self.pulses is not None:
             family, kept = self.pulses, self.pulses.responses[self.pulses.stable]
-            found["pulses"] = {
+            data["pulses"] = {
                 "port": self.port,
                 "outputs": list(family.outputs),
                 "time": family.time.tolist(),
@@ -140,14 +140,14 @@ class Exploration(Presented):
         if self.unbalance is not None:
             u = self.unbalance
             bound = None if np.isnan(u.bound).any() else u.bound.tolist()
-            found["unbalance"] = {
+            data["unbalance"] = {
                 "speeds": u.speeds.tolist(),
                 "nominal": u.nominal.tolist(),
                 "found": u.found.tolist(),
                 "bound": bound,
                 "worst_member": u.delta.tolist(),
             }
-        return found
+        return data
 
 
 def explore(
@@ -202,8 +202,8 @@ def explore(
         )
     if "campbell" in parts:
         done = replace(done, campbell=campbell_map(plant, _along_speed(law, timing, at), progress))
-    held = tolerances_around(plant)
-    if {"pulses", "unbalance"} & set(parts) and not held:
+    tolerances = tolerances_around(plant)
+    if {"pulses", "unbalance"} & set(parts) and not tolerances:
         notes.append(
             "no tolerances at this operating point: a family over them is the nominal loop alone"
         )
@@ -251,7 +251,7 @@ def _maps(
     notes: list[str],
     progress: Callable[[str], None],
 ) -> list[PoleMap]:
-    found = []
+    maps = []
     for over, unit in OVER.items():
         top = _largest(machine, over)
         span = reach.get(over, (0.0, _BEYOND[over] * top))
@@ -281,10 +281,10 @@ def _maps(
                 f"the map over {over} leaves out what the machine or the controller does not "
                 f"cover: {last}"
             )
-        found.append(pole_map(loop_at, over, unit, usable, max(_HIGHEST, 3 * top_speed(machine))))
-    if not found and not notes:
+        maps.append(pole_map(loop_at, over, unit, usable, max(_HIGHEST, 3 * top_speed(machine))))
+    if not maps and not notes:
         notes.append("no map of poles: the machine neither turns nor has a seal under pressure")
-    return found
+    return maps
 
 
 def _over_tolerances(
@@ -309,18 +309,25 @@ def _over_tolerances(
     reduced = reduce(plant, modes)
     late = "" if timing is None else ", the continuous law with the sampled loop's mean delay"
     notes.append(f"families: {modes} bending modes per plane{late}")
-    held = tolerances_around(plant)
+    tolerances = tolerances_around(plant)
     try:
         if "pulses" in parts:
             progress("a pulse for every member of the tolerances")
             port = plant.bearing_named("f")[0][2:]
             outputs = [*plant.bearing_named("q"), *plant.named("i")]
             family = pulse_family(
-                reduced, model, port, _FORCE, _WIDTH, outputs, duration=_LASTS, tolerances=held
+                reduced,
+                model,
+                port,
+                _FORCE,
+                _WIDTH,
+                outputs,
+                duration=_LASTS,
+                tolerances=tolerances,
             )
             done = replace(done, pulses=family, port=port)
         residual, top = residual_unbalance(plant.machine), _highest_speed(plant.machine)
-        if "unbalance" in parts and not stability(reduced, model, held).passed:
+        if "unbalance" in parts and not stability(reduced, model, tolerances).passed:
             notes.append(
                 "no unbalance: some loops within the tolerances are unstable, so that no orbit is "
                 "the largest"
@@ -328,7 +335,7 @@ def _over_tolerances(
         elif "unbalance" in parts and residual is not None and top:
             progress("unbalance over speed and tolerances")
             speeds = np.linspace(top / _SPEEDS, top, _SPEEDS)
-            worst = unbalance_over_box(reduced, model, speeds, residual, held, bound)
+            worst = unbalance_over_box(reduced, model, speeds, residual, tolerances, bound)
             notes.append(
                 "unbalance: rotor and seals as at the operating point's speed; worst case found "
                 "by search"

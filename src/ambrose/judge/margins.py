@@ -222,14 +222,14 @@ def margin_checks(
     """The checks of this file's table, and the opened loops' moduli as curves."""
     checks: list[Check] = []
     curves: list[Curve] = []
-    found = loop_margins(response, evaluator)
+    margins = loop_margins(response, evaluator)
     disks = peaks_of(
         [lambda r: _disk(r.output_sensitivity()), lambda r: _disk(r.input_sensitivity())],
         response,
         evaluator,
     )
     for where, (disk,) in zip(SIDES, disks, strict=True):
-        for axis, m in zip(response.axes, found[where], strict=True):
+        for axis, m in zip(response.axes, margins[where], strict=True):
             suffix = f"{where}.{axis}"
             checks += [
                 judge(

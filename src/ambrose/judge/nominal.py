@@ -62,19 +62,19 @@ def check(
     controller = match_controller(controller, plant)
     tell("closed-loop poles", 0.0)
     closed = closed_loop(plant, controller)
-    found = modes(closed, plant.ports)
+    eigenmodes = modes(closed, plant.ports)
     speed = max(top_speed(plant.machine), plant.point.speed)
-    checks: list[Check] = pole_checks(found, requirements, speed)
-    curves: list[Curve] = [pole_curve(found)]
+    checks: list[Check] = pole_checks(eigenmodes, requirements, speed)
+    curves: list[Curve] = [pole_curve(eigenmodes)]
     label = plant.point.label or f"{plant.point.speed / TWO_PI:.4g} Hz"
     notes = _notes(plant, controller.dt)
-    if found.poles.real.max() >= 0:
+    if eigenmodes.poles.real.max() >= 0:
         return Checks(label, False, tuple(checks[:1]), tuple(curves), notes)
 
     highest = max(SENSITIVITY_RANGE.limits[0].value, SPEED_RANGE_FACTOR * speed)
     if controller.dt is not None:
         highest = min(highest, np.pi / controller.dt)
-    grid = _grid(found.poles, omega, highest, controller.dt)
+    grid = _grid(eigenmodes.poles, omega, highest, controller.dt)
     tell("frequency response", 0.15)
     evaluator = loop_evaluator(plant, controller)
     response = evaluator(grid)
@@ -115,15 +115,15 @@ def _grid(
     top = np.inf if dt is None else np.pi / dt
     if omega is None:
         return frequency_grid(poles, _LOWEST, min(_BEYOND * highest, top))
-    given = check_shape(omega, "omega", "(w)").astype(float)
-    if given.size < 2 or given[0] <= 0 or (np.diff(given) <= 0).any():
+    frequencies = check_shape(omega, "omega", "(w)").astype(float)
+    if frequencies.size < 2 or frequencies[0] <= 0 or (np.diff(frequencies) <= 0).any():
         raise invalid(
             "omega",
             "not an ascending grid of positive frequencies",
             "ascending, from above 0 rad/s",
             "sort it",
         )
-    return add_poles(given, poles)
+    return add_poles(frequencies, poles)
 
 
 def _notes(plant: Plant, dt: float | None) -> tuple[str, ...]:

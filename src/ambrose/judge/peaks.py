@@ -66,12 +66,12 @@ def peaks_of(
     first = np.concatenate([[0], np.cumsum(sizes)])
     for _ in range(_ROUNDS if brackets else 0):
         _narrow(brackets, quantities, owner, first, evaluator)
-    found = [_grid_peak(omega, row) for row in stacked]
+    peaks = [_grid_peak(omega, row) for row in stacked]
     for bracket in brackets:
         frequency, value = _vertex(bracket)
-        if value >= found[bracket.row].value:
-            found[bracket.row] = Peak(value, frequency, False)
-    return [tuple(found[first[k] : first[k + 1]]) for k in range(len(sizes))]
+        if value >= peaks[bracket.row].value:
+            peaks[bracket.row] = Peak(value, frequency, False)
+    return [tuple(peaks[first[k] : first[k + 1]]) for k in range(len(sizes))]
 
 
 def _brackets(row: int, omega: np.ndarray, values: np.ndarray) -> list[_Bracket]:

@@ -64,8 +64,8 @@ def search(
     def judged(speed: float, pressure: float) -> tuple[float, float]:
         if (speed, pressure) not in known:
             plant = reduce(assemble(machine, area.at(speed, pressure)), modes)
-            found = certify(plant, running_law(law, plant, timing), margins=False)
-            known[speed, pressure] = found.closed_loop_norm, found.spectral_abscissa
+            certificate = certify(plant, running_law(law, plant, timing), margins=False)
+            known[speed, pressure] = certificate.closed_loop_norm, certificate.spectral_abscissa
         return known[speed, pressure]
 
     grids = [

@@ -183,9 +183,9 @@ def stability(
     at its centre.
     """
     output, _, _ = box_loops(plant, controller, tolerances)
-    found = _corner_check(output)[0]
+    corner_check = _corner_check(output)[0]
     names = f"all {output.parameters} tolerances"
-    return replace(found, name="robust.stability.all", title=f"Unstable points over {names}")
+    return replace(corner_check, name="robust.stability.all", title=f"Unstable points over {names}")
 
 
 def _label(plant: Plant | GeneralizedPlant) -> str:
@@ -237,13 +237,13 @@ def _sensitivity_loops(closed: StateSpace, unit: GeneralizedPlant) -> tuple[BoxL
     model = chords(closed)  # of both, once
 
     def part(inputs: np.ndarray, outputs: np.ndarray, direct: float) -> BoxLoop:
-        found = model.part(outputs, inputs)
-        found.D[n_z:, n_w:] += direct * np.eye(a)
+        system = model.part(outputs, inputs)
+        system.D[n_z:, n_w:] += direct * np.eye(a)
         names = [unit.w[i] for i in inputs], [unit.z[i] for i in outputs]
         return box_loop(
-            StateSpace(closed.A, closed.B[:, inputs], closed.C[outputs], found.D, *names),
+            StateSpace(closed.A, closed.B[:, inputs], closed.C[outputs], system.D, *names),
             unit.blocks,
-            found,
+            system,
         )
 
     # w = (w_delta, w1, w2), z = (z_delta, z1 = err, z2 = u); the direct 1 makes v of u

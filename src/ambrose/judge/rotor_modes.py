@@ -126,7 +126,7 @@ def pairs(ports: tuple[str, ...]) -> tuple[list[int], list[int]]:
     return first, second
 
 
-def pole_checks(found: Modes, requirements: Requirements, top_speed: float) -> list[Check]:
+def pole_checks(eigenmodes: Modes, requirements: Requirements, top_speed: float) -> list[Check]:
     """The checks of this file's table.
 
     top_speed [rad/s]: modes up to it are held against the log decrement, whatever their direction;
@@ -134,46 +134,50 @@ def pole_checks(found: Modes, requirements: Requirements, top_speed: float) -> l
     damped modes of the standard's range.
     """
     listed_to = SENSITIVITY_RANGE.limits[0].value
-    worst = int(np.argmax(found.poles.real))
-    abscissa = float(found.poles[worst].real)
+    worst = int(np.argmax(eigenmodes.poles.real))
+    abscissa = float(eigenmodes.poles[worst].real)
     stability = judge(
         "stability.abscissa",
         "Stability: largest real part of the closed-loop poles",
         abscissa,
         "rad/s",
         Demand(0.0, "<", "asymptotic stability"),
-        _stability_detail(found, worst),
+        _stability_detail(eigenmodes, worst),
     )
-    ringing = np.flatnonzero((found.poles.imag > 0) & (found.damping < OSCILLATORY))
+    ringing = np.flatnonzero((eigenmodes.poles.imag > 0) & (eigenmodes.damping < OSCILLATORY))
     if not ringing.size:
         return [stability]
     checks = [stability]
-    forward = ringing[found.whirl[ringing] > -PLANAR]
-    ceiling = max(top_speed, float(found.frequency[forward[0]]) if forward.size else 0.0)
-    low = ringing[found.frequency[ringing] <= ceiling * (1 + 1e-9)]
+    forward = ringing[eigenmodes.whirl[ringing] > -PLANAR]
+    ceiling = max(top_speed, float(eigenmodes.frequency[forward[0]]) if forward.size else 0.0)
+    low = ringing[eigenmodes.frequency[ringing] <= ceiling * (1 + 1e-9)]
     if low.size:
-        k = low[np.argmin(found.log_decrement[low])]
+        k = low[np.argmin(eigenmodes.log_decrement[low])]
         title = "Log decrement of the modes up to the top speed"
         where = (
-            f"{describe(found, k)}; modes up to {ceiling / TWO_PI:.4g} Hz, the first forward one "
+            f"{describe(eigenmodes, k)}; modes up to {ceiling / TWO_PI:.4g} Hz, the first forward one "
             "included"
         )
         wanted = demand("log decrement", requirements)
         checks.append(
-            judge("poles.log_decrement.lowest", title, found.log_decrement[k], "-", wanted, where)
+            judge(
+                "poles.log_decrement.lowest", title, eigenmodes.log_decrement[k], "-", wanted, where
+            )
         )
-    order = ringing[np.argsort(found.damping[ringing])]
-    near = [k for k in order if found.frequency[k] <= listed_to][:5]
+    order = ringing[np.argsort(eigenmodes.damping[ringing])]
+    near = [k for k in order if eigenmodes.frequency[k] <= listed_to][:5]
     least = order[0]
-    where = f"at {_place(found, least)}"
-    listed = ", ".join(f"{_place(found, k)} {found.damping[k]:.3g}" for k in near) or "none"
+    where = f"at {_place(eigenmodes, least)}"
+    listed = (
+        ", ".join(f"{_place(eigenmodes, k)} {eigenmodes.damping[k]:.3g}" for k in near) or "none"
+    )
     detail = f"{where}; least up to {listed_to / TWO_PI:.4g} Hz: {listed}"
     return [
         *checks,
         information(
             "poles.log_decrement.least",
             "Least log decrement of all poles",
-            found.log_decrement[least],
+            eigenmodes.log_decrement[least],
             "-",
             where,
             ">=",
@@ -181,7 +185,7 @@ def pole_checks(found: Modes, requirements: Requirements, top_speed: float) -> l
         information(
             "poles.damping.least",
             "Least damping ratio of all poles",
-            found.damping[least],
+            eigenmodes.damping[least],
             "-",
             detail,
             ">=",
@@ -189,30 +193,30 @@ def pole_checks(found: Modes, requirements: Requirements, top_speed: float) -> l
     ]
 
 
-def describe(found: Modes, k: int) -> str:
+def describe(eigenmodes: Modes, k: int) -> str:
     """One pole in words: "pole at 49.2 Hz forward, damping ratio -0.171"."""
-    pole = found.poles[k]
+    pole = eigenmodes.poles[k]
     if pole.imag == 0:
         return f"real pole at {pole.real:.4g} rad/s"
-    return f"pole at {_place(found, k)}, damping ratio {found.damping[k]:.3g}"
+    return f"pole at {_place(eigenmodes, k)}, damping ratio {eigenmodes.damping[k]:.3g}"
 
 
-def _place(found: Modes, k: int) -> str:
-    return f"{found.frequency[k] / TWO_PI:.4g} Hz {direction(found.whirl[k])}"
+def _place(eigenmodes: Modes, k: int) -> str:
+    return f"{eigenmodes.frequency[k] / TWO_PI:.4g} Hz {direction(eigenmodes.whirl[k])}"
 
 
-def _stability_detail(found: Modes, worst: int) -> str:
-    unstable = np.flatnonzero(found.poles.real >= 0)
+def _stability_detail(eigenmodes: Modes, worst: int) -> str:
+    unstable = np.flatnonzero(eigenmodes.poles.real >= 0)
     if not unstable.size:
-        return f"rightmost: {describe(found, worst)}"
-    unstable = unstable[np.argsort(-found.poles[unstable].real)]
-    named = "; ".join(describe(found, k) for k in unstable[:4])
+        return f"rightmost: {describe(eigenmodes, worst)}"
+    unstable = unstable[np.argsort(-eigenmodes.poles[unstable].real)]
+    named = "; ".join(describe(eigenmodes, k) for k in unstable[:4])
     return named + (f"; and {unstable.size - 4} more" if unstable.size > 4 else "")
 
 
-def pole_curve(found: Modes) -> Curve:
+def pole_curve(eigenmodes: Modes) -> Curve:
     """All closed-loop poles, both halves of the plane."""
-    both = np.concatenate([found.poles, found.poles[found.poles.imag > 0].conj()])
+    both = np.concatenate([eigenmodes.poles, eigenmodes.poles[eigenmodes.poles.imag > 0].conj()])
     return Curve(
         "poles",
         "Closed-loop poles",

@@ -51,11 +51,11 @@ def verify_sampled(
         checks.append(check_sampled(plant, controller))
     boxes = []
     for plant, point in zip(plants, checks, strict=True):
-        if point.stable and (held := tolerances_around(plant)):
+        if point.stable and (tolerances := tolerances_around(plant)):
             progress(f"verifying the sampled loop over the tolerances around {plant.point.label}")
             boxes.append(
                 replace(
-                    check_over_box(plant, controller, held),
+                    check_over_box(plant, controller, tolerances),
                     label=f"{box_label(plant.point.label)}, sampled",
                 )
             )

@@ -114,9 +114,9 @@ class SampledBox:
         """
         source = self.plant if plant is None else plant
         member = perturbed(source, self.named(delta), self.tolerances)
-        held = c2d(select(member.system, member.named("u"), member.named("y")), self.sample_time)
+        sampled = c2d(select(member.system, member.named("u"), member.named("y")), self.sample_time)
         unit = static_gain(np.eye(len(source.axes)), dt=self.sample_time)
-        z = poles(feedback(series(self.controller, held), unit))
+        z = poles(feedback(series(self.controller, sampled), unit))
         z = z[np.abs(z) > 1e-12]  # a delay's poles at z = 0 have no frequency
         return np.asarray(np.log(z.astype(complex)) / self.sample_time)
 

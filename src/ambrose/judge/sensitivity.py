@@ -91,10 +91,10 @@ def sensitivity_checks(
 
     Where a curve rises higher on the grid beyond that range, the check's detail says so.
     """
-    found = peaks_of([quantity.rows for quantity in _QUANTITIES], response, evaluator, within)
+    peaks = peaks_of([quantity.rows for quantity in _QUANTITIES], response, evaluator, within)
     labels = ("max", *response.axes)
     checks, curves = [], []
-    for quantity, row in zip(_QUANTITIES, found, strict=True):
+    for quantity, row in zip(_QUANTITIES, peaks, strict=True):
         values = quantity.rows(response)
         for label, peak, curve in zip(labels, row, values, strict=True):
             rule = quantity.max_rule if label == "max" else quantity.axis_rule

@@ -85,15 +85,15 @@ def judge_points(
     return tuple(judge_stability(plant, law, timing) for plant in plants if law.covers(plant))
 
 
-def describe(found: Sequence[Stability]) -> str:
+def describe(results: Sequence[Stability]) -> str:
     """The stabilities in a sentence: where the loop holds, where it is lost."""
-    if not found:
+    if not results:
         return "not judged: the law covers none of the operating points"
-    lost = [item for item in found if not item.stable]
+    lost = [item for item in results if not item.stable]
     if lost:
         worst = max(lost, key=lambda item: item.abscissa)
         return (
-            f"unstable at {len(lost)} of {len(found)} operating points, the most at {worst.label} "
+            f"unstable at {len(lost)} of {len(results)} operating points, the most at {worst.label} "
             f"({worst.abscissa:+.4g} rad/s)"
         )
-    return f"stable at all {len(found)} operating points examined ({found[0].model})"
+    return f"stable at all {len(results)} operating points examined ({results[0].model})"

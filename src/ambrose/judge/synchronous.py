@@ -217,12 +217,12 @@ def _box_checks(
     proved: list[tuple[IntervalProof, Condition]] = []
     varied = 0
     for condition in item.conditions:
-        held = tolerances_around(item.loop.plant((low + high) / 2, condition))
-        if not held:
+        tolerances = tolerances_around(item.loop.plant((low + high) / 2, condition))
+        if not tolerances:
             continue
         varied += 1
         progress(f"proving convergence over the tolerances at {condition.label}")
-        pencils = loop_pencils(item.loop, condition, low, high, held)
+        pencils = loop_pencils(item.loop, condition, low, high, tolerances)
         proof = prove_interval(pencils, item.table.at, item.table.speeds.tolist(), low, high)
         proved.append((proof, condition))
         if not proof.proved:

@@ -129,7 +129,7 @@ def forbidden_bands(
     points = (
         max(9, int(np.ceil(_POINTS * (band[1] - band[0]) / band[1]))) if points is None else points
     )
-    found: list[Forbidden] = []
+    forbidden: list[Forbidden] = []
     for condition in conditions:
 
         def ratio(speed: float, condition: Condition = condition) -> float:
@@ -185,9 +185,9 @@ def forbidden_bands(
             orbit = worst_orbits(converged_at(loop, mode, worst, condition, drive).q, force)
             without = worst_orbits(converged_at(loop, None, worst, condition).q, force)
             limit = orbit_limit(machine, worst)
-            found.append(Forbidden(low, high, worst, orbit, without, limit, condition.label))
+            forbidden.append(Forbidden(low, high, worst, orbit, without, limit, condition.label))
             k = end + 1
-    return _merged(found)
+    return _merged(forbidden)
 
 
 def _merged(bands: Sequence[Forbidden]) -> tuple[Forbidden, ...]:

@@ -75,36 +75,38 @@ def pulse_response(closed: StateSpace, plant: Plant, pulse: Pulse = CURRENT_PULS
     record = _FIRST_RECORD
     while True:
         samples = int(np.ceil((record + pulse.duration) / dt))
-        held = max(1, round(pulse.duration / dt))
+        pulse_samples = max(1, round(pulse.duration / dt))
         responses = []
         for k in range(len(axes)):
             u = np.zeros((len(axes), samples))
-            u[k, :held] = pulse.amplitude
+            u[k, :pulse_samples] = pulse.amplitude
             responses.append(simulate(sampled, u).reshape(3, len(axes), samples))
         stacked = np.stack(responses)
-        found = PulseResponse(
+        response = PulseResponse(
             np.arange(samples) * dt, stacked[:, 0], stacked[:, 1], stacked[:, 2], pulse
         )
-        if record >= _LONGEST_RECORD or np.isfinite(found.settling()).all():
-            return found
+        if record >= _LONGEST_RECORD or np.isfinite(response.settling()).all():
+            return response
         record = min(4 * record, _LONGEST_RECORD)
 
 
 def pulse_checks(
-    found: PulseResponse, plant: Plant, requirements: Requirements
+    response: PulseResponse, plant: Plant, requirements: Requirements
 ) -> tuple[list[Check], list[Curve]]:
     """The checks and curves of this file's table."""
-    axes, pulse = plant.axes, found.pulse
-    settling = found.settling()
+    axes, pulse = plant.axes, response.pulse
+    settling = response.settling()
     worst = int(np.argmax(settling))
     words = (
         f"{pulse.amplitude:g} A for {pulse.duration * 1e3:g} ms on one axis after the other, band "
         f"{pulse.band:.0%}"
     )
-    open_end = "" if np.isfinite(settling[worst]) else f"; not settled after {found.time[-1]:.3g} s"
+    open_end = (
+        "" if np.isfinite(settling[worst]) else f"; not settled after {response.time[-1]:.3g} s"
+    )
     k_i, k_s = magnet_coefficients(plant.machine, plant.point)
-    force = k_i[:, None] * found.current + k_s[:, None] * found.bearing_displacement
-    largest = np.abs(found.displacement).max(axis=2)
+    force = k_i[:, None] * response.current + k_s[:, None] * response.bearing_displacement
+    largest = np.abs(response.displacement).max(axis=2)
     at = np.unravel_index(np.argmax(largest), largest.shape)
     checks = [
         judge(
@@ -126,7 +128,7 @@ def pulse_checks(
             plant,
             "impulse.current",
             "Largest control current after a current pulse",
-            _peaks(found.current),
+            _peaks(response.current),
             requirements,
         ),
         axis_limit_check(
@@ -142,15 +144,15 @@ def pulse_checks(
             f"impulse.{name}",
             f"{title}, pulse on {axes[worst]}",
             "time",
-            found.time,
+            response.time,
             values[worst],
             axes,
             "s",
             unit,
         )
         for name, title, values, unit in (
-            ("displacement", "Displacement", found.displacement, "m"),
-            ("current", "Control current", found.current, "A"),
+            ("displacement", "Displacement", response.displacement, "m"),
+            ("current", "Control current", response.current, "A"),
         )
     ]
     return checks, curves

@@ -166,9 +166,9 @@ def unbalance_checks(
         near = response.omega <= _NEAR * running[1]
         turning = np.vstack([case(response)[:, near] for case in cases[1:3]])
         checks.append(separation_check(response.omega[near], turning, requirements, running))
-    shown = response.omega <= max(highest, residual.speed)
-    orbits = np.vstack([case(response)[:, shown] for case in cases[:3]])
-    omega = response.omega[shown]
+    in_range = response.omega <= max(highest, residual.speed)
+    orbits = np.vstack([case(response)[:, in_range] for case in cases[:3]])
+    omega = response.omega[in_range]
     return checks, [
         _orbit_curve(machine, omega, orbits, requirements),
         Curve(
@@ -176,7 +176,7 @@ def unbalance_checks(
             "Worst-case unbalance current",
             "speed",
             omega,
-            cases[3](response)[:, shown],
+            cases[3](response)[:, in_range],
             response.axes,
             "rad/s",
             "A",
@@ -249,10 +249,10 @@ def _at(peak: Peak) -> str:
     return f"at {peak.frequency / TWO_PI:.4g} Hz"
 
 
-def _distribution(name: str, words: str, found: tuple[Peak, ...], names: list[str]) -> Check:
-    k = int(np.argmax([peak.value for peak in found]))
+def _distribution(name: str, words: str, peaks: tuple[Peak, ...], names: list[str]) -> Check:
+    k = int(np.argmax([peak.value for peak in peaks]))
     title = f"Unbalance orbit, planes {words}"
-    return Check(name, title, found[k].value, "m", detail=f"bearing {names[k]} {_at(found[k])}")
+    return Check(name, title, peaks[k].value, "m", detail=f"bearing {names[k]} {_at(peaks[k])}")
 
 
 def _clearance(machine: Machine, worst: Peak, requirements: Requirements) -> list[Check]:
@@ -274,7 +274,7 @@ def _clearance(machine: Machine, worst: Peak, requirements: Requirements) -> lis
 
 
 def axis_limit_check(
-    plant: Plant, name: str, title: str, found: Sequence[Peak], requirements: Requirements
+    plant: Plant, name: str, title: str, peaks: Sequence[Peak], requirements: Requirements
 ) -> Check:
     """One check for a current or force (by ``name``) known per axis: of the axis that comes nearest
     to its limit.
@@ -288,14 +288,14 @@ def axis_limit_check(
     # without a limit an axis counts only where none has one
     ratio = [
         peak.value / limit if limit else peak.value * 1e-12
-        for peak, limit in zip(found, known, strict=True)
+        for peak, limit in zip(peaks, known, strict=True)
     ]
     k = int(np.argmax(ratio))
     source = f"bearing {bearings[k].name}, {'max_current' if current else 'max_force'}"
     wanted = required if required.limit is not None else machine_limit(limits[k], source)
-    at = "" if np.isnan(found[k].frequency) else f" {_at(found[k])}"
+    at = "" if np.isnan(peaks[k].frequency) else f" {_at(peaks[k])}"
     return judge(
-        name, title, found[k].value, "A" if current else "N", wanted, f"axis {plant.axes[k]}{at}"
+        name, title, peaks[k].value, "A" if current else "N", wanted, f"axis {plant.axes[k]}{at}"
     )
 
 

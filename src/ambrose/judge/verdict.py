@@ -198,17 +198,17 @@ def verify_tolerances(
     """
     boxes: list[Checks] = []
     for plant, point in zip(plants, points, strict=True):
-        held = tolerances_around(plant, tolerances)
-        if not held or not point.stable:
+        varied = tolerances_around(plant, tolerances)
+        if not varied or not point.stable:
             continue
         progress(f"verifying over the tolerances around {plant.point.label}")
-        given = match_controller(controller, plant)
+        matched = match_controller(controller, plant)
         source = match_controller(controller if design is None else design, plant)
         checks: list[Checks] = []
         if source.dt is None:
             model = source if timing is None else timing.late(source)
             checks.append(
-                _continuous_box(plant, model, held, detailed=not boxes, late=timing is not None)
+                _continuous_box(plant, model, varied, detailed=not boxes, late=timing is not None)
             )
             if tolerances is not None and (every := tolerances_around(plant)):
                 checks[0] = replace(
@@ -216,22 +216,22 @@ def verify_tolerances(
                 )
         if timing is not None:
             found = checks[0].found if checks else ()
-            checks.append(sampled.check_over_box(plant, timing.in_loop(given), held, found))
+            checks.append(sampled.check_over_box(plant, timing.in_loop(matched), varied, found))
         boxes.append(_joined(box_label(plant.point.label), checks))
     return tuple(boxes)
 
 
 def _continuous_box(
-    plant: Plant, law: StateSpace, held: tuple[Tolerance, ...], *, detailed: bool, late: bool
+    plant: Plant, law: StateSpace, varied: tuple[Tolerance, ...], *, detailed: bool, late: bool
 ) -> Checks:
     """The robust checks of a continuous law, which with ``late`` holds the loop's mean delay;
     ``detailed``: all of them.
     """
     if not detailed:
-        box = robust.examine(plant, law, held)
+        box = robust.examine(plant, law, varied)
     else:
         weights = machine_weights(plant.machine) if plant.machine.weights is not None else None
-        box = robust.check(plant, law, held, weights)
+        box = robust.check(plant, law, varied, weights)
     if not late:
         return box
     checks = tuple(replace(c, detail=f"{c.detail}; {WITH_MEAN_DELAY}") for c in box.checks)
@@ -259,5 +259,5 @@ def _joined(label: str, parts: Sequence[Checks]) -> Checks:
         tuple(x for part in parts for x in getattr(part, name))
         for name in ("checks", "curves", "notes")
     )
-    found = tuple(point for part in parts for point in part.found)
-    return Checks(label, all(part.stable for part in parts), checks, curves, notes, found)
+    points = tuple(point for part in parts for point in part.found)
+    return Checks(label, all(part.stable for part in parts), checks, curves, notes, points)

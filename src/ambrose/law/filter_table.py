@@ -360,8 +360,11 @@ def _filter(where: str, item: Any, dt: float | None) -> list[np.ndarray]:
         raise InvalidInput(f"{where} must be a table with {forms}; write one of the two")
     gain = _scalar(f"{where}: gain", item.get("gain", 1.0))
     if form in ("b", "num"):
-        own = [_flat(item[key]) for key in _FILTERS[form][:2]]
-        return [gain * np.eye(1), _rational(where, own[:1], own[1], form == "num" or dt is None)]
+        coefficients = [_flat(item[key]) for key in _FILTERS[form][:2]]
+        return [
+            gain * np.eye(1),
+            _rational(where, coefficients[:1], coefficients[1], form == "num" or dt is None),
+        ]
     sections = _zpk(where, item, gain) if form == "zeros" else item["sos"]
     parts = [section_matrix(section) for section in _sections(where, sections)]
     return parts if form == "zeros" else [gain * np.eye(1), *parts]

@@ -125,8 +125,8 @@ _FORMS: Mapping[str, Callable[..., np.ndarray]] = {
 
 def section_matrix(section: Section, values: Mapping[str, Any] | None = None) -> np.ndarray:
     """Theta of a section, by its own numbers or by ``values`` under some of its keys."""
-    given = {key: getattr(section, key) for key in SECTIONS[section.kind]}
-    return _FORMS[section.kind](**{**given, **(values or {})})
+    numbers = {key: getattr(section, key) for key in SECTIONS[section.kind]}
+    return _FORMS[section.kind](**{**numbers, **(values or {})})
 
 
 def filter_rows(settings: PidSettings) -> list[tuple[str, str, str]]:

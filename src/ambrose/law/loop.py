@@ -96,11 +96,11 @@ def axis_order(
     names, prefix = (controller.inputs, "err_") if side == "inputs" else (controller.outputs, "u_")
     if not any(name.startswith(prefix) or name.endswith(("_zeta", "_eta")) for name in names):
         return list(range(len(axes)))
-    own = [
+    axis_of = [
         next((axis for axis in axes if name == axis or name.endswith(f"_{axis}")), None)
         for name in names
     ]
-    if sorted(map(str, own)) != sorted(axes):
+    if sorted(map(str, axis_of)) != sorted(axes):
         remedy = (
             f"this controller is for another machine: design one for {machine or 'this'}, or give "
             "its signals these names"
@@ -111,7 +111,7 @@ def axis_order(
             ", ".join(prefix + axis for axis in axes),
             remedy,
         )
-    return [own.index(axis) for axis in axes]
+    return [axis_of.index(axis) for axis in axes]
 
 
 def running_law(law: LawLike, plant: Plant, timing: Timing | None) -> StateSpace:

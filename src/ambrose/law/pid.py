@@ -139,14 +139,16 @@ def channel_chains(
     common, modal = common_sections(settings), settings.coordinates == "tilt-translate"
     for sections in (common, *(item.sections for item in settings.channels)):
         check_sections(sections)
-    own = {name: (item.gain, item.sections) for item in settings.channels for name in item.names}
+    chain_of = {
+        name: (item.gain, item.sections) for item in settings.channels for name in item.names
+    }
     if modal:
         gain = settings.gain[0] if len(settings.gain) == 1 else 1.0
         gains = [gain, gain, *[settings.tilt_gain * gain] * len(axes)]
     else:
         gains = list(settings.gain) * (1 if len(settings.gain) == len(axes) else len(axes))
     return [
-        own[name] if name in own else (gains[i], common)
+        chain_of[name] if name in chain_of else (gains[i], common)
         for i, name in enumerate(channel_names(settings, axes))
     ]
 
@@ -155,24 +157,24 @@ def channel_names(settings: PidSettings, axes: tuple[str, ...]) -> tuple[str, ..
     """The channels in their order; those of bending only where they have a chain of their own."""
     if settings.coordinates != "tilt-translate":
         return axes
-    own = {name for item in settings.channels for name in item.names}
-    return tuple(name for name in modal_channels(len(axes) // 2) if name in MODES or name in own)
+    named = {name for item in settings.channels for name in item.names}
+    return tuple(name for name in modal_channels(len(axes) // 2) if name in MODES or name in named)
 
 
 def common_sections(settings: PidSettings) -> tuple[Section, ...]:
     """What [controller] says for all channels as a chain: PID, then notches, lead and low pass as
     far as they are set.
     """
-    found = []
+    sections = []
     if settings.integral_time is not None or settings.derivative_time is not None:
-        found.append(
+        sections.append(
             Section(
                 "pid", settings.integral_time, settings.derivative_time, settings.derivative_filter
             )
         )
     for item in settings.notches:
         w = item.frequency
-        found.append(
+        sections.append(
             Section(
                 "notch",
                 zero_frequency=w,
@@ -182,14 +184,14 @@ def common_sections(settings: PidSettings) -> tuple[Section, ...]:
             )
         )
     if settings.lead is not None:
-        found.append(
+        sections.append(
             Section("lead-lag", zero_frequency=settings.lead[0], pole_frequency=settings.lead[1])
         )
     if settings.low_pass is not None:
-        found.append(
+        sections.append(
             Section("low-pass", frequency=settings.low_pass, damping=settings.low_pass_damping)
         )
-    return tuple(found)
+    return tuple(sections)
 
 
 def modes(machine: Machine) -> tuple[np.ndarray, np.ndarray]:

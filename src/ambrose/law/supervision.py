@@ -142,13 +142,13 @@ class Supervisor:
         self.value = self.limits.low
 
     def follow(
-        self, told: float, estimate: float = math.nan, half_width: float = math.inf
+        self, scheduled: float, estimate: float = math.nan, half_width: float = math.inf
     ) -> State:
         """One sample: told, estimate and its 95 % half width [Pa] (NaN, inf: nothing is said)."""
         limits = self.limits
         known = math.isfinite(estimate) and math.isfinite(half_width) and half_width >= 0
 
-        self.fault = self._fault(told, known, estimate, half_width)
+        self.fault = self._fault(scheduled, known, estimate, half_width)
         if self.fault in (Fault.JUMP, Fault.DIVERGED):
             self.latched = True
         elif self.fault is Fault.NONE and known and half_width <= limits.band:
@@ -159,11 +159,11 @@ class Supervisor:
         if trusted:
             # a sharp estimate corrects the reading, as far as the proof's band allows
             trim = (
-                min(max(estimate - told, -limits.band), limits.band)
+                min(max(estimate - scheduled, -limits.band), limits.band)
                 if known and half_width <= limits.band
                 else 0.0
             )
-            self.value = min(max(told + trim, limits.low), limits.high)
+            self.value = min(max(scheduled + trim, limits.low), limits.high)
 
         self.clock += 1
         faded = self.clock * self.dt >= limits.fade
@@ -177,25 +177,25 @@ class Supervisor:
             self.state = State.SCHEDULED
         return self.state
 
-    def _fault(self, told: float, known: bool, estimate: float, half_width: float) -> Fault:
+    def _fault(self, scheduled: float, known: bool, estimate: float, half_width: float) -> Fault:
         limits = self.limits
         self.since += 1
-        if not math.isfinite(told):
+        if not math.isfinite(scheduled):
             return Fault.LOST
 
         # what the rate allows since the last reading that was not lost
-        step = abs(told - self.last)  # NaN at the first one: no step
+        step = abs(scheduled - self.last)  # NaN at the first one: no step
         allowed = limits.rate * self.dt * self.since + limits.noise
-        self.last, self.since = told, 0
+        self.last, self.since = scheduled, 0
         self.same = self.same + 1 if step == 0.0 else 0
 
-        if not limits.low - limits.margin <= told <= limits.high + limits.margin:
+        if not limits.low - limits.margin <= scheduled <= limits.high + limits.margin:
             return Fault.RANGE
         if step > allowed:
             return Fault.JUMP
         if self.same * self.dt >= limits.stuck:
             return Fault.STUCK
-        if known and abs(told - estimate) > limits.band + half_width:
+        if known and abs(scheduled - estimate) > limits.band + half_width:
             return Fault.DIVERGED
         return Fault.NONE
 
@@ -281,16 +281,16 @@ class SupervisedProgram:
         """What happened, for people: "fixed from 0.1001 s (the reading is lost), schedule again
         from 0.25 s".
         """
-        told = []
+        sentences = []
         for sample, state, fault in self.changes:
             if state is State.FALLING_BACK:
-                told.append(
+                sentences.append(
                     f"fixed from {sample * self.sample_time:.4g} s "
                     f"({WORDS.get(fault, 'the reading was not trusted')})"
                 )
             elif state is State.RETURNING:
-                told.append(f"schedule again from {sample * self.sample_time:.4g} s")
-        return ", ".join(told) or "schedule throughout"
+                sentences.append(f"schedule again from {sample * self.sample_time:.4g} s")
+        return ", ".join(sentences) or "schedule throughout"
 
     @property
     def sample_time(self) -> float:

@@ -118,25 +118,27 @@ def timing_of(
     machine's, else one sample. Raises InvalidInput.
     """
     of_machine = machine_timing(machine)
-    found = of_machine
+    timing = of_machine
     if rate is None and law is not None:
-        found = _timing_of_law(law_of(law), of_machine)
+        timing = _timing_of_law(law_of(law), of_machine)
     elif rate is not None:
         program = None if law is None else law_of(law).program
         late = _delay(of_machine) if program is None else program.delay
-        found = Timing(1 / check_positive(rate, "rate", "give the sample rate in Hz"), late)
+        timing = Timing(1 / check_positive(rate, "rate", "give the sample rate in Hz"), late)
     if delay_samples is None:
-        return found
-    if found is None:
+        return timing
+    if timing is None:
         raise invalid(
             "delay_samples",
             delay_samples,
             "given with a rate",
             "say at which rate [Hz] the controller runs",
         )
-    given = delay_samples != found.delay_samples and found.source != "given"
+    given = delay_samples != timing.delay_samples and timing.source != "given"
     return Timing(
-        found.sample_time, delay_samples, f"{found.source}, delay given" if given else found.source
+        timing.sample_time,
+        delay_samples,
+        f"{timing.source}, delay given" if given else timing.source,
     )
 
 

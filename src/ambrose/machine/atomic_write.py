@@ -202,31 +202,31 @@ def _switch(target: Path, names: Iterable[str], away: Path) -> None:
     """The new files of an interrupted write get their places, or the old ones back; what is left of
     it goes ``away``.
     """
-    held, done = target / INTERRUPTED, []
+    interrupted, done = target / INTERRUPTED, []
     try:
         for name in names:
-            os.replace(held / "new" / name, target / name)
+            os.replace(interrupted / "new" / name, target / name)
             done.append(name)
         _settle(target)
     except BaseException:
         for name in done:  # at every moment each new file is whole, here or there, for a kill now
-            os.replace(target / name, held / "new" / name)
-            if (held / "old" / name).exists():
-                os.replace(held / "old" / name, target / name)
-        os.replace(held, away)
+            os.replace(target / name, interrupted / "new" / name)
+            if (interrupted / "old" / name).exists():
+                os.replace(interrupted / "old" / name, target / name)
+        os.replace(interrupted, away)
         raise
     with suppress(OSError):  # it is empty, and in nobody's way
-        os.replace(held, away)
+        os.replace(interrupted, away)
 
 
 def _finish_interrupted(target: Path, away: Path) -> None:
     """A write that was killed while it replaced files: the rest of them."""
-    held = target / INTERRUPTED
-    if (held / "new").is_dir() and (held / "old").is_dir():
-        for path in (held / "new").iterdir():
+    interrupted = target / INTERRUPTED
+    if (interrupted / "new").is_dir() and (interrupted / "old").is_dir():
+        for path in (interrupted / "new").iterdir():
             os.replace(path, target / path.name)
         _settle(target)
-        os.replace(held, away)
+        os.replace(interrupted, away)
         shutil.rmtree(away)
 
 

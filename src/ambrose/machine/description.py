@@ -506,16 +506,16 @@ class MachineDescription(Part):
         """The sensors in the order of the bearings, each with its angle [rad], and its share in the
         mean as weight.
         """
-        found: list[Sensor] = []
+        pairs: list[Sensor] = []
         for bearing in self.bearings:
-            own = [sensor for sensor in self.sensors if sensor.bearing == bearing.name]
-            total = sum(sensor.weight for sensor in own)
-            angles = [bearing.angle if sensor.angle is None else sensor.angle for sensor in own]
-            found += [
+            sensors = [sensor for sensor in self.sensors if sensor.bearing == bearing.name]
+            total = sum(sensor.weight for sensor in sensors)
+            angles = [bearing.angle if sensor.angle is None else sensor.angle for sensor in sensors]
+            pairs += [
                 replace(s, angle=angle, weight=s.weight / total)
-                for s, angle in zip(own, angles, strict=True)
+                for s, angle in zip(sensors, angles, strict=True)
             ]
-        return tuple(found)
+        return tuple(pairs)
 
     @property
     def axes(self) -> tuple[str, ...]:

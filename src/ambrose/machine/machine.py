@@ -163,9 +163,9 @@ def _places(entries: Any) -> str:
 
 
 def _mode_in_words(mode: BendingMode) -> str:
-    given = [("", mode.frequency, " rad/s"), ("damping ratio ", mode.damping, "")]
+    quantities = [("", mode.frequency, " rad/s"), ("damping ratio ", mode.damping, "")]
     return f"{mode.number}: " + ", ".join(
-        f"{name}{value:.4g}{unit}" for name, value, unit in given if value is not None
+        f"{name}{value:.4g}{unit}" for name, value, unit in quantities if value is not None
     )
 
 

@@ -22,11 +22,11 @@ def one_line(text: str) -> str:
     """
     if text.isprintable():
         return text
-    shown = (
+    characters = (
         c if c.isprintable() or category(c) == "Zs" else c.encode("unicode_escape").decode()
         for c in text
     )
-    return "".join(shown)
+    return "".join(characters)
 
 
 def shown(value: object) -> str:

@@ -58,8 +58,8 @@ def quantities() -> dict[str, Mapping[str, tuple[str, tuple[str, ...]]]]:
     """``QUANTITIES`` with those of the registered effects: table -> quantity -> (dimension,
     components).
     """
-    own = {table: item.quantities for table, item in attachments().items() if item.quantities}
-    return {**QUANTITIES, **own}
+    of_tables = {table: item.quantities for table, item in attachments().items() if item.quantities}
+    return {**QUANTITIES, **of_tables}
 
 
 BENDING = "bending_"  # rotor.bending_<k>: the k-th free bending mode
@@ -172,9 +172,9 @@ def find_uncertain(machine: MachineDescription, path: str) -> Parameter:
     cannot be uncertain, too.
     """
     parameter = find_parameter(machine, path)
-    own = f'"seal.{parameter.name}.K" or "seal.{parameter.name}.C"'
+    examples = f'"seal.{parameter.name}.K" or "seal.{parameter.name}.C"'
     if (parameter.table, parameter.quantity) == ("seal", "M"):
-        remedy = f"remove it and give {own} a tolerance"
+        remedy = f"remove it and give {examples} a tolerance"
         raise _wrong(
             path,
             "cannot be uncertain: it acts on the acceleration, which no port of the plant "
@@ -183,7 +183,7 @@ def find_uncertain(machine: MachineDescription, path: str) -> Parameter:
     if (parameter.table, parameter.quantity) == ("seal", "pressure"):
         fault = not_straight(next(item for item in machine.seals if item.name == parameter.name))
         if fault:
-            raise _wrong(path, f"cannot be uncertain: {fault}; or give {own} a tolerance")
+            raise _wrong(path, f"cannot be uncertain: {fault}; or give {examples} a tolerance")
     return parameter
 
 

@@ -164,7 +164,7 @@ def constant_under_pressure(seal: Seal) -> tuple[str, ...]:
     follow the pressure.
     """
     tabulated = {} if seal.table is None else dict(seal.table.values)
-    given = [
+    stated = [
         name
         for name in SEAL_COEFFICIENTS
         if name != "M" and (name in tabulated or getattr(seal, name) != 0)
@@ -173,7 +173,7 @@ def constant_under_pressure(seal: Seal) -> tuple[str, ...]:
         *seal.scales_with_pressure,
         *(tabulated if seal.table and "pressure" in dict(seal.table.axes) else ()),
     }
-    return tuple(name for name in given if name not in follow) if follow & set(given) else ()
+    return tuple(name for name in stated if name not in follow) if follow & set(stated) else ()
 
 
 def not_straight(seal: Seal) -> str:

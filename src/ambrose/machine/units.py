@@ -242,7 +242,7 @@ def _factor_by_pint(unit: str, dimension_name: str) -> float:
         raise LookupError("its unit cannot be read")
     registry, errors = _registry()
     try:
-        given = registry.Unit(re.sub(r"([A-Za-z])(-?\d)", r"\1**\2", unit))
+        source = registry.Unit(re.sub(r"([A-Za-z])(-?\d)", r"\1**\2", unit))
     except (
         errors.PintError,
         TokenError,
@@ -256,9 +256,9 @@ def _factor_by_pint(unit: str, dimension_name: str) -> float:
         raise LookupError(
             "its unit is unknown" + (f' (did you mean "{close}"?)' if close else "")
         ) from error
-    if dimension.closed or not given.is_compatible_with(canonical_for_pint(dimension.unit)):
+    if dimension.closed or not source.is_compatible_with(canonical_for_pint(dimension.unit)):
         raise LookupError("")
-    quantity = registry.Quantity(1.0, given)
+    quantity = registry.Quantity(1.0, source)
     factor = float(quantity.to(canonical_for_pint(dimension.unit)).magnitude)
     # pint's hertz is 1/s, here it means revolutions per second
     if dimension.name == "angular rate":

@@ -74,8 +74,10 @@ def state_scales(machine: Machine, rotor: Rotor, bending_modes: int | None = Non
     """The scale s (n,) [rad/s] of each velocity state: the free mode's or support's frequency, 300
     rad/s at least.
     """
-    own = modes_of(machine, rotor, bending_modes).frequencies
-    return np.maximum(np.concatenate([own, np.sqrt(foundation(machine).stiffness)]), _RIGID_SCALE)
+    frequencies = modes_of(machine, rotor, bending_modes).frequencies
+    return np.maximum(
+        np.concatenate([frequencies, np.sqrt(foundation(machine).stiffness)]), _RIGID_SCALE
+    )
 
 
 def attached_rotor(
@@ -149,10 +151,10 @@ def attached_rotor(
 
     # ports of single modes: unit rows; zero where the mode is beyond those in use or the coordinate
     # is a support's
-    own = np.eye(max(bending_modes_of(rotor) * 2 + 4, count), len(mass)) * (
+    modal_basis = np.eye(max(bending_modes_of(rotor) * 2 + 4, count), len(mass)) * (
         np.arange(len(mass)) < count
     )
-    N = np.vstack([N, *(own[2 + 2 * k : 4 + 2 * k] for k in uncertain_modes(machine))])
+    N = np.vstack([N, *(modal_basis[2 + 2 * k : 4 + 2 * k] for k in uncertain_modes(machine))])
     every = [*(p.name for p in places), *mode_ports(machine)]
 
     # forces enter where displacements are read: B = (N, alone)^T; outputs N and S; velocities N
@@ -187,18 +189,18 @@ def with_states(machine: Machine, point: OperatingPoint, rotor: StateSpace) -> S
     seals = [item for item in machine.seals if has_states(item) and point.seal_pressure > 0]
     places = [f"{item.name}_{axis}" for item in seals for axis in "xy"]
     parts = [seal_rational.system(seal_model(machine, item, point), item.name) for item in seals]
-    shown = [name for part in parts for name in part.outputs if not name.startswith("h_")]
+    outputs = [name for part in parts for name in part.outputs if not name.startswith("h_")]
     for names, reaction in reactions(machine, point):
         if reaction.n_states:
             parts.append(_states_of(reaction, names))
             places += names
-            shown += parts[-1].outputs
+            outputs += parts[-1].outputs
     if not parts:
         return rotor
     return connect(
         [rename(rotor, {f"f_{place}": f"F_{place}" for place in places}), *parts],
         inputs=list(rotor.inputs),
-        outputs=[*rotor.outputs, *shown],
+        outputs=[*rotor.outputs, *outputs],
         sums={f"F_{place}": [f"f_{place}", f"h_{place}"] for place in places},
     )
 
@@ -285,8 +287,8 @@ def rotor_inputs(machine: Machine) -> list[str]:
     """Names of a rotor's inputs within the plant: F_<port>, and the external f_<port> where it acts
     on the rotor alone.
     """
-    own = [f"F_{name}" for name in (*(p.name for p in ports(machine)), *mode_ports(machine))]
-    return own + [f"f_{name}" for name in supported_ports(machine)]
+    inputs = [f"F_{name}" for name in (*(p.name for p in ports(machine)), *mode_ports(machine))]
+    return inputs + [f"f_{name}" for name in supported_ports(machine)]
 
 
 def force_sums(machine: Machine) -> dict[str, list[str]]:

@@ -82,7 +82,7 @@ def compliance_error_bound(machine: Machine, speed: float, omega: ArrayLike) -> 
     # beside^T beside = loads loads^T - held held^T: |l_2| = |w Omega beside a|
     values, vectors = np.linalg.eigh(loads @ loads.T - held @ held.T)
     beside = (vectors * np.sqrt(np.maximum(values, 0.0))).T
-    found = np.empty(len(omega))
+    bound = np.empty(len(omega))
     for i, w in enumerate(omega):
         # the model's own a for unit forces on the ports, and |H_aa|
         Z = np.diag(frequency**2 - w**2 + 2j * zeta * frequency * w) + w * speed * turning
@@ -117,7 +117,7 @@ def compliance_error_bound(machine: Machine, speed: float, omega: ArrayLike) -> 
         answer = min(1 / (1 - n), most) if n < 1 else most
         moved = h * min((2 * n * l_1 + l_2) * answer, 2 * most * (l_1 + l_2))
         loop = 2 * receptance * h**2 * answer
-        found[i] = min(near, 2 * most * (l_1 + l_2) ** 2) + (
+        bound[i] = min(near, 2 * most * (l_1 + l_2) ** 2) + (
             moved**2 * receptance / (1 - loop) if loop < 1 else np.inf
         )
-    return found
+    return bound

@@ -64,15 +64,15 @@ def measured_ports(machine: Machine) -> tuple[Port, ...]:
     """Where and along what the measured signals y_<axis> read: the mean place of a bearing's
     sensors, the first one's angle.
     """
-    found = []
+    ports = []
     for bearing in machine.bearings:
-        own = [pair for pair in machine.sensor_pairs if pair.bearing == bearing.name]
-        place, angle = sum(pair.weight * pair.position for pair in own), own[0].angle or 0.0
-        found += [
+        pairs = [pair for pair in machine.sensor_pairs if pair.bearing == bearing.name]
+        place, angle = sum(pair.weight * pair.position for pair in pairs), pairs[0].angle or 0.0
+        ports += [
             Port(f"{bearing.name}_{axis}", place, angle + turn)
             for axis, turn in (("zeta", 0.0), ("eta", QUARTER))
         ]
-    return tuple(found)
+    return tuple(ports)
 
 
 def sensor_turn(machine: Machine) -> np.ndarray:

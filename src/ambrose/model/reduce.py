@@ -151,8 +151,10 @@ def modal_reduction(
         if bending_modes == available
         else free_modes(rotor, bending_modes + 1).frequencies[-1]
     )
-    own = [np.roots([1.0, d, k]) for d, k in zip(base.damping, base.stiffness, strict=True)]
-    slower = int((np.abs(own) < fastest).sum())
+    support_poles = [
+        np.roots([1.0, d, k]) for d, k in zip(base.damping, base.stiffness, strict=True)
+    ]
+    slower = int((np.abs(support_poles) < fastest).sum())
 
     # slow and fast part, each x_r' = L A R x_r + L B u, y = C R x_r + D u
     T_L, T_R, L_res, R_res = split_slow(small.A, 8 + 4 * bending_modes + slower)
@@ -164,8 +166,8 @@ def modal_reduction(
 
     # transforms from and to the full rotor's own states; those of seals and effects as they are
     lift_L, lift_R = _lift(second_order, full, state_scales(machine, rotor), kept)
-    held = np.eye(part_states(machine, point))
-    left, right = sla.block_diag(T_L @ lift_L, held), sla.block_diag(lift_R @ T_R, held)
+    unchanged = np.eye(part_states(machine, point))
+    left, right = sla.block_diag(T_L @ lift_L, unchanged), sla.block_diag(lift_R @ T_R, unchanged)
     reduced = with_states(machine, point, reduced)
     result = with_offsets_of(wire(machine, point, reduced, bending_modes), plant)
     return Reduction(result, left, right, fast, static_correction)
@@ -212,10 +214,10 @@ def split_slow(A: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.nd
 
     # Slow poles first: A = Q T Q^T, T = [T11, T12; 0, T22].
     threshold = np.inf if count == n else 0.5 * (modulus[count - 1] + modulus[count])
-    T, Q, found = sla.schur(A, sort=lambda re, im: np.hypot(re, im) < threshold)
-    if found != count:
+    T, Q, n_slow = sla.schur(A, sort=lambda re, im: np.hypot(re, im) < threshold)
+    if n_slow != count:
         raise NumericalFailure(
-            f"the ordered Schur form kept {found} poles instead of {count}; keep another number "
+            f"the ordered Schur form kept {n_slow} poles instead of {count}; keep another number "
             "of modes"
         )
     r = count
@@ -245,7 +247,7 @@ def _lift(
     # M = L L^T; K = L^-1 k L^-T, of which to_statespace takes its scales
     L = sla.cholesky(small.mass, lower=True)
     K = sla.solve_triangular(L, sla.solve_triangular(L, small.stiffness, lower=True).T, lower=True)
-    own = velocity_scales(K)[:, None]
+    velocity_scale = velocity_scales(K)[:, None]
 
     # q = L^-T z at the kept coordinates, zero elsewhere; z = L^-1 M q, its inverse in the full mass
     up, down = np.zeros((n, k)), sla.solve_triangular(L, full.mass[kept], lower=True)
@@ -253,8 +255,8 @@ def _lift(
 
     # velocity states q'/s and z'/own
     return (
-        sla.block_diag(down, down * scales / own),
-        sla.block_diag(up, up * own.T / scales[:, None]),
+        sla.block_diag(down, down * scales / velocity_scale),
+        sla.block_diag(up, up * velocity_scale.T / scales[:, None]),
     )
 
 

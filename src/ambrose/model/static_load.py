@@ -70,8 +70,8 @@ def _in_plane(
     whole = np.block([[np.diag((w / size) ** 2), -(at / size).T], [read / size, np.zeros((b, b))]])
     right = np.concatenate([shapes.T @ gravity_load(rotor, 0.0) / size, np.zeros(b)])
     # a single magnet carries the whole, however the rotor hangs
-    found = np.linalg.lstsq(whole, right, rcond=1e-13)[0]
-    return at @ (found[: len(w)] / size), -found[len(w) :]
+    solution = np.linalg.lstsq(whole, right, rcond=1e-13)[0]
+    return at @ (solution[: len(w)] / size), -solution[len(w) :]
 
 
 def operating_magnets(
@@ -91,9 +91,11 @@ def magnet_coefficients(machine: Machine, point: OperatingPoint) -> tuple[np.nda
     """k_i (a,) [N/A] and k_s (a,) [N/m] of the control axes at an operating point, see
     ``operating_magnets``.
     """
-    found = [magnet.coefficients for magnet in operating_magnets(machine, point.bias_current)]
-    k_i = np.array([value for item in found for value in item.force_per_current])
-    return k_i, np.array([value for item in found for value in item.negative_stiffness])
+    coefficients = [
+        magnet.coefficients for magnet in operating_magnets(machine, point.bias_current)
+    ]
+    k_i = np.array([value for item in coefficients for value in item.force_per_current])
+    return k_i, np.array([value for item in coefficients for value in item.negative_stiffness])
 
 
 def stated_at_load(machine: Machine, bearing: MagneticBearing) -> MagneticBearing:

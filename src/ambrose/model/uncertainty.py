@@ -194,10 +194,10 @@ def not_varied(plant: Plant) -> tuple[str, ...]:
     """The machine's tolerances that do not hold around the plant's operating point, each with the
     reason, in words.
     """
-    label, held = plant.point.label or "the point", tolerances_around(plant)
+    label, tolerances = plant.point.label or "the point", tolerances_around(plant)
     found = []
     for item in plant.machine.tolerances:
-        if item not in held:
+        if item not in tolerances:
             elsewhere = item.around and plant.point.label not in item.around
             why = f"given for {', '.join(item.around)} only" if elsewhere else "zero here"
             found.append(f"{label}: {item.parameter} ({why})")
@@ -338,12 +338,12 @@ def _bearing_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
         operating_magnets(plant.machine, plant.point.bias_current),
         strict=True,
     )
-    found = next(
+    coefficients = next(
         magnet.coefficients for bearing, magnet in magnets if bearing.name == parameter.name
     )
     return _pair(
         parameter,
-        getattr(found, parameter.quantity),
+        getattr(coefficients, parameter.quantity),
         "i" if parameter.quantity == "force_per_current" else "q",
         1.0,
     )

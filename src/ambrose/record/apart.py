@@ -40,13 +40,13 @@ def variables_of(path: Path, names: Sequence[str]) -> Iterator[list[Variable]]:
     with tempfile.TemporaryDirectory(prefix="ambrose-", ignore_cleanup_errors=True) as folder:
         answer = Path(folder, "answer.json")
         numbers = answer.with_suffix(".numbers")
-        told = _ask(path, names, answer)
+        variables = _ask(path, names, answer)
         yield [
             Variable(
                 np.memmap(numbers, np.dtype(kind), "r", start, (count,)) if count else np.empty(0),
                 *rest,
             )
-            for kind, start, count, *rest in told["variables"]
+            for kind, start, count, *rest in variables["variables"]
         ]
 
 
@@ -66,13 +66,16 @@ def try_record(path: Path) -> None:
 
 def _ask(path: Path, names: Sequence[str] | None, answer: Path) -> dict[str, Any]:
     limit = _SECONDS + (path.stat().st_size / _BYTES_PER_SECOND if path.is_file() else 0)
-    found = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "OPENBLAS_NUM_THREADS": "1"}
+    environment = {
+        "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+        "OPENBLAS_NUM_THREADS": "1",
+    }
     remedy = (
         "it is damaged, too large, or made to do harm: save its numbers again as plain variables"
     )
     with subprocess.Popen(
         [sys.executable, "-P", "-m", __name__, str(path), str(answer), str(limit)],
-        env={**os.environ, **found},
+        env={**os.environ, **environment},
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -85,14 +88,14 @@ def _ask(path: Path, names: Sequence[str] | None, answer: Path) -> dict[str, Any
             child.kill()
             child.wait()
     try:
-        told = dict(json.loads(answer.read_text(encoding="utf-8")))
+        answered = dict(json.loads(answer.read_text(encoding="utf-8")))
     except (OSError, ValueError):
         raise InvalidInput(
             f"its reader came to a sudden end (status {child.returncode}); {remedy}"
         ) from None
-    if "refused" in told:
-        raise InvalidInput(told["refused"])
-    return told
+    if "refused" in answered:
+        raise InvalidInput(answered["refused"])
+    return answered
 
 
 def _answer(path: Path, answer: Path, seconds: float) -> None:

@@ -42,9 +42,9 @@ def read_foreign(path: str | Path, columns: ColumnMap | Mapping[str, Any] | str 
 
 def _record(path: Path, columns: ColumnMap) -> Record:
     wanted = [*columns.columns, *([] if columns.time is None else [columns.time])]
-    with variables_of(path, [column.source for column in wanted]) as found:
-        time = None if columns.time is None else found[-1]
-        variables = found[: len(columns.columns)]
+    with variables_of(path, [column.source for column in wanted]) as in_file:
+        time = None if columns.time is None else in_file[-1]
+        variables = in_file[: len(columns.columns)]
         _check_lengths(columns, variables, time)
         rate, start = _timing(columns, variables, time)
         for column, variable in zip(columns.columns, variables, strict=True):

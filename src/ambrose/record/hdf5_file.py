@@ -144,15 +144,17 @@ def own_member(group: Any, name: str, place: str) -> Any:
     """
     import h5py
 
-    found = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
-    if found is None or (isinstance(found, h5py.Dataset) and (found.is_virtual or found.external)):
+    member = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
+    if member is None or (
+        isinstance(member, h5py.Dataset) and (member.is_virtual or member.external)
+    ):
         raise invalid(
             place,
             "a link, or kept in another file",
             "in the file itself",
             "export it again, in one file",
         )
-    return found
+    return member
 
 
 def _attribute(attributes: Any, key: str, first: Callable[[], None]) -> Any:
@@ -202,14 +204,14 @@ def check_packing(datasets: Sequence[Any], path: Path) -> None:
     """Refuse datasets that would unpack to much more than their file, as only zeros do. Raises
     InvalidInput.
     """
-    size, held = (
+    size, unpacked = (
         path.stat().st_size,
         sum((data.size or 0) * max(data.dtype.itemsize, 8) for data in datasets),
     )
-    if held > max(UNPACKED, PACKED * size):
+    if unpacked > max(UNPACKED, PACKED * size):
         raise invalid(
             "the file's content",
-            f"{held} bytes in {size}",
+            f"{unpacked} bytes in {size}",
             f"at most {PACKED} times the file",
             "is it damaged?",
         )

@@ -34,9 +34,9 @@ def read_variables(path: Path, names: Iterable[str]) -> Iterator[Variable]:
     """
     with _opened(path) as find:
         for name in names:
-            found = find(name)
-            finite = np.isfinite(found.values)
-            yield found if finite.all() else replace(found, bad=int(np.argmin(finite)))
+            variable = find(name)
+            finite = np.isfinite(variable.values)
+            yield variable if finite.all() else replace(variable, bad=int(np.argmin(finite)))
 
 
 @contextmanager

@@ -152,14 +152,14 @@ def _header(lines: list[str], separator: str | None, width: int) -> tuple[list[s
     names, below = (full[-1], []) if full else ([""] * width, [])
     if len(full) > 1 and len(rows) > 1 and rows[-1] is full[-1] and rows[-2] is full[-2]:
         names, below = full[-2], full[-1]
-    found = [_CELL.fullmatch(cell) for cell in names]
-    own = [
+    matches = [_CELL.fullmatch(cell) for cell in names]
+    headings = [
         (match[1] or "", match[2] or "") if match else (cell, "")
-        for match, cell in zip(found, names, strict=True)
+        for match, cell in zip(matches, names, strict=True)
     ]
     units = [cell.strip("[]() ") for cell in below] or [""] * width
-    return [name for name, _ in own], [
-        unit or other for (_, unit), other in zip(own, units, strict=True)
+    return [name for name, _ in headings], [
+        unit or other for (_, unit), other in zip(headings, units, strict=True)
     ]
 
 
@@ -214,13 +214,13 @@ def universal(path: Path) -> Iterator[Find]:
 def _sets(data: bytes) -> Iterator[_Set]:
     at = 0
     while (
-        found := re.compile(rb"^ {4}-1[ \t]*\r?\n[ \t]*58(b?)([^\n]*)\n", re.MULTILINE).search(
+        match := re.compile(rb"^ {4}-1[ \t]*\r?\n[ \t]*58(b?)([^\n]*)\n", re.MULTILINE).search(
             data, at
         )
     ) is not None:
-        head, at = _take(data, found.end(), 11)
-        if found[1]:
-            count = [int(word) for word in found[2].split()[:4]]
+        head, at = _take(data, match.end(), 11)
+        if match[1]:
+            count = [int(word) for word in match[2].split()[:4]]
             raw, at = data[at : at + count[3]], at + count[3]
             yield _set(head, raw, "<" if count[0] == 1 else ">")
         else:

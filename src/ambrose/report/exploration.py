@@ -44,38 +44,39 @@ _SCALE = ((0.0, "#56b4e9"), (0.5, "#009e73"), (1.0, "#d55e00"))
 _BAND, _HEIGHT = "rgba(130,89,174,0.25)", 190
 
 
-def exploration_page(found: Exploration, *, date: str = "") -> Page:
+def exploration_page(exploration: Exploration, *, date: str = "") -> Page:
     """The page of an exploration; date: ISO (today if empty)."""
     sections = []
-    for item in found.maps:
+    for item in exploration.maps:
         title = f"Poles over {item.over}"
         sections.append(
             Section(
                 title, "", (Figure(title, pole_picture(item), _POLES),), (_ends(item),), folded=True
             )
         )
-    if found.campbell:
-        shown = [
-            Figure(curve.title, figure([("closed loop", curve)]), "") for curve in found.campbell
+    if exploration.campbell:
+        pictures = [
+            Figure(curve.title, figure([("closed loop", curve)]), "")
+            for curve in exploration.campbell
         ]
-        sections.append(Section("Modes over speed", _CAMPBELL, tuple(shown)))
-    if found.pulses is not None:
-        caption = _PULSES.format(port=units.axis_name(found.port))
-        picture = pulse_picture(found.pulses)
+        sections.append(Section("Modes over speed", _CAMPBELL, tuple(pictures)))
+    if exploration.pulses is not None:
+        caption = _PULSES.format(port=units.axis_name(exploration.port))
+        picture = pulse_picture(exploration.pulses)
         sections.append(
             Section(
                 "Pulse over the tolerances",
-                _members(found.pulses),
+                _members(exploration.pulses),
                 (Figure("Pulses", picture, caption),),
             )
         )
-    if found.unbalance is not None:
-        limit = found.machine.requirements.unbalance_orbit
+    if exploration.unbalance is not None:
+        limit = exploration.machine.requirements.unbalance_orbit
         sections.append(
             Section(
                 "Unbalance",
                 "",
-                (Figure("Unbalance", unbalance_picture(found.unbalance, limit), _UNBALANCE),),
+                (Figure("Unbalance", unbalance_picture(exploration.unbalance, limit), _UNBALANCE),),
             )
         )
     verdicts = [
@@ -84,27 +85,29 @@ def exploration_page(found: Exploration, *, date: str = "") -> Page:
             None,
             _words(item),
         )
-        for item in found.maps
+        for item in exploration.maps
     ]
-    if found.pulses is not None:
-        whole = bool(found.pulses.stable.all())
-        verdicts.append(Verdict("Members of the tolerances", whole, _members(found.pulses)))
+    if exploration.pulses is not None:
+        whole = bool(exploration.pulses.stable.all())
+        verdicts.append(Verdict("Members of the tolerances", whole, _members(exploration.pulses)))
     facts = (
-        tables.machine_fact(found.machine),
-        ("Operating point", found.point.label),
-        ("Loop", found.timing),
-        ("How", units.prose(tables.capitalised(found.notes, ". ", ""))),
+        tables.machine_fact(exploration.machine),
+        ("Operating point", exploration.point.label),
+        ("Loop", exploration.timing),
+        ("How", units.prose(tables.capitalised(exploration.notes, ". ", ""))),
     )
-    verdicts.insert(0, Verdict("Operating points", _all(found.standing), describe(found.standing)))
+    verdicts.insert(
+        0, Verdict("Operating points", _all(exploration.standing), describe(exploration.standing))
+    )
     words = (
         "stable wherever it was examined"
-        if found.stable
+        if exploration.stable
         else "not stable everywhere that was examined"
     )
-    result = Verdict("Result", found.stable, words)
+    result = Verdict("Result", exploration.stable, words)
     return Page(
         "The loop over its range",
-        found.machine,
+        exploration.machine,
         tuple(sections),
         tuple(verdicts),
         facts,
@@ -141,12 +144,12 @@ def _ends(item: PoleMap) -> Table:
         strict=True,
     ):
         verdict = "stable" if stable else "unstable"
-        told = (
+        cells = (
             units.quantity(value, item.unit, 4),
             units.quantity(real, "1/s"),
             f"{100 * ratio:.3g} %",
         )
-        rows.append((*numbers(*told), verdict))
+        rows.append((*numbers(*cells), verdict))
     columns = (item.over.capitalize(), "Largest real part", "Least damping ratio", "")
     return Table(f"By {item.over}", columns, tuple(rows), _words(item) if item.ends else "")
 

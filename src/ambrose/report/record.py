@@ -47,10 +47,10 @@ def radius_curve(record: Record, places: Sequence[Station], machine: Machine) ->
     """Distance of the shaft's centre from the middle of every bearing (of every station, where no
     bearing is known).
     """
-    shown = [station for station in places if station.bearing] or list(places)
-    time, values = thinned(record.time, np.array([station.radius for station in shown]))
-    labels = tuple(station.name for station in shown)
-    limits = tightest("touchdown gap", [station.gap for station in shown])[:1]
+    stations = [station for station in places if station.bearing] or list(places)
+    time, values = thinned(record.time, np.array([station.radius for station in stations]))
+    labels = tuple(station.name for station in stations)
+    limits = tightest("touchdown gap", [station.gap for station in stations])[:1]
     return Curve(
         "record.radius",
         "Distance from the middle of the bearing",
@@ -301,7 +301,7 @@ def _signals_over_time(
 ) -> None:
     unit = record.units[record.signals.index(names[0])]
     time, values = thinned(record.time, record.select(names).values)
-    factor, shown = units.scale(unit, float(np.abs(values).max()))
+    factor, shown_unit = units.scale(unit, float(np.abs(values).max()))
     for name, line in zip(names, values, strict=True):
         axis = _axis(name)
         look, label = style[axis], units.axis_name(axis)
@@ -314,10 +314,10 @@ def _signals_over_time(
             shown=label not in named,
             line={"color": look.colour, "dash": look.dash, "width": 1.4},
             hovertemplate=f"{theme.plain(units.axis_name(name))}<br>%{{x:.4g}} · %{{y:.4g}} "
-            f"{shown}<extra></extra>",
+            f"{shown_unit}<extra></extra>",
         )
         named.add(label)
-    theme.heading(figure, {"row": row, "col": 1}, f"<b>{title}</b> [{shown}]")
+    theme.heading(figure, {"row": row, "col": 1}, f"<b>{title}</b> [{shown_unit}]")
 
 
 def _orbits(names: list[str]) -> list[tuple[str, tuple[str, str]]]:
@@ -501,12 +501,12 @@ def signals_table(record: Record) -> Table:
             rows.append((Cell(title, "heading"), "", "", "", "", ""))
         for name in names:
             unit, values = record.units[record.signals.index(name)], record[name]
-            factor, shown = units.scale(unit, float(np.abs(values).max()))
+            factor, shown_unit = units.scale(unit, float(np.abs(values).max()))
             figures = (values.mean(), values.std(), values.min(), values.max())
             rows.append(
                 (
                     units.axis_name(name),
-                    shown,
+                    shown_unit,
                     *numbers(*(units.number(float(value) * factor) for value in figures)),
                 )
             )
@@ -629,10 +629,10 @@ def _pressure(record: Record) -> str:
     """That of the operating point, or from the lowest to the highest where the record holds one
     that changes.
     """
-    found = (
+    pressure = (
         record["p_seal"] if "p_seal" in record.signals else np.array([record.point.seal_pressure])
     )
-    ends = [units.quantity(float(value), "Pa") for value in (found.min(), found.max())]
+    ends = [units.quantity(float(value), "Pa") for value in (pressure.min(), pressure.max())]
     return " to ".join(dict.fromkeys(ends))
 
 

@@ -126,8 +126,8 @@ def check_scenario(scenario: Scenario, along: Scheduling = PRESSURE) -> None:
     PRESSURE it may change.
     """
     known = ["changes of pressure"] if along is PRESSURE and not scenario.runs_up else []
-    if found := [item for item in scenario.only_for_the_rig if item not in known]:
-        what = ", ".join(found)
+    if unsupported := [item for item in scenario.only_for_the_rig if item not in known]:
+        what = ", ".join(unsupported)
         raise InvalidInput(
             f"scenario {scenario.name} has {what}, which a linear model does not know; run it on "
             "the virtual rig"
@@ -309,11 +309,11 @@ def _frozen(loop_at: LoopAt, course: _Course) -> list[tuple[float, StateSpace]]:
         if course.moves
         else course.values[:1]
     )
-    found: dict[int, tuple[float, StateSpace]] = {}
+    cache: dict[int, tuple[float, StateSpace]] = {}
     for value in np.append(values, [] if course.along is SPEED else course.values).tolist():
         system = as_statespace(loop_at(value))
-        found.setdefault(id(system), (value, system))  # the same loop at every speed
-    return list(found.values())
+        cache.setdefault(id(system), (value, system))  # the same loop at every speed
+    return list(cache.values())
 
 
 def _check_same_states(

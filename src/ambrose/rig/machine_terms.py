@@ -65,16 +65,16 @@ def read_share(value: Any, dimension: Dimension) -> Share | None:
     """The share that a text such as "80 % of top speed" says; None for anything else. Raises
     InvalidInput, ValueError.
     """
-    found = _PHRASE.fullmatch(value.strip()) if isinstance(value, str) else None
-    if not found:
+    match = _PHRASE.fullmatch(value.strip()) if isinstance(value, str) else None
+    if not match:
         return None
     names = [name for name, (kind, *_) in _QUANTITIES.items() if DIMENSIONS[kind] is dimension]
-    if found[2] not in names:
+    if match[2] not in names:
         raise ValueError(
             f"is {value!r}, but may be a share of {' or '.join(names) or 'nothing'} only; correct "
             "it"
         )
-    return Share(read_quantity(found[1], DIMENSIONS["ratio"]), found[2])
+    return Share(read_quantity(match[1], DIMENSIONS["ratio"]), match[2])
 
 
 def relative_values(item: Any) -> Iterator[Share]:
@@ -146,5 +146,5 @@ def _at(item: Any, bearings: Sequence[str]) -> Iterator[Any]:
 
 def _parted(text: str) -> tuple[str, str, str]:
     """ "e_first_zeta" -> "e_", "first", "_zeta"; "first_zeta" and "first" likewise."""
-    found = re.fullmatch(rf"([edrf]_)?({'|'.join(BEARING_TERMS)})(_zeta|_eta)?", text)
-    return (found[1] or "", found[2], found[3] or "") if found else ("", text, "")
+    match = re.fullmatch(rf"([edrf]_)?({'|'.join(BEARING_TERMS)})(_zeta|_eta)?", text)
+    return (match[1] or "", match[2], match[3] or "") if match else ("", text, "")

@@ -189,7 +189,7 @@ def steps(
     """
     every = check_positive(every, "every", "the bundled scenario disturbs every 50 ms")
     time, values = trace.record.time, trace.record.select(list(signals)).values
-    found = []
+    intervals = []
     for k in range(int(time[-1] / every + 1e-6)):
         inside = (time >= k * every - 1e-9) & (time < (k + 1) * every - 1e-9)
         part = values[:, inside]
@@ -198,7 +198,7 @@ def steps(
         # the signal with the largest peak, what is beyond the band: its sign changes
         row = part[int(np.argmax(np.abs(part).max(axis=1)))]
         row = row[np.abs(row) > band * peak]
-        found.append(
+        intervals.append(
             Step(
                 k * every,
                 scenario.speed_at(k * every),
@@ -207,4 +207,4 @@ def steps(
                 int((np.diff(np.sign(row)) != 0).sum()),
             )
         )
-    return tuple(found)
+    return tuple(intervals)

@@ -151,13 +151,13 @@ class Scenario(Presented):
     @property
     def fastest(self) -> float:
         """The highest frequency [rad/s] of a sine, chirp or unbalance; 0 without any."""
-        found = [sine.frequency for sine in self.all_sines]
-        found += [
+        frequencies = [sine.frequency for sine in self.all_sines]
+        frequencies += [
             frequency for item in self.chirps for frequency in (item.frequency, item.to_frequency)
         ]
         if self.unbalances:
-            found += [abs(speed) for speed in self.speed_knots[1]]
-        return max(found, default=0.0)
+            frequencies += [abs(speed) for speed in self.speed_knots[1]]
+        return max(frequencies, default=0.0)
 
     @property
     def quiet(self) -> Scenario:
@@ -180,12 +180,12 @@ class Scenario(Presented):
     @property
     def only_for_the_rig(self) -> tuple[str, ...]:
         """What of this scenario a linear model at one operating point cannot follow, in words."""
-        found = ["the start from rest"] if self.initial != LEVITATED else []
-        found += ["changes of pressure"] if self.pressures else []
-        found += ["several changes of speed"] if self.speed_changes else []
-        found += ["failures"] if self.failures else []
-        found += ["a pressure sensor"] if self.pressure_sensors else []
-        return (*found, *(["the switch of controllers"] if self.switch_at is not None else []))
+        parts = ["the start from rest"] if self.initial != LEVITATED else []
+        parts += ["changes of pressure"] if self.pressures else []
+        parts += ["several changes of speed"] if self.speed_changes else []
+        parts += ["failures"] if self.failures else []
+        parts += ["a pressure sensor"] if self.pressure_sensors else []
+        return (*parts, *(["the switch of controllers"] if self.switch_at is not None else []))
 
     @property
     def runs_up(self) -> bool:

@@ -150,8 +150,8 @@ def _sequence(order: int, shift: int) -> np.ndarray:
 
 def _levels(prbs: Prbs, dt: float, offset: int, count: int) -> np.ndarray:
     """+-1 for ``count`` samples of a sequence that has been on for ``offset`` samples."""
-    held = samples_in(prbs.bit_time, dt, f"the bit_time on {prbs.signal}")
-    if held < 1:
+    bit_samples = samples_in(prbs.bit_time, dt, f"the bit_time on {prbs.signal}")
+    if bit_samples < 1:
         raise invalid(
             f"the bit_time on {prbs.signal}",
             f"{prbs.bit_time:g} s",
@@ -159,7 +159,7 @@ def _levels(prbs: Prbs, dt: float, offset: int, count: int) -> np.ndarray:
             "lengthen it",
         )
     bits = _sequence(prbs.order, prbs.shift)
-    return bits[(np.arange(offset, offset + count) // held) % len(bits)]
+    return bits[(np.arange(offset, offset + count) // bit_samples) % len(bits)]
 
 
 def _sweep(chirp: Chirp, end: float) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:

@@ -125,14 +125,14 @@ def assign(document: dict[str, Any], path: str, value: Value, what: str) -> None
     InvalidInput where it does not.
     """
     *above, last = path.split(".")
-    found = list(_places(document, above))
-    if not found:
+    places = list(_places(document, above))
+    if not places:
         first = path.split(".", maxsplit=1)[0]
         raise InvalidInput(
             f'"{what}.{path}" leads nowhere in the {what} file; '
             f"{suggestion(first, map(str, document))}"
         )
-    for table in found:
+    for table in places:
         if not isinstance(value, Times):
             table[last] = copy.copy(value)
         elif last in table:
@@ -204,7 +204,7 @@ def _point(machine: Machine, label: str, values: Mapping[str, Value]) -> Operati
 
 def _offsets(machine: Machine, values: Mapping[str, Value]) -> dict[str, float]:
     known = [item.parameter for item in machine.tolerances]
-    found: dict[str, float] = {}
+    offsets: dict[str, float] = {}
     for pattern, value in values.items():
         names = [name for name in known if fnmatchcase(name, pattern)]
         if not names:
@@ -220,8 +220,8 @@ def _offsets(machine: Machine, values: Mapping[str, Value]) -> dict[str, float]:
                 "within -1 to 1",
                 "widen the tolerance in the machine file",
             )
-        found |= dict.fromkeys(names, share)
-    return found
+        offsets |= dict.fromkeys(names, share)
+    return offsets
 
 
 def _scaled(controller: LawLike, gain: float) -> Synthesis:

@@ -69,11 +69,11 @@ def campaign(
         with executors(engine, workers or processors()) as (make, count):
             done = run_plan(wanted, folder, make=make, workers=count, progress=progress, most=most)
         progress("writing the table and the page")
-        found = read_campaign(wanted, folder)
-        files = found.write(folder)
-        machine, shown = _case_pages(found, folder, pages, progress)
-        files.append(write(page_of(found, machine, shown), folder / "report.html"))
-    told = counts(found)
+        result = read_campaign(wanted, folder)
+        files = result.write(folder)
+        machine, page_count = _case_pages(result, folder, pages, progress)
+        files.append(write(page_of(result, machine, page_count), folder / "report.html"))
+    summary = counts(result)
     if as_json:
         run = {
             "computed_now": done.computed,
@@ -81,7 +81,7 @@ def campaign(
             "seconds": done.seconds,
             "files": [str(path) for path in files],
         }
-        say_json({**found.to_dict(), **run})
+        say_json({**result.to_dict(), **run})
     else:
         rate = (
             f", {done.computed / done.seconds:.3g} a second with {count} workers"
@@ -95,14 +95,14 @@ def campaign(
         print_table(
             f"{wanted.task}: {plan.stem}",
             ("what", "found"),
-            [(name, text) for name, _, text in told],
+            [(name, text) for name, _, text in summary],
         )
-        effects = [(path, f"{100 * share:.3g} %") for path, share in found.effects().items()]
+        effects = [(path, f"{100 * share:.3g} %") for path, share in result.effects().items()]
         if effects:
             print_table(
-                f"What drives {found.measure}", ("setting", "share of the variance"), effects
+                f"What drives {result.measure}", ("setting", "share of the variance"), effects
             )
-        reasons = Counter(text for text in found.failures if text).most_common(_REASONS)
+        reasons = Counter(text for text in result.failures if text).most_common(_REASONS)
         if reasons:
             print_table(
                 "Why cases have no values",
@@ -115,10 +115,10 @@ def campaign(
                 f"{done.lost} cases have no row: their processes died (short of memory?); {remedy}."
             )
         say(f"Files: {', '.join(str(path) for path in files)}")
-    sys.exit(1 if done.lost or any(good is False for _, good, _ in told) else 0)
+    sys.exit(1 if done.lost or any(good is False for _, good, _ in summary) else 0)
 
 
-def _case_pages(found: Any, folder: Path, most: int, progress: Any) -> tuple[Any, list[str]]:
+def _case_pages(result: Any, folder: Path, most: int, progress: Any) -> tuple[Any, list[str]]:
     """Pages of the worst cases, those that are there kept. Returns the machine of the plan's first
     case and their keys.
     """
@@ -130,14 +130,14 @@ def _case_pages(found: Any, folder: Path, most: int, progress: Any) -> tuple[Any
     from ambrose.machine.file.toml import load_machine
     from ambrose.report.page import write
 
-    plan = found.plan
+    plan = result.plan
     name = plan.named("machine")[0]
     machine = load_machine(plan.place(name) if plan.place(name).is_file() else name)
     if plan.task == "design":
         return machine, []
-    wanted = found.worst_first[:most].tolist()
+    wanted = result.worst_first[:most].tolist()
     cases = (
-        {case.key: case for case in plan.drawn() if case.key in {found.keys[i] for i in wanted}}
+        {case.key: case for case in plan.drawn() if case.key in {result.keys[i] for i in wanted}}
         if wanted
         else {}
     )

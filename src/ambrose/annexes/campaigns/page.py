@@ -59,56 +59,62 @@ _HOW = {
 
 
 def campaign_page(
-    found: Campaign, machine: Machine, pages: Collection[str] = (), *, date: str = ""
+    campaign: Campaign, machine: Machine, pages: Collection[str] = (), *, date: str = ""
 ) -> Page:
     """The page of a campaign; machine: the one it began with; pages: the cases (keys) that have a
     page of their own.
     """
-    effects = found.effects()
-    sections = [Section("Worst cases", "", (), _worst_tables(found, pages))]
-    sections += [Section("Maps", "", tuple(maps), ()) for maps in [_maps(found, effects)] if maps]
+    effects = campaign.effects()
+    sections = [Section("Worst cases", "", (), _worst_tables(campaign, pages))]
+    sections += [
+        Section("Maps", "", tuple(maps), ()) for maps in [_maps(campaign, effects)] if maps
+    ]
     if effects:
         pictures = (
             Figure("What drives it", _shares(effects), _SHARES),
-            Figure("Distribution", _distribution(found, machine)),
+            Figure("Distribution", _distribution(campaign, machine)),
         )
         sections.append(Section("What drives it", "", pictures))
         sections.append(
-            Section("All cases", "", (Figure("Cases side by side", _parallel(found), _PARALLEL),))
+            Section(
+                "All cases", "", (Figure("Cases side by side", _parallel(campaign), _PARALLEL),)
+            )
         )
-    seed = f", seed {found.plan.seed}" if found.plan.plan != "grid" else ""
+    seed = f", seed {campaign.plan.seed}" if campaign.plan.plan != "grid" else ""
     facts = (
-        ("Task", found.plan.task),
-        ("Plan", f"{found.plan.plan}, {len(found.keys)} cases{seed}"),
+        ("Task", campaign.plan.task),
+        ("Plan", f"{campaign.plan.plan}, {len(campaign.keys)} cases{seed}"),
         (
             "How",
-            _HOW[found.plan.task]
-            + (" On the reduced plant." if found.plan.model == "reduced" else ""),
+            _HOW[campaign.plan.task]
+            + (" On the reduced plant." if campaign.plan.model == "reduced" else ""),
         ),
-        ("Not computed yet", str(found.missing) if found.missing else ""),
+        ("Not computed yet", str(campaign.missing) if campaign.missing else ""),
     )
-    verdicts = [Verdict(name.capitalize(), passed, text) for name, passed, text in counts(found)]
+    verdicts = [Verdict(name.capitalize(), passed, text) for name, passed, text in counts(campaign)]
     bad = [verdict.text for verdict in verdicts if verdict.passed is False]
     words = (
-        f"{'; '.join(bad)}" if bad else f"nothing failed in {len(found.keys) - found.missing} cases"
+        f"{'; '.join(bad)}"
+        if bad
+        else f"nothing failed in {len(campaign.keys) - campaign.missing} cases"
     )
     result = Verdict("Result", not bad, words)
     return Page("Campaign", machine, tuple(sections), tuple(verdicts), facts, date, result=result)
 
 
-def counts(found: Campaign) -> list[tuple[str, bool | None, str]]:
+def counts(campaign: Campaign) -> list[tuple[str, bool | None, str]]:
     """What is to be said in words of all cases together: about what, whether it is good, how
     many.
     """
-    done = len(found.keys) - found.missing
+    done = len(campaign.keys) - campaign.missing
     rows: list[tuple[str, bool | None, str]] = []
     for name, bad in (
         ("stable", "unstable"),
         ("passed", "do not pass"),
         ("completed", "not completed"),
     ):
-        if name in found.values and (there := int((~np.isnan(found.values[name])).sum())):
-            count = int((found.values[name] == 0).sum())
+        if name in campaign.values and (there := int((~np.isnan(campaign.values[name])).sum())):
+            count = int((campaign.values[name] == 0).sum())
             rows.append(
                 (
                     name,
@@ -116,52 +122,56 @@ def counts(found: Campaign) -> list[tuple[str, bool | None, str]]:
                     f"{count} of {there} cases {bad}" if count else f"all {there} cases",
                 )
             )
-    order = found.worst_first
-    if len(order) and math.isfinite(value := float(found.values[found.measure][order[0]])):
-        rows.append(("worst", None, f"{found.measure} {value:.4g}"))
-    if found.failed:
+    order = campaign.worst_first
+    if len(order) and math.isfinite(value := float(campaign.values[campaign.measure][order[0]])):
+        rows.append(("worst", None, f"{campaign.measure} {value:.4g}"))
+    if campaign.failed:
         rows.append(
-            ("without values", False, f"{found.failed} of {done} cases could not be computed")
+            ("without values", False, f"{campaign.failed} of {done} cases could not be computed")
         )
     return rows
 
 
-def _told(found: Campaign, path: str, i: int) -> str:
-    value = found.settings[path][i]
-    return f"{value:.4g} {found.units[path]}".rstrip() if isinstance(value, float) else str(value)
+def _told(campaign: Campaign, path: str, i: int) -> str:
+    value = campaign.settings[path][i]
+    return (
+        f"{value:.4g} {campaign.units[path]}".rstrip() if isinstance(value, float) else str(value)
+    )
 
 
-def _worst_tables(found: Campaign, pages: Collection[str]) -> tuple[Table, ...]:
-    order = found.worst_first[:_WORST].tolist()
-    paths, tables = list(found.settings), []
+def _worst_tables(campaign: Campaign, pages: Collection[str]) -> tuple[Table, ...]:
+    order = campaign.worst_first[:_WORST].tolist()
+    paths, tables = list(campaign.settings), []
     rows: list[Row] = []
     for i in order:
-        key, value = found.keys[i], float(found.values[found.measure][i])
-        words = "unstable" if found.lost[i] else f"{value:.4g}"
+        key, value = campaign.keys[i], float(campaign.values[campaign.measure][i])
+        words = "unstable" if campaign.lost[i] else f"{value:.4g}"
         link = f"cases/{key}.html" if key in pages else ""
         rows.append(
             (
                 Cell(key[:8], link=link),
                 Cell(words, "number"),
-                *(Cell(_told(found, p, i), "number") for p in paths),
+                *(Cell(_told(campaign, p, i), "number") for p in paths),
             )
         )
     if rows:
         note = "A case's name leads to its own page." if pages else ""
-        tables.append(Table(f"By {found.measure}", ("Case", "Measure", *paths), tuple(rows), note))
-    reasons = Counter(text for text in found.failures if text)
+        tables.append(
+            Table(f"By {campaign.measure}", ("Case", "Measure", *paths), tuple(rows), note)
+        )
+    reasons = Counter(text for text in campaign.failures if text)
     if reasons:
-        told = tuple(
+        reason_rows = tuple(
             (reason, Cell(str(count), "number")) for reason, count in reasons.most_common(_WORST)
         )
-        tables.append(Table("Why cases have no values", ("Reason", "Cases"), told))
+        tables.append(Table("Why cases have no values", ("Reason", "Cases"), reason_rows))
     return tuple(tables)
 
 
-def _axis(found: Campaign, path: str) -> tuple[np.ndarray, list[str]]:
+def _axis(campaign: Campaign, path: str) -> tuple[np.ndarray, list[str]]:
     """In which class of a setting each case falls (c,), and the classes' names."""
-    column = found.settings[path]
-    unit = found.units[path]
+    column = campaign.settings[path]
+    unit = campaign.units[path]
     if column.dtype.kind != "f":
         names, which = np.unique(column.astype(str), return_inverse=True)
         return which, list(map(str, names))
@@ -173,38 +183,38 @@ def _axis(found: Campaign, path: str) -> tuple[np.ndarray, list[str]]:
     return which, [f"{level:.4g} {unit}".rstrip() for level in levels]
 
 
-def _maps(found: Campaign, effects: Mapping[str, float]) -> list[Figure]:
+def _maps(campaign: Campaign, effects: Mapping[str, float]) -> list[Figure]:
     """The worst over pairs of the settings that matter most."""
     chosen = [
         path
-        for path in (effects or found.settings)
-        if len(np.unique(found.settings[path].astype(str))) > 1
+        for path in (effects or campaign.settings)
+        if len(np.unique(campaign.settings[path].astype(str))) > 1
     ][:_MAPS]
     return [
         Figure(f"Worst over {a} and {b}", picture, _MAP if n == 0 else "")
         for n, (a, b) in enumerate(combinations(chosen, 2))
-        if (picture := _map(found, a, b)) is not None
+        if (picture := _map(campaign, a, b)) is not None
     ]
 
 
-def _map(found: Campaign, a: str, b: str) -> Any:
+def _map(campaign: Campaign, a: str, b: str) -> Any:
     import plotly.graph_objects as go
 
-    if not found.measure:
+    if not campaign.measure:
         return None
-    values = found.values[found.measure]
-    x, across = _axis(found, a)
-    y, down = _axis(found, b)
+    values = campaign.values[campaign.measure]
+    x, across = _axis(campaign, a)
+    y, down = _axis(campaign, b)
     worst = np.full((len(down), len(across)), np.nan)
     unstable = worst.copy()
     there = ~np.isnan(values)
     np.fmax.at(worst, (y[there], x[there]), values[there])
-    unstable[y[found.lost], x[found.lost]] = 1.0  # one case is enough for a cell
+    unstable[y[campaign.lost], x[campaign.lost]] = 1.0  # one case is enough for a cell
     finite = np.where(np.isfinite(worst) & np.isnan(unstable), worst, np.nan)
     picture = theme.subplots(rows=1, cols=1)
     hover = f"{theme.plain(a)} %{{x}}<br>{theme.plain(b)} %{{y}}<br>"
     bar = {
-        "title": {"text": theme.plain(found.measure), "side": "right"},
+        "title": {"text": theme.plain(campaign.measure), "side": "right"},
         "thickness": 10,
         "outlinewidth": 0,
     }
@@ -271,9 +281,9 @@ def _shares(effects: Mapping[str, float]) -> Any:
     return picture
 
 
-def _distribution(found: Campaign, machine: Machine) -> Any:
+def _distribution(campaign: Campaign, machine: Machine) -> Any:
     """How many cases have which measure, and where the requirement is."""
-    values = found.values[found.measure]
+    values = campaign.values[campaign.measure]
     finite = values[np.isfinite(values)]
     positive = bool((finite > 0).all()) and finite.max() > 3 * finite.min()
     edges = (np.geomspace if positive else np.linspace)(
@@ -291,43 +301,45 @@ def _distribution(found: Campaign, machine: Machine) -> Any:
             "hovertemplate": "%{x:.4g}: %{y} cases<extra></extra>",
         }
     )
-    limit = machine.requirements.sensitivity_peak if found.measure == PEAK else None
+    limit = machine.requirements.sensitivity_peak if campaign.measure == PEAK else None
     if limit is not None:
         picture.add_vline(
             x=math.log10(limit) if positive else limit,
             line={"dash": "dash", "color": theme.LIMIT, "width": 1.2},
         )
     theme.dress(picture, 240, legend=False)
-    unstable = int(found.lost.sum())
+    unstable = int(campaign.lost.sum())
     beside = f" ({unstable} unstable cases beside)" if unstable else ""
     axis = theme.decades(float(edges[0]), float(edges[-1])) if positive else {}
-    picture.update_xaxes(title_text=f"{theme.plain(found.measure)}{beside}", **axis)
+    picture.update_xaxes(title_text=f"{theme.plain(campaign.measure)}{beside}", **axis)
     picture.update_yaxes(title_text="Cases", rangemode="tozero")
     return picture
 
 
-def _parallel(found: Campaign) -> Any:
+def _parallel(campaign: Campaign) -> Any:
     import plotly.graph_objects as go
 
-    order = found.worst_first
+    order = campaign.worst_first
     if len(order) > _LINES:
         half = _LINES // 2
         order = np.concatenate(
             [order[:half], order[np.linspace(half, len(order) - 1, half).astype(int)]]
         )
-    values = found.values[found.measure][order]
+    values = campaign.values[campaign.measure][order]
     finite = values[np.isfinite(values)]
     highest = float(finite.max())
     colour = np.where(np.isfinite(values), values, 1.1 * highest)
     columns: list[dict[str, Any]] = []
-    for path, column in found.settings.items():
+    for path, column in campaign.settings.items():
         label = (
-            f"{theme.plain(path)} [{found.units[path]}]" if found.units[path] else theme.plain(path)
+            f"{theme.plain(path)} [{campaign.units[path]}]"
+            if campaign.units[path]
+            else theme.plain(path)
         )
         if column.dtype.kind == "f":
             columns.append({"label": label, "values": drawn(column[order])})
         else:
-            which, names = _axis(found, path)
+            which, names = _axis(campaign, path)
             columns.append(
                 {
                     "label": label,
@@ -336,8 +348,8 @@ def _parallel(found: Campaign) -> Any:
                     "ticktext": names,
                 }
             )
-    end = " (unstable: at the top)" if found.lost[order].any() else ""
-    columns.append({"label": f"{theme.plain(found.measure)}{end}", "values": drawn(colour)})
+    end = " (unstable: at the top)" if campaign.lost[order].any() else ""
+    columns.append({"label": f"{theme.plain(campaign.measure)}{end}", "values": drawn(colour)})
     for i, entry in enumerate(columns):  # long names would cover their neighbours
         entry["label"] = f"{i + 1}. {str(entry['label'])[-22:]}"
     picture = theme.subplots(rows=1, cols=1)

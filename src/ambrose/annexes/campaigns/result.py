@@ -112,13 +112,13 @@ class Campaign(Presented):
 
     def to_dict(self) -> dict[str, Any]:
         """The facts, what drives the measure, and the ten worst cases, ready for JSON."""
-        shown = self.worst_first[:10].tolist()
+        ten_worst = self.worst_first[:10].tolist()
         worst = [
             {
                 "key": self.keys[i],
                 **{p: _plain(c[i]) for p, c in (*self.settings.items(), *self.values.items())},
             }
-            for i in shown
+            for i in ten_worst
         ]
         facts = {name: _plain(value) for name, value in self.facts().items()}
         return {
@@ -223,12 +223,12 @@ def read_campaign(plan: Plan, directory: str | Path) -> Campaign:
             [case.settings[i][1] for case in cases]
         )
     names = dict.fromkeys(name for row in there.values() for name in row["values"])
-    found = [there.get(case.key) for case in cases]
+    rows = [there.get(case.key) for case in cases]
     values = {
-        name: _value([None if row is None else row["values"].get(name) for row in found])
+        name: _value([None if row is None else row["values"].get(name) for row in rows])
         for name in names
     }
-    failures = tuple("" if row is None else row["failure"] for row in found)
+    failures = tuple("" if row is None else row["failure"] for row in rows)
     return Campaign(
         plan,
         tuple(c.key for c in cases),
@@ -236,7 +236,7 @@ def read_campaign(plan: Plan, directory: str | Path) -> Campaign:
         units,
         values,
         failures,
-        sum(row is None for row in found),
+        sum(row is None for row in rows),
     )
 
 

@@ -98,7 +98,7 @@ def run_plan(
         progress(f"{len(cases)} cases, {len(cases) - len(missing)} of them computed before")
         _check_some(missing, bases, fixed)
         failed = computed = lost = 0
-        told = begun
+        last_report = begun
         with open(folder / ROWS, "ab") as file:
             for rows in _computed(
                 _blocks(missing, _BLOCK[plan.task]), plan.task, bases, fixed, make, workers
@@ -118,8 +118,8 @@ def run_plan(
                     failed + sum(bool(row.failure) for row in rows),
                 )
                 now = time.monotonic()
-                if now - told > max(_EVERY, 0.1 * (now - begun)):
-                    told = now
+                if now - last_report > max(_EVERY, 0.1 * (now - begun)):
+                    last_report = now
                     left = (now - begun) / computed * (len(missing) - computed)
                     progress(
                         f"{computed} of {len(missing)} cases, {failed} failed, {_duration(left)} "

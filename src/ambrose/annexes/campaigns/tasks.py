@@ -150,28 +150,28 @@ def _screened(cases: Sequence[Case], bases: Bases, fixed: Mapping[str, Any]) -> 
     groups: dict[tuple[Any, ...], list[Case]] = {}
     for case in cases:
         groups.setdefault(group_of(case), []).append(case)
-    found: dict[str, Row] = {}
+    answers: dict[str, Row] = {}
     for group in groups.values():
         subjects: dict[str, Subject] = {}
         for case in group:
             try:
                 subjects[case.key] = subject(case, bases, fixed)
             except AmbroseError as error:
-                found[case.key] = Row(case.key, {}, str(error))
+                answers[case.key] = Row(case.key, {}, str(error))
         if not subjects:
             continue
         try:
             rows = _screen(list(subjects.values()), fixed["model"])
-            found |= {
+            answers |= {
                 key: Row(key, to_plain(values)) for key, values in zip(subjects, rows, strict=True)
             }
         except AmbroseError as error:
-            found |= {key: Row(key, {}, str(error)) for key in subjects}
+            answers |= {key: Row(key, {}, str(error)) for key in subjects}
         except MemoryError:
             raise
         except Exception as error:
-            found |= {key: Row(key, {}, f"{type(error).__name__}: {error}") for key in subjects}
-    return [found[case.key] for case in cases]
+            answers |= {key: Row(key, {}, f"{type(error).__name__}: {error}") for key in subjects}
+    return [answers[case.key] for case in cases]
 
 
 def _screen(group: Sequence[Subject], model: str) -> list[dict[str, Any]]:
@@ -196,14 +196,17 @@ def _screen(group: Sequence[Subject], model: str) -> list[dict[str, Any]]:
         SENSITIVITY_RANGE.limits[0].value,
         SPEED_RANGE_FACTOR * max(top_speed(first.machine), first.point.speed),
     )
-    held = _held(plant, {name for item in group for name in item.offsets})
-    if not held:
+    tolerances = _held(plant, {name for item in group for name in item.offsets})
+    if not tolerances:
         return [_alone(plant, law, highest)] * len(group)
     try:
-        loop = box_loops(plant, law, held)[0]
+        loop = box_loops(plant, law, tolerances)[0]
     except UnstableSystem:  # no array without a stable centre
-        return [_alone(perturbed(plant, _inside(item, held), held), law, highest) for item in group]
-    delta = np.array([list(_inside(item, held).values()) for item in group])
+        return [
+            _alone(perturbed(plant, _inside(item, tolerances), tolerances), law, highest)
+            for item in group
+        ]
+    delta = np.array([list(_inside(item, tolerances).values()) for item in group])
     return _array(loop, delta, highest)
 
 
@@ -224,8 +227,10 @@ def _held(plant: Plant, names: Collection[str]) -> tuple[Tolerance, ...]:
     )
 
 
-def _inside(item: Subject, held: Sequence[Any]) -> dict[str, float]:
-    return {tolerance.parameter: item.offsets.get(tolerance.parameter, 0.0) for tolerance in held}
+def _inside(item: Subject, tolerances: Sequence[Any]) -> dict[str, float]:
+    return {
+        tolerance.parameter: item.offsets.get(tolerance.parameter, 0.0) for tolerance in tolerances
+    }
 
 
 def _array(loop: BoxLoop, delta: np.ndarray, highest: float) -> list[dict[str, Any]]:
@@ -255,10 +260,10 @@ def _array(loop: BoxLoop, delta: np.ndarray, highest: float) -> list[dict[str, A
 
 def _alone(plant: Plant, law: StateSpace, highest: float) -> dict[str, Any]:
     """The same of one loop, by its poles and its response."""
-    found = poles(closed_loop(plant, law))
-    if found.real.max() >= 0:
+    eigenvalues = poles(closed_loop(plant, law))
+    if eigenvalues.real.max() >= 0:
         return _unstable()
-    omega = frequency_grid(found, _LOWEST, highest)
+    omega = frequency_grid(eigenvalues, _LOWEST, highest)
     curve = largest_gain(loop_evaluator(plant, law)(omega).output_sensitivity())
     return _peak(float(curve.max()), float(omega[curve.argmax()]))
 
@@ -275,8 +280,8 @@ def full_plant(item: Subject) -> Plant:
     """The full plant of a case, its parameters moved within their tolerances."""
     plant = assemble(item.machine, item.point)
     if item.offsets:
-        held = _held(plant, item.offsets)
-        plant = perturbed(plant, _inside(item, held), held) if held else plant
+        tolerances = _held(plant, item.offsets)
+        plant = perturbed(plant, _inside(item, tolerances), tolerances) if tolerances else plant
     return plant
 
 
@@ -367,14 +372,14 @@ def _identify(item: Subject) -> dict[str, Any]:
         for name in ("method", "unknown", "repeats")
         if name in item.options
     }
-    found = identify(item.base, run(item).record, item.controller, **options)
-    values: dict[str, Any] = {"passed": found.passed}
-    for parameter in found.parameters:
+    identification = identify(item.base, run(item).record, item.controller, **options)
+    values: dict[str, Any] = {"passed": identification.passed}
+    for parameter in identification.parameters:
         values |= {
             parameter.path: parameter.value,
             f"{parameter.path}.deviation": parameter.standard_deviation,
         }
-    return {**values, "findings": "; ".join(str(finding) for finding in found.findings)}
+    return {**values, "findings": "; ".join(str(finding) for finding in identification.findings)}
 
 
 _TASKS: dict[str, Callable[[Subject], dict[str, Any]]] = {

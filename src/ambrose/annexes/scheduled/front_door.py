@@ -26,7 +26,7 @@ def monitor(machine: Machine | str, controller: Any, record: Any, **options: Any
     from ambrose.annexes.scheduled.seal_monitor.watch import monitor as watch
     from ambrose.record.files import read_record
 
-    given = controller_of(controller)
+    loaded = controller_of(controller)
     measured = read_record(Path(record)) if isinstance(record, str | os.PathLike) else record
-    law = given if given.nominal is None else given.nominal
+    law = loaded if loaded.nominal is None else loaded.nominal
     return watch(machine_of(machine), law, measured, **options)

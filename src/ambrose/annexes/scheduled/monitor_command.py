@@ -147,30 +147,30 @@ def monitor(
             progress("writing the code")
             following: Any = seal_monitor
             write_monitor(code, following(description, law, measured.point, measured.dt, **options))
-        found = watched(description, law, measured, progress=progress, **options)
+        history = watched(description, law, measured, progress=progress, **options)
         failures = []
         if table is not None:
-            failures.append(kept(lambda path: write_text(path, found.to_csv(), "table"), table))
-        failures.append(kept_page(found, output, description, progress=progress))
+            failures.append(kept(lambda path: write_text(path, history.to_csv(), "table"), table))
+        failures.append(kept_page(history, output, description, progress=progress))
     if as_json:
         say_json(
             {
-                **found.to_dict(),
+                **history.to_dict(),
                 "page": str(output) if output else None,
                 "table": str(table) if table else None,
                 "code": str(code) if code else None,
             }
         )
     else:
-        rows = monitor_table(found)
+        rows = monitor_table(history)
         print_table(
-            f"Seal {found.seal}",
+            f"Seal {history.seal}",
             rows.columns,
             [tuple(cell.text for cell in row) for row in rows.cells],
         )
-        for note in found.notes:
+        for note in history.notes:
             say(note)
-        for finding in found.findings:
+        for finding in history.findings:
             say(f"finding: {finding}")
         for what, place in (("Code", code), ("Table", table), ("Page", output)):
             if place is not None:
@@ -178,4 +178,4 @@ def monitor(
     for failure in failures:
         if failure is not None:
             raise failure
-    sys.exit(1 if found.findings else 0)
+    sys.exit(1 if history.findings else 0)

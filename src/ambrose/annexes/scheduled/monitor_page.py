@@ -26,44 +26,44 @@ _CAPTION = (
 )
 
 
-def monitor_page(found: SealHistory, machine: Machine, *, date: str = "") -> Page:
+def monitor_page(history: SealHistory, machine: Machine, *, date: str = "") -> Page:
     """The page; date: ISO (today if empty)."""
     pictures = tuple(
-        Figure(path, _figure(found, i), _CAPTION if i == 0 else "")
-        for i, path in enumerate(found.paths)
-        if found.known_at.any()
+        Figure(path, _figure(history, i), _CAPTION if i == 0 else "")
+        for i, path in enumerate(history.paths)
+        if history.known_at.any()
     )
-    notes = tables.capitalised((*found.findings, *found.notes), ". ", "") + "."
+    notes = tables.capitalised((*history.findings, *history.notes), ". ", "") + "."
     facts = (
         tables.machine_fact(machine),
-        ("Seal", found.seal),
-        ("Memory", units.quantity(found.window, "s")),
-        ("Changes followed", f"up to {found.rate:g} of the reference per second"),
+        ("Seal", history.seal),
+        ("Memory", units.quantity(history.window, "s")),
+        ("Changes followed", f"up to {history.rate:g} of the reference per second"),
     )
-    verdicts = (tables.without_findings("Seal", found.findings, "nothing to report", see=", "),)
+    verdicts = (tables.without_findings("Seal", history.findings, "nothing to report", see=", "),)
     section = Section(
-        "The seal against time", units.prose(notes), pictures, (monitor_table(found),)
+        "The seal against time", units.prose(notes), pictures, (monitor_table(history),)
     )
     result = Verdict(
         "Result",
-        not found.findings,
-        "the seal is within its range" if not found.findings else "look at the seal",
+        not history.findings,
+        "the seal is within its range" if not history.findings else "look at the seal",
     )
     return Page("Seal monitor", machine, (section,), verdicts, facts, date, result=result)
 
 
-def monitor_table(found: SealHistory) -> Table:
+def monitor_table(history: SealHistory) -> Table:
     """Every parameter: last estimate, lowest and highest, trend, range."""
     rows: list[Row] = []
-    known = np.flatnonzero(found.known_at)
+    known = np.flatnonzero(history.known_at)
     for i, (path, unit, limit) in enumerate(
-        zip(found.paths, found.units, found.limits, strict=True)
+        zip(history.paths, history.units, history.limits, strict=True)
     ):
         texts = ["nothing can be said", "", ""]
         if len(known):
-            x = found.values[known, i]
-            half = found.half_widths[known, i]
-            trend = found.trend(i)
+            x = history.values[known, i]
+            half = history.half_widths[known, i]
+            trend = history.trend(i)
             ends = [
                 f"{units.quantity(float(v), unit)} ± {units.quantity(float(h), unit, 2)}"
                 for v, h in ((x[k], half[k]) for k in (-1, int(np.argmin(x)), int(np.argmax(x))))
@@ -84,36 +84,36 @@ def monitor_table(found: SealHistory) -> Table:
     return Table("Estimates", columns, tuple(rows), "Intervals of 95 %.")
 
 
-def _figure(found: SealHistory, i: int) -> Any:
+def _figure(history: SealHistory, i: int) -> Any:
     figure = theme.subplots(
         rows=2, cols=1, row_heights=[0.66, 0.34], shared_xaxes=True, vertical_spacing=0.06
     )
-    known, unit = found.known_at, found.units[i]
-    factor, shown = units.scale(unit, float(np.nanmax(np.abs(found.values[:, i]))))
-    x = found.values[known, i] * factor
-    half = found.half_widths[known, i] * factor
-    t = found.time[known]
+    known, unit = history.known_at, history.units[i]
+    factor, shown_unit = units.scale(unit, float(np.nanmax(np.abs(history.values[:, i]))))
+    x = history.values[known, i] * factor
+    half = history.half_widths[known, i] * factor
+    t = history.time[known]
     top, below = {"row": 1, "col": 1}, {"row": 2, "col": 1}
     theme.band(figure, top, t, x - half, x + half, _BAND)
     figure.add_scatter(
         x=t, y=x, name="estimate, with 95 %", line={"color": _LINE, "width": 1.6}, **top
     )
-    if found.paths[i].endswith(".pressure") and found.measured is not None:
+    if history.paths[i].endswith(".pressure") and history.measured is not None:
         style = {"color": theme.INK, "width": 1.2, "dash": "dot"}
         figure.add_scatter(
-            x=found.time, y=found.measured * factor, name="measured pressure", line=style, **top
+            x=history.time, y=history.measured * factor, name="measured pressure", line=style, **top
         )
-    for level in found.limits[i] or ():
+    for level in history.limits[i] or ():
         figure.add_hline(
             y=level * factor, line={"dash": "dash", "color": _LIMIT, "width": 1.2}, **top
         )
-    for instant in found.restarts:
+    for instant in history.restarts:
         figure.add_vline(x=instant, line={"dash": "dot", "color": theme.MUTED, "width": 1}, **top)
     parts = (
-        ("whole", found.half_widths, _LINE),
-        ("noise", found.noise, "#009e73"),
-        ("known", found.known, "#e69f00"),
-        ("change", found.change, "#cc79a7"),
+        ("whole", history.half_widths, _LINE),
+        ("noise", history.noise, "#009e73"),
+        ("known", history.known, "#e69f00"),
+        ("change", history.change, "#cc79a7"),
     )
     for name, rows, colour in parts:
         figure.add_scatter(
@@ -121,11 +121,11 @@ def _figure(found: SealHistory, i: int) -> Any:
         )
     theme.dress(figure, 480, legend=True)
     low, high = float((x - half).min()), float((x + half).max())
-    room = [level * factor for level in found.limits[i] or ()]
+    room = [level * factor for level in history.limits[i] or ()]
     low, high = min([low, *room]), max([high, *room])
     figure.update_yaxes(
-        title_text=shown, range=[low - 0.06 * (high - low), high + 0.06 * (high - low)], **top
+        title_text=shown_unit, range=[low - 0.06 * (high - low), high + 0.06 * (high - low)], **top
     )
-    figure.update_yaxes(title_text=f"± {shown}", rangemode="tozero", **below)
+    figure.update_yaxes(title_text=f"± {shown_unit}", rangemode="tozero", **below)
     figure.update_xaxes(title_text="time [s]", **below)
     return figure

@@ -126,17 +126,17 @@ class WatchedProgram:
         estimate, half_width, mean = self._now
         if self.alone:
             self.program.estimate = _NOTHING
-            told = estimate if half_width <= self.band else math.nan
+            scheduled_value = estimate if half_width <= self.band else math.nan
         else:
             self.program.estimate = (estimate + value - mean, half_width)
-            told = value
-        self.program.schedule(told)
+            scheduled_value = value
+        self.program.schedule(scheduled_value)
         self._doubted |= not self.alone and self.program.fault in (
             Fault.LOST,
             Fault.RANGE,
             Fault.JUMP,
         )
-        self._reading = told
+        self._reading = scheduled_value
 
     def step(self, errors: np.ndarray) -> np.ndarray:
         """Currents (a,) [A] from errors (a,) [m]; the monitor has the currents that act at this
@@ -283,12 +283,12 @@ def _check_alone(rate: float | None, limits: Limits) -> None:
 def _excitation(scenario: Scenario, axes: tuple[str, ...], dt: float) -> np.ndarray:
     """The excitation currents (m, k) [A] of every sample of the scenario."""
     kinds = ("pulses", "sines", "stepped_sines", "chirps", "sequences")
-    own: dict[str, Any] = {
+    excitations: dict[str, Any] = {
         kind: tuple(x for x in getattr(scenario, kind) if x.signal.startswith("e_"))
         for kind in kinds
     }
     names, count = [f"e_{axis}" for axis in axes], int(scenario.duration / dt + 1e-6) + 1
-    driven, cubics = waveforms(replace(scenario, unbalances=(), **own), names, dt, count)
-    found = np.zeros((len(names), count))
-    found[[names.index(name) for name in driven]] = cubics[0]
-    return found
+    driven, cubics = waveforms(replace(scenario, unbalances=(), **excitations), names, dt, count)
+    coefficients = np.zeros((len(names), count))
+    coefficients[[names.index(name) for name in driven]] = cubics[0]
+    return coefficients

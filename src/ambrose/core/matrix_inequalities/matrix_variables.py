@@ -111,12 +111,12 @@ def curvature(
     # place[a, b]: which variable the entry (a, b) of X is; len(i), a row dropped at the end: none
     place = np.full((n, n), len(i))
     place[i, j] = place[j, i] = np.arange(len(i))
-    found = np.zeros((len(i) + 1, len(c)))
+    block = np.zeros((len(i) + 1, len(c)))
 
     # E_k = e_c e_d^T + e_d e_c^T, on the diagonal once: half of the two
     weight = np.where(c == d, 0.5, 1.0)[:, None]
     for b in range(n):
         # T[c, d, a] = sum_l P[b, c] Q[d, a]
         T = (left[:, b].T @ right).reshape(second.order, second.order, n)
-        found[place[b]] += ((T[c, d] + T[d, c]) * weight).T
-    return found[:-1]
+        block[place[b]] += ((T[c, d] + T[d, c]) * weight).T
+    return block[:-1]

@@ -52,10 +52,10 @@ class Inequality:
 
     def value(self, x: np.ndarray) -> np.ndarray:
         """The matrix (d, d) at the variables x, without its constant."""
-        found = smat(self.rows @ x[self.columns])
+        matrix = smat(self.rows @ x[self.columns])
         for term in self.terms:
-            found += term.value(x)
-        return found
+            matrix += term.value(x)
+        return matrix
 
     def add_adjoint(self, M: np.ndarray, result: np.ndarray) -> None:
         """<dF/dx_j, M>, M (d, d) symmetric, added to result (k,) of all variables."""
@@ -65,11 +65,11 @@ class Inequality:
 
     def squares(self, count: int) -> np.ndarray:
         """The squared norms of the matrix's derivatives by each of ``count`` variables."""
-        found = np.zeros(count)
-        found[self.columns] += (self.rows**2).sum(0)
+        norms = np.zeros(count)
+        norms[self.columns] += (self.rows**2).sum(0)
         for term in self.terms:
-            found[term.variable.start : term.variable.stop] += term.squares()
-        return found
+            norms[term.variable.start : term.variable.stop] += term.squares()
+        return norms
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,9 +180,9 @@ class _Solver:
         # F_i0.
         reach = [
             i.side
-            * (1 + np.abs(self.cost[own > 0]).max(initial=0))
-            / (1 + np.sqrt(own.max(initial=0)))
-            for i, own in zip(items, (own * self.unit**2 for own in squares), strict=True)
+            * (1 + np.abs(self.cost[norms > 0]).max(initial=0))
+            / (1 + np.sqrt(norms.max(initial=0)))
+            for i, norms in zip(items, (norms * self.unit**2 for norms in squares), strict=True)
         ]
         self.Z = [
             max(10.0, np.sqrt(i.side), np.sqrt(i.side) * f) * np.eye(i.side)
@@ -197,17 +197,19 @@ class _Solver:
         begun = time.monotonic()
         status, step = "inexact", 0
         for step in range(1, _STEPS + 1):
-            found = self.minimum("optimal", step)
-            if max(found.gap, found.primal_error, found.dual_error) < tolerance:
-                return found
-            if self.infeasible(found) or (found.bound > hopeless and found.dual_error < tolerance):
+            iterate = self.minimum("optimal", step)
+            if max(iterate.gap, iterate.primal_error, iterate.dual_error) < tolerance:
+                return iterate
+            if self.infeasible(iterate) or (
+                iterate.bound > hopeless and iterate.dual_error < tolerance
+            ):
                 status = "infeasible"
                 break
             if time.monotonic() - begun > time_limit:
                 status = "time limit"
                 break
             try:
-                if not self.step(found):
+                if not self.step(iterate):
                     break
             except np.linalg.LinAlgError as error:
                 if step == 1:
@@ -233,10 +235,14 @@ class _Solver:
         gap = self.complementarity() / (1 + abs(value) + abs(bound))
         return Minimum(self.x * self.unit, value, bound, status, primal, dual, gap, step)
 
-    def infeasible(self, found: Minimum) -> bool:
+    def infeasible(self, iterate: Minimum) -> bool:
         """Whether Z, scaled, is a certificate: F^T(Z) = 0 and -<F_0, Z> > 0."""
         direction = float(np.linalg.norm(self.adjoint(self.Z)))
-        return found.bound > 1e-12 and direction < 1e-8 * found.bound and found.primal_error > 1e-6
+        return (
+            iterate.bound > 1e-12
+            and direction < 1e-8 * iterate.bound
+            and iterate.primal_error > 1e-6
+        )
 
     def residuals(self) -> list[np.ndarray]:
         """F_i(x) - S_i."""
@@ -253,7 +259,7 @@ class _Solver:
     def complementarity(self) -> float:
         return float(sum(np.sum(S * Z) for S, Z in zip(self.S, self.Z, strict=True)))
 
-    def step(self, found: Minimum) -> bool:
+    def step(self, iterate: Minimum) -> bool:
         """One predictor and corrector; whether it moved on."""
         inverse = [_inverse(S) for S in self.S]
         factor = self.schur_complement(inverse)

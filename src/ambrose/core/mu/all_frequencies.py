@@ -271,7 +271,7 @@ class _Task:
         return self._rest(low, high, good)
 
     def _contained(
-        self, found: UpperBound, low: np.ndarray, high: np.ndarray, cells: int
+        self, bound: UpperBound, low: np.ndarray, high: np.ndarray, cells: int
     ) -> np.ndarray:
         """Which of the equal cells (i, cells) of the intervals the scalings prove, a few intervals
         at a time.
@@ -280,7 +280,7 @@ class _Task:
         if len(low) > step:
             parts = [np.arange(i, min(i + step, len(low))) for i in range(0, len(low), step)]
             return np.concatenate(
-                [self._contained(found.part(part), low[part], high[part], cells) for part in parts]
+                [self._contained(bound.part(part), low[part], high[part], cells) for part in parts]
             )
 
         # The vertices of the chords; towards infinity all are D, and the distance is that from D.
@@ -292,7 +292,7 @@ class _Task:
         M = self.model.at(points.ravel()).reshape(*points.shape, *self.model.D.shape)
         slack = self.model.distance(low, high, cells)
         return _contained(
-            found, *(_divided(part, self.skew, self.level) for part in (M, slack[:, None]))
+            bound, *(_divided(part, self.skew, self.level) for part in (M, slack[:, None]))
         )
 
     def lift_at(self, omega: np.ndarray) -> None:
@@ -360,28 +360,28 @@ def _scalings(M: np.ndarray, structure: Structure) -> tuple[UpperBound, np.ndarr
     # Too near the edge: the analytic centre at level 1, which has most room.
     hard = np.flatnonzero(value >= _EASY)
     if len(hard):
-        found = upper_bound(M[hard], structure, level=np.ones(len(hard)), max_iterations=60)
-        value[hard] = found.value
-        X_w[hard] = found.X_w
-        X_z[hard] = found.X_z
-        G[hard] = found.G
+        bound = upper_bound(M[hard], structure, level=np.ones(len(hard)), max_iterations=60)
+        value[hard] = bound.value
+        X_w[hard] = bound.X_w
+        X_z[hard] = bound.X_z
+        G[hard] = bound.G
     holds = (value < 1) & positive_definite(X_w) & positive_definite(X_z)  # after scaling back
     return UpperBound(value, X_w, X_z, G, np.zeros((len(M), structure.n_w))), holds
 
 
-def _contained(found: UpperBound, M: np.ndarray, slack: np.ndarray) -> np.ndarray:
+def _contained(bound: UpperBound, M: np.ndarray, slack: np.ndarray) -> np.ndarray:
     """Which cells (i, c) the scalings prove, for vertices M (i, c + 1, n_z, n_w) and distances from
     the chords ``slack``.
     """
     # X = L L^H, N = L_z^H M L_w^-H, G := L_w^-1 G L_z^-H: the inequality becomes Phi < I,
     # Phi = N^H N + j (G N - N^H G^H) = (N - j G^H)^H (N - j G^H) - G G^H.
-    L_w, L_z = np.linalg.cholesky(found.X_w), np.linalg.cholesky(found.X_z)
+    L_w, L_z = np.linalg.cholesky(bound.X_w), np.linalg.cholesky(bound.X_z)
     right, left = (
         np.linalg.inv(L_w).conj().swapaxes(1, 2)[:, None],
         L_z.conj().swapaxes(1, 2)[:, None],
     )
     N = left @ M @ right
-    G = np.linalg.inv(L_w) @ found.G @ np.linalg.inv(L_z).conj().swapaxes(1, 2)
+    G = np.linalg.inv(L_w) @ bound.G @ np.linalg.inv(L_z).conj().swapaxes(1, 2)
     shifted = N - 1j * G.conj().swapaxes(1, 2)[:, None]
     gap = largest_gain(G)[:, None] ** 2
     cross = 1j * G[:, None] @ N

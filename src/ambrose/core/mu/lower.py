@@ -316,8 +316,8 @@ def _real_only(
         norm = np.linalg.norm(M, axis=(1, 2))[:, None]
         real = np.where(np.abs(values.imag) <= _REAL_TOLERANCE * norm, values.real, 0.0)
         top = np.take_along_axis(real, np.abs(real).argmax(axis=1)[:, None], axis=1)[:, 0]
-        found = np.abs(top) > 1e-12 * norm[:, 0]
-        size[found], best[found, 0] = 1 / np.abs(top[found]), 1 / top[found]
+        nonzero = np.abs(top) > 1e-12 * norm[:, 0]
+        size[nonzero], best[nonzero, 0] = 1 / np.abs(top[nonzero]), 1 / top[nonzero]
         return size, best
 
     # No root lies inside ``goal``. Until one is found the box grows threefold; then bisection of
@@ -516,12 +516,12 @@ def lower_bound(
             candidate = _assemble(
                 structure, _Point(q, reach, np.ones(len(q)), np.zeros((len(q), 0, 0)), q, b0)
             )
-        found = _verify(unit, candidate)
-        better = found * size[todo] > value[todo]
+        verified = _verify(unit, candidate)
+        better = verified * size[todo] > value[todo]
         k = todo[better]
 
         # Delta d_z = d_w Delta, so that det(I - unit Delta) = det(I - M Delta / size).
-        value[k] = found[better] * size[k]
+        value[k] = verified[better] * size[k]
         delta[k] = candidate[better] / size[k, None, None]
     return LowerBound(value, delta)
 

@@ -172,9 +172,9 @@ def _inside(basis: Basis, M: np.ndarray, x: np.ndarray, beta: np.ndarray) -> np.
     n = basis.n_w + basis.n_z
     S = basis.assemble(x)
     V = np.concatenate([beta[:, None, None] * np.eye(basis.n_w), M], axis=1)
-    found = positive_definite(V.conj().swapaxes(1, 2) @ S[:, :n, :n] @ V)
-    found[found] = positive_definite(S[found, n:, n:])
-    return found
+    inside = positive_definite(V.conj().swapaxes(1, 2) @ S[:, :n, :n] @ V)
+    inside[inside] = positive_definite(S[inside, n:, n:])
+    return inside
 
 
 def _dual(structure: Structure, path: _Path, beta: np.ndarray) -> np.ndarray:
@@ -381,25 +381,25 @@ def _verified(
 
 
 def _proved(
-    structure: Structure, M: np.ndarray, found: Scalings, beta: np.ndarray
+    structure: Structure, M: np.ndarray, scalings: Scalings, beta: np.ndarray
 ) -> tuple[np.ndarray, Scalings]:
     """The verified bound, (b,), and its scalings (X_w, X_z, G).
 
     Where the best X is nearly singular rounding errors spoil the proof; then X + epsilon I is tried
     as well.
     """
-    best = _verified(structure, M, found[:2], found[2])
-    X_w, X_z, G = (part.copy() for part in found)
+    best = _verified(structure, M, scalings[:2], scalings[2])
+    X_w, X_z, G = (part.copy() for part in scalings)
     for epsilon in _REGULARISE:
         # members for which rounding spoils what beta should prove
         k = np.flatnonzero(best > beta * (1 + 1e-8))
         if len(k) == 0:
             break
         wider = (
-            found[0][k] + epsilon * np.eye(structure.n_w),
-            found[1][k] + epsilon * np.eye(structure.n_z),
+            scalings[0][k] + epsilon * np.eye(structure.n_w),
+            scalings[1][k] + epsilon * np.eye(structure.n_z),
         )
-        value = _verified(structure, M[k], wider, found[2][k])
+        value = _verified(structure, M[k], wider, scalings[2][k])
         better = value < best[k]
         best[k[better]] = value[better]
         X_w[k[better]], X_z[k[better]] = wider[0][better], wider[1][better]

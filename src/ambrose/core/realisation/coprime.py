@@ -158,7 +158,7 @@ def coprime_factors(
 
     # alpha = V~ v - U~ y, the innovation of the controller's observer; K has the input y and the
     # output v: inputs (y, v)
-    own = StateSpace(
+    observer = StateSpace(
         *_observer(
             controller, check_shape(L_K, "controller_gain", "(nk, m)", nk=controller.n_states, m=m)
         ),
@@ -174,7 +174,7 @@ def coprime_factors(
         eps,
         plant.dt,
     )
-    for name, system in (("A + L C of the plant", seen), ("A + L C of the controller", own)):
+    for name, system in (("A + L C of the plant", seen), ("A + L C of the controller", observer)):
         if system.n_states and not is_stable(system):
             raise invalid(
                 name,
@@ -185,7 +185,7 @@ def coprime_factors(
 
     # One v and one y for both: [V~ -U~; -N~ M~] from (v, y) to (alpha, eps).
     left = select(
-        _joined(append(seen, own), {name: [f"K {name}"] for name in seen.inputs}),
+        _joined(append(seen, observer), {name: [f"K {name}"] for name in seen.inputs}),
         outputs=[*alpha, *eps],
     )
 

@@ -131,14 +131,16 @@ def _take_nearest(T: np.ndarray, X: np.ndarray, Y: np.ndarray, start: int, end: 
     end.
     """
     # Blocks of T22, of one or two states each.
-    own = np.linalg.eigvals(T[start:end, start:end])
+    eigenvalues = np.linalg.eigvals(T[start:end, start:end])
     rest = T[end:, end:]
     best = np.inf
     at = 0
     i = 0
     while i < len(rest):
         k = _first_block(rest, i)
-        distance = np.abs(np.linalg.eigvals(rest[i : i + k, i : i + k])[:, None] - own).min()
+        distance = np.abs(
+            np.linalg.eigvals(rest[i : i + k, i : i + k])[:, None] - eigenvalues
+        ).min()
         if distance < best:
             best, at = distance, i
         i += k

@@ -46,8 +46,8 @@ def invariant_zeros(system: Any, tolerance: float = 1e-9) -> np.ndarray:
 
     # beta = 0: infinite, a zero that the deflation left to rounding. Back in rad/s.
     finite = np.abs(beta) > 1e-14 * np.abs(alpha)
-    found = alpha[finite] / beta[finite] * _unit(system)
-    return found[np.lexsort((found.imag, found.real, np.abs(found)))]
+    zeros = alpha[finite] / beta[finite] * _unit(system)
+    return zeros[np.lexsort((zeros.imag, zeros.real, np.abs(zeros)))]
 
 
 def minimal(system: Any, tolerance: float = 1e-9) -> StateSpace:
@@ -116,13 +116,13 @@ def _row_reduced(
         U, s, _ = sla.svd(D) if D.size else (np.eye(len(D)), np.zeros(0), None)
         rank = int((s > tolerance).sum())
         C, D = U.T @ C, U.T @ D
-        held = C[rank:]  # these outputs are zero only if the states they see are
+        dependent = C[rank:]  # these outputs are zero only if the states they see are
         C, D = C[:rank], D[:rank]
-        if not held.size:
+        if not dependent.size:
             return A, B, C, D
 
         # held x = 0: the states in the null space of ``held`` are free, the k others held at zero.
-        _, s, Vt = sla.svd(held)
+        _, s, Vt = sla.svd(dependent)
         k = int((s > tolerance).sum())
         if k == 0:
             return A, B, C, D

@@ -59,10 +59,10 @@ def proved_margin(loop: BoxLoop, most: float) -> Proved:
     # mu < level proves the box up to the factor 1 / level
     start = 1 / (_CLOSE * min(most, LARGEST_BOX))
     try:
-        found = proved_level(both, blocks, start, room=_ROOM, highest=start / _LEAST_FACTOR)
+        proved = proved_level(both, blocks, start, room=_ROOM, highest=start / _LEAST_FACTOR)
     except FAILURES as error:
         return Proved(0.0, why=str(error))
-    return Proved(1 / found.level, found.frequency)
+    return Proved(1 / proved.level, proved.frequency)
 
 
 def proved_gain(loop: BoxLoop, start: float, omega: np.ndarray | None = None) -> Proved:
@@ -76,12 +76,12 @@ def proved_gain(loop: BoxLoop, start: float, omega: np.ndarray | None = None) ->
     """
     blocks, skew = _with_gain(loop)
     try:
-        found = proved_level(
+        proved = proved_level(
             loop.model, blocks, start * (1 + _ROOM), skew=skew, room=_ROOM, omega=omega
         )
     except FAILURES as error:
         return Proved(float("inf"), why=str(error))
-    return Proved(found.level, found.frequency)
+    return Proved(proved.level, proved.frequency)
 
 
 @named_failure("the bound of the gain in the box")

@@ -86,12 +86,12 @@ def box_margin(loop: BoxLoop, also: np.ndarray | None = None, seed: int = 0) -> 
         kept[1:] |= kept[:-1]
         kept[:-1] |= kept[1:]
         starts = _candidates(grid, M, kept, loop, shared, directions, top)
-        found = [
+        crossings = [
             landed
             for start in starts
             if (landed := _followed(loop, start)) and landed.factor <= LARGEST_BOX
         ]
-        best = min([best, *found], key=lambda item: item.factor)
+        best = min([best, *crossings], key=lambda item: item.factor)
     return best
 
 
@@ -233,17 +233,17 @@ def _real_crossings(
 
 
 def _narrowed(
-    loop: BoxLoop, shared: _Inputs, directions: np.ndarray, found: _Brackets
+    loop: BoxLoop, shared: _Inputs, directions: np.ndarray, brackets: _Brackets
 ) -> list[tuple[float, int, float]]:
     """(factor, direction, frequency) of the crossings, their brackets halved: the eigenvalues may
     turn fast in between.
     """
-    if not len(found.direction):
+    if not len(brackets.direction):
         return []
     n = len(loop.owner)
-    low, high = found.omega.T.copy()
-    a, b = found.values.T.copy()
-    wide = directions[found.direction][:, loop.owner]
+    low, high = brackets.omega.T.copy()
+    a, b = brackets.values.T.copy()
+    wide = directions[brackets.direction][:, loop.owner]
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         M = loop.at(middle)[:, :n, :n]
@@ -263,7 +263,7 @@ def _narrowed(
     return list(
         zip(
             (1 / size[kept]).tolist(),
-            found.direction[kept].tolist(),
+            brackets.direction[kept].tolist(),
             omega[kept].tolist(),
             strict=True,
         )

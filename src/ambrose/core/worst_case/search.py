@@ -191,8 +191,10 @@ def _ascend(loop: BoxLoop, delta: np.ndarray, omega: float) -> BoxGain:
         bounds = [*[(-1.0, 1.0)] * loop.parameters, (-20.0, 20.0)]
         options = {"maxiter": 60}
         cost = partial(_along, loop, centre, line, origin)
-        found = minimize(cost, origin, jac=True, bounds=bounds, method="L-BFGS-B", options=options)
-        at, omega = np.clip(found.x[:-1], -1, 1), abs(centre + float(line @ (found.x - origin)))
+        optimum = minimize(
+            cost, origin, jac=True, bounds=bounds, method="L-BFGS-B", options=options
+        )
+        at, omega = np.clip(optimum.x[:-1], -1, 1), abs(centre + float(line @ (optimum.x - origin)))
         omega, value = peak_at(loop, at, max(omega - 3 * decay, 0.0), omega, omega + 3 * decay)
         if not value > best.value * (1 + 1e-9):
             break
@@ -228,8 +230,10 @@ def _pole_beside(loop: BoxLoop, delta: np.ndarray, omega: float) -> tuple[float,
     except np.linalg.LinAlgError:
         return broad
     over_omega = -np.trace(K @ (slope * wide))  # of ln det
-    own = np.diag(K @ M)
-    over_delta = -(np.bincount(loop.owner, own.real, k) + 1j * np.bincount(loop.owner, own.imag, k))
+    diagonal = np.diag(K @ M)
+    over_delta = -(
+        np.bincount(loop.owner, diagonal.real, k) + 1j * np.bincount(loop.owner, diagonal.imag, k)
+    )
     if not abs(over_omega) * omega > 3:
         return broad
 

@@ -133,14 +133,14 @@ def _line(
         reach = wider * width / 2
         if wider > 1 and not reach < centre < 0.99 * np.pi / dt - reach:
             break
-        found = _fit(spectra, spans, m, centre, reach, periodic)
-        if found is None and best is not None:
+        fit = _fit(spectra, spans, m, centre, reach, periodic)
+        if fit is None and best is not None:
             break
-        if found is None:  # lines that are excited may lie apart
+        if fit is None:  # lines that are excited may lie apart
             continue
-        if best is not None and np.mean(np.diag(found[1]).real / np.diag(best[1]).real) > _WORSE:
+        if best is not None and np.mean(np.diag(fit[1]).real / np.diag(best[1]).real) > _WORSE:
             break
-        best, chosen = found, wider
+        best, chosen = fit, wider
     return best, chosen
 
 

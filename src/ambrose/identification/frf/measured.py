@@ -135,18 +135,16 @@ def measure(
         is_stepped(record, [name for group in together for name in group]) for record in records
     )
     if method == "sines" or (method is None and sines):
-        found = stepped(
-            ready, inputs, outputs, settle=_settling(ready) if settle is None else settle
-        )
-        return LoopFrf(_kept(found, band), "sines", together)
+        frf = stepped(ready, inputs, outputs, settle=_settling(ready) if settle is None else settle)
+        return LoopFrf(_kept(frf, band), "sines", together)
     calm = [without_synchronous(record, harmonics) for record in ready]
     folded = None if method == "polynomials" else _folded(calm, inputs, outputs)
     if folded is not None:
         # a period too short for its lines to tell the inputs apart
         with suppress(*(() if method else (InvalidInput,))):
             options: dict[str, Any] = {"harmonics": 0, "freedom": _FREEDOM, "periodic": True}
-            found = local_response(folded[0], inputs, outputs, band=band, **options)
-            return LoopFrf(_reached(found), "periods", together, folded[1])
+            frf = local_response(folded[0], inputs, outputs, band=band, **options)
+            return LoopFrf(_reached(frf), "periods", together, folded[1])
     if method == "periods":
         raise InvalidInput(
             "the excitation does not repeat twice in every record; take the method polynomials"
@@ -236,11 +234,11 @@ def _folded(
     """
     means, least = [], 0
     for record in records:
-        own = [name for name in inputs if name in record.signals and np.ptp(record[name])]
-        P = shortest_period(np.stack([record[name] for name in own])) if own else None
+        driven = [name for name in inputs if name in record.signals and np.ptp(record[name])]
+        P = shortest_period(np.stack([record[name] for name in driven])) if driven else None
         if P is None or record.values.shape[1] < 2 * P:
             return None
-        part = record.select([*own, *outputs])
+        part = record.select([*driven, *outputs])
 
         # the first period is left to the transient, and so is what is no whole one
         count = part.values.shape[1] // P - 1
@@ -250,31 +248,31 @@ def _folded(
     return tuple(means), least
 
 
-def _reached(found: Frf) -> Frf:
+def _reached(frf: Frf) -> Frf:
     """The lines at which every excitation has a power worth the name."""
-    if found.share is None:
-        return found
-    size = np.einsum("wii->wi", found.share).real
-    return _lines(found, (size <= _WEAK * size.min(axis=0)).all(axis=1))
+    if frf.share is None:
+        return frf
+    size = np.einsum("wii->wi", frf.share).real
+    return _lines(frf, (size <= _WEAK * size.min(axis=0)).all(axis=1))
 
 
-def _kept(found: Frf, band: tuple[float, float]) -> Frf:
-    inside = (found.omega >= band[0]) & (found.omega <= band[1])
+def _kept(frf: Frf, band: tuple[float, float]) -> Frf:
+    inside = (frf.omega >= band[0]) & (frf.omega <= band[1])
     if not inside.any():
         raise invalid(
             "the band", f"{band[0]:g} to {band[1]:g} rad/s", "one that holds a sine", "move it"
         )
-    return _lines(found, inside)
+    return _lines(frf, inside)
 
 
-def _lines(found: Frf, kept: np.ndarray) -> Frf:
+def _lines(frf: Frf, kept: np.ndarray) -> Frf:
     return replace(
-        found,
-        values=found.values[kept],
-        omega=found.omega[kept],
-        variance=found.variance[kept],
-        coherence=found.coherence[kept],
-        input_coherence=found.input_coherence[kept],
-        noise=None if found.noise is None else found.noise[kept],
-        share=None if found.share is None else found.share[kept],
+        frf,
+        values=frf.values[kept],
+        omega=frf.omega[kept],
+        variance=frf.variance[kept],
+        coherence=frf.coherence[kept],
+        input_coherence=frf.input_coherence[kept],
+        noise=None if frf.noise is None else frf.noise[kept],
+        share=None if frf.share is None else frf.share[kept],
     )

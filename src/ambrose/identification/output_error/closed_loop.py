@@ -168,8 +168,11 @@ class LeastSquares:
         """One per model, remembered for the last theta (q,) asked for."""
         key = theta.tobytes()
         if key != self._last[0]:
-            given = self.experiment
-            self._last = key, [over_weights(model, theta, given.sizes) for model in given.models]
+            experiment = self.experiment
+            self._last = (
+                key,
+                [over_weights(model, theta, experiment.sizes) for model in experiment.models],
+            )
         return self._last[1]
 
     def synchronised(
@@ -187,23 +190,29 @@ class LeastSquares:
     def minimise(
         self, items: Sequence[Task] | Sequence[Lines], begin: np.ndarray, **limits: float
     ) -> Minimum:
-        given = self.experiment
+        experiment = self.experiment
 
         def linearise(theta: np.ndarray) -> Linearised:
             loops = self.loops(theta)
             parts = tuple(self.equations(*loops[_task(item).place], item) for item in items)
             H = np.sum([part.equations.H for part in parts], axis=0)
-            statistics.check_visible(given.paths, H, given.scale)
+            statistics.check_visible(experiment.paths, H, experiment.scale)
             g = np.sum([part.equations.g for part in parts], axis=0)
             return Linearised(sum(part.equations.cost for part in parts), H, g, parts)
 
         def is_stable(theta: np.ndarray) -> bool:
             return (
-                admitted(given.models, theta) and slowest(loop for loop, _ in self.loops(theta)) < 1
+                admitted(experiment.models, theta)
+                and slowest(loop for loop, _ in self.loops(theta)) < 1
             )
 
         return minimise(
-            linearise, begin, given.scale, is_stable, given.options.max_iterations, **limits
+            linearise,
+            begin,
+            experiment.scale,
+            is_stable,
+            experiment.options.max_iterations,
+            **limits,
         )
 
     def approach(
@@ -321,19 +330,19 @@ def _check_driven(problem: LeastSquares, begin: np.ndarray, early: Sequence[Task
     """Refuse parameters of which the excitation shows nothing at the start values; what noise makes
     of an initial state is no sign of them. The first samples mostly do; else all of them decide.
     """
-    given, loops = problem.experiment, problem.loops(begin)
-    if any(len(task.tail) for task in given.tasks):
+    experiment, loops = problem.experiment, problem.loops(begin)
+    if any(len(task.tail) for task in experiment.tasks):
         return
-    for chosen in (early, given.tasks):
+    for chosen in (early, experiment.tasks):
         # without an initial state: one that noise made would drive the loop, too
         still = [replace(task, initial_state=False) for task in chosen]
         H = np.sum(
             [normal_equations(*loops[task.place], task).equations.H for task in still], axis=0
         )
         try:
-            statistics.check_visible(given.paths, H, given.scale)
+            statistics.check_visible(experiment.paths, H, experiment.scale)
         except InvalidInput:
-            if chosen is given.tasks:
+            if chosen is experiment.tasks:
                 raise
         else:
             return

@@ -139,7 +139,7 @@ class TimedLoop:
         # what acts for the rest dt - h of the sample: Gamma(dt - h), and Phi(dt - h) B
         new_u, dnew_u, edge_u = _newer(A, B[:, :a], dA, dB[:, :, :a], dt - h_u)
         new_e, dnew_e, edge_e = _newer(A, B[:, a:], dA, dB[:, :, a:], dt - h_e)
-        held = Gamma[:, :a], Gamma[:, a:]
+        split_inputs = Gamma[:, :a], Gamma[:, a:]
 
         zero = np.zeros((n, n))
 
@@ -156,7 +156,9 @@ class TimedLoop:
             return (whole - late, late) if h > 0 else (None, whole)
 
         closed = np.zeros((size, size))
-        closed[:n] = step(Phi, parts(held[0], new_u, h_u), parts(held[1], new_e, h_e))
+        closed[:n] = step(
+            Phi, parts(split_inputs[0], new_u, h_u), parts(split_inputs[1], new_e, h_e)
+        )
 
         # z+ = A_K z - B_K y
         closed[n : n + nk] = K.A @ z - K.B @ inner.C[:a] @ x

@@ -169,8 +169,8 @@ def _triangle(powers: np.ndarray) -> np.ndarray:
     """(group n, group n): inputs of block s (rows) to the state after block t >= s, P'^(t - s)."""
     group, n = len(powers) - 1, powers.shape[1]
     lag = np.arange(group)[None] - np.arange(group)[:, None]
-    held = np.where((lag >= 0)[:, :, None, None], powers[np.maximum(lag, 0)], 0.0)
-    return held.transpose(0, 2, 1, 3).reshape(group * n, group * n)
+    blocks = np.where((lag >= 0)[:, :, None, None], powers[np.maximum(lag, 0)], 0.0)
+    return blocks.transpose(0, 2, 1, 3).reshape(group * n, group * n)
 
 
 def powers_of(P: np.ndarray, count: int) -> np.ndarray:

@@ -177,8 +177,12 @@ def loop_model(
     """
     modes = dict.fromkeys(path.rpartition(".")[0] for path in paths if path.startswith("rotor."))
     # the damping 2 zeta w follows the frequency
-    own = list(dict.fromkeys([*paths, *(f"{mode}.damping" for mode in modes)]))
-    general = uncertain(plant, [Tolerance(path, absolute=1.0) for path in own]) if own else None
+    parameters = list(dict.fromkeys([*paths, *(f"{mode}.damping" for mode in modes)]))
+    general = (
+        uncertain(plant, [Tolerance(path, absolute=1.0) for path in parameters])
+        if parameters
+        else None
+    )
     system, axes = plant.system if general is None else general.system, plant.axes
     u = index_of([f"u_{axis}" for axis in axes], system.inputs, "input")
     m = index_of(
@@ -209,7 +213,7 @@ def loop_model(
         raise NumericalFailure(
             "the plant has feedthrough at its ports; take one reduced without static correction"
         )
-    bending = tuple(_bending(plant, mode, paths, own, dA) for mode in modes)
+    bending = tuple(_bending(plant, mode, paths, parameters, dA) for mode in modes)
     affine = np.array([not path.startswith("rotor.") for path in paths], dtype=float)[:, None, None]
     dA, dB = affine * dA[: len(paths)], affine * dB[: len(paths)]
     factor = np.ones(len(paths)) if factor is None else factor

@@ -132,12 +132,12 @@ def magnetic_force(
     records: those of ``experiment``, of which ``result`` is the fit; ``before`` is out of them
     already, and in what is found.
     """
-    found = dict(zip(result.paths, result.values.tolist(), strict=True))
+    by_path = dict(zip(result.paths, result.values.tolist(), strict=True))
     delay = (
-        found.get(CONTROLLER_DELAY, experiment.options.computing_delay * experiment.dt)
+        by_path.get(CONTROLLER_DELAY, experiment.options.computing_delay * experiment.dt)
         / experiment.dt
     )
-    values = {path: value for path, value in found.items() if path not in TIMING}
+    values = {path: value for path, value in by_path.items() if path not in TIMING}
     model = experiment.models[0]
     try:
         plants = [
@@ -189,32 +189,37 @@ def _step(
     is.
     """
     size = np.sqrt(np.diag(H))
-    own, extra = np.arange(q), q + np.flatnonzero(size[q:] > 1e-9 * size[q:].max(initial=0.0))
+    parameters, extra = (
+        np.arange(q),
+        q + np.flatnonzero(size[q:] > 1e-9 * size[q:].max(initial=0.0)),
+    )
 
     # Parameters eliminated: X = H_qq^-1 H_qb, slope g_b - X'g_q, H_bb - H_bq X left.
-    X = np.linalg.solve(H[np.ix_(own, own)], H[np.ix_(own, extra)])
-    slope = g[extra] - X.T @ g[own]
+    X = np.linalg.solve(H[np.ix_(parameters, parameters)], H[np.ix_(parameters, extra)])
+    slope = g[extra] - X.T @ g[parameters]
     W = np.vstack([-X, np.eye(len(extra))])
-    both = np.concatenate([own, extra])
+    both = np.concatenate([parameters, extra])
     unit = np.outer(size[extra], size[extra])
 
     # pseudo-inverse: the signals may depend on each other
     inverse = (
         np.linalg.pinv(
-            (H[np.ix_(extra, extra)] - H[np.ix_(extra, own)] @ X) / unit, rcond=1e-8, hermitian=True
+            (H[np.ix_(extra, extra)] - H[np.ix_(extra, parameters)] @ X) / unit,
+            rcond=1e-8,
+            hermitian=True,
         )
         / unit
     )
 
     # sandwich: the slope is W' J'r with W = [-X; I]
-    found = inverse @ W.T @ middle[np.ix_(both, both)] @ W @ inverse
+    step_covariance = inverse @ W.T @ middle[np.ix_(both, both)] @ W @ inverse
     step, covariance = np.zeros(len(H) - q), np.zeros((len(H) - q, len(H) - q))
     step[extra - q] = inverse @ slope
-    covariance[np.ix_(extra - q, extra - q)] = found
+    covariance[np.ix_(extra - q, extra - q)] = step_covariance
     return (
         step,
         covariance,
-        np.einsum("qb,bc,qc->q", X, found, X),
+        np.einsum("qb,bc,qc->q", X, step_covariance, X),
         float(slope @ inverse @ slope) / cost,
     )
 
@@ -293,9 +298,11 @@ def _clean(D: np.ndarray, task: Task) -> None:
     for part in _stretches(task.samples):
         W = task.waves_at(part.start, part.stop)
         square, product = square + W @ W.T, product + D[:, :, part] @ W.T
-    found = np.linalg.lstsq(square, product.reshape(-1, task.waves).T)[0].T.reshape(product.shape)
+    amplitudes = np.linalg.lstsq(square, product.reshape(-1, task.waves).T)[0].T.reshape(
+        product.shape
+    )
     for part in _stretches(task.samples):
-        D[:, :, part] -= found @ task.waves_at(part.start, part.stop)
+        D[:, :, part] -= amplitudes @ task.waves_at(part.start, part.stop)
 
 
 def _stretches(samples: int) -> Iterator[slice]:
@@ -365,22 +372,22 @@ def _turning_motion(
     """
     axes, found = plant.axes, []
     for frequency in dict.fromkeys(wave.frequency for wave in waves):
-        own = {
+        phasors = {
             wave.signal: wave.amplitude * np.exp(1j * wave.phase)
             for wave in waves
             if wave.frequency == frequency
         }
-        y = np.array([own.get(f"y_{axis}", 0.0) for axis in axes])
+        y = np.array([phasors.get(f"y_{axis}", 0.0) for axis in axes])
         omega = np.array([2 * np.pi * frequency])
 
         # the hold's response, e^(-j w dt/2) sinc(f dt);   i = -G_iu K y hold
-        held = np.exp(-0.5j * omega[0] * dt) * np.sinc(frequency * dt)
+        hold = np.exp(-0.5j * omega[0] * dt) * np.sinc(frequency * dt)
         coils = select(plant.system, plant.named("u"), [f"i_{axis}" for axis in axes])
         i = (
             -frequency_response(coils, omega).values[0]
             @ frequency_response(law, omega).values[0]
             @ y
-            * held
+            * hold
         )
         found.append((float(omega[0]), np.concatenate([i, y])))
     return found
@@ -403,7 +410,7 @@ def nonlinear_responses(
     """
     loop, axes = closed_loop(plant, law), plant.axes
     driven = np.array(signal_rows(record, excitations))
-    found = np.empty((len(axes) + 1, len(signals), driven.shape[1]), np.float32)
+    responses = np.empty((len(axes) + 1, len(signals), driven.shape[1]), np.float32)
     cubic = np.empty((len(axes), driven.shape[1]), np.float32)
 
     # current and displacement of each axis in the linear loop, what turns added
@@ -414,11 +421,11 @@ def nonlinear_responses(
             for omega, phasors in turning:
                 moved[:, part] += (phasors[j :: len(axes), None] * np.exp(1j * omega * t)).real
         _replaced(moved, plant, j)
-        found[j], cubic[j] = simulate(select(loop, [f"f_{axis}"], signals), moved[:1]), moved[1]
+        responses[j], cubic[j] = simulate(select(loop, [f"f_{axis}"], signals), moved[:1]), moved[1]
 
     # the cubic forces of all axes at once: one amplitude
-    found[-1] = simulate(select(loop, [f"f_{axis}" for axis in axes], signals), cubic)
-    return found
+    responses[-1] = simulate(select(loop, [f"f_{axis}" for axis in axes], signals), cubic)
+    return responses
 
 
 def _replaced(moved: np.ndarray, plant: Plant, j: int) -> np.ndarray:

@@ -182,8 +182,8 @@ def lines_of(task: Task, P: int) -> Lines:
         columns, rows = (
             _real(x.transpose(0, 2, 1).reshape(-1, x.shape[1])) for x in (moved, scatter)
         )
-        found = np.linalg.lstsq(columns, rows)[0].T
-        scatter = scatter - found @ moved
+        amplitudes = np.linalg.lstsq(columns, rows)[0].T
+        scatter = scatter - amplitudes @ moved
     return Lines(
         np.exp(2j * np.pi * lines / P), U[:, lines], Y, scatter, turning.mean(axis=0), M, P, task
     )
@@ -252,18 +252,18 @@ def told_below(fits: Sequence[LineFit], all_lines: Sequence[Lines]) -> float:
         )
 
         # power of each row up to a line; the line up to which all but _UNTOLD of it lies
-        told = np.cumsum(np.sum(np.abs(parts) ** 2, axis=2), axis=1)
-        enough = np.array([np.searchsorted(row, (1 - _UNTOLD) * row[-1]) for row in told]).max()
+        power = np.cumsum(np.sum(np.abs(parts) ** 2, axis=2), axis=1)
+        enough = np.array([np.searchsorted(row, (1 - _UNTOLD) * row[-1]) for row in power]).max()
         worst = max(worst, float(np.angle(lines.z[min(int(enough) + 1, len(lines.z) - 1)])))
     return worst
 
 
-def line_residual(loop: StateSpace, lines: Lines, found: LineFit) -> np.ndarray:
+def line_residual(loop: StateSpace, lines: Lines, fit: LineFit) -> np.ndarray:
     """The residual (p, l) at all lines, with the transient and the waves found at some."""
     # (z I - A) X = B U + z d
-    driven = loop.B @ lines.task.mix @ lines.U + lines.z * found.d[:, None]
+    driven = loop.B @ lines.task.mix @ lines.U + lines.z * fit.d[:, None]
     T, Z = sla.schur(loop.A, output="complex")
-    return np.asarray(lines.Y - loop.C @ _columns(T, Z, driven, lines.z) - found.b @ lines.W)
+    return np.asarray(lines.Y - loop.C @ _columns(T, Z, driven, lines.z) - fit.b @ lines.W)
 
 
 def _real(values: np.ndarray) -> np.ndarray:

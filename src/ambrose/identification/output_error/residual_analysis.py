@@ -54,10 +54,10 @@ def residual_scores(
     span = max(remembered, lags)
 
     # signals: the residuals (p), then the distinct excitations
-    own = [(i, i) for i in range(p, p + len(task.e))]
+    auto_pairs = [(i, i) for i in range(p, p + len(task.e))]
     pairs = [(i, j) for i in range(p) for j in range(p)]
-    crossed = [(i, e) for i in range(p) for e, _ in own]
-    sums = lagged_sums(residual_pieces(loop, task, solution), [*pairs, *crossed, *own], span)
+    crossed = [(i, e) for i in range(p) for e, _ in auto_pairs]
+    sums = lagged_sums(residual_pieces(loop, task, solution), [*pairs, *crossed, *auto_pairs], span)
     covariance = statistics.tapered(sums.values[: p * p, : remembered + 1], k).reshape(
         p, p, remembered + 1
     )

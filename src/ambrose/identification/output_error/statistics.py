@@ -257,11 +257,11 @@ def power_of(tests: Sequence[ResidualTest]) -> dict[str, float]:
     """From which share of the excited response on one that the model lacks would show, by its best
     test: {signal: share}.
     """
-    found: dict[str, float] = {}
+    visible: dict[str, float] = {}
     for test in tests:
         if math.isfinite(test.visible):
-            found[test.signal] = min(found.get(test.signal, math.inf), test.visible)
-    return found
+            visible[test.signal] = min(visible.get(test.signal, math.inf), test.visible)
+    return visible
 
 
 def verdict_of(tests: Sequence[ResidualTest], converged: bool = True, lacking: str = "") -> str:

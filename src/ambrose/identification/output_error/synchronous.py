@@ -129,13 +129,13 @@ class Synchronous:
 
         # Then a and c together, from one bin about the best line.
         simplex = begin + np.array([[0.0, 0.0], [np.pi / _PAD, 0.0], [0.0, np.pi / _PAD]])
-        found = minimize(
+        optimum = minimize(
             lost,
             begin,
             method="Nelder-Mead",
             options={"initial_simplex": simplex, "xatol": 1e-5, "fatol": 1e-9},
         )
-        return None if -found.fun < _CLEAR else self.turned(found.x, samples)
+        return None if -optimum.fun < _CLEAR else self.turned(optimum.x, samples)
 
     def turned(self, change: np.ndarray, samples: int) -> Synchronous:
         """The angle gains a s + c s^2, s from -1 to 1 over the record; but for a constant, which is
@@ -199,7 +199,7 @@ class Synchronous:
         whole = len(signal) * float(np.var(signal)) * len(signal) / 2
         here, around = beside[:, 3], beside[:, [0, 1, 2, 4, 5, 6]].mean(axis=1)
         seen = (here > _LINE * around) & (here > _SHARE * whole)
-        return tuple(order for order, found in zip(self.orders, seen, strict=True) if found)
+        return tuple(order for order, coincides in zip(self.orders, seen, strict=True) if coincides)
 
 
 def synchronous_of(
@@ -286,9 +286,9 @@ def without_synchronous(
     for part in parts:
         W = np.vstack([np.ones(part.stop - part.start), turning.waves(part.start, part.stop)])
         square, product = square + W @ W.T, product + W @ values[moving, part].T
-    found = np.linalg.lstsq(square, product)[0][1:].T
+    amplitudes = np.linalg.lstsq(square, product)[0][1:].T
     for part in parts:
-        values[moving, part] -= found @ turning.waves(part.start, part.stop)
+        values[moving, part] -= amplitudes @ turning.waves(part.start, part.stop)
     values.flags.writeable = False  # or the record would copy it
     signals, units = (tuple(of[i] for i in kept) for of in (record.signals, record.units))
     return replace(record, signals=signals, units=units, values=values)

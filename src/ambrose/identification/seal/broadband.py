@@ -56,18 +56,18 @@ def at_lines(
     )
     outputs = [name for name in signals if not name.startswith("e_")]
     calm = [without_synchronous(record, harmonics) for record in records]
-    found = local_response(calm, inputs, outputs, harmonics=0, at=frequencies)
-    assert found.noise is not None and found.share is not None
+    frf = local_response(calm, inputs, outputs, harmonics=0, at=frequencies)
+    assert frf.noise is not None and frf.share is not None
     seed, result = np.random.default_rng(0), {}
-    own = {name: j for j, group in enumerate(groups) for name in group}
-    for w, omega in enumerate(found.omega.tolist()):
-        left, right = _root(found.noise[w]), _root(found.share[w])
+    group_of = {name: j for j, group in enumerate(groups) for name in group}
+    for w, omega in enumerate(frf.omega.tolist()):
+        left, right = _root(frf.noise[w]), _root(frf.share[w])
         shape = (_DRAWS, len(outputs), len(inputs))
         white = (seed.standard_normal(shape) + 1j * seed.standard_normal(shape)) / np.sqrt(2)
         white -= white.mean(axis=0)
         # The scatter of the mean over draws is to be that of one value: each is as wide as that of
         # a block would be.
-        draws = found.values[w] + np.sqrt(_DRAWS) * left @ white @ right.T
+        draws = frf.values[w] + np.sqrt(_DRAWS) * left @ white @ right.T
         experiments: list[Driven] = []
         for j in range(len(inputs)):
             mean, blocks = (
@@ -76,10 +76,10 @@ def at_lines(
             )
             for i, name in enumerate(signals):
                 if name.startswith("e_"):
-                    mean[i] = blocks[:, i] = float(own.get(name) == j)
+                    mean[i] = blocks[:, i] = float(group_of.get(name) == j)
                 else:
                     mean[i], blocks[:, i] = (
-                        found.values[w, outputs.index(name), j],
+                        frf.values[w, outputs.index(name), j],
                         draws[:, outputs.index(name), j],
                     )
             experiments.append((Phasors(omega, tuple(signals), mean, blocks), measured))

@@ -213,10 +213,23 @@ def with_baseline(machine: Machine, fit: SealFit, records: Sequence[Record]) -> 
     keys, first = np.unique(fit.frequency, return_index=True)
     rows = []
     for w, at in zip(keys.tolist(), first.tolist(), strict=True):
-        own = seal_coefficients(item, replace(point, whirl_frequency=w))
+        baseline = seal_coefficients(item, replace(point, whirl_frequency=w))
         row, same = fit.rows(np.array([at])), fit.rows(fit.frequency == w)
-        values = np.array([[own.K, own.k, own.C, own.c]])
-        whole = np.array([[own.K, own.k, own.k, own.K, own.C, own.c, own.c, own.C]])
+        values = np.array([[baseline.K, baseline.k, baseline.C, baseline.c]])
+        whole = np.array(
+            [
+                [
+                    baseline.K,
+                    baseline.k,
+                    baseline.k,
+                    baseline.K,
+                    baseline.C,
+                    baseline.c,
+                    baseline.c,
+                    baseline.C,
+                ]
+            ]
+        )
         rows.append(
             replace(
                 row,

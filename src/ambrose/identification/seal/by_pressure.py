@@ -42,8 +42,8 @@ class SealByPressure:
         """What makes the coefficients at some pressure doubtful, points that lie off their line
         among it.
         """
-        found = (*self.fit.warnings, *(item for item, matters in self._scattered if matters))
-        return tuple(replace(item, what=f"seal {self.fit.seal} {item.what}") for item in found)
+        findings = (*self.fit.warnings, *(item for item, matters in self._scattered if matters))
+        return tuple(replace(item, what=f"seal {self.fit.seal} {item.what}") for item in findings)
 
     @property
     def note(self) -> str:
@@ -136,10 +136,10 @@ def scattered(fit: SealFit) -> list[tuple[Finding, bool]]:
         if apart[at] <= _FAR:
             continue
         others = np.arange(len(values)) != at
-        told = others.sum() > 2 and np.ptp(rows.pressure[others]) > 0
+        overdetermined = others.sum() > 2 and np.ptp(rows.pressure[others]) > 0
         rest = (
             fit_line(rows.pressure[others], values[others], np.maximum(deviations[others], 1e-300))
-            if told
+            if overdetermined
             else None
         )
         if rest is None:
@@ -173,7 +173,7 @@ def beyond_tolerance(machine: Machine, fit: SealFit) -> tuple[Finding, ...]:
     """
     item = next(one for one in machine.seals if one.name == fit.seal)
     stated = [(parse_parameter(one.parameter), one) for one in machine.tolerances]
-    own = [
+    of_seal = [
         (parameter, one)
         for parameter, one in stated
         if (parameter.table, parameter.name) == ("seal", fit.seal)
@@ -183,14 +183,14 @@ def beyond_tolerance(machine: Machine, fit: SealFit) -> tuple[Finding, ...]:
         fit.pressure.tolist(), fit.values, fit.deviations, strict=True
     ):
         try:
-            given = seal_coefficients(item, replace(point, seal_pressure=pressure))
+            stated_values = seal_coefficients(item, replace(point, seal_pressure=pressure))
         except InvalidInput:  # beyond the file's table: it says nothing there
             continue
         for letter, value, deviation in zip(
             COEFFICIENTS, values.tolist(), deviations.tolist(), strict=True
         ):
-            start, widths = float(getattr(given, letter)), []
-            for parameter, one in own:
+            start, widths = float(getattr(stated_values, letter)), []
+            for parameter, one in of_seal:
                 if parameter.quantity == letter:
                     widths.append(half_width(one, start))
                 elif parameter.quantity == "pressure" and pressure:

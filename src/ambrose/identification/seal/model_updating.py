@@ -153,8 +153,8 @@ def _change(machine: Machine, item: Seal, pressure: Tolerance) -> np.ndarray:
     half = half_width(pressure, point.seal_pressure)
     ends = np.clip([point.seal_pressure - half, point.seal_pressure + half], table[0], table[-1])
     at = [point.seal_pressure, *ends, *(x for x in table if ends[0] < x < ends[1])]
-    found = [seal_coefficients(item, replace(point, seal_pressure=float(x))) for x in at]
-    rows = np.array([[getattr(one, letter) for letter in COEFFICIENTS] for one in found])
+    coefficients = [seal_coefficients(item, replace(point, seal_pressure=float(x))) for x in at]
+    rows = np.array([[getattr(one, letter) for letter in COEFFICIENTS] for one in coefficients])
     return np.asarray(np.abs(rows - rows[0]).max(axis=0))
 
 

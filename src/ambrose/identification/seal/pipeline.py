@@ -141,9 +141,11 @@ def _check_fit(
             i for i, record in enumerate(records, 1) if record.point.seal_pressure == pressure != 0
         ]
         if numbers:
-            own = [records[i - 1] for i in numbers]
+            at_pressure = [records[i - 1] for i in numbers]
             outputs = simulate_outputs(
-                build_experiment(known, own, controller, paths, options), own, values
+                build_experiment(known, at_pressure, controller, paths, options),
+                at_pressure,
+                values,
             )
             findings += diagnose_outputs(known, outputs, numbers)
     return tuple(findings)

@@ -159,8 +159,8 @@ def _at_pressure(
 ) -> list[_Stiffness]:
     experiments = driven(records)
     model = _Model(machine, name, records[0].point, np.array(list(experiments)), records[0].dt)
-    found = [_stiffness(model, i, own) for i, own in enumerate(experiments.values())]
-    return sorted(found, key=lambda item: item.frequency)
+    stiffnesses = [_stiffness(model, i, own) for i, own in enumerate(experiments.values())]
+    return sorted(stiffnesses, key=lambda item: item.frequency)
 
 
 def _steps(
@@ -301,8 +301,8 @@ def _lacking(
     result = {}
     for reference in items:
         w = reference.frequency
-        own = seal_coefficients(item, replace(point, whirl_frequency=w))
-        a, b = own.K + 1j * w * own.C, own.k + 1j * w * own.c
+        coefficients = seal_coefficients(item, replace(point, whirl_frequency=w))
+        a, b = coefficients.K + 1j * w * coefficients.C, coefficients.k + 1j * w * coefficients.c
         result[_key(w)] = (
             reference.pair - np.array([a, b]),
             reference.matrix - np.array([[a, b], [-b, a]]),

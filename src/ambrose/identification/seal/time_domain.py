@@ -143,7 +143,7 @@ def _row(
 ) -> tuple[np.ndarray, ...]:
     """Values, deviations (4,), entries, their deviations (8,), cosine, correlation (4, 4)."""
     item = next(one for one in machine.seals if one.name == name)
-    own = seal_coefficients(item, estimate.point)
+    coefficients = seal_coefficients(item, estimate.point)
     letters = [path.rpartition(".")[2] for path in estimate.paths]
     mix = np.zeros((4, len(letters)))
     for i, letter in enumerate(COEFFICIENTS):
@@ -153,7 +153,7 @@ def _row(
                 mix[i, letters.index(member)] = 1 / len(members)
     sought = mix.any(axis=1)
     values = np.where(
-        sought, mix @ estimate.values, [getattr(own, letter) for letter in COEFFICIENTS]
+        sought, mix @ estimate.values, [getattr(coefficients, letter) for letter in COEFFICIENTS]
     )
     deviations = np.sqrt(np.einsum("ij,jk,ik->i", mix, estimate.covariance, mix))
     eight, eight_deviations = np.full((2, 8), np.nan)

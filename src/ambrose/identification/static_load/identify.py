@@ -136,12 +136,12 @@ def identify(
         np.array(column) for column in zip(*rows, strict=True)
     )
     warnings = tuple(_warnings(axes, relative, share, linearity, values, at_rest))
-    own = magnet_coefficients(machine, point)[0]
+    coefficients = magnet_coefficients(machine, point)[0]
     return StaticLoad(
         machine.name,
         point,
         axes,
-        own,
+        coefficients,
         values,
         deviations,
         at_rest,
@@ -239,10 +239,10 @@ def _check_range(machine: Machine, levels: Levels, places: np.ndarray) -> None:
 
 def _check_loaded(axes: tuple[str, ...], forces: np.ndarray) -> None:
     most = np.abs(forces).max(axis=0)
-    for axis, own in zip(axes, most, strict=True):
-        if own < _SIDED * most.max():
+    for axis, largest in zip(axes, most, strict=True):
+        if largest < _SIDED * most.max():
             raise InvalidInput(
-                f"axis {axis} carries no load ({own:.3g} N of {most.max():.3g} N); its K_i cannot "
+                f"axis {axis} carries no load ({largest:.3g} N of {most.max():.3g} N); its K_i cannot "
                 "be told: "
                 "load the rotor along every actuator axis, in both directions"
             )

@@ -140,12 +140,12 @@ def _of_bearing(
         np.array(getattr(here, quantity)) / np.array(getattr(item.coefficients, quantity)) - 1
         for quantity in ("force_per_current", "negative_stiffness")
     )
-    for way, own, of_k_i, of_k_s in zip(("zeta", "eta"), item.currents, k_i, k_s, strict=True):
+    for way, current, of_k_i, of_k_s in zip(("zeta", "eta"), item.currents, k_i, k_s, strict=True):
         axis = f"{name}_{way}"
         if axis in means and max(abs(of_k_i), abs(of_k_s)) > _TOLD:
             yield (
                 f"{axis} carries a mean current of {means[axis]:.3g} A, by the weight in the "
-                f"machine file {own:.3g} A: this "
+                f"machine file {current:.3g} A: this "
                 f"makes {100 * of_k_i:+.2g} % of k_i and {100 * of_k_s:+.2g} % of k_s, which the "
                 "values found contain"
             )

@@ -133,13 +133,13 @@ def _stated(machine: Machine, result: ParameterEstimate, path: str, start: float
     """
     widths = []
     for item in () if path in TIMING or not start else machine.tolerances:
-        own, other = parse_parameter(path), parse_parameter(item.parameter)
-        if own.overlaps(other):
+        parameter, other = parse_parameter(path), parse_parameter(item.parameter)
+        if parameter.overlaps(other):
             widths.append(half_width(item, start))
         elif (
             other.quantity == "pressure"
-            and own.name == other.name
-            and own.table == "seal"
+            and parameter.name == other.name
+            and parameter.table == "seal"
             and result.point.seal_pressure
         ):
             widths.append(
@@ -283,33 +283,33 @@ def _lines(row: np.ndarray) -> np.ndarray:
 
 
 def delay_findings(
-    given: ParameterEstimate,
+    fitted: ParameterEstimate,
     delay: float,
     dt: float,
     free: Callable[[], ParameterEstimate],
     whole: Callable[[float], ParameterEstimate],
 ) -> tuple[Finding, ...]:
     """Whether another computing delay explains the records clearly better than the ``delay``
-    [samples of dt, s] of ``given``.
+    [samples of dt, s] of ``fitted``.
 
     free: identifies with the delay as an unknown, too; whole: with another whole one, asked where
     the first is refused or leads nowhere. Only asked where the residuals still follow the
     excitation.
     """
-    if all(test.passed for test in given.tests) or CONTROLLER_DELAY in given.paths:
+    if all(test.passed for test in fitted.tests) or CONTROLLER_DELAY in fitted.paths:
         return ()
     try:
         estimate = free()
     except ValueError:  # a fitted controller output has no instant between samples, for instance
         estimate = None
     if estimate is None or not estimate.converged:
-        return _whole_delays(given, delay, whole)
+        return _whole_delays(fitted, delay, whole)
     place = estimate.paths.index(CONTROLLER_DELAY)
     count, deviation = (
         float(estimate.values[place]) / dt,
         float(estimate.standard_deviations[place]) / dt,
     )
-    left, follows = (_left(given), _left(estimate)), (_follows(given), _follows(estimate))
+    left, follows = (_left(fitted), _left(estimate)), (_follows(fitted), _follows(estimate))
     sure = abs(count - delay) > max(_DELAYED, _SURE * deviation)
     if not sure or (left[1] > _CLEARLY * left[0] and follows[1] > _CLEARLY * follows[0]):
         return ()
@@ -347,9 +347,9 @@ def _fixed(value: float, deviation: float) -> str:
 
 
 def _whole_delays(
-    given: ParameterEstimate, delay: float, whole: Callable[[float], ParameterEstimate]
+    estimate: ParameterEstimate, delay: float, whole: Callable[[float], ParameterEstimate]
 ) -> tuple[Finding, ...]:
-    trials = {delay: _left(given)}
+    trials = {delay: _left(estimate)}
     for other in (delay - 1, delay + 1):
         if other >= 0:
             try:

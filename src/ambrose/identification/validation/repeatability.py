@@ -90,12 +90,12 @@ def repeats(
         )
     if not 0 < level < 1:
         raise invalid("level", level, "between 0 and 1", "0.95 is usual")
-    stated = (
+    deviations = (
         np.full(values.shape, np.nan)
         if predicted is None
         else check_shape(predicted, "predicted", "(r, q)", q=len(paths))
     )
-    return Repeats(tuple(paths), values, np.sqrt(np.mean(stated**2, axis=0)), float(level))
+    return Repeats(tuple(paths), values, np.sqrt(np.mean(deviations**2, axis=0)), float(level))
 
 
 def of_estimates(estimates: Sequence[Estimate], level: float = 0.95) -> Repeats:

@@ -115,8 +115,8 @@ def suspects(
             half = len(extra) // 2
             return [] if not half else scored(extra[:half]) + scored(extra[half:])
 
-    found = [*scored(timing), *scored(rest), *([] if cut is None else [cut])]
-    return tuple(sorted(found, key=lambda item: -item.explains))
+    suspected = [*scored(timing), *scored(rest), *([] if cut is None else [cut])]
+    return tuple(sorted(suspected, key=lambda item: -item.explains))
 
 
 def _truncation(
@@ -147,23 +147,23 @@ def _truncation(
     return Suspect(f"{modes} {BENDING_MODES}", 0.0, np.inf, max(1 - costs[1] / costs[0], 0.0), step)
 
 
-def judged(result: ParameterEstimate, found: Sequence[Suspect], dt: float) -> ParameterEstimate:
+def judged(result: ParameterEstimate, suspected: Sequence[Suspect], dt: float) -> ParameterEstimate:
     """The result with intervals that hold the largest move that a suspect would make; the verdict
     names cause and effect.
 
     Where no value would move by more than 2 % (a delay: of a sample ``dt`` [s]) and more than its
     standard deviation, what the residuals hold is no doubt about the values: the warning goes.
     """
-    if not found:
+    if not suspected:
         if all(test.passed for test in result.tests):
             return result
         verdict = verdict_of(result.tests, result.converged, _NOT_THESE)
-        told = [
+        findings = [
             replace(item, what=verdict) if item.code == Code.RESIDUALS else item
             for item in result.warnings
         ]
-        return replace(result, verdict=verdict, warnings=tuple(told))
-    moves = np.abs([item.shift for item in found])
+        return replace(result, verdict=verdict, warnings=tuple(findings))
+    moves = np.abs([item.shift for item in suspected])
     sizes = [
         dt if path in TIMING else abs(value)
         for path, value in zip(result.paths, result.values, strict=True)
@@ -173,7 +173,7 @@ def judged(result: ParameterEstimate, found: Sequence[Suspect], dt: float) -> Pa
     relative = np.where(seen, moves / np.maximum(sizes, 1e-300), 0.0)
     k = int(relative.max(axis=0).argmax())
     effect = float(relative[:, k].max())
-    named = causes(found)
+    named = causes(suspected)
     moved = (
         f"the values move by up to {100 * effect:.2g} % ({result.paths[k]}), which the intervals "
         "hold"
@@ -195,25 +195,25 @@ def judged(result: ParameterEstimate, found: Sequence[Suspect], dt: float) -> Pa
     return replace(wider, verdict=verdict, warnings=tuple(warnings))
 
 
-def explained(finding: Finding, found: Sequence[Suspect]) -> Finding:
+def explained(finding: Finding, suspected: Sequence[Suspect]) -> Finding:
     """A finding that the model misses a response, with the suspects before the causes that no
     single unknown stands for.
     """
-    if finding.code != Code.MISSING_RESPONSE or not found:
+    if finding.code != Code.MISSING_RESPONSE or not suspected:
         return finding
     return replace(
         finding,
-        remedy=f"likeliest first, with the part each would explain: {causes(found)}; else "
+        remedy=f"likeliest first, with the part each would explain: {causes(suspected)}; else "
         f"{finding.remedy}",
     )
 
 
-def causes(found: Sequence[Suspect]) -> str:
+def causes(suspected: Sequence[Suspect]) -> str:
     """The three suspects that explain most, the likeliest first, each with its step and the share
     of the energy it explains.
     """
     return ", ".join(
-        f"{item.path} {_sized(item)} ({100 * item.explains:.2g} %)" for item in found[:3]
+        f"{item.path} {_sized(item)} ({100 * item.explains:.2g} %)" for item in suspected[:3]
     )
 
 
@@ -282,21 +282,24 @@ def _equations(
 
 
 def _scores(experiment: Experiment, result: ParameterEstimate) -> list[Suspect]:
-    theta, own = experiment.nominal.copy(), [experiment.paths.index(path) for path in result.paths]
-    theta[own] = result.values
+    theta, positions = (
+        experiment.nominal.copy(),
+        [experiment.paths.index(path) for path in result.paths],
+    )
+    theta[positions] = result.values
     H, g, cost, middle = _equations(experiment, theta, coloured=True)
     size = np.sqrt(np.maximum(np.diag(H), 1e-300))
     H = H / size / size[:, None]
     g = g / size
     middle = middle / size / size[:, None]
-    found = []
-    for c in (i for i in range(len(theta)) if i not in own):
-        x = np.linalg.solve(H[np.ix_(own, own)], H[own, c])
-        left, slope = H[c, c] - H[c, own] @ x, g[c] - g[own] @ x
+    scores = []
+    for c in (i for i in range(len(theta)) if i not in positions):
+        x = np.linalg.solve(H[np.ix_(positions, positions)], H[positions, c])
+        left, slope = H[c, c] - H[c, positions] @ x, g[c] - g[positions] @ x
         if left <= 1e-9:  # no record tells it from the others
             continue
         weights = np.append(-x, 1.0)
-        spread = float(weights @ middle[np.ix_([*own, c], [*own, c])] @ weights)
+        spread = float(weights @ middle[np.ix_([*positions, c], [*positions, c])] @ weights)
         step, score = slope / left, abs(slope) / np.sqrt(max(spread, 1e-300))
         path = experiment.paths[c]
         most = (
@@ -309,8 +312,8 @@ def _scores(experiment: Experiment, result: ParameterEstimate) -> list[Suspect]:
         if score > _CERTAIN and abs(step) / size[c] < most * max(
             experiment.scale[c], abs(theta[c])
         ):
-            shift = -x * step / size[own]
-            found.append(
+            shift = -x * step / size[positions]
+            scores.append(
                 Suspect(path, step / size[c], float(score), float(slope**2 / left / cost), shift)
             )
-    return found
+    return scores

@@ -293,13 +293,13 @@ def controller_error(factors: CoprimeFactors, record: Record) -> float:
     v, y, e = (signals[:, :_LOOKED_AT] for signals in _command(factors, record))
 
     # V~ v - U~ y - V~ e = 0 for the controller that ran
-    own = select(factors.left, outputs=factors.alpha)
-    left = simulate(own, np.vstack([v, y])) - simulate(factors.V_left, e)
+    left_factor = select(factors.left, outputs=factors.alpha)
+    left = simulate(left_factor, np.vstack([v, y])) - simulate(factors.V_left, e)
 
     # but for its initial state, and a constant in each alpha
     free = [
-        simulate(own, np.zeros((len(own.inputs), v.shape[1])), x0=x0).ravel()
-        for x0 in np.eye(own.n_states)
+        simulate(left_factor, np.zeros((len(left_factor.inputs), v.shape[1])), x0=x0).ravel()
+        for x0 in np.eye(left_factor.n_states)
     ]
     nuisance = np.vstack([*free, np.kron(np.eye(len(v)), np.ones(v.shape[1]))]).T
     unexplained = left.ravel() - nuisance @ np.linalg.lstsq(nuisance, left.ravel())[0]

@@ -60,9 +60,9 @@ def pole_map(
         raise invalid(
             f"the values of {over}", f"{x.size} values", "at least two, ascending", "give a range"
         )
-    found = [_continuous(loop_at(float(value))) for value in x]
-    kept = tuple(p[(p.imag >= 0) & (np.abs(p) <= highest)] for p in found)
-    abscissa = np.array([float(p.real.max()) for p in found])
+    poles = [_continuous(loop_at(float(value))) for value in x]
+    kept = tuple(p[(p.imag >= 0) & (np.abs(p) <= highest)] for p in poles)
+    abscissa = np.array([float(p.real.max()) for p in poles])
     rings = [p[p.imag > 1e-6 * np.abs(p)] for p in kept]
     damping = np.array([float(damping_ratio(p).min()) if len(p) else 1.0 for p in rings])
     ends = tuple(

@@ -129,12 +129,12 @@ def _compliance(
 
 
 def _residual(plant: Plant, residual: Unbalance | None) -> Unbalance:
-    found = residual_unbalance(plant.machine) if residual is None else residual
-    if found is None:
+    unbalance = residual_unbalance(plant.machine) if residual is None else residual
+    if unbalance is None:
         raise InvalidInput(
             "no balancing speed is known; give requirements.balance_speed or a speed range"
         )
-    return found
+    return unbalance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,7 +200,7 @@ def pulse_family(
             "change the step",
         )
     time = np.arange(round(duration / step) + 1) * step
-    found = np.empty((len(members), len(outputs), len(time)))
+    responses = np.empty((len(members), len(outputs), len(time)))
     stable = np.empty(len(members), bool)
     for first in range(0, len(members), _BLOCK):
         block = members[first : first + _BLOCK]
@@ -219,6 +219,6 @@ def pulse_family(
         x = np.zeros((len(block), size, 1))
         for k in range(len(time)):
             u = force if k < on else 0.0
-            found[first : first + _BLOCK, :, k] = (C @ x + D * u)[..., 0]
+            responses[first : first + _BLOCK, :, k] = (C @ x + D * u)[..., 0]
             x = moved[:, :size, :size] @ x + moved[:, :size, size:] * u
-    return PulseFamily(time, found, np.asarray(members, dtype=float), stable, tuple(outputs))
+    return PulseFamily(time, responses, np.asarray(members, dtype=float), stable, tuple(outputs))

@@ -61,10 +61,10 @@ def read_table(model: type[Table], document: Mapping[str, Any], name: str) -> Ta
     try:
         return model.model_validate(document)
     except ValidationError as error:
-        found = error.errors(include_url=False)
-        lines = [_line(detail, document, model) for detail in found[:SHOWN]]
+        problems = error.errors(include_url=False)
+        lines = [_line(detail, document, model) for detail in problems[:SHOWN]]
         # what is beyond is counted only
-        raise InvalidInput(listed(name, [*lines, *[""] * (len(found) - SHOWN)])) from None
+        raise InvalidInput(listed(name, [*lines, *[""] * (len(problems) - SHOWN)])) from None
 
 
 def named_materials(document: Mapping[str, Any]) -> dict[str, Material]:

@@ -105,8 +105,8 @@ def rotor_of_ross(document: Mapping[str, Any], name: str) -> RotorModel:
             "the shear coefficient is Cowper's here, Hutchinson's in the model of ROSS"
         )
     if left:
-        shown = ", ".join(left[:8]) + (f" and {len(left) - 8} more" if len(left) > 8 else "")
-        assumed["seal"] = f"the model of ROSS also holds {shown}: left out"
+        names = ", ".join(left[:8]) + (f" and {len(left) - 8} more" if len(left) > 8 else "")
+        assumed["seal"] = f"the model of ROSS also holds {names}: left out"
     version = document.get("ross_version", "unknown")
     speed = (
         document.get("parameters", {}).get("rated_w")
@@ -128,16 +128,16 @@ def rotor_of_ross(document: Mapping[str, Any], name: str) -> RotorModel:
 
 def merged(sections: Sequence[ShaftSection]) -> list[ShaftSection]:
     """Neighbours of the same length, diameters and material as one section of several elements."""
-    found: list[ShaftSection] = []
+    joined: list[ShaftSection] = []
     for item in sections:
-        last = found[-1] if found else None
+        last = joined[-1] if joined else None
         if last is not None and _alike(last, item):
-            found[-1] = replace(
+            joined[-1] = replace(
                 last, length=last.length + item.length, elements=last.elements + item.elements
             )
         else:
-            found.append(item if last is None else replace(item, start=last.start + last.length))
-    return found
+            joined.append(item if last is None else replace(item, start=last.start + last.length))
+    return joined
 
 
 def _alike(one: ShaftSection, other: ShaftSection) -> bool:

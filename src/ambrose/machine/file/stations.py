@@ -132,12 +132,12 @@ def rotor_of_stations(text: str, name: str) -> RotorModel:
 
 def _kind_of(cell: str) -> tuple[str, str, str]:
     """What a column holds ("": unknown), its unit, and the word that stands there."""
-    found = re.fullmatch(r"\s*([^\[(]*?)\s*(?:[\[(](.*)[\])])?\s*", cell)
-    word = "" if found is None else found[1].lower()
+    match = re.fullmatch(r"\s*([^\[(]*?)\s*(?:[\[(](.*)[\])])?\s*", cell)
+    word = "" if match is None else match[1].lower()
     kind = next(
         (kind for kind, (_, others) in _COLUMNS.items() if word == kind or word in others), ""
     )
-    return kind, (found[2] or "").strip() if found else "", word
+    return kind, (match[2] or "").strip() if match else "", word
 
 
 def _column(name: str, cell: str) -> tuple[str, str]:

@@ -180,19 +180,19 @@ def _update_value(table: Any, key: str, dimension: str, value: Any, wanted: bool
 
 def _in_units(model: type[Model], values: _Plain) -> dict[str, Any]:
     """A new table, its numbers with the units that people write."""
-    told = dict(values)
+    table = dict(values)
     for name, field in model.model_fields.items():
         key, below = field.alias or name, table_below(model, name)
-        if key in told and below is None:
-            told[key] = _worded(told[key], _dimension(model, name, values), key)
-        elif below is not None and key in told and not str(field.annotation).startswith("dict"):
-            several = isinstance(told[key], list)
-            told[key] = (
-                [_in_units(below, item) for item in told[key]]
+        if key in table and below is None:
+            table[key] = _worded(table[key], _dimension(model, name, values), key)
+        elif below is not None and key in table and not str(field.annotation).startswith("dict"):
+            several = isinstance(table[key], list)
+            table[key] = (
+                [_in_units(below, item) for item in table[key]]
                 if several
-                else _in_units(below, told[key])
+                else _in_units(below, table[key])
             )
-    return told
+    return table
 
 
 def _worded(value: Any, dimension: str, key: str) -> Any:

@@ -156,11 +156,11 @@ def section_problems(where: str, section: Section) -> Iterator[str]:
             suggestion(str(kind), SECTIONS),
         )
         return
-    own, inside = SECTIONS[kind], f"{where} ({kind})"
-    given = [key for key in section.to_dict() if key != "kind"]
-    for key in given:
-        if key not in own:
-            yield f"{inside}: {key} is no key of this kind; leave it out, it takes {', '.join(own)}"
+    keys, inside = SECTIONS[kind], f"{where} ({kind})"
+    stated = [key for key in section.to_dict() if key != "kind"]
+    for key in stated:
+        if key not in keys:
+            yield f"{inside}: {key} is no key of this kind; leave it out, it takes {', '.join(keys)}"
     if kind == "pid":
         if section.integral_time is None and section.derivative_time is None:
             yield (
@@ -181,16 +181,16 @@ def section_problems(where: str, section: Section) -> Iterator[str]:
             "derivative_filter",
         )
         return
-    missing = [key for key in own if key not in given]
+    missing = [key for key in keys if key not in stated]
     if missing:
-        yield f"{inside}: {', '.join(missing)} missing; it takes {', '.join(own)}"
+        yield f"{inside}: {', '.join(missing)} missing; it takes {', '.join(keys)}"
         return
     if kind == "sos":
         yield from _coefficients(inside, section.numerator or (), section.denominator or ())
         return
-    zero = [key for key in own if key == "zero_damping"]
+    zero = [key for key in keys if key == "zero_damping"]
     yield from not_positive(inside, section, "zero is the deepest notch", *zero, zero=True)
-    sizes = [key for key in own if key not in {"phase", *zero}]
+    sizes = [key for key in keys if key not in {"phase", *zero}]
     yield from not_positive(inside, section, "leave the section out where it does nothing", *sizes)
     if kind == "phase-bump" and section.phase is not None and abs(section.phase) > 3:
         yield complaint(

@@ -399,9 +399,9 @@ def _requirements(machine: MachineDescription) -> Iterator[str]:
             running[0] <= p.speed * (1 + 1e-9) <= running[1] * (1 + 2e-9)
             for p in machine.operation.envelope
         ):
-            told = " to ".join(f"{speed * 30 / math.pi:.4g}" for speed in running)
+            speeds = " to ".join(f"{speed * 30 / math.pi:.4g}" for speed in running)
             yield (
-                f"{where}: no operating point runs at running_speeds, {told} rpm; add a "
+                f"{where}: no operating point runs at running_speeds, {speeds} rpm; add a "
                 "[[operation.point]] there"
             )
 

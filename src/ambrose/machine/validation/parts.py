@@ -255,8 +255,10 @@ def _iron_and_touchdown(where: str, bearing: MagneticBearing) -> Iterator[str]:
 
 
 def _coefficients(where: str, bearing: MagneticBearing) -> Iterator[str]:
-    given = {key: getattr(bearing, key) for key in ("force_per_current", "negative_stiffness")}
-    missing = [key for key, pair in given.items() if pair is None]
+    coefficients = {
+        key: getattr(bearing, key) for key in ("force_per_current", "negative_stiffness")
+    }
+    missing = [key for key, pair in coefficients.items() if pair is None]
     if len(missing) == 1:
         yield (
             f"{where}: {missing[0]} is missing; give both force_per_current and "
@@ -416,11 +418,11 @@ def supports(machine: MachineDescription) -> Iterator[str]:
             where, mode, "a casing takes energy and gives none", "damping", zero=True
         )
         for key in ("x", "y"):
-            given = getattr(mode, key)
-            if given and len(given) != len(mode.at):
+            values = getattr(mode, key)
+            if values and len(values) != len(mode.at):
                 wanted = f"a list of {len(mode.at)}, one per name in at"
                 yield complaint(
-                    where, key, f"a list of {len(given)}", wanted, "0 where it does not move"
+                    where, key, f"a list of {len(values)}", wanted, "0 where it does not move"
                 )
         if not any((*mode.x, *mode.y)):
             yield (

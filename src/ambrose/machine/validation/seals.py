@@ -229,12 +229,12 @@ def _geometry(where: str, geometry: GasSealGeometry) -> Iterator[str]:
         where, g, "give an absolute pressure", "exit_pressure", "inlet_pressure"
     )
     if (g.exit_pressure is None) == (g.inlet_pressure is None):
-        given = (
+        stated = (
             "both exit_pressure and inlet_pressure are"
             if g.exit_pressure
             else "neither exit_pressure nor inlet_pressure is"
         )
         yield (
-            f"{where}: {given} given; give one, the operating point's seal_pressure yields the "
+            f"{where}: {stated} given; give one, the operating point's seal_pressure yields the "
             "other"
         )

@@ -313,10 +313,10 @@ def _check_section(
         wall = check_finite(value, name) - check_finite(inner, "inner diameter")
         if wall.min() <= 0 or inner.min() < 0:
             at = np.unravel_index(np.argmin(wall), wall.shape)
-            found = f"{value[at]:g} m around a bore of {inner[at]:g} m"
+            have = f"{value[at]:g} m around a bore of {inner[at]:g} m"
             raise invalid(
                 f"the {name}",
-                found,
+                have,
                 "greater than the bore, which is zero or more",
                 "correct the shaft section",
             )

@@ -156,7 +156,7 @@ def slopes(p: tuple[float, ...], currents: Pair, place: Pair = (0.0, 0.0)) -> Ma
     [m].
     """
     at = np.array([*currents, *place])
-    found = []
+    rows = []
     for way in range(4):
         # over i_zeta, i_eta, then zeta, eta, the force along the same axis
         h = _STEP * (p[0] if way < 2 else min(p[5], p[8]))
@@ -165,8 +165,8 @@ def slopes(p: tuple[float, ...], currents: Pair, place: Pair = (0.0, 0.0)) -> Ma
             for v in (at + n * h * np.eye(4)[way] for n in (2, 1, -1, -2))
         )
         # f' = (8 (f_1 - f_-1) - (f_2 - f_-2))/(12 h), fourth order
-        found.append((8 * (one - less) - (two - least)) / (12 * h))
-    return MagnetCoefficients((found[0], found[1]), (found[2], found[3]))
+        rows.append((8 * (one - less) - (two - least)) / (12 * h))
+    return MagnetCoefficients((rows[0], rows[1]), (rows[2], rows[3]))
 
 
 def with_coefficients(

@@ -46,23 +46,23 @@ def linearised(bearing: MagneticBearing, bias_current: float | None = None) -> M
     bias = check_positive(
         bias, f"the bias current [A] of bearing {bearing.name}", "give the premagnetisation current"
     )
-    given = _given(bearing)
-    if given is not None and _same(bias, given.bias_current):
-        return MagnetCoefficients(given.force_per_current, given.negative_stiffness)
+    stated = _given(bearing)
+    if stated is not None and _same(bias, stated.bias_current):
+        return MagnetCoefficients(stated.force_per_current, stated.negative_stiffness)
     if bearing.measured:
         rows = [
             row
             for row in bearing.measured
-            if given is None or not _same(row.bias_current, given.bias_current)
+            if stated is None or not _same(row.bias_current, stated.bias_current)
         ]
-        return _interpolated(bearing.name, [*rows, *([given] if given else [])], bias)
+        return _interpolated(bearing.name, [*rows, *([stated] if stated else [])], bias)
     if bearing.geometry is not None:
         return _from_geometry(bearing.geometry, bearing.iron, bias)
-    if given is not None:
+    if stated is not None:
         raise invalid(
             f"the bias current of bearing {bearing.name}",
             f"{bias:g} A",
-            f"the {given.bias_current:g} A at which its coefficients are given",
+            f"the {stated.bias_current:g} A at which its coefficients are given",
             "add its geometry, or measured rows at other bias currents",
         )
     raise InvalidInput(
@@ -87,8 +87,8 @@ def from_geometry(bearing: MagneticBearing, bias: float) -> bool:
     """Whether the coefficients at a bias current [A] are not stated, but those of the geometry,
     which has no load.
     """
-    given = _given(bearing)
-    return not bearing.measured and (given is None or not _same(bias, given.bias_current))
+    stated = _given(bearing)
+    return not bearing.measured and (stated is None or not _same(bias, stated.bias_current))
 
 
 def force_constant(geometry: MagnetGeometry) -> float:

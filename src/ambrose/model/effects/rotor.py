@@ -228,9 +228,9 @@ def _local_rows(
     slack = 1e-9 * (end - start)
     off = (at < start - slack) | (at > end + slack)
     if off.any():
-        found, span = f"{at[off][0]:g} m", f"on the shaft, from {start:g} to {end:g} m"
+        place, span = f"{at[off][0]:g} m", f"on the shaft, from {start:g} to {end:g} m"
         raise invalid(
-            "the axial position", found, span, "move the attachment or lengthen the shaft"
+            "the axial position", place, span, "move the attachment or lengthen the shaft"
         )
     e = np.clip(np.searchsorted(nodes, at, side="right") - 1, 0, len(nodes) - 2)
     length = np.diff(nodes)[e]

@@ -27,8 +27,8 @@ def linearised(sensors: Sequence[Sensor], axes: Sequence[str]) -> StateSpace:
     """
     gains = []
     lags = []
-    found = channels(sensors, axes)
-    for name, sensor, axis in found:
+    rows = channels(sensors, axes)
+    for name, sensor, axis in rows:
         gains.append(float(check_finite(sensor.gain[axis], f"the sensor gain of axis {name}")))
         if sensor.bandwidth is not None:
             place = f"the sensor bandwidth [rad/s] of bearing {sensor.bearing}"
@@ -41,13 +41,13 @@ def linearised(sensors: Sequence[Sensor], axes: Sequence[str]) -> StateSpace:
     lag = np.array(lags)
     mean = means(sensors, axes)
     slow = np.isfinite(lag)
-    states = np.eye(len(found))[slow]
+    states = np.eye(len(rows))[slow]
     return StateSpace(
         np.diag(-lag[slow]),
         states * np.where(slow, lag * gain, 0.0),
         mean @ states.T,
         mean * np.where(slow, 0.0, gain),
-        [f"s_{name}" for name, *_ in found],
+        [f"s_{name}" for name, *_ in rows],
         [f"y_{axis}" for axis in axes],
     )
 
@@ -59,40 +59,40 @@ def channels(sensors: Sequence[Sensor], axes: Sequence[str]) -> tuple[tuple[str,
     The first pair's are named after the axes, those of the second A_zeta.2 and A_eta.2. Raises
     InvalidInput.
     """
-    found: list[tuple[str, Sensor, int]] = []
+    rows: list[tuple[str, Sensor, int]] = []
     for bearing in dict.fromkeys(axis.rpartition("_")[0] for axis in axes):
-        own = [axis for axis in axes if axis.rpartition("_")[0] == bearing]
+        of_bearing = [axis for axis in axes if axis.rpartition("_")[0] == bearing]
         serving = [sensor for sensor in sensors if sensor.bearing == bearing]
-        for axis in own:
+        for axis in of_bearing:
             if not serving or axis.rpartition("_")[2] not in _INDEX:
                 raise InvalidInput(
                     f"axis {axis!r} has no sensor; give each bearing a [[sensor]] (axes zeta, eta)"
                 )
         for k, sensor in enumerate(serving):
-            found += [
+            rows += [
                 (axis + (f".{k + 1}" if k else ""), sensor, _INDEX[axis.rpartition("_")[2]])
-                for axis in own
+                for axis in of_bearing
             ]
-    return tuple(found)
+    return tuple(rows)
 
 
 def means(sensors: Sequence[Sensor], axes: Sequence[str]) -> np.ndarray:
     """The controller's signals from the single sensors', (axes, channels): by weight, turned to
     each bearing's first pair.
     """
-    found = channels(sensors, axes)
-    result = np.zeros((len(axes), len(found)))
+    rows = channels(sensors, axes)
+    result = np.zeros((len(axes), len(rows)))
     for i, axis in enumerate(axes):
-        own = [
+        of_axis = [
             (j, item, way)
-            for j, (_, item, way) in enumerate(found)
+            for j, (_, item, way) in enumerate(rows)
             if item.bearing == axis.rpartition("_")[0]
         ]
         # weights of one direction of all pairs
-        total = sum(item.weight for _, item, way in own if way == own[0][2])
-        for j, item, way in own:
+        total = sum(item.weight for _, item, way in of_axis if way == of_axis[0][2])
+        for j, item, way in of_axis:
             # signals of a turned pair in the first pair's directions
-            turned = (item.angle or 0.0) - (own[0][1].angle or 0.0)
+            turned = (item.angle or 0.0) - (of_axis[0][1].angle or 0.0)
             result[i, j] = (
                 item.weight / total * rotation(turned)[_INDEX[axis.rpartition("_")[2]], way]
             )

@@ -198,13 +198,13 @@ def _worst(candidate: Candidate) -> tuple[str, Share]:
     return max(known, key=lambda item: (not item[1].passed, item[1].ratio))
 
 
-def _amount(own: Share) -> str:
+def _amount(result: Share) -> str:
     """ "output sensitivity 2.82 (limit 3, share 0.94)"."""
-    check = own.check
+    check = result.check
     if check is None or check.limit is None:
         return ""
     value, limit = units.pair(check.value, check.limit, check.unit)
-    return f"{binding(check)} {value} (limit {limit}, share {ratio_text(own.ratio)})"
+    return f"{binding(check)} {value} (limit {limit}, share {ratio_text(result.ratio)})"
 
 
 def envelope_section(
@@ -309,8 +309,8 @@ def _cell(candidate: Candidate, label: str | None) -> Cell:
     if checks is None:
         why = "not in its schedule" if label in candidate.left_out else ""
         return Cell(NOT_EVALUATED, detail=why, shade="absent")
-    own = share(checks)
-    return _shaded(own, "" if checks.stable else "nominal loop")
+    result = share(checks)
+    return _shaded(result, "" if checks.stable else "nominal loop")
 
 
 def _box_cell(candidate: Candidate, label: str | None) -> Cell:
@@ -320,39 +320,41 @@ def _box_cell(candidate: Candidate, label: str | None) -> Cell:
     )
     if box is None:
         return Cell("" if label is None else NOT_EVALUATED, shade="" if label is None else "absent")
-    own = share(box)
+    result = share(box)
     margin = (
-        own.check if own.check is not None and own.check.name == "robust.stability.margin" else None
+        result.check
+        if result.check is not None and result.check.name == "robust.stability.margin"
+        else None
     )
     return _shaded(
-        own, f"from {units.number(margin.value)} of them on" if margin is not None else ""
+        result, f"from {units.number(margin.value)} of them on" if margin is not None else ""
     )
 
 
-def _shaded(own: Share, why: str) -> Cell:
-    if not own.stable:
+def _shaded(result: Share, why: str) -> Cell:
+    if not result.stable:
         return Cell(
             "unstable",
             "fail",
-            detail=why or (binding(own.check) if own.check is not None else ""),
+            detail=why or (binding(result.check) if result.check is not None else ""),
             shade="unstable",
         )
-    if own.check is None:
+    if result.check is None:
         return Cell("stable", "pass", detail="no limits", shade="free")
     return Cell(
-        ratio_text(own.ratio),
-        "pass" if own.passed else "fail",
-        detail=binding(own.check),
-        shade=shade_of(own),
+        ratio_text(result.ratio),
+        "pass" if result.passed else "fail",
+        detail=binding(result.check),
+        shade=shade_of(result),
     )
 
 
-def shade_of(own: Share) -> str:
+def shade_of(result: Share) -> str:
     """The shade of a stable loop: "meets-1" to "meets-3" up to the limit, "fails-1" to "fails-4"
     beyond it.
     """
-    ends, name = (_MEETS[:-1], "meets") if own.passed else (_FAILS, "fails")
-    return f"{name}-{1 + sum(own.ratio > end for end in ends)}"
+    ends, name = (_MEETS[:-1], "meets") if result.passed else (_FAILS, "fails")
+    return f"{name}-{1 + sum(result.ratio > end for end in ends)}"
 
 
 def _legend() -> Table:

@@ -120,15 +120,15 @@ def _family_figure(
         picture, hidden = panel_figure([[panel]], style, mark_peaks=True)
         return Figure(units.prose(first.title), picture, _with("The controllers overlaid.", hidden))
     longest = max((curve.labels for _, _, curve in families), key=len)
-    shown = _family_labels(machine, longest)
+    labels = _family_labels(machine, longest)
     panels = []
     for candidate, checks, curve in families:
-        lines = tuple((shown.get(label, label), _line(curve, label)) for label in curve.labels)
+        lines = tuple((labels.get(label, label), _line(curve, label)) for label in curve.labels)
         panels.append(
             Panel(candidate.name, lines, (("", _family_note(checks, name, longest, curve.labels)),))
         )
     others = theme.family_styles([name for panel in panels for name, _ in panel.curves])
-    style = {**others, **theme.family_styles([shown[label] for label in longest])}
+    style = {**others, **theme.family_styles([labels[label] for label in longest])}
     picture, hidden = panel_figure(wrapped(panels), style, mark_peaks=True)
     words = (
         f"{caption(first)} Lines that are missing belong to unstable loops. Model: "
@@ -149,11 +149,11 @@ def _family_note(checks: Checks, name: str, every: Sequence[str], stable: Sequen
 def _family_labels(machine: Machine, labels: Sequence[str]) -> dict[str, str]:
     """ "seal.center.k +0.5" as people read it: "seal.center.k +50 %"; other labels stay."""
     relative = {item.parameter: item.relative for item in machine.tolerances}
-    shown = {}
+    legend = {}
     for label in labels:
         match = _DELTA.match(label)
         if match is None:
-            shown[label] = label
+            legend[label] = label
             continue
         parameter, delta = match[1], float(match[2])
         width = relative.get(parameter)
@@ -164,8 +164,8 @@ def _family_labels(machine: Machine, labels: Sequence[str]) -> dict[str, str]:
             if width is None
             else f"{100 * width * delta:+.3g}\u00a0%"
         )
-        shown[label] = f"{parameter} {words}".replace("-", "−")
-    return shown
+        legend[label] = f"{parameter} {words}".replace("-", "−")
+    return legend
 
 
 def gain_figures(machine: Machine, candidates: Sequence[Candidate]) -> tuple[Figure, ...]:
@@ -308,9 +308,9 @@ def _time_figure(
     if len(calm) < len(responses):
         words += " Of a run that is unstable or driven too far the outline of its growth is drawn."
     if span is not None and span[1] - span[0] < 0.99 * whole:
-        shown = f"{units.quantity(span[0], 's')} to {units.quantity(span[1], 's')}"
+        span_words = f"{units.quantity(span[0], 's')} to {units.quantity(span[1], 's')}"
         words += (
-            f" Shown from {shown} of the {units.quantity(whole, 's')} computed; a double-click "
+            f" Shown from {span_words} of the {units.quantity(whole, 's')} computed; a double-click "
             "shows all."
         )
     return Figure(units.prose(first.title), picture, _with(words, hidden))

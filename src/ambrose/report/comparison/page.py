@@ -88,10 +88,10 @@ def comparison_page(
             title=title,
             date=date,
         )
-        whole = _with_boxes(report, machine, only)
-        sections = [*whole.sections, signature_section(machine, candidates, date)]
+        verification = _with_boxes(report, machine, only)
+        sections = [*verification.sections, signature_section(machine, candidates, date)]
         return replace(
-            whole, sections=tuple(sections), signatures=(), result=outcome, opening=opening
+            verification, sections=tuple(sections), signatures=(), result=outcome, opening=opening
         )
     sections = [_glance(machine, candidates, points), _loops(candidates, points)]
     families = figures.family_figures(machine, candidates)
@@ -132,18 +132,18 @@ def _with_boxes(page: Page, machine: Machine, candidate: Candidate) -> Page:
 
 
 def _glance(machine: Machine, candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
-    shown = [
+    contents = [
         comparison_tables.verdict_table(candidates, points),
         comparison_tables.glance_table(machine, candidates, points),
     ]
     if len(points) > 1:
-        shown += comparison_tables.point_tables(candidates, points)
+        contents += comparison_tables.point_tables(candidates, points)
     known = [
         point for label in points for point in machine.operation.envelope if point.label == label
     ]
     if known:
-        shown.append(tables.operating_points_table(known))
-    return Section("At a glance", "", (), tuple(shown))
+        contents.append(tables.operating_points_table(known))
+    return Section("At a glance", "", (), tuple(contents))
 
 
 def _loops(candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
@@ -163,22 +163,22 @@ def _loops(candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
 def _controllers(machine: Machine, candidates: Sequence[Candidate]) -> Section:
     rows: list[Row] = []
     for candidate in candidates:
-        made = candidate.synthesis
-        order = Cell(str(made.controller.n_states), "number")
+        synthesis = candidate.synthesis
+        order = Cell(str(synthesis.controller.n_states), "number")
         rows.append(
             (
                 candidate.name,
-                made.method,
+                synthesis.method,
                 order,
-                made.verdict,
-                made.certificate.plant,
+                synthesis.verdict,
+                synthesis.certificate.plant,
                 candidate.timing,
-                " ".join(made.notes),
+                " ".join(synthesis.notes),
             )
         )
     columns = ("Controller", "Method", "Order", "Status", "Certified on", "Loop judged", "Notes")
-    shown = [Table("How they were made", columns, tuple(rows))]
-    shown += [
+    contents = [Table("How they were made", columns, tuple(rows))]
+    contents += [
         _history(candidate)
         for candidate in candidates
         if any("mu_mixed" in row for row in candidate.synthesis.history)
@@ -187,7 +187,7 @@ def _controllers(machine: Machine, candidates: Sequence[Candidate]) -> Section:
         *figures.gain_figures(machine, candidates),
         *figures.chain_figures(machine, candidates),
     )
-    return Section("Controllers", "", pictures, tuple(shown))
+    return Section("Controllers", "", pictures, tuple(contents))
 
 
 def _history(candidate: Candidate) -> Table:
@@ -217,18 +217,18 @@ def _over_speed(over_speed: Labelled) -> list[Section]:
 
 def _details(candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
     """Every check of every candidate, folded."""
-    shown = []
+    folded = []
     for candidate in candidates:
         ordered = [checks for point in points if (checks := candidate.at(point)) is not None]
         for checks in [*ordered, *candidate.boxes]:
             where, words = checks.label, tables.verdict(checks).text.partition(";")[0]
             if checks in candidate.boxes:  # "stable" would be said of the nominal loop only
                 words = words.removeprefix("stable, ")
-            shown.append(
+            folded.append(
                 replace(tables.checks_table(checks), title=f"{candidate.name}, {where}: {words}")
             )
     hint = "Click on a line to unfold its table; paper shows those that are open."
-    return Section("All checks in detail", "", (), tuple(shown), folded=True, hint=hint)
+    return Section("All checks in detail", "", (), tuple(folded), folded=True, hint=hint)
 
 
 # the rotor assembled at every speed where that was done, else frozen at one
@@ -250,9 +250,9 @@ def signature_section(
     names: Sequence[str] = ("Prepared", "Checked", "Released"),
 ) -> Section:
     """One table: what was judged, with what and when, and a line for each of ``names``."""
-    own = machine_hash(machine)
-    rows: list[Row] = [("Machine file", machine.name, _hash(own), "")]
-    rows += [(candidate.name, *_controller(candidate, own)) for candidate in candidates]
+    digest = machine_hash(machine)
+    rows: list[Row] = [("Machine file", machine.name, _hash(digest), "")]
+    rows += [(candidate.name, *_controller(candidate, digest)) for candidate in candidates]
     rows += [
         ("Program", f"ambrose {__version__}", "", ""),
         ("Date", date or calendar.today().isoformat(), "", ""),
@@ -264,13 +264,15 @@ def signature_section(
     )
 
 
-def _controller(candidate: Candidate, own: str) -> tuple[Cell, Cell, Cell]:
-    made = candidate.synthesis
+def _controller(candidate: Candidate, digest: str) -> tuple[Cell, Cell, Cell]:
+    synthesis = candidate.synthesis
     loop = candidate.timing.partition(":")[0]
-    origin = made.provenance.machine_hash
-    other = f"designed for another machine file: {origin}" if origin not in {None, own} else ""
-    what = Cell(f"method {made.method}, {made.controller.n_states} states, {loop}", detail=other)
-    return what, _hash(made.digest), _critical(candidate.checks)
+    origin = synthesis.provenance.machine_hash
+    other = f"designed for another machine file: {origin}" if origin not in {None, digest} else ""
+    what = Cell(
+        f"method {synthesis.method}, {synthesis.controller.n_states} states, {loop}", detail=other
+    )
+    return what, _hash(synthesis.digest), _critical(candidate.checks)
 
 
 def _hash(digest: str) -> Cell:
@@ -286,11 +288,11 @@ def _critical(points: Sequence[Checks]) -> Cell:
     known = [(label, critical_speeds(curve)) for label, curve in curves if curve is not None]
     if not known:
         return Cell("not evaluated", "muted")
-    label, found = max(known, key=lambda item: max((factor for _, factor in item[1]), default=0.0))
-    if not found:
+    label, speeds = max(known, key=lambda item: max((factor for _, factor in item[1]), default=0.0))
+    if not speeds:
         return Cell("none: critically damped")
     words = [
         f"{units.join(units.number(speed * units.RPM, 4), 'rpm')} ({units.number(factor, 2)})"
-        for speed, factor in found
+        for speed, factor in speeds
     ]
     return Cell(", ".join(words), detail=f"at {label}")

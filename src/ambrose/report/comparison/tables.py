@@ -345,17 +345,19 @@ def _row(sample: Check, entries: Sequence[_Entry], better: Better, *, group: int
     cells = []
     for start in range(0, len(entries), size):
         part = entries[start : start + size]
-        shown = [_amount(entry.check, factor) if entry.check is not None else "" for entry in part]
+        amounts = [
+            _amount(entry.check, factor) if entry.check is not None else "" for entry in part
+        ]
         best = _best(
             [
                 (e.check.value, text)
-                for e, text in zip(part, shown, strict=True)
+                for e, text in zip(part, amounts, strict=True)
                 if e.check is not None
             ],
             better,
         )
-        for entry, text in zip(part, shown, strict=True):
-            own = (
+        for entry, text in zip(part, amounts, strict=True):
+            limit_words = (
                 ""
                 if entry.check is None or len(limits) == 1
                 else f"limit {_limit(entry.check, factor) or 'none'}"
@@ -366,7 +368,10 @@ def _row(sample: Check, entries: Sequence[_Entry], better: Better, *, group: int
             mark = {None: "", True: "pass", False: "fail"}[entry.check.passed]
             cells.append(
                 Cell(
-                    text, mark, text == best, ", ".join(part for part in (entry.words, own) if part)
+                    text,
+                    mark,
+                    text == best,
+                    ", ".join(part for part in (entry.words, limit_words) if part),
                 )
             )
     title = units.prose(first.title) + (f" [{unit}]" if unit else "")
@@ -494,13 +499,13 @@ def _numbers(
     values: Sequence[float], details: Sequence[str] = (), *, better: Better, absent: str = "none"
 ) -> list[Cell]:
     """Plain numbers as cells, the best of them marked; NaN where there is none."""
-    shown = [units.number(value) for value in values]
+    texts = [units.number(value) for value in values]
     known = [
-        (value, text) for value, text in zip(values, shown, strict=True) if not math.isnan(value)
+        (value, text) for value, text in zip(values, texts, strict=True) if not math.isnan(value)
     ]
     best = _best(known, better)
     details = details or [""] * len(values)
     return [
         Cell(absent, "muted") if math.isnan(value) else Cell(text, "", text == best, detail)
-        for value, text, detail in zip(values, shown, details, strict=True)
+        for value, text, detail in zip(values, texts, details, strict=True)
     ]

@@ -145,10 +145,10 @@ def bode_figure(
     )
     sizes = [np.abs(line.gain) for line in lines]
     top = max(float(size.max(initial=0.0)) for size in sizes) or 1.0
-    factor, shown = units.scale(unit, top)
+    factor, shown_unit = units.scale(unit, top)
     for line, size in zip(lines, sizes, strict=True):
         look = looks.get(line.name, _CROSS)
-        pictures = [(1, size * factor, shown)]
+        pictures = [(1, size * factor, shown_unit)]
         if line in phased:
             pictures.append((2, phase(line.gain), "°"))
         for row, y, name in pictures:
@@ -173,7 +173,7 @@ def bode_figure(
     )
     figure.update_xaxes(title_text="Frequency [Hz]", row=2 if phased else 1, col=1)
     figure.update_yaxes(
-        title_text=f"Magnitude [{shown}]" if shown else "Magnitude",
+        title_text=f"Magnitude [{shown_unit}]" if shown_unit else "Magnitude",
         **theme.decades(low * factor, 1.5 * top * factor),
         row=1,
         col=1,

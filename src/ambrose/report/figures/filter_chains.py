@@ -80,13 +80,13 @@ def _numbers(section: Section) -> list[str]:
 
     if section.kind == "pid":
         times = (("i", section.integral_time), ("d", section.derivative_time))
-        told = [f"T<sub>{key}</sub> {units.quantity(value, 's')}" for key, value in times if value]
+        words = [f"T<sub>{key}</sub> {units.quantity(value, 's')}" for key, value in times if value]
         if section.derivative_time:
             corner = 1 / (
                 (section.derivative_filter or DERIVATIVE_FILTER) * section.derivative_time
             )
-            told.append(f"× {hertz(corner)}")
-        return told
+            words.append(f"× {hertz(corner)}")
+        return words
     if section.kind == "notch":
         zeros, poles = (
             damped(section.zero_frequency, section.zero_damping),

@@ -128,8 +128,10 @@ def nyquist(
             hovertemplate=hover,
         )
         for (label, model), style in zip(models.items(), _LOOKS, strict=False):
-            own = model[:, i]
-            theme.scatter(figure, place, own.real, own.imag, label, shown=i == 0, line=style.line)
+            predicted = model[:, i]
+            theme.scatter(
+                figure, place, predicted.real, predicted.imag, label, shown=i == 0, line=style.line
+            )
         point = {"color": theme.INK, "size": 6, "symbol": "cross"}
         theme.scatter(figure, place, [-1], [0], mode="markers", marker=point, hoverinfo="skip")
         figure.update_xaxes(range=[-1 - _NYQUIST, -1 + _NYQUIST], **place)

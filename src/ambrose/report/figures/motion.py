@@ -178,11 +178,11 @@ def orbit_figure(record: Record, places: Sequence[Station], speed: np.ndarray) -
 
     places: from stations.stations. speed (k,) [rad/s]. Returns a plotly Figure.
     """
-    shown = tuple(places)[:_MOST]
-    columns = len(shown) if len(shown) in {3, 5} else min(_PER_ROW, max(len(shown), 3))
-    rows = math.ceil(len(shown) / columns)
-    reach = 1.08 * max(float(station.radius.max()) for station in shown) or 1e-6
-    gaps = [station.gap for station in shown if station.gap is not None]
+    stations = tuple(places)[:_MOST]
+    columns = len(stations) if len(stations) in {3, 5} else min(_PER_ROW, max(len(stations), 3))
+    rows = math.ceil(len(stations) / columns)
+    reach = 1.08 * max(float(station.radius.max()) for station in stations) or 1e-6
+    gaps = [station.gap for station in stations if station.gap is not None]
     if gaps and min(gaps) <= NEAR * reach:
         reach = max(reach, 1.08 * min(gaps))
     factor, unit = units.scale("m", reach)
@@ -193,12 +193,15 @@ def orbit_figure(record: Record, places: Sequence[Station], speed: np.ndarray) -
         horizontal_spacing=0.05,
         vertical_spacing=_GAP / total if rows > 1 else 0.0,
     )
-    centre = largest(shown)[1]
-    peak, last = window(record, shown, speed, centre), window(record, shown, speed, len(speed) - 1)
+    centre = largest(stations)[1]
+    peak, last = (
+        window(record, stations, speed, centre),
+        window(record, stations, speed, len(speed) - 1),
+    )
     spans = [(_span(record, "largest", peak), _PEAK, peak)]
     if last.start > (peak.start + peak.stop) / 2:
         spans.append((_span(record, "end", last), _END, last))
-    for i, station in enumerate(shown):
+    for i, station in enumerate(stations):
         place = {"row": i // columns + 1, "col": i % columns + 1}
         _panel(figure, station, place, spans, factor, unit, reach, first=i == 0)
     theme.dress(figure, total, legend=True)
@@ -206,7 +209,7 @@ def orbit_figure(record: Record, places: Sequence[Station], speed: np.ndarray) -
     bound = reach * factor
     figure.update_xaxes(range=[-bound, bound], constrain="domain", nticks=5)
     figure.update_yaxes(range=[-bound, bound], constrain="domain", nticks=5)
-    for i in range(len(shown)):
+    for i in range(len(stations)):
         x = figure.get_subplot(i // columns + 1, i % columns + 1).xaxis.plotly_name.replace(
             "axis", ""
         )
@@ -335,12 +338,12 @@ def waterfall_figure(record: Record, places: Sequence[Station], speed: np.ndarra
     """
     import plotly.graph_objects as go
 
-    shown = [station for station in places if station.bearing][:2] or list(places)[:2]
+    stations = [station for station in places if station.bearing][:2] or list(places)[:2]
     turns = speed / (2 * np.pi)
     length = _window(record, turns)
     if len(speed) < 2 * _SHORTEST or length < _SHORTEST:
         return None
-    spectra = [spectrum(station, record.sample_rate_hz, length) for station in shown]
+    spectra = [spectrum(station, record.sample_rate_hz, length) for station in stations]
     frequency, middle, _ = spectra[0]
     sizes = [size for _, _, size in spectra]
     top = max(float(size.max()) for size in sizes)
@@ -354,11 +357,11 @@ def waterfall_figure(record: Record, places: Sequence[Station], speed: np.ndarra
     rows = frequency[kept].reshape(-1, pool).mean(axis=1)
     time = record.start_time + middle / record.sample_rate_hz
     seconds, second = units.seconds_or_milliseconds(float(record.time[-1] - record.time[0]))
-    total = _SPECTRUM_HEIGHT * len(shown) + _SPECTRA_GAP * (len(shown) - 1)
+    total = _SPECTRUM_HEIGHT * len(stations) + _SPECTRA_GAP * (len(stations) - 1)
     figure = theme.subplots(
-        rows=len(shown), cols=1, shared_xaxes=True, vertical_spacing=_SPECTRA_GAP / total
+        rows=len(stations), cols=1, shared_xaxes=True, vertical_spacing=_SPECTRA_GAP / total
     )
-    for i, (station, size) in enumerate(zip(shown, sizes, strict=True)):
+    for i, (station, size) in enumerate(zip(stations, sizes, strict=True)):
         place = {"row": i + 1, "col": 1}
         level = size[kept].reshape(-1, pool, size.shape[1]).max(axis=1) * factor
         level = np.log10(np.maximum(level, top * factor * 10 ** (-_DECADES - 1)))
@@ -400,7 +403,7 @@ def waterfall_figure(record: Record, places: Sequence[Station], speed: np.ndarra
     figure.update_xaxes(
         showgrid=False, range=[float(record.time[0]) * seconds, float(record.time[-1]) * seconds]
     )
-    _time_axis(figure, record, turns, seconds, second, len(shown))
+    _time_axis(figure, record, turns, seconds, second, len(stations))
     return figure
 
 

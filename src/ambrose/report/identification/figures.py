@@ -78,11 +78,11 @@ def change_figure(result: ParameterEstimate) -> Any:
     """
     import plotly.graph_objects as go
 
-    shown = [i for i, start in enumerate(result.start) if start]
-    names = [theme.plain(short(result.paths[i])) for i in shown]
-    value = np.array([100 * (result.values[i] / result.start[i] - 1) for i in shown])
+    nonzero = [i for i, start in enumerate(result.start) if start]
+    names = [theme.plain(short(result.paths[i])) for i in nonzero]
+    value = np.array([100 * (result.values[i] / result.start[i] - 1) for i in nonzero])
     half = np.array(
-        [100 * COVERAGE * result.standard_deviations[i] / abs(result.start[i]) for i in shown]
+        [100 * COVERAGE * result.standard_deviations[i] / abs(result.start[i]) for i in nonzero]
     )
     figure = go.Figure()
     theme.scatter(
@@ -302,7 +302,7 @@ def frf_figure(machine: Machine, checked: LoopIdentification) -> tuple[Any, str]
     excitations are missing, or several excitations are the same). The first four axes are shown.
     With the figure: up to where the model agrees, in words.
     """
-    result, shown = checked.result, machine.axes[:4]
+    result, axes = checked.result, machine.axes[:4]
     at = (result.point.seal_pressure, result.point.speed)
     records = [
         o.record
@@ -320,18 +320,18 @@ def frf_figure(machine: Machine, checked: LoopIdentification) -> tuple[Any, str]
             whole, plant_at(machine, result.point, values, checked.bending_modes).system
         )
     validity = compare(whole, models["identified"])
-    names = {axis: units.axis_name(axis) for axis in shown}
-    measured = {names[axis]: whole.select(f"v_{axis}", f"y_{axis}") for axis in shown}
+    names = {axis: units.axis_name(axis) for axis in axes}
+    measured = {names[axis]: whole.select(f"v_{axis}", f"y_{axis}") for axis in axes}
     beside: Mapping[str, Mapping[str, FrequencyResponse]] = {
         names[axis]: {
             label: model.select(f"u_{axis}", f"y_{axis}") for label, model in models.items()
         }
-        for axis in shown
+        for axis in axes
     }
     reach = {
         names[axis]: float(validity.valid_to[i, i])
         for i, axis in enumerate(machine.axes)
-        if axis in shown
+        if axis in axes
     }
     figure = response_figure(
         measured, beside, valid_to={name: end for name, end in reach.items() if end > 0}

@@ -89,11 +89,11 @@ def static_table(checked: StaticIdentification) -> Table:
     for i, path in enumerate(result.paths):
         value, half = float(result.values[i]), COVERAGE * float(result.standard_deviations[i])
         rest, rest_half = float(result.at_rest[i]), COVERAGE * float(result.at_rest_deviations[i])
-        own = float(result.start[i])
+        before = float(result.start[i])
         cells = numbers(
-            units.quantity(own, "N/A", 4),
+            units.quantity(before, "N/A", 4),
             units.plus_minus(value, half, "N/A"),
-            f"{units.fixed(100 * (value / own - 1), 100 * half / own)} %",
+            f"{units.fixed(100 * (value / before - 1), 100 * half / before)} %",
             units.plus_minus(rest, rest_half, "N/A"),
             f"{units.number(100 * float(result.stiffness_share[i]), 2)} %",
             f"{units.number(100 * (value / rest - 1), 2)} %"

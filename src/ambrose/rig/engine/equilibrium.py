@@ -242,12 +242,12 @@ def fastest_pole(rig: Rig, drives: list[Drive]) -> float:
     states = [state_at_rest(rig, np.zeros(rig.coordinates), u)]
     if np.isfinite(gaps).all():
         states.append(_displaced(rig, 1.05 * gaps, [1.0, 0.0]))
-    found = [
+    magnitudes = [
         np.abs(np.linalg.eigvals(linear_view(rig, drive, z, u)[0])).max()
         for drive in drives
         for z in states
     ]
-    return float(max(found))
+    return float(max(magnitudes))
 
 
 def steps_per_sample(dt: float | None, sample_time: float, fastest: float) -> int:

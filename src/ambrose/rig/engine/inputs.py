@@ -122,11 +122,13 @@ class Plan:
         sensors = self.scenario.pressure_sensors
         if not sensors:
             return self.pressures(time)
-        told = sensed(time, sensors, *self._pressure_knots)
+        measured = sensed(time, sensors, *self._pressure_knots)
         noise = np.array([0.0, *(0.0 if item.fault else item.noise for item in sensors)])
         if noise.any():
-            told = told + noise[self._sensor(time)] * self.pressure_noise.standard_normal(count)
-        return told
+            measured = measured + noise[self._sensor(time)] * self.pressure_noise.standard_normal(
+                count
+            )
+        return measured
 
     def lost(self, first: int, count: int) -> np.ndarray:
         """Whether the pressure's sensor tells nothing (count,)."""

@@ -267,7 +267,7 @@ def _forces(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
     """Addresses (t, 2) of the forces of registered effects that are not linear and of their
     constants, and the constants (t, most).
     """
-    found: list[tuple[Any, tuple[float, ...]]] = []
+    forces: list[tuple[Any, tuple[float, ...]]] = []
     for effect, part in attached(machine):
         stations = len(effect.stations(part))
         constants = () if effect.constants is None else tuple(effect.constants(part))
@@ -278,11 +278,11 @@ def _forces(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
                 "one, as its force is not linear",
                 "register an effect per station",
             )
-        found += [(effect.force, constants)] * stations
-    most = max((len(row) for _, row in found), default=0)
-    values = np.zeros((len(found), most))
-    addresses = np.zeros((len(found), 2), dtype=np.int64)
-    for i, (force, row) in enumerate(found):
+        forces += [(effect.force, constants)] * stations
+    most = max((len(row) for _, row in forces), default=0)
+    values = np.zeros((len(forces), most))
+    addresses = np.zeros((len(forces), 2), dtype=np.int64)
+    for i, (force, row) in enumerate(forces):
         values[i, : len(row)] = row
         if force is not None:
             addresses[i] = _address(force, len(row)), values.ctypes.data + i * values.strides[0]
@@ -316,12 +316,13 @@ def _seal_lags(machine: Machine, point: OperatingPoint) -> np.ndarray:
     """The dynamics (seals, l, l + 1) of the seals' states, the same during the whole run; padded
     with states that stay zero.
     """
-    held = [seal_rational.has_states(item) for item in machine.seals]
+    with_lag = [seal_rational.has_states(item) for item in machine.seals]
     most = max(
-        (item.poles for item, states in zip(machine.seals, held, strict=True) if states), default=0
+        (item.poles for item, states in zip(machine.seals, with_lag, strict=True) if states),
+        default=0,
     )
-    result = np.tile(np.column_stack([-np.eye(most), np.zeros(most)]), (len(held), 1, 1))
-    for lags, item, states in zip(result, machine.seals, held, strict=True):
+    result = np.tile(np.column_stack([-np.eye(most), np.zeros(most)]), (len(with_lag), 1, 1))
+    for lags, item, states in zip(result, machine.seals, with_lag, strict=True):
         if states:
             n = item.poles
             rows = seal_rational.rows(seal_model(machine, item, point))

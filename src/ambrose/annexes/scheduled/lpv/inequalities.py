@@ -100,20 +100,21 @@ def smallest_gamma(
     NumericalFailure.
     """
     cost, items = program(family, shape)
-    found = minimise(cost, items, tolerance=_TOLERANCE, time_limit=time_limit)
-    inexact = found.status == "inexact" and found.primal_error < _TIGHT and found.value > 0
+    minimum = minimise(cost, items, tolerance=_TOLERANCE, time_limit=time_limit)
+    inexact = minimum.status == "inexact" and minimum.primal_error < _TIGHT and minimum.value > 0
     # an inexact end will do: everything is recomputed at the end
-    if not (found.status == "optimal" or inexact):
+    if not (minimum.status == "optimal" or inexact):
         what = f"gamma cannot be minimised over the {len(family.plants)} grid points"
-        if found.status == "time limit":
+        if minimum.status == "time limit":
             raise NumericalFailure(
                 f"{what} within {time_limit:.3g} s; raise time_limit or take fewer grid points"
             )
         raise NumericalFailure(
-            f"{what} (the solver ended {found.status} with a residual of {found.primal_error:.2g})"
+            f"{what} (the solver ended {minimum.status} with a residual of "
+            f"{minimum.primal_error:.2g})"
         )
-    bound = found.bound if found.dual_error < _TIGHT else float("nan")
-    return found.value, bound, _lyapunov(found.x, family.n, shape)
+    bound = minimum.bound if minimum.dual_error < _TIGHT else float("nan")
+    return minimum.value, bound, _lyapunov(minimum.x, family.n, shape)
 
 
 def well_conditioned(family: Family, shape: Shape, time_limit: float) -> Lyapunov:
@@ -121,12 +122,13 @@ def well_conditioned(family: Family, shape: Shape, time_limit: float) -> Lyapuno
     reasons = []
     for strict, largest in _MARGINS:
         cost, items = program(family, shape, 1.0, strict, largest)
-        found = minimise(cost, items, tolerance=1e-3, time_limit=time_limit, hopeless=-1.0)
+        minimum = minimise(cost, items, tolerance=1e-3, time_limit=time_limit, hopeless=-1.0)
         reason = (
-            f"slack {strict:g}, R and S up to {largest:g}: {found.status}, t = {-found.value:.4g}"
+            f"slack {strict:g}, R and S up to {largest:g}: {minimum.status}, "
+            f"t = {-minimum.value:.4g}"
         )
-        if found.primal_error < 1e-8 and -found.value > 1:
-            return _lyapunov(found.x, family.n, shape)
+        if minimum.primal_error < 1e-8 and -minimum.value > 1:
+            return _lyapunov(minimum.x, family.n, shape)
         reasons.append(reason)
     raise NumericalFailure(
         f"no well-conditioned solution at this gamma ({reasons[-1]}); increase the back-off"

@@ -83,14 +83,14 @@ def plants_along(
 
     lag [s]: by which the currents act late. weights: None: the machine's; tolerances: None: none.
     """
-    chosen, held = weights or machine_weights(plant.machine), tolerances is not None
+    chosen, uncertain = weights or machine_weights(plant.machine), tolerances is not None
 
     def at(value: Any) -> GeneralizedPlant:
         small = free_mode_reduction(
             replace(plant, point=along.moved(plant.point, value)), bending_modes
         )
         return design_plant(
-            apply_delay(open_model(small, tolerances, held), lag), chosen, uncertain=held
+            apply_delay(open_model(small, tolerances, uncertain), lag), chosen, uncertain=uncertain
         )
 
     return at
@@ -219,11 +219,11 @@ def _over_tolerances(
         if scaled
         else "is without deviations: they were held all the same"
     )
-    held = f"none is unstable and sigma_max(S_o) is at most {worst.sensitivity:.3f}"
+    words = f"none is unstable and sigma_max(S_o) is at most {worst.sensitivity:.3f}"
     notes = (
         f"designed over {len(wide)} tolerances{factor}: gamma {result.gamma:.3g} {what}",
         f"of {worst.members} corners of all tolerances at {where}, "
-        f"{f'{worst.unstable} are unstable' if worst.unstable else held} on the model with "
+        f"{f'{worst.unstable} are unstable' if worst.unstable else words} on the model with "
         f"{modes + _MODES} bending modes",
     )
     # D bends the scaled one

@@ -253,12 +253,14 @@ def _verified(
     axes = family.axes
     for _ in range(_REFINED + 1):
         scheduled = _scheduled(job, family, point, axes)
-        found = frozen(job.plant_at, scheduled, family, point, grid_points(checked), shape.rates)
-        _require(job, found, family.unit)
+        at_points = frozen(
+            job.plant_at, scheduled, family, point, grid_points(checked), shape.rates
+        )
+        _require(job, at_points, family.unit)
         known = grid_points(axes)
         weak = [
             f.value
-            for f in found
+            for f in at_points
             if not f.guaranteed <= _HOLDS * family.unit and f.value not in known
         ]
         if not weak:
@@ -269,7 +271,7 @@ def _verified(
             np.unique(np.append(old, interval_points(new, 1)))
             for old, new in zip(checked, axes, strict=True)
         )
-    return scheduled, found
+    return scheduled, at_points
 
 
 def _scheduled(
@@ -312,11 +314,11 @@ def balanced_states(scheduled: ScheduledSystem) -> ScheduledSystem:
     return replace(scheduled, systems=tuple(systems))
 
 
-def _require(job: _Job, found: Sequence[Frozen], gamma: float) -> None:
+def _require(job: _Job, at_points: Sequence[Frozen], gamma: float) -> None:
     """Raises NumericalFailure unless every frozen loop is stable and the grid points keep
     ``gamma``.
     """
-    for f in found:
+    for f in at_points:
         where = f"at {job.parameter} {named(f.value)} {job.unit}"
         if not f.stable:
             raise NumericalFailure(

@@ -80,20 +80,20 @@ def tolerant_lpv(
                     reason = f"{failure}; narrow the tolerances"
                     say(f"turn {turn + 1} failed: {reason}")
                     break
-                found = judge(result.law)  # type: ignore[arg-type]
-                if not found.members:
+                worst = judge(result.law)  # type: ignore[arg-type]
+                if not worst.members:
                     reason = (
                         "it is unstable without any deviation on a model with more bending modes; "
                         "take more into the design"
                     )
                     raise _Lost
                 say(
-                    f"turn {turn + 1}: gamma {result.gamma:.3f}, {found.unstable} of "
-                    f"{found.members} members of the tolerances "
-                    f"unstable, sigma_max(S_o) {found.sensitivity:.3f}"
+                    f"turn {turn + 1}: gamma {result.gamma:.3f}, {worst.unstable} of "
+                    f"{worst.members} members of the tolerances "
+                    f"unstable, sigma_max(S_o) {worst.sensitivity:.3f}"
                 )
-                if best is None or _order(found) < _order(best[1]):
-                    best = result, found, place, turn > 0
+                if best is None or _order(worst) < _order(best[1]):
+                    best = result, worst, place, turn > 0
                 elif turn:
                     break
                 problem.rescale(result.law)  # type: ignore[arg-type]
@@ -114,8 +114,8 @@ class _Lost(Exception):
     """Further turns would only be faster, and worse."""
 
 
-def _order(found: Worst) -> tuple[int, float]:
-    return found.unstable, found.sensitivity
+def _order(worst: Worst) -> tuple[int, float]:
+    return worst.unstable, worst.sensitivity
 
 
 class _Scaled:
@@ -236,11 +236,13 @@ def worst_corners(units: Mapping[Any, GeneralizedPlant], law: ScheduledSystem) -
 
         # delta at all corners; an unstable member is counted, and left out of the gains
         every = corners(loop.parameters)
-        held = np.array([_holds(loop.system, delta[loop.owner]) for delta in every])
-        unstable, members = unstable + int((~held).sum()), members + len(every)
+        stable = np.array([_holds(loop.system, delta[loop.owner]) for delta in every])
+        unstable, members = unstable + int((~stable).sum()), members + len(every)
         omega = default_grid(loop, _PER_DECADE)
-        found = gains(loop.at(omega), loop, np.vstack([np.zeros(loop.parameters), every[held]]))
-        worst = max(worst, float(found.max()))
+        corner_gains = gains(
+            loop.at(omega), loop, np.vstack([np.zeros(loop.parameters), every[stable]])
+        )
+        worst = max(worst, float(corner_gains.max()))
     return Worst(worst if not unstable else np.inf, unstable, members)
 
 

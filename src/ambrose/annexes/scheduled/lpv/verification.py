@@ -79,7 +79,7 @@ def frozen(
     result = []
     for value in values:
         plant, K = plant_at(value), controller.at(value)
-        found = generalized_certificate(plant, K)
+        certificate = generalized_certificate(plant, K)
         p = family.to_relative(value)
         slacks = [_BoundedReal(lft(plant, K), family, point, p, rates) for rates in relative_rates]
         worst = max(slacks, key=lambda item: item.largest(1.0))
@@ -87,10 +87,10 @@ def frozen(
             Frozen(
                 value,
                 family.on_grid(value),
-                found.stable,
-                found.spectral_abscissa,
-                found.closed_loop_norm,
-                found.fastest_pole,
+                certificate.stable,
+                certificate.spectral_abscissa,
+                certificate.closed_loop_norm,
+                certificate.fastest_pole,
                 worst.largest(1.0),
                 worst.smallest() * family.unit,
             )

@@ -279,7 +279,7 @@ def prove_on_model(model: Model, rate: float, error: float, tell: Tell) -> tuple
     for degree, share in _FUNCTIONS:
         try:
             left = end - time.monotonic()
-            found = proved_on_cells(
+            proof = proved_on_cells(
                 cells,
                 loop.output,
                 rate / loop.span.half,
@@ -291,16 +291,16 @@ def prove_on_model(model: Model, rate: float, error: float, tell: Tell) -> tuple
         except NumericalFailure as failure:
             words = words or f"not proved: {failure}"
             continue
-        before, raised = value, found.gamma * (1 + model.off)
+        before, raised = value, proof.gamma * (1 + model.off)
         if raised < value:
             value = raised
             words = (
-                f"{size}{late}; {found.gamma / at_rest - 1:.1%} above what was found at rest "
+                f"{size}{late}; {proof.gamma / at_rest - 1:.1%} above what was found at rest "
                 "there, and raised by the "
                 f"{model.off:.2%} by which the model is off the full plant at rest; the "
-                f"inequality holds by {found.slack:.0e}, "
-                f"rounding {found.rounding:.0e}"
+                f"inequality holds by {proof.slack:.0e}, "
+                f"rounding {proof.rounding:.0e}"
             )
-        if found.gamma <= (1 + CLOSE) * at_rest or (1 - _GAINED) * before < raised < np.inf:
+        if proof.gamma <= (1 + CLOSE) * at_rest or (1 - _GAINED) * before < raised < np.inf:
             break
     return value, words

@@ -75,7 +75,7 @@ def pressure_loop(
     f = len(forces)
     v = len(motions)
     into = np.zeros((f, r))
-    own = np.zeros((r, v))
+    per_parameter = np.zeros((r, v))
     shift = np.zeros((r, r))
     owner = []
     at = 0
@@ -84,14 +84,14 @@ def pressure_loop(
         into[2 * k : 2 * k + 2, at : at + 2] = np.eye(2)
         for i, P in enumerate(terms):
             here = slice(at, at + 2)
-            own[here, 4 * k : 4 * k + 4] = P
+            per_parameter[here, 4 * k : 4 * k + 4] = P
             if i + 1 < len(terms):
                 shift[here, at + 2 : at + 4] = np.eye(2)
             owner += [k, k]
             at += 2
 
     # outputs (z, y) from (q, qdot, y), inputs (w, u) into (f, u); states scaled by t
-    left, right = block_diag(own, np.eye(len(y))), block_diag(into, np.eye(len(u)))
+    left, right = block_diag(per_parameter, np.eye(len(y))), block_diag(into, np.eye(len(u)))
     A, t = balance(part.A)
     B = part.B @ right / t[:, None]
     C = (left @ part.C) * t
@@ -262,15 +262,15 @@ def _proof(
     loop: VaryingLoop, poles: tuple[float, ...], rate: float, tell: Tell
 ) -> tuple[float, str]:
     try:
-        found: Proof = proved_gain(loop, poles, [rate] * loop.parameters, tell=tell)
+        proof: Proof = proved_gain(loop, poles, [rate] * loop.parameters, tell=tell)
     except NumericalFailure as error:
         return np.inf, f"not proved: {error}"
     size = f"full plant, {len(loop.A)} states" + (
         f" and {loop.controller.n_states} of the sampled law" if loop.controller else ""
     )
     return (
-        found.gamma,
-        f"{size}; the inequality holds by {found.slack:.0e}, rounding {found.rounding:.0e}",
+        proof.gamma,
+        f"{size}; the inequality holds by {proof.slack:.0e}, rounding {proof.rounding:.0e}",
     )
 
 

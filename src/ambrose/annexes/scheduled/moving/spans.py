@@ -64,11 +64,13 @@ def pressure_spans(machine: Machine) -> tuple[PressureSpan, ...]:
     """One span for every speed (and bias) of the operating points and ranges at which there are
     several pressures.
     """
-    found: dict[tuple[float, float | None, float | None], list[OperatingPoint]] = {}
+    groups: dict[tuple[float, float | None, float | None], list[OperatingPoint]] = {}
     for point in machine.operation.envelope:
-        found.setdefault((point.speed, point.bias_current, point.whirl_frequency), []).append(point)
+        groups.setdefault((point.speed, point.bias_current, point.whirl_frequency), []).append(
+            point
+        )
     spans = []
-    for points in found.values():
+    for points in groups.values():
         pressures = [point.seal_pressure for point in points]
         if machine.seals and min(pressures) < max(pressures):
             spans.append(PressureSpan(points[0], min(pressures), max(pressures)))
@@ -106,10 +108,10 @@ def _coefficients(plant: Plant, seal: Seal, pressures: Iterable[float]) -> np.nd
             f"seal {seal.name} has states of its own, which no proof for a changing pressure "
             "covers yet"
         )
-    found = [
+    at_pressures = [
         seal_coefficients(seal, replace(plant.point, seal_pressure=float(p))) for p in pressures
     ]
-    return np.array([[c.K, c.k, c.C, c.c, c.M] for c in found])
+    return np.array([[c.K, c.k, c.C, c.c, c.M] for c in at_pressures])
 
 
 class BentSeal(InvalidInput):

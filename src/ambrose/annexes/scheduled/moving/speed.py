@@ -78,9 +78,9 @@ def speed_spans(machine: Machine, law: LawLike) -> tuple[SpeedSpan, ...]:
     """One for every pressure (and bias) at which operating points have several speeds, cut at a
     schedule's ends.
     """
-    found: dict[tuple[float, float | None, float | None], list[OperatingPoint]] = {}
+    groups: dict[tuple[float, float | None, float | None], list[OperatingPoint]] = {}
     for point in machine.operation.envelope:
-        found.setdefault(
+        groups.setdefault(
             (point.seal_pressure, point.bias_current, point.whirl_frequency), []
         ).append(point)
 
@@ -88,7 +88,7 @@ def speed_spans(machine: Machine, law: LawLike) -> tuple[SpeedSpan, ...]:
     low, high = (0.0, np.inf) if law.range is None else law.range
     ends = (
         (p[0], max(low, min(q.speed for q in p)), min(high, max(q.speed for q in p)))
-        for p in found.values()
+        for p in groups.values()
     )
     spans = (SpeedSpan(*item) for item in ends if item[1] < item[2])
     return tuple(
@@ -302,31 +302,31 @@ def check_speed(
         tell(f"proving the loop {span.label}")
         # the span is -1 .. 1: rad/s^2 into 1/s
         slope = rate / ((span.high - span.low) / 2)
-        found = _proof(family, slope, tell)
+        proof = _proof(family, slope, tell)
         checks.append(
             judge(
                 "moving.speed.rate",
                 title,
-                found.gamma * (1 + off),
+                proof.gamma * (1 + off),
                 "-",
                 wanted,
-                _how(family, found, off),
+                _how(family, proof, off),
             )
         )
-        held = tolerances_around(plant) if tolerances else ()
-        if held:
+        varied = tolerances_around(plant) if tolerances else ()
+        if varied:
             title += ", over the tolerances"
-            family = _Family(plant, span, moving, lag, family.modes, held)
+            family = _Family(plant, span, moving, lag, family.modes, varied)
             tell(
                 f"proving the loop {span.label}, over {len(family.rows)} entries of the tolerances"
             )
             if not len(family.rows):
                 raise NumericalFailure("none of the tolerances is one that this proof covers")
-            found = _proof(family, slope, tell)
-            detail = f"{_how(family, found, off)}; {_varied(family, held)}"
+            proof = _proof(family, slope, tell)
+            detail = f"{_how(family, proof, off)}; {_varied(family, varied)}"
             checks.append(
                 judge(
-                    "moving.speed.tolerances", title, found.gamma * (1 + off), "-", wanted, detail
+                    "moving.speed.tolerances", title, proof.gamma * (1 + off), "-", wanted, detail
                 )
             )
     except AmbroseError as failure:
@@ -384,19 +384,19 @@ def _proof(family: _Family, slope: float, tell: Tell) -> Proof:
     return proved_over_tolerances(family.cells(), C, Z, slope, pole=pole, tell=tell)
 
 
-def _how(family: _Family, found: Proof, off: float) -> str:
+def _how(family: _Family, proof: Proof, off: float) -> str:
     late = f", {1e6 * family.lag:.4g} us late" if family.lag else ""
     return (
         f"model with {family.modes} bending modes per plane{late}, raised by the {off:.2%} by "
         "which it is off the full plant "
-        f"at steady speeds; the inequality holds by {found.slack:.0e}, rounding "
-        f"{found.rounding:.0e}"
+        f"at steady speeds; the inequality holds by {proof.slack:.0e}, rounding "
+        f"{proof.rounding:.0e}"
     )
 
 
-def _varied(family: _Family, held: Sequence[Tolerance]) -> str:
+def _varied(family: _Family, varied: Sequence[Tolerance]) -> str:
     covered = family.covered
-    left = [item.parameter for item in held if item.parameter not in covered]
+    left = [item.parameter for item in varied if item.parameter not in covered]
     how = "standing still" if len(family.rows) <= _MOST else "moving as they like"
     return f"{len(covered)} tolerances, {how}" + (
         f"; not varied: {', '.join(left)}" if left else ""

@@ -172,14 +172,14 @@ def findings_of(history: SealHistory, pressure: float) -> tuple[tuple[str, ...],
             "little; "
             "add a binary sequence of about 0.02 A to every axis, or record longer",
         ), tuple(notes)
-    found = []
+    findings = []
     if not known[-1]:
-        found.append(
+        findings.append(
             f"nothing can be said after {time[known][-1]:.2f} s: the excitation ended, or is too "
             "small for the noise"
         )
     for t in history.restarts:
-        found.append(
+        findings.append(
             f"at {t:.2f} s the seal changed faster than {history.rate:g} of its reference per "
             "second; the estimate began anew"
         )
@@ -196,14 +196,14 @@ def findings_of(history: SealHistory, pressure: float) -> tuple[tuple[str, ...],
                 (known & (high < limit[0]), "below"),
             ):
                 if outside.any():
-                    found.append(
+                    findings.append(
                         f"{path} is {side} its range of {limit[0]:.4g} to {limit[1]:.4g} {unit} "
                         f"from {time[outside][0]:.2f} s "
                         "on; what was proved within the tolerances does not hold there"
                     )
         trend = history.trend(i)
         if trend is not None and abs(trend[0]) > trend[1]:
-            found.append(f"{path} changes by {trend[0]:.3g} +- {trend[1]:.2g} {unit} per second")
+            findings.append(f"{path} changes by {trend[0]:.3g} +- {trend[1]:.2g} {unit} per second")
         if path.endswith(".pressure"):
             measured = (
                 np.full(len(time), pressure) if history.measured is None else history.measured
@@ -213,11 +213,11 @@ def findings_of(history: SealHistory, pressure: float) -> tuple[tuple[str, ...],
                 worst = int(
                     np.flatnonzero(off)[np.argmax(np.abs(measured - history.values[:, i])[off])]
                 )
-                found.append(
+                findings.append(
                     f"the pressure given, {measured[worst]:.4g} Pa, is outside the estimate of "
                     f"{history.values[worst, i]:.4g} "
                     f"+- {history.half_widths[worst, i]:.2g} Pa at {time[worst]:.2f} s: the seal "
                     "is not as the file has it, or "
                     "the sensor is wrong"
                 )
-    return tuple(found), tuple(notes)
+    return tuple(findings), tuple(notes)

@@ -239,21 +239,21 @@ def _stable_loop(
 
 def _doubted(machine: Machine, widths: Mapping[str, float]) -> list[tuple[str, float, str]]:
     """Path, relative half width and kind of what is taken as known."""
-    found = []
+    doubted = []
     for quantity, width in widths.items():
         if quantity == "amplifier":
-            found += [
+            doubted += [
                 (f"amplifier.{name}", width, quantity)
                 for name in AMPLIFIER_PARAMETERS[machine.amplifier.order]
                 if name.endswith(("bandwidth", "frequency"))
             ]
         else:
-            found += [
+            doubted += [
                 (f"bearing.{item.name}.{quantity}.{axis}", width, quantity)
                 for item in machine.bearings
                 for axis in ("zeta", "eta")
             ]
-    return [item for item in found if item[1] > 0]
+    return [item for item in doubted if item[1] > 0]
 
 
 def _kalman(

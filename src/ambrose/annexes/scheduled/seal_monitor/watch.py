@@ -212,13 +212,13 @@ def monitor(
         )
     y, u = (np.stack([record[f"{kind}_{axis}"] for axis in machine.axes]) for kind in "yu")
     e = np.stack(signal_rows(record, [f"e_{axis}" for axis in machine.axes]))
-    found: list[Estimate] = []
+    estimates: list[Estimate] = []
     for start in range(0, total, stretch):
         part = slice(start, start + stretch)
-        found += following.follow(y[:, part], u[:, part] + e[:, part], e[:, part])
+        estimates += following.follow(y[:, part], u[:, part] + e[:, part], e[:, part])
         if start and start % (20 * stretch) == 0:
             progress(f"{start * record.dt:.0f} of {total * record.dt:.0f} s")
-    return _history(machine, watched, following.model, following, record, found)
+    return _history(machine, watched, following.model, following, record, estimates)
 
 
 def _watched(machine: Machine, name: str | None) -> Seal:
@@ -284,18 +284,20 @@ def _history(
     model: SealModel,
     following: SealMonitor,
     record: Record,
-    found: Sequence[Estimate],
+    estimates: Sequence[Estimate],
 ) -> SealHistory:
     step, q = following.block * model.dt, len(model.paths)
-    time = record.start_time + following.settling + step * np.arange(1, len(found) + 1)
+    time = record.start_time + following.settling + step * np.arange(1, len(estimates) + 1)
 
     def rows(name: str) -> np.ndarray:
-        return np.array([getattr(item, name) for item in found]).reshape(-1, q) * model.reference
+        return (
+            np.array([getattr(item, name) for item in estimates]).reshape(-1, q) * model.reference
+        )
 
     values = rows("theta")
     half = rows("half_width")
     noise = rows("noise")
-    ages = np.array([item.age for item in found])
+    ages = np.array([item.age for item in estimates])
     silent = ~(
         (ages < OLD * following.window)
         & (noise < WIDE * model.reference).all(axis=1)
@@ -320,7 +322,7 @@ def _history(
         noise,
         rows("known"),
         rows("change"),
-        _apart(time[[item.restarted for item in found]].tolist(), following.window),
+        _apart(time[[item.restarted for item in estimates]].tolist(), following.window),
         model.reference,
         following.rate,
         following.window,
