@@ -390,12 +390,12 @@ def print_checks(checks: Any, everything: bool) -> None:
 
     table = checks_table(checks)
     keep = [i for i, column in enumerate(table.columns) if not column.startswith("Standard")]
-    shown = [i for i, check in enumerate(checks.checks) if everything or check.passed is not None]
+    listed = [i for i, check in enumerate(checks.checks) if everything or check.passed is not None]
     rows = [
         tuple(f"{table.cells[k][i].symbol} {table.cells[k][i].text}".strip() for i in keep)
-        for k in shown
+        for k in listed
     ]
-    marks = tuple("red" if checks.checks[k].passed is False else "" for k in shown)
+    marks = tuple("red" if checks.checks[k].passed is False else "" for k in listed)
     print_table(
         f"{checks.label}: {verdict(checks).text}",
         tuple(table.columns[i] for i in keep),

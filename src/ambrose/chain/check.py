@@ -119,7 +119,7 @@ def critical_speeds(machine: Machine, count: int = 4) -> list[float]:
     one way than the other.
     """
     rotor = finite_element_rotor(machine)
-    held = springs(machine)
+    supports = springs(machine)
     point = machine.operation.design
     bending = min(_MODES, bending_modes_of(rotor))
     bare = replace(
@@ -130,7 +130,7 @@ def critical_speeds(machine: Machine, count: int = 4) -> list[float]:
     model = attached_rotor(bare, point, rotor, bending)
     N = model.C[: len(machine.axes)]
     extra = (
-        np.repeat([held[b.name][0] for b in machine.bearings], 2)
+        np.repeat([supports[b.name][0] for b in machine.bearings], 2)
         + magnet_coefficients(machine, point)[1]
     )
     planes = np.kron(np.eye(2 + bending), [[0.0, 1.0], [-1.0, 0.0]])
@@ -163,11 +163,11 @@ def capacities(machine: Machine, properties: MassProperties) -> list[Capacity]:
     k_i, k_s = (
         values.reshape(-1, 2) for values in magnet_coefficients(machine, machine.operation.design)
     )
-    found = []
+    rows = []
     for number, bearing in enumerate(machine.bearings):
         current = min(bearing.max_current or bearing.bias_current, bearing.bias_current)
         force = bearing.max_force or float(k_i[number].min() * current)
-        found.append(
+        rows.append(
             Capacity(
                 bearing.name,
                 float(k_i[number].min()),
@@ -177,7 +177,7 @@ def capacities(machine: Machine, properties: MassProperties) -> list[Capacity]:
                 float(np.abs(magnets[number].currents).max()),
             )
         )
-    return found
+    return rows
 
 
 def insight(plant: Plant) -> dict[str, Any]:

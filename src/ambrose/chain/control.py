@@ -42,8 +42,8 @@ def _objection(plant: Plant, method: Method, kept: Synthesis) -> str:
     """Why a kept controller is not what this design would give; "" where nothing speaks against
     it.
     """
-    own, key = kept.provenance.key, provenance(plant, method).key
-    if other := [name for name in {**key, **own} if own.get(name) != key.get(name)]:
+    kept_key, key = kept.provenance.key, provenance(plant, method).key
+    if other := [name for name in {**key, **kept_key} if kept_key.get(name) != key.get(name)]:
         return f"it was made for another {', '.join(other)}"
     wrong = contradiction(
         plant, kept, sampled_margins(plant, kept.law, method.on(plant.machine).timing())

@@ -133,8 +133,8 @@ def new_machine(
         tuple(quantity_of("bearings", place) for place in bearings),
         quantity_of("speed", speed),
     )
-    found = {key: quantity_of(key, value) for key, value in known.items() if value is not None}
-    return machine_of_rotor(rotor, Known(vertical=vertical, rate=rate, **found))
+    quantities = {key: quantity_of(key, value) for key, value in known.items() if value is not None}
+    return machine_of_rotor(rotor, Known(vertical=vertical, rate=rate, **quantities))
 
 
 @named_failure("the new machine")
@@ -362,7 +362,7 @@ def _sensors(
     shapes = free_modes(rotor, 2).shapes
     plane = np.empty((2 * rotor.n_nodes, 2))
     plane[0::2], plane[1::2] = shapes[0::4, 4::2], shapes[3::4, 4::2]
-    long, found = bare.length, []
+    long, positions = bare.length, []
     for name, place in zip(names, places, strict=True):
         outward = -1.0 if place < long / 2 else 1.0
         sides = [
@@ -371,8 +371,8 @@ def _sensors(
         clear = [at for at in sides if 0.01 * long <= at <= 0.99 * long] or [place]
         w = plane_rows(rotor, [place, *clear])[0] @ plane
         same = [bool((w[0] * row > 0).all()) for row in w[1:]]
-        found.append(Sensor(name, rounded(clear[same.index(True)] if any(same) else place, 4)))
-    return tuple(found)
+        positions.append(Sensor(name, rounded(clear[same.index(True)] if any(same) else place, 4)))
+    return tuple(positions)
 
 
 def _with_aims(machine: Machine, reasons: dict[str, str]) -> Machine:

@@ -56,7 +56,7 @@ _SHAFT = ("length", "diameter", "speed")
 @click.option("--name", help="What the machine is called; default: the file's name.")
 @click.option("--force", is_flag=True, help="Replace a file that exists.")
 @AS_JSON
-def new(file: Path, force: bool, as_json: bool, **given: Any) -> None:
+def new(file: Path, force: bool, as_json: bool, **answers: Any) -> None:
     """Write a machine file to start from: what is not given is asked for on a terminal, or chosen
     so that the rotor levitates.
 
@@ -76,7 +76,7 @@ def new(file: Path, force: bool, as_json: bool, **given: Any) -> None:
             f"{file} exists already; choose another name, or replace it with --force"
         )
     claim(machine_file=file)
-    missing = [key for key in _SHAFT if given[key] is None]
+    missing = [key for key in _SHAFT if answers[key] is None]
     if (missing and as_json) or (missing and not (sys.stdin.isatty() and sys.stderr.isatty())):
         options = ", ".join(f"--{key}" for key in missing)
         raise InvalidInput(
@@ -84,16 +84,16 @@ def new(file: Path, force: bool, as_json: bool, **given: Any) -> None:
             f"--{missing[0]} {_EXAMPLES[missing[0]]}"
         )
     if missing:
-        given = _asked(given)
-    rate = given.pop("rate_hz")
-    discs = given.pop("discs")
-    bearings = given.pop("bearings")
+        answers = _asked(answers)
+    rate = answers.pop("rate_hz")
+    discs = answers.pop("discs")
+    bearings = answers.pop("bearings")
     machine = new_machine(
-        name=given.pop("name") or file.stem.strip() or "my machine",
+        name=answers.pop("name") or file.stem.strip() or "my machine",
         discs=[_split(disc, "--disc", "position, mass, diameter", 3) for disc in discs],
         bearings=_split(bearings, "--bearings", "positions", None) if bearings else (),
         rate=rate,
-        **{key: _united(key, value) for key, value in given.items()},
+        **{key: _united(key, value) for key, value in answers.items()},
     )
     save_machine(machine, file)
     reasons = dict(machine.assumed)
@@ -108,8 +108,8 @@ def new(file: Path, force: bool, as_json: bool, **given: Any) -> None:
         f"{reasons['controller']}"
     )
     say(
-        f"{len(reasons)} entries are assumed, each with its reason in the file; next: ambrose check "
-        f"{file}"
+        f"{len(reasons)} entries are assumed, each with its reason in the file; "
+        f"next: ambrose check {file}"
     )
     sys.exit(0 if holds_shaft else 1)
 

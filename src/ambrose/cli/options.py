@@ -70,12 +70,12 @@ def chosen_from(
     """
     context = click.get_current_context()
     flags = {item.name: item.opts[-1] for item in context.command.params if item.name}
-    given = [
+    stated = [
         name for name in asked if context.get_parameter_source(name) is not ParameterSource.DEFAULT
     ]
-    refuse_foreign(kinds, "kind", kind, given, {**flags, "kind": word})
+    refuse_foreign(kinds, "kind", kind, stated, {**flags, "kind": word})
     having = {item.name: item for item in fields(kinds[kind])}
-    return kinds[kind](**{name: _read(having[name], asked[name], flags[name]) for name in given})
+    return kinds[kind](**{name: _read(having[name], asked[name], flags[name]) for name in stated})
 
 
 def _names(kinds: Kinds) -> tuple[str, ...]:

@@ -146,10 +146,10 @@ def simulate(
         "--stuck-after": stuck_after,
     }
     watched["--estimate"] = estimate
-    for option, given in watched.items():
-        if given is not None and fallback is None:
+    for option, is_given in watched.items():
+        if is_given is not None and fallback is None:
             raise invalid(
-                option, given, "given with --fallback", "name the controller that takes over"
+                option, is_given, "given with --fallback", "name the controller that takes over"
             )
     description = load(machine)
     controller = load_controller(path, description)

@@ -111,12 +111,12 @@ def _plain_hints(function: Callable[..., Any]) -> tuple[tuple[str, Any], ...]:
     """The arguments of a function, or the fields of a dataclass, whose annotation is made of bool,
     int and None alone.
     """
-    module, found = inspect.unwrap(function).__module__, []
+    module, hints = inspect.unwrap(function).__module__, []
     for name, parameter in inspect.signature(function).parameters.items():
         words = str(parameter.annotation).replace("|", " ").split()
         if words and not set(words) - {"bool", "int", "None"}:
-            found.append((name, _evaluated(parameter.annotation, module)))
-    return tuple(found)
+            hints.append((name, _evaluated(parameter.annotation, module)))
+    return tuple(hints)
 
 
 def check_types(

@@ -189,19 +189,19 @@ def check_axes(axes: ArrayLike | Sequence[ArrayLike], parameter: str) -> tuple[n
     alone. Raises InvalidInput.
     """
     names = parameter.split(AND)
-    given: Any = (
+    grids: Any = (
         axes
         if len(names) > 1 or (isinstance(axes, tuple) and len(axes) == 1 and np.ndim(axes[0]))
         else (axes,)
     )
-    if len(given) != len(names):
+    if len(grids) != len(names):
         raise invalid(
             "the number of the grid's axes",
-            len(given),
+            len(grids),
             f"{len(names)}, for {parameter}",
             "give one for each",
         )
-    return tuple(check_grid(axis, name) for axis, name in zip(given, names, strict=True))
+    return tuple(check_grid(axis, name) for axis, name in zip(grids, names, strict=True))
 
 
 def grid_points(axes: Sequence[np.ndarray]) -> list[Any]:

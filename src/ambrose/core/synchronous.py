@@ -183,12 +183,12 @@ def borders(
     roots between neighbouring points are not seen. tolerance: relative, of each root.
     """
     levels = [value(float(w)) for w in grid]
-    found = []
+    speeds = []
     for k in range(len(grid) - 1):
         if (levels[k] > 0) != (levels[k + 1] > 0):
             root = brentq(value, float(grid[k]), float(grid[k + 1]), rtol=tolerance)
-            found.append(Border(float(root), levels[k + 1] > 0))
-    return tuple(found)
+            speeds.append(Border(float(root), levels[k + 1] > 0))
+    return tuple(speeds)
 
 
 def best_inverse(responses: np.ndarray, sweeps: int = 60) -> np.ndarray:

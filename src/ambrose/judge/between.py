@@ -31,8 +31,8 @@ def check_range(
     plant = assemble(machine, point)
     full = certify(plant, running_law(law, plant, timing), margins=False)
     size = (
-        f"{len(extremes.speeds)} speeds x {len(extremes.pressures)} pressures, {100 * extremes.change:.2g} "
-        "% between neighbours"
+        f"{len(extremes.speeds)} speeds x {len(extremes.pressures)} pressures, "
+        f"{100 * extremes.change:.2g} % between neighbours"
     )
     wanted = demand("maximum singular value of a sensitivity", machine.requirements)
     abscissa = max(float(extremes.abscissa.max()), full.spectral_abscissa)

@@ -46,14 +46,14 @@ def separation_check(
     Its value is the amplification factor over the allowed one: 0 where no peak stands near
     ``running`` [rad/s]. The detail lists all critical speeds, the one that binds first.
     """
-    found = _different(omega, orbits)
-    allowed = allowed_amplification(np.array([speed for speed, _ in found]), running)
-    ratio = np.array([factor for _, factor in found]) / allowed
+    resonances = _different(omega, orbits)
+    allowed = allowed_amplification(np.array([speed for speed, _ in resonances]), running)
+    ratio = np.array([factor for _, factor in resonances]) / allowed
     listed = "; ".join(
         f"{speed / TWO_PI:.4g} Hz has {factor:.3g}, "
         f"{f'allowed {most:.3g}' if math.isfinite(most) else 'far enough'}"
         for (speed, factor), most in (
-            (found[k], allowed[k]) for k in np.argsort(-ratio, kind="stable")
+            (resonances[k], allowed[k]) for k in np.argsort(-ratio, kind="stable")
         )
         if factor >= LEAST_AMPLIFICATION
     )

@@ -74,12 +74,12 @@ def search(
     ]
     while True:
         values = np.array([[judged(float(v), float(p)) for p in grids[1]] for v in grids[0]])
-        found = Found(grids[0], grids[1], values[..., 0], values[..., 1])
-        changes = [_changes(found.peak, axis).max(axis=1 - axis, initial=0.0) for axis in (0, 1)]
+        result = Found(grids[0], grids[1], values[..., 0], values[..., 1])
+        changes = [_changes(result.peak, axis).max(axis=1 - axis, initial=0.0) for axis in (0, 1)]
         axis = int(np.argmax([part.max(initial=0.0) for part in changes]))
         added = len(grids[1 - axis])
-        if changes[axis].max(initial=0.0) <= _CHANGE or found.peak.size + added > _MOST:
-            return found
+        if changes[axis].max(initial=0.0) <= _CHANGE or result.peak.size + added > _MOST:
+            return result
         k = int(changes[axis].argmax())
         grids[axis] = np.insert(grids[axis], k + 1, grids[axis][k : k + 2].mean())
 

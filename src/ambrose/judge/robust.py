@@ -300,7 +300,7 @@ def _corner_check(loop: BoxLoop) -> tuple[Check, np.ndarray]:
     points = np.vstack([corners(loop.parameters), samples(loop.parameters)])
     unstable = unstable_poles(loop, points) > 0
     where = f"; for one, {_named(loop, points[np.argmax(unstable)])}" if unstable.any() else ""
-    found = judge(
+    unstable_check = judge(
         "robust.stability.box",
         "Unstable points of the tolerance box, counted",
         int(unstable.sum()),
@@ -308,7 +308,7 @@ def _corner_check(loop: BoxLoop) -> tuple[Check, np.ndarray]:
         Demand(0.0, "<=", "every tolerance"),
         f"{len(points)} corners and samples{where}",
     )
-    return found, points[unstable]
+    return unstable_check, points[unstable]
 
 
 def _margin_check(loop: BoxLoop, margin: BoxMargin) -> Check:

@@ -155,8 +155,8 @@ def pole_checks(eigenmodes: Modes, requirements: Requirements, top_speed: float)
         k = low[np.argmin(eigenmodes.log_decrement[low])]
         title = "Log decrement of the modes up to the top speed"
         where = (
-            f"{describe(eigenmodes, k)}; modes up to {ceiling / TWO_PI:.4g} Hz, the first forward one "
-            "included"
+            f"{describe(eigenmodes, k)}; modes up to {ceiling / TWO_PI:.4g} Hz, "
+            "the first forward one included"
         )
         wanted = demand("log decrement", requirements)
         checks.append(

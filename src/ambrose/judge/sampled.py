@@ -89,8 +89,8 @@ def check_over_box(
     Raises InvalidInput.
     """
     controller = match_controller(controller, plant)
-    held = plant.machine.tolerances if tolerances is None else tuple(tolerances)
-    box = sampled_box(plant, controller, held)
+    tolerances_varied = plant.machine.tolerances if tolerances is None else tuple(tolerances)
+    box = sampled_box(plant, controller, tolerances_varied)
     names = box.names
 
     # the nominal point, the points given, then corners and samples

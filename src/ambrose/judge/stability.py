@@ -93,7 +93,7 @@ def describe(results: Sequence[Stability]) -> str:
     if lost:
         worst = max(lost, key=lambda item: item.abscissa)
         return (
-            f"unstable at {len(lost)} of {len(results)} operating points, the most at {worst.label} "
-            f"({worst.abscissa:+.4g} rad/s)"
+            f"unstable at {len(lost)} of {len(results)} operating points, "
+            f"the most at {worst.label} ({worst.abscissa:+.4g} rad/s)"
         )
     return f"stable at all {len(results)} operating points examined ({results[0].model})"

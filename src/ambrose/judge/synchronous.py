@@ -180,25 +180,25 @@ def _margin_checks(item: BlockLoop, progress: Progress, members: int, seed: int)
         )
         return [_angle("synchronous.margin", title, worst, wanted, detail)]
     checks = []
-    shown: list[tuple[IntervalProof, Condition]] = []
+    proofs: list[tuple[IntervalProof, Condition]] = []
     for condition in item.conditions:
         progress(f"proving convergence at {condition.label}")
         pencils = loop_pencils(item.loop, condition, low, high)
-        shown.append(
+        proofs.append(
             (
                 prove_interval(pencils, item.table.at, item.table.speeds.tolist(), low, high),
                 condition,
             )
         )
-    failed = [(proof, condition) for proof, condition in shown if not proof.proved]
+    failed = [(proof, condition) for proof, condition in proofs if not proof.proved]
     if failed:
         detail = _refusal(item, failed[0][0], failed[0][1])
         return [_angle("synchronous.margin", title, min(failed[0][0].angle, -1e-6), wanted, detail)]
-    proof, condition = min(shown, key=lambda entry: entry[0].angle)
-    cells = sum(one.cells for one, _ in shown)
+    proof, condition = min(proofs, key=lambda entry: entry[0].angle)
+    cells = sum(one.cells for one, _ in proofs)
     detail = (
         f"at {proof.worst:.4g} rad/s, {condition.label}; proved at every speed of the band and "
-        f"{_pressures(len(shown))}, {cells} cells, on the full plant without aliasing, which is "
+        f"{_pressures(len(proofs))}, {cells} cells, on the full plant without aliasing, which is "
         "allowed for"
     )
     checks.append(_angle("synchronous.margin", title, proof.angle, wanted, detail))

@@ -140,7 +140,7 @@ def verify_ranges(
     """
     law = law_of(law)
     stable = {checks.label: checks.stable for checks in points}
-    found = []
+    ranges = []
     beyond = []
     for area in machine.operation.ranges:
         covered = [law.covers(assemble(machine, corner)) for corner in area.corners]
@@ -148,8 +148,8 @@ def verify_ranges(
             beyond.append(area.label)
         elif all(stable.get(corner.label, True) for corner in area.corners):
             progress(f"verifying between the points of {area.label}")
-            found.append(check_range(machine, area, law, timing))
-    return tuple(found), tuple(beyond)
+            ranges.append(check_range(machine, area, law, timing))
+    return tuple(ranges), tuple(beyond)
 
 
 def verify_synchronous(
@@ -215,8 +215,10 @@ def verify_tolerances(
                     checks[0], checks=(*checks[0].checks, robust.stability(plant, model, every))
                 )
         if timing is not None:
-            found = checks[0].found if checks else ()
-            checks.append(sampled.check_over_box(plant, timing.in_loop(matched), varied, found))
+            worst_points = checks[0].found if checks else ()
+            checks.append(
+                sampled.check_over_box(plant, timing.in_loop(matched), varied, worst_points)
+            )
         boxes.append(_joined(box_label(plant.point.label), checks))
     return tuple(boxes)
 

@@ -190,14 +190,14 @@ def embedded(parts: Sequence[np.ndarray]) -> list[np.ndarray]:
     """
     size = 1 + sum(len(part) - 1 for part in parts)
     start = 1
-    found = []
+    matrices = []
     for part in parts:
         whole = np.eye(size, dtype=part.dtype)
         at = [0, *range(start, start + len(part) - 1)]
         whole[np.ix_(at, at)] = part
-        found.append(whole)
+        matrices.append(whole)
         start += len(part) - 1
-    return found
+    return matrices
 
 
 def bank(chains: Sequence[np.ndarray], into: np.ndarray, out: np.ndarray) -> np.ndarray:

@@ -134,11 +134,11 @@ def timing_of(
             "given with a rate",
             "say at which rate [Hz] the controller runs",
         )
-    given = delay_samples != timing.delay_samples and timing.source != "given"
+    overridden = delay_samples != timing.delay_samples and timing.source != "given"
     return Timing(
         timing.sample_time,
         delay_samples,
-        f"{timing.source}, delay given" if given else timing.source,
+        f"{timing.source}, delay given" if overridden else timing.source,
     )
 
 

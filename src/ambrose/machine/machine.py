@@ -102,9 +102,9 @@ class Machine(MachineDescription):
         """The machine as the nested tables of its file, SI; keys at their default only with
         ``defaults``.
         """
-        given = Part.to_dict(self, defaults=defaults)
+        stated = Part.to_dict(self, defaults=defaults)
         materials = _material_names(self)
-        head = {"schema": SCHEMA_VERSION, **{key: given[key] for key in _HEAD if key in given}}
+        head = {"schema": SCHEMA_VERSION, **{key: stated[key] for key in _HEAD if key in stated}}
         if self.assumed:
             head["assumed"] = dict(self.assumed)
         document: dict[str, Any] = {"machine": head}
@@ -112,7 +112,7 @@ class Machine(MachineDescription):
             document["material"] = {
                 name: material.to_dict(defaults=defaults) for material, name in materials.items()
             }
-        document["shaft"] = given["shaft"]
+        document["shaft"] = stated["shaft"]
         for table, section in zip(document["shaft"], self.shaft, strict=True):
             table.pop("material", None)
             if section.material in materials:
@@ -128,16 +128,16 @@ class Machine(MachineDescription):
             "bending_mode",
             "tolerance",
         )
-        document.update({key: given[key] for key in several if key in given})
+        document.update({key: stated[key] for key in several if key in stated})
         for table, parts in by_table(self.effects).items():
             document[table] = [part.to_dict(defaults=defaults) for part in parts]
         # a file must name the order
-        document["amplifier"] = {"order": self.amplifier.order, **given.get("amplifier", {})}
+        document["amplifier"] = {"order": self.amplifier.order, **stated.get("amplifier", {})}
         document.update(
             {
-                key: given[key]
+                key: stated[key]
                 for key in ("controller", "weights", "operation", "requirements")
-                if key in given
+                if key in stated
             }
         )
         return document

@@ -65,13 +65,18 @@ def _full_modes(rotor: Rotor, forces: tuple[float, ...]) -> FreeModes:
         return true
     # loads: a unit force at every place, gyroscopic moments of tilting and the first bending modes
     turning = in_plane(true)[:, 1 : 2 + _TURNING].T @ rotor.plane_gyroscopic
-    own, plane = residual_modes(rotor, kept, np.vstack([plane_rows(rotor, forces)[0], turning]))
+    frequencies, plane = residual_modes(
+        rotor, kept, np.vstack([plane_rows(rotor, forces)[0], turning])
+    )
 
     # columns in turn: a mode in x, the same in y
     both = np.stack([to_plane(plane, "x"), to_plane(plane, "y")], axis=2).reshape(
         2 * len(plane), -1
     )
-    arrays = np.hstack([true.shapes, both]), np.concatenate([true.frequencies, np.repeat(own, 2)])
+    arrays = (
+        np.hstack([true.shapes, both]),
+        np.concatenate([true.frequencies, np.repeat(frequencies, 2)]),
+    )
     for array in arrays:
         array.flags.writeable = False
     return FreeModes(*arrays)

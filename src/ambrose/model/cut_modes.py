@@ -75,12 +75,12 @@ def compliance_error_bound(machine: Machine, speed: float, omega: ArrayLike) -> 
 
     # G and ports in the modes of the model; residual modes for the loads G Phi_a
     turning, ports = Phi.T @ G @ Phi, plane_rows(rotor, port_positions(machine))[0] @ Phi
-    own, shapes = residual_modes(rotor, kept - 2, (G @ Phi[:, :kept]).T)
+    frequencies, shapes = residual_modes(rotor, kept - 2, (G @ Phi[:, :kept]).T)
     # Lambda^-1/2 G_ca, whole and in Q
-    loads, held = Phi[:, :kept].T @ G @ shapes / own, turning[:kept, kept:] / theta
+    loads, coupling = Phi[:, :kept].T @ G @ shapes / frequencies, turning[:kept, kept:] / theta
 
     # beside^T beside = loads loads^T - held held^T: |l_2| = |w Omega beside a|
-    values, vectors = np.linalg.eigh(loads @ loads.T - held @ held.T)
+    values, vectors = np.linalg.eigh(loads @ loads.T - coupling @ coupling.T)
     beside = (vectors * np.sqrt(np.maximum(values, 0.0))).T
     bound = np.empty(len(omega))
     for i, w in enumerate(omega):

@@ -63,12 +63,13 @@ class Reduction:
         """
         omega = check_shape(omega, "omega", "(w,)")
         # without velocities and the ports of single modes: displacements per force
-        own = tuple(f"_{name}" for name in mode_ports(self.plant.machine))
+        mode_suffixes = tuple(f"_{name}" for name in mode_ports(self.plant.machine))
         keep, used = (
             [
                 i
                 for i, name in enumerate(names)
-                if not name.startswith("qdot_") and not (own and name.endswith(own))
+                if not name.startswith("qdot_")
+                and not (mode_suffixes and name.endswith(mode_suffixes))
             ]
             for names in (self.residual.outputs, self.residual.inputs)
         )

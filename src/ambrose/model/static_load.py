@@ -109,15 +109,17 @@ def stated_at_load(machine: Machine, bearing: MagneticBearing) -> MagneticBearin
     def here(bias: float) -> MagnetCoefficients:
         return operating_magnets(machine, bias)[at].coefficients
 
-    own, rows = here(bearing.bias_current), []
+    at_rest, rows = here(bearing.bias_current), []
     for row in bearing.measured:
-        found = here(row.bias_current)
-        rows.append(BiasPoint(row.bias_current, found.force_per_current, found.negative_stiffness))
+        at_bias = here(row.bias_current)
+        rows.append(
+            BiasPoint(row.bias_current, at_bias.force_per_current, at_bias.negative_stiffness)
+        )
     return replace(
         bearing,
         coefficients_at="static-load",
-        force_per_current=own.force_per_current,
-        negative_stiffness=own.negative_stiffness,
+        force_per_current=at_rest.force_per_current,
+        negative_stiffness=at_rest.negative_stiffness,
         measured=tuple(rows),
     )
 

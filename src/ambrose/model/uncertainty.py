@@ -195,13 +195,13 @@ def not_varied(plant: Plant) -> tuple[str, ...]:
     reason, in words.
     """
     label, tolerances = plant.point.label or "the point", tolerances_around(plant)
-    found = []
+    names = []
     for item in plant.machine.tolerances:
         if item not in tolerances:
             elsewhere = item.around and plant.point.label not in item.around
             why = f"given for {', '.join(item.around)} only" if elsewhere else "zero here"
-            found.append(f"{label}: {item.parameter} ({why})")
-    return tuple(found)
+            names.append(f"{label}: {item.parameter} ({why})")
+    return tuple(names)
 
 
 def _half_widths(tolerance: Tolerance, places: Sequence[Channel]) -> list[float]:

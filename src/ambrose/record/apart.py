@@ -103,7 +103,7 @@ def _answer(path: Path, answer: Path, seconds: float) -> None:
     names = json.load(sys.stdin)
     _limit(_MEMORY + (16 * NUMBERS if names is None else 0), seconds)
     try:
-        told, tree = [], None
+        entries, tree = [], None
         if names is None:
             read_hdf5(path)
         elif tuple(names) == _ALL:
@@ -111,7 +111,7 @@ def _answer(path: Path, answer: Path, seconds: float) -> None:
         with answer.with_suffix(".numbers").open("wb") as file:
             for variable in read_variables(path, names) if names else ():
                 values = np.ascontiguousarray(variable.values)
-                told.append(
+                entries.append(
                     [
                         values.dtype.str,
                         file.tell(),
@@ -122,7 +122,7 @@ def _answer(path: Path, answer: Path, seconds: float) -> None:
                     ]
                 )
                 values.tofile(file)
-        text = json.dumps({"variables": told, "tree": tree})
+        text = json.dumps({"variables": entries, "tree": tree})
     except InvalidInput as error:
         text = json.dumps({"refused": str(error)})
     answer.write_text(text, encoding="utf-8")

@@ -148,7 +148,7 @@ def read_columns(document: Mapping[str, Any], name: str = "column map") -> Colum
             "known, add it"
         )
     try:
-        given = table.given()
-        return ColumnMap(**{**given, "notes": tuple(given.get("notes", {}).items())})
+        stated = table.given()
+        return ColumnMap(**{**stated, "notes": tuple(stated.get("notes", {}).items())})
     except InvalidInput as error:
         raise InvalidInput(f"{name}: {error}") from error

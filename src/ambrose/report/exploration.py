@@ -231,19 +231,23 @@ def pulse_picture(family: PulseFamily) -> Any:
     tail = np.abs(family.responses[:, :, -len(family.time) // 10 :]).max(axis=(1, 2))
     last = int(np.argmax(np.where(family.stable, tail, -1.0)))
     for i, name in enumerate(family.outputs):
-        place, shown = {"row": i // columns + 1, "col": i % columns + 1}, i == 0
+        place, in_legend = {"row": i // columns + 1, "col": i % columns + 1}, i == 0
         factor, unit = units.scale(
             "m" if name.startswith("q") else "A", float(np.abs(family.responses[0, i]).max())
         )
         if len(stable):
             low, high = (f(axis=0)[::5] * factor for f in (stable[:, i].min, stable[:, i].max))
-            theme.band(picture, place, time, low, high, _BAND, "stable members" if shown else "")
+            theme.band(
+                picture, place, time, low, high, _BAND, "stable members" if in_legend else ""
+            )
         for label, member, look in (
             ("nominal", 0, theme.Style(theme.INK, "solid", "x", 1.6)),
             ("swings longest", last, theme.Style("#d55e00", "6px,3px", "x", 1.3)),
         ):
             values = drawn(family.responses[member, i, ::5] * factor)
-            theme.scatter(picture, place, drawn(time), values, label, shown=shown, line=look.line)
+            theme.scatter(
+                picture, place, drawn(time), values, label, shown=in_legend, line=look.line
+            )
         picture.update_yaxes(title_text=f"[{unit}]", **place)
     theme.dress(picture, _HEIGHT * rows, legend=True)
     picture.update_xaxes(title_text="Time [ms]", row=rows)

@@ -61,7 +61,7 @@ def commissioning_section(
 
     from_code: whether the rig ran compiled code (otherwise its law in Python).
     """
-    shown = (
+    tables = (
         _rig_table(
             reference, commissioned, points, "compiled C code" if from_code else "its law in Python"
         ),
@@ -81,7 +81,7 @@ def commissioning_section(
             _CYCLE,
         ),
     )
-    return Section("Commissioned on the rig", _ON_THE_RIG, figures, shown, True)
+    return Section("Commissioned on the rig", _ON_THE_RIG, figures, tables, True)
 
 
 def _verdict(checked: LoopIdentification) -> Table:

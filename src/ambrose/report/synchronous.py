@@ -31,8 +31,8 @@ def synchronous_section(blocks: Sequence[Checks]) -> Section:
             "convergence."
         )
         figures = (Figure("Over speed, before and after", synchronous_figure(with_curves), words),)
-    shown = tuple(tables.checks_table(block) for block in blocks if block.checks)
-    return Section("Synchronous blocks", _WORDS, figures, shown)
+    check_tables = tuple(tables.checks_table(block) for block in blocks if block.checks)
+    return Section("Synchronous blocks", _WORDS, figures, check_tables)
 
 
 def synchronous_page(

@@ -193,10 +193,10 @@ def models_section(comparison: Labelled) -> list[Section]:
 def _overview(machine: Machine, verifications: Sequence[Checks]) -> Section:
     wanted = {checks.label for checks in verifications}
     points = [point for point in machine.operation.envelope if point.label in wanted]
-    shown = [*tables.overview_tables(verifications)]
+    overview = [*tables.overview_tables(verifications)]
     if points:
-        shown.append(tables.operating_points_table(points))
-    return Section("Overview", "", (), tuple(shown))
+        overview.append(tables.operating_points_table(points))
+    return Section("Overview", "", (), tuple(overview))
 
 
 def machine_section(machine: Machine, models: Sequence[tuple[str, str]]) -> Section:
@@ -215,9 +215,9 @@ def machine_section(machine: Machine, models: Sequence[tuple[str, str]]) -> Sect
         "reversal of the controller at that mode."
     )
     drawing = Figure("Rotor and free-free modes", machine_drawing(machine), words)
-    shown = [tables.stations_table(machine)]
+    contents = [tables.stations_table(machine)]
     if models:
-        shown.append(Table("Models", ("Model", "Size"), tuple(models)))
+        contents.append(Table("Models", ("Model", "Size"), tuple(models)))
     if machine.assumed:
-        shown.append(Table("Chosen, not measured", ("Parameter", "Reason"), machine.assumed))
-    return Section("Machine", "", (drawing,), tuple(shown))
+        contents.append(Table("Chosen, not measured", ("Parameter", "Reason"), machine.assumed))
+    return Section("Machine", "", (drawing,), tuple(contents))

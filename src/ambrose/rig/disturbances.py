@@ -261,7 +261,7 @@ def sensed(
     """
     edges = np.unique([0.0, *knots, *(item.time for item in sensors)])
     at = np.searchsorted(edges, time, side="right") - 1
-    result, told = np.empty(len(time)), float(np.interp(0.0, knots, values))
+    result, last = np.empty(len(time)), float(np.interp(0.0, knots, values))
     for i, start in enumerate(edges.tolist()):
         item = next((sensor for sensor in reversed(sensors) if sensor.time <= start), _EXACT)
         # constant after the last knot
@@ -272,13 +272,13 @@ def sensed(
         )
         # a fault holds what was told last; without a lag the sensor tells g at once
         slope = 0.0 if item.fault else (then - begin) / (end - start)
-        begin, behind = told if item.fault else begin, slope * item.lag
-        told = begin if item.lag == 0 else told
+        begin, behind = last if item.fault else begin, slope * item.lag
+        last = begin if item.lag == 0 else last
         # g + s t - s T + (l - g + s T) e^(-t/T); the last entry is the next segment's l
         since = np.append(time[at == i], end) - start
         left = np.exp(-since / item.lag) if item.lag > 0 else np.zeros(len(since))
-        found = begin + slope * since - behind + (told - begin + behind) * left
-        result[at == i], told = found[:-1], float(found[-1])
+        reading = begin + slope * since - behind + (last - begin + behind) * left
+        result[at == i], last = reading[:-1], float(reading[-1])
     return result
 
 

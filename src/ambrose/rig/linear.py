@@ -84,7 +84,7 @@ def run(
             "shorten the scenario or raise dt",
         )
     names, c = waveforms(scenario, first.inputs, step, k, mass)
-    shown = list(first.outputs if outputs is None else outputs)
+    recorded = list(first.outputs if outputs is None else outputs)
     watched = [name for name in first.outputs if name.startswith("q_")] or [
         n for n in first.outputs if n.startswith("y_")
     ]
@@ -99,7 +99,7 @@ def run(
         loop_at,
         scenario,
         names,
-        list(dict.fromkeys([*shown, *watched])),
+        list(dict.fromkeys([*recorded, *watched])),
         c,
         step,
         course,
@@ -112,7 +112,9 @@ def run(
     beyond = np.abs(y[index_of(watched, task.outputs, "output")]) > limit
     stop = int(np.argmax(beyond.any(axis=0))) if beyond.any() else None
     k = y.shape[1] if stop is None else stop + 1
-    record = _record(task, y[index_of(shown, task.outputs, "output"), :k], shown, machine, point)
+    record = _record(
+        task, y[index_of(recorded, task.outputs, "output"), :k], recorded, machine, point
+    )
     culprit = watched[int(np.argmax(beyond[:, stop]))] if stop is not None else ""
     stopped_at = None if stop is None else stop * step
     outcome = "completed" if stop is None else ("limit exceeded" if stable else "diverged")
@@ -214,19 +216,19 @@ def _resolve(loop: Any, course: _Course) -> tuple[LoopAt, StateSpace]:
 
 
 def _sample_time(loop: StateSpace, scenario: Scenario, dt: float | None) -> float:
-    given = (
+    stated = (
         scenario.sample_time
         if dt is None
         else check_positive(dt, "dt", "give the sample time in seconds")
     )
     if loop.dt is not None:
-        if given is not None and not same_clock(given, loop.dt):
+        if stated is not None and not same_clock(stated, loop.dt):
             raise invalid(
-                "the sample time", given, f"the loop's own {loop.dt:g} s, or None", "leave it out"
+                "the sample time", stated, f"the loop's own {loop.dt:g} s, or None", "leave it out"
             )
         return loop.dt
-    if given is not None:
-        return given
+    if stated is not None:
+        return stated
     return _SAMPLE_TIME / max(1.0, np.ceil(scenario.fastest * _SAMPLE_TIME / FASTEST))
 
 
@@ -358,7 +360,7 @@ def _check_same_states(
 
 def _rightmost(frozen: Sequence[tuple[float, StateSpace]]) -> tuple[complex | None, float]:
     """The rightmost pole [rad/s] of the loops, and the speed or pressure it belongs to."""
-    found: list[tuple[float, complex, float]] = []
+    rightmost: list[tuple[float, complex, float]] = []
     for value, system in frozen:
         z = poles(system)
         # sampled: s = ln(z)/dt, a pole at zero far to the left
@@ -367,19 +369,19 @@ def _rightmost(frozen: Sequence[tuple[float, StateSpace]]) -> tuple[complex | No
             if system.dt is None
             else np.log(np.maximum(np.abs(z), 1e-300)) / system.dt + 1j * np.angle(z) / system.dt
         )
-        found += [(float(pole.real), complex(pole), value) for pole in s]
-    if not found:
+        rightmost += [(float(pole.real), complex(pole), value) for pole in s]
+    if not rightmost:
         return None, frozen[0][0]
-    _, pole, at = max(found, key=lambda entry: (entry[0], entry[1].imag))
+    _, pole, at = max(rightmost, key=lambda entry: (entry[0], entry[1].imag))
     return pole, at
 
 
 def _record(
-    task: _Task, y: np.ndarray, shown: Sequence[str], machine: str, point: OperatingPoint | None
+    task: _Task, y: np.ndarray, recorded: Sequence[str], machine: str, point: OperatingPoint | None
 ) -> Record:
     """Outputs, driven inputs and, where it changes, the speed or pressure, as a Record."""
     k = y.shape[1]
-    names, values = [*shown, *task.inputs], [y, task.c[0, :, :k]]
+    names, values = [*recorded, *task.inputs], [y, task.c[0, :, :k]]
     if task.course.moves:
         names.append("speed" if task.course.along is SPEED else "p_seal")
         values.append(task.course.at(np.arange(k) * task.dt)[None])

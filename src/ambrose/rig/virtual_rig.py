@@ -241,12 +241,16 @@ def _begin(task: Plan, laws: _Laws, drive: Drive, substeps: int) -> _Motion:
     """The state at the start; the compiled code has then been called once, and so is there."""
     law = laws.at(drive, 0, False)
     lifted = task.scenario.initial == LEVITATED
-    z, x, held = levitated_state(task.rig, drive, law) if lifted else landed_state(task.rig, law)
-    near = z.copy() if lifted else state_at_rest(task.rig, np.zeros(task.rig.coordinates), held)
-    trial = _Motion(z.copy(), x.copy(), held.copy(), near)
+    z, x, last_output = (
+        levitated_state(task.rig, drive, law) if lifted else landed_state(task.rig, law)
+    )
+    near = (
+        z.copy() if lifted else state_at_rest(task.rig, np.zeros(task.rig.coordinates), last_output)
+    )
+    trial = _Motion(z.copy(), x.copy(), last_output.copy(), near)
     trial.follow(task, drive, 0)
     _advance(task.rig, law, drive, 1, trial, 1)
-    return _Motion(z, x, held, near, substeps)
+    return _Motion(z, x, last_output, near, substeps)
 
 
 def _rightmost(rig: Rig, drive: Drive, laws: _Laws, switched: bool) -> complex:
@@ -381,11 +385,11 @@ def _program(law: Law, second: Law | None, computing_delay: int) -> ControlProgr
 
 
 def _remembered(
-    recent: list[tuple[np.ndarray, np.ndarray]], held: np.ndarray, delay: int
+    recent: list[tuple[np.ndarray, np.ndarray]], last_output: np.ndarray, delay: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """The last errors (a, k) and the outputs (a, k) computed from them; what acts was computed
     ``delay`` samples earlier.
     """
     errors, acting = (np.concatenate([pair[i] for pair in recent], axis=1) for i in (0, 1))
-    outputs = np.column_stack([acting[:, delay:], held]) if delay else acting
+    outputs = np.column_stack([acting[:, delay:], last_output]) if delay else acting
     return errors[:, -_MEMORY:], outputs[:, -_MEMORY:]

@@ -69,19 +69,19 @@ def subject(case: Case, bases: Bases, fixed: Mapping[str, Any]) -> Subject:
     """The case made ready; fixed: what holds for all cases (names of the bases, "options"). Raises
     InvalidInput.
     """
-    given = {
+    values = {
         **{name: fixed[name] for name in ("machine", "controller", "scenario", "point")},
         **case.by_path,
     }
     parts: dict[str, dict[str, Value]] = {}
-    for path, value in given.items():
+    for path, value in values.items():
         section, _, rest = path.partition(".")
         if rest:
             parts.setdefault(section, {})[rest] = value
-    name = str(given["machine"])
+    name = str(values["machine"])
     machine = machine_with(bases.machines[name], tuple(parts.get("machine", {}).items()))
     base = machine_with(bases.machines[name], ())
-    controller: LawLike | None = bases.controllers.get((str(given["controller"]), name))
+    controller: LawLike | None = bases.controllers.get((str(values["controller"]), name))
     gains = parts.get("controller", {})
     if other := [key for key in gains if key != "gain"]:
         raise InvalidInput(
@@ -91,12 +91,12 @@ def subject(case: Case, bases: Bases, fixed: Mapping[str, Any]) -> Subject:
     if gains and controller is not None:
         controller = _scaled(controller, _number("controller.gain", gains["gain"]))
     scenario = None
-    if given["scenario"]:
-        document = json.loads(bases.scenarios[str(given["scenario"])])
+    if values["scenario"]:
+        document = json.loads(bases.scenarios[str(values["scenario"])])
         for path, value in parts.get("scenario", {}).items():
             assign(document, path, value, "scenario")
         scenario = read_scenario(document)
-    point = _point(machine, str(given["point"]), parts.get("point", {}))
+    point = _point(machine, str(values["point"]), parts.get("point", {}))
     options = {**fixed["options"], **parts.get("option", {})}
     return Subject(
         machine,

@@ -65,13 +65,13 @@ def check_options(plan: Plan) -> None:
     wrong type.
     """
     known = _options_of(plan.task)
-    given = [(name, [value]) for name, value in plan.options.items()]
-    given += [
+    stated = [(name, [value]) for name, value in plan.options.items()]
+    stated += [
         (v.path.partition(".")[2], list(v.values))
         for v in plan.variables
         if v.path.startswith("option.")
     ]
-    for name, values in given:
+    for name, values in stated:
         if name not in known:
             raise InvalidInput(
                 f"a campaign of task {plan.task} has no option {name!r}; {suggestion(name, known)}"
@@ -100,8 +100,8 @@ def _options_of(task: str) -> dict[str, Any]:
         for name in ("seed", "bending_modes", "dt", "every")
     }
     # not by an option
-    given = {"machine", "controller", "scenario", "point", "progress", "fallback", "rig"}
-    options = {name: kind for name, kind in {**trial, **rig}.items() if name not in given}
+    reserved = {"machine", "controller", "scenario", "point", "progress", "fallback", "rig"}
+    options = {name: kind for name, kind in {**trial, **rig}.items() if name not in reserved}
     identified = {"method": str, "unknown": str | list[str], "repeats": bool}
     return {**options, **identified} if task == "identify" else options
 

@@ -90,12 +90,12 @@ def _executors(engine: str, workers: int) -> Iterator[tuple[MakeExecutor, int]]:
         )
     try:
         known = engine.endswith(".json")
-        found = Client(scheduler_file=engine) if known else Client(engine, timeout=20)
+        dask = Client(scheduler_file=engine) if known else Client(engine, timeout=20)
     except (OSError, TimeoutError, ValueError) as error:
         raise InvalidInput(
             f"no scheduler answers at {engine}: {error}; start one with `dask scheduler`"
         ) from error
-    with found as client:
+    with dask as client:
         yield client.get_executor, max(1, sum(client.nthreads().values()), workers)
 
 

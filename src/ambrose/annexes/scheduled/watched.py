@@ -154,8 +154,8 @@ class WatchedProgram:
     def _judge(self) -> None:
         rows, m = np.array(self._rows).T, len(self.excitation)
         self._rows = []
-        found = self._monitor.follow(rows[:-1][:m], rows[:-1][m : 2 * m], rows[:-1][2 * m :])
-        for item in found:
+        estimates = self._monitor.follow(rows[:-1][:m], rows[:-1][m : 2 * m], rows[:-1][2 * m :])
+        for item in estimates:
             self._take(item, float(rows[-1][-self._monitor.block :].mean()))
         if self._doubted:
             self._monitor.restart()

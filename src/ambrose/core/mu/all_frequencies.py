@@ -231,10 +231,10 @@ class _Task:
         """Raise the level until the upper bound is below it at omega (w,), with room. Raises
         NumericalFailure.
         """
-        found, i = least_level(
+        lifted, i = least_level(
             self.model.at(omega), self.structure, self.skew, self.level / (1 + self.room)
         )
-        self.raised(found * (1 + self.room), float(omega[i]))
+        self.raised(lifted * (1 + self.room), float(omega[i]))
 
     def raised(self, level: float, frequency: float) -> None:
         if level > self.highest * (1 + 1e-12):
@@ -303,10 +303,10 @@ class _Task:
         # level.
         if self.skew.all():
             values = upper_bound(M, self.structure, tolerance=_TOLERANCE / 4).value
-            found, i = max(float(values.max()), self.level), int(values.argmax())
+            lifted, i = max(float(values.max()), self.level), int(values.argmax())
         else:
-            found, i = least_level(M, self.structure, self.skew, self.level)
-        self.raised(found * (1 + self.room), float(omega[i]))
+            lifted, i = least_level(M, self.structure, self.skew, self.level)
+        self.raised(lifted * (1 + self.room), float(omega[i]))
 
     def _rest(
         self, low: np.ndarray, high: np.ndarray, good: np.ndarray

@@ -122,9 +122,9 @@ def mu_bounds(
     array = check_matrix(M, structure)
     check_positive(tolerance, "tolerance", "use something like 1e-4")
     if max_iterations < 1 or restarts < 0 or seed < 0:
-        given = (max_iterations, restarts, seed)
+        settings = (max_iterations, restarts, seed)
         raise invalid(
-            "max_iterations, restarts, seed", given, "at least 1, 0 and 0", "leave the defaults"
+            "max_iterations, restarts, seed", settings, "at least 1, 0 and 0", "leave the defaults"
         )
     batch = array.shape[:-2]
     flat = array.reshape(int(np.prod(batch)), structure.n_z, structure.n_w)

@@ -341,14 +341,14 @@ def _joined(
 
 
 def _check_signals(factors: CoprimeFactors, plant: StateSpace) -> None:
-    for side, known, given in (
+    for side, known, actual in (
         ("inputs", factors.plant.inputs, plant.inputs),
         ("outputs", factors.plant.outputs, plant.outputs),
     ):
-        if set(known) != set(given):
+        if set(known) != set(actual):
             raise invalid(
                 f"the plant's {side}",
-                ", ".join(given),
+                ", ".join(actual),
                 ", ".join(known),
                 "take those it was factored with",
             )

@@ -68,9 +68,9 @@ def worst_gain(loop: BoxLoop, seed: int = 1, also: Sequence[float] = ()) -> BoxG
     kept[1:] |= kept[:-1]
     kept[:-1] |= kept[1:]
     grid, M = grid[kept], M[kept]
-    found = gains(M, loop, members)
-    i, k = np.nonzero(_local_maxima(found))
-    rows = [np.stack([found[i, k], i, grid[k]]), _beside_poles(loop, grid, M, members, kept)]
+    levels = gains(M, loop, members)
+    i, k = np.nonzero(_local_maxima(levels))
+    rows = [np.stack([levels[i, k], i, grid[k]]), _beside_poles(loop, grid, M, members, kept)]
     starts = [(int(i), float(omega)) for _, i, omega in _best_of_each_band(np.hstack(rows))]
     best = BoxGain(-np.inf, 0.0, members[0])
     for row, omega in starts:
@@ -86,9 +86,9 @@ def worst_gain_at(loop: BoxLoop, omega: float) -> BoxGain:
     """As ``worst_gain``, at one frequency [rad/s] that is held."""
     M = loop.at(np.array([omega]))
     starts = box_points(loop.parameters)
-    found = gains(M, loop, starts)[:, 0]
+    levels = gains(M, loop, starts)[:, 0]
     best = BoxGain(-np.inf, omega, starts[0])
-    for i in np.argsort(found)[::-1][:_STARTS]:
+    for i in np.argsort(levels)[::-1][:_STARTS]:
         delta = _climb(M[0], loop, starts[i])
         value = float(gains(M, loop, delta[None])[0, 0])
         best = max(best, BoxGain(value, omega, delta), key=lambda item: item.value)

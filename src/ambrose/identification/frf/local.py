@@ -85,9 +85,9 @@ def local_response(
     while centre < high:
         if wanted is not None and (centre := next(wanted, np.inf)) == np.inf:
             break
-        found, wider = _line(spectra, spans, m, centre, width, dt, periodic)
-        if found is not None:
-            lines.append((centre, *found))
+        narrow, wider = _line(spectra, spans, m, centre, width, dt, periodic)
+        if narrow is not None:
+            lines.append((centre, *narrow))
         centre += width * max(0.5, wider / 6)  # a third of half the band that was fitted
     if not lines:
         raise InvalidInput(

@@ -114,9 +114,9 @@ class TimedLoop:
         (d_u, h_u), (d_e, h_e) = self._split(theta)
         inner = self.inner
         K = self.inner.controller
-        own = theta[: len(theta) - len(self.unknown)]
+        physical = theta[: len(theta) - len(self.unknown)]
         dt = K.dt or 0.0
-        A, B, dA, dB = inner.plant(own)
+        A, B, dA, dB = inner.plant(physical)
 
         # States (x, z of the controller, u(k-1), u(k-2), ..., e(k-1), e(k-2), ...).
         a = len(K.outputs)
@@ -173,9 +173,9 @@ class TimedLoop:
         # e(k) acts at once only with d_e = 0; it becomes the newest of the old values
         driven[:n] = new_e if d_e == 0 else 0.0
         driven[n + nk + old_u : n + nk + old_u + m] = np.eye(m) if self.longest[1] else 0.0
-        shown = np.vstack([inner.row(name, a) for name in self.signals])
-        shown = np.hstack([shown, np.zeros((len(shown), old_u + old_e))])
-        D = np.zeros((len(shown), m))
+        C = np.vstack([inner.row(name, a) for name in self.signals])
+        C = np.hstack([C, np.zeros((len(C), old_u + old_e))])
+        D = np.zeros((len(C), m))
         nothing = np.zeros((n, m))
 
         # d/d theta_j: Phi and Gamma move, the old values' shifts do not
@@ -197,8 +197,8 @@ class TimedLoop:
         for rows, pushed in changes:
             change, push = np.zeros((size, size)), np.zeros((size, m))
             change[:n], push[:n] = rows, pushed
-            directions.append(SystemDerivative(change, push, np.zeros_like(shown), D))
-        return StateSpace(closed, driven, shown, D, self.excitations, self.signals, dt), directions
+            directions.append(SystemDerivative(change, push, np.zeros_like(C), D))
+        return StateSpace(closed, driven, C, D, self.excitations, self.signals, dt), directions
 
 
 def _newer(

@@ -123,8 +123,8 @@ class LoopModel:
         # States (x, z): x+ = Ad x + Bu u + Be e,  z+ = A_K z - B_K y,  u = C_K z - D_K y
         closed = np.block([[Ad - Bd[:, :a] @ K.D @ y, Bd[:, :a] @ K.C], [-K.B @ y, K.A]])
         driven = np.vstack([Bd[:, a:], np.zeros((nk, len(self.excitations)))])
-        shown = np.vstack([self.row(name, a) for name in self.signals])
-        D = np.zeros((len(shown), driven.shape[1]))
+        C = np.vstack([self.row(name, a) for name in self.signals])
+        D = np.zeros((len(C), driven.shape[1]))
 
         # only the plant's rows depend on theta
         directions = []
@@ -132,10 +132,8 @@ class LoopModel:
             changed = np.zeros_like(closed)
             changed[:n] = np.hstack([dA - dB[:, :a] @ K.D @ y, dB[:, :a] @ K.C])
             pushed = np.vstack([dB[:, a:], np.zeros((nk, driven.shape[1]))])
-            directions.append(SystemDerivative(changed, pushed, np.zeros_like(shown), D))
-        return StateSpace(
-            closed, driven, shown, D, self.excitations, self.signals, K.dt
-        ), directions
+            directions.append(SystemDerivative(changed, pushed, np.zeros_like(C), D))
+        return StateSpace(closed, driven, C, D, self.excitations, self.signals, K.dt), directions
 
     def row(self, name: str, a: int) -> np.ndarray:
         """The row (1, n + nk) of an output signal on the loop's state."""
@@ -190,8 +188,10 @@ def loop_model(
         system.inputs,
         "input",
     )
-    shown = [f"y_{axis}" for axis in axes] + [name for name in signals if not name.startswith("u_")]
-    rows = index_of(shown, system.outputs, "output")
+    outputs = [f"y_{axis}" for axis in axes] + [
+        name for name in signals if not name.startswith("u_")
+    ]
+    rows = index_of(outputs, system.outputs, "output")
     B, C = system.B[:, [*u, *m]], system.C[rows]
     n, inputs = system.n_states, [*u, *m]
     dA = np.zeros((0, n, n))
@@ -222,10 +222,10 @@ def loop_model(
 
 
 def _bending(
-    plant: Plant, mode: str, paths: Sequence[str], own: Sequence[str], dA: np.ndarray
+    plant: Plant, mode: str, paths: Sequence[str], parameters: Sequence[str], dA: np.ndarray
 ) -> BendingTerm:
     """The term of the mode "rotor.bending_<k>" from the directions dA (., n, n) of the paths
-    ``own``.
+    ``parameters``.
     """
     frequency, damping = f"{mode}.frequency", f"{mode}.damping"
     zeta0, w0 = channels(plant, damping)[0].nominal, channels(plant, frequency)[0].nominal
@@ -233,7 +233,7 @@ def _bending(
 
     # at w0: dA/dw = 2 w0 by_stiffness, dA/dzeta = 2 w0 by_damping
     by_stiffness = np.zeros_like(dA[0]) if w is None else dA[w] / (2 * w0)
-    return BendingTerm(w, zeta, w0, zeta0, by_stiffness, dA[own.index(damping)] / (2 * w0))
+    return BendingTerm(w, zeta, w0, zeta0, by_stiffness, dA[parameters.index(damping)] / (2 * w0))
 
 
 def directions_of(

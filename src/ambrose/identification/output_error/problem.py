@@ -93,8 +93,8 @@ def build_experiment(
     paths, timing = split_timing(machine, unknown)
     plants = [reduced_plant(machine, point, options.bending_modes, paths) for point in points]
     main = plants[points.index(reference)]
-    shown = fitted_signals(main, records, options.signals)
-    excitations = driven_inputs(main, records, -(-(len(paths) + len(timing)) // len(shown)))
+    fitted = fitted_signals(main, records, options.signals)
+    excitations = driven_inputs(main, records, -(-(len(paths) + len(timing)) // len(fitted)))
 
     # A whole, known delay is part of the controller; any other one is TimedLoop's.
     exact = not timing and float(computing_delay).is_integer()
@@ -106,18 +106,18 @@ def build_experiment(
     ]
     values = nominal_values(main, paths)
     loops = [
-        loop_model(plant, law, paths, factor * values, excitations, shown, factor)
+        loop_model(plant, law, paths, factor * values, excitations, fitted, factor)
         for plant, factor in zip(plants, factors, strict=True)
     ]
     models = loops if exact else [timed(loop, computing_delay, timing) for loop in loops]
-    sizes = _sizes(records, shown, options.weights)
+    sizes = _sizes(records, fitted, options.weights)
     places = [points.index(replace(record.point, label="")) for record in records]
     if EXCITATION_DELAY in timing and not options.initial_state:
         text = "the loop has then begun before the first sample that is used"
         raise invalid("initial_state", False, f"True where {EXCITATION_DELAY} is unknown", text)
     tasks = []
     for record, place in zip(records, places, strict=True):
-        waves, measured = signal_rows(record, excitations), signal_rows(record, shown)
+        waves, measured = signal_rows(record, excitations), signal_rows(record, fitted)
         tail = np.zeros(0)
         alike = 0
         turning = synchronous_of(record, options.harmonics, options.tones)
@@ -160,7 +160,7 @@ def build_experiment(
         tuple(models),
         tuple(tasks),
         sizes,
-        shown,
+        fitted,
     )
 
 

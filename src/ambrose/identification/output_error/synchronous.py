@@ -261,13 +261,13 @@ def without_synchronous(
         return record
     k = record.values.shape[1]
     parts = [slice(start, min(start + _PIECE, k)) for start in range(0, k, _PIECE)]
-    shown = [
+    measured = [
         row
         for name, row in zip(record.signals, record.values, strict=True)
         if name[:2] in {"y_", "ep"} and np.ptp(row)
     ]
-    if shown:
-        sizes = [(row, row.mean(), row.std()) for row in shown]
+    if measured:
+        sizes = [(row, row.mean(), row.std()) for row in measured]
         y = (np.array([(row[part] - mean) / size for row, mean, size in sizes]) for part in parts)
         turning = turning.refined(y, k) or turning
     kept = [i for i, name in enumerate(record.signals) if names is None or name in names]

@@ -128,7 +128,7 @@ def scattered(fit: SealFit) -> list[tuple[Finding, bool]]:
     the others, and whether it is off by more than 2 % of the coefficient's largest value (assumed),
     from where on it is a doubt.
     """
-    rows, found = fit if np.isnan(fit.frequency).all() else averaged(fit), []
+    rows, outliers = fit if np.isnan(fit.frequency).all() else averaged(fit), []
     # two points are always on a line
     for letter in COEFFICIENTS if len(np.unique(rows.pressure)) > 2 else ():
         (values, deviations), apart = rows.column(letter), np.abs(line(rows, letter).apart)
@@ -163,8 +163,10 @@ def scattered(fit: SealFit) -> list[tuple[Finding, bool]]:
             f"by {apart[at]:.2g} standard deviations, {100 * share:.2g} % of its largest value, "
             f"from the line {through}"
         )
-        found.append((Finding(Code.SEAL_SCATTER, WARNING, what, evidence, remedy), share > _SMALL))
-    return found
+        outliers.append(
+            (Finding(Code.SEAL_SCATTER, WARNING, what, evidence, remedy), share > _SMALL)
+        )
+    return outliers
 
 
 def beyond_tolerance(machine: Machine, fit: SealFit) -> tuple[Finding, ...]:

@@ -159,7 +159,7 @@ def _at_pressure(
 ) -> list[_Stiffness]:
     experiments = driven(records)
     model = _Model(machine, name, records[0].point, np.array(list(experiments)), records[0].dt)
-    stiffnesses = [_stiffness(model, i, own) for i, own in enumerate(experiments.values())]
+    stiffnesses = [_stiffness(model, i, steps) for i, steps in enumerate(experiments.values())]
     return sorted(stiffnesses, key=lambda item: item.frequency)
 
 
@@ -181,9 +181,9 @@ def _steps(
             for s in plan
             if _key(s.frequency) == key
         ]
-        told = [(_signals(machine, [r], currents), r, s) for r, s in pairs]
+        signals = [(_signals(machine, [r], currents), r, s) for r, s in pairs]
         result[key] = [
-            (phasors(r, s, names, settle), names[-1].startswith("i_")) for names, r, s in told
+            (phasors(r, s, names, settle), names[-1].startswith("i_")) for names, r, s in signals
         ]
     return result
 

@@ -206,9 +206,9 @@ def bearing_forces(
     return f.T, (N_b.T @ q).T
 
 
-def _stiffness(machine: Machine, point: OperatingPoint, given: ArrayLike | None) -> np.ndarray:
-    if given is not None:
-        return check_shape(given, "negative_stiffness", "(a)", a=len(machine.axes))
+def _stiffness(machine: Machine, point: OperatingPoint, stated: ArrayLike | None) -> np.ndarray:
+    if stated is not None:
+        return check_shape(stated, "negative_stiffness", "(a)", a=len(machine.axes))
     return magnet_coefficients(machine, point)[1]
 
 
@@ -242,9 +242,9 @@ def _check_loaded(axes: tuple[str, ...], forces: np.ndarray) -> None:
     for axis, largest in zip(axes, most, strict=True):
         if largest < _SIDED * most.max():
             raise InvalidInput(
-                f"axis {axis} carries no load ({largest:.3g} N of {most.max():.3g} N); its K_i cannot "
-                "be told: "
-                "load the rotor along every actuator axis, in both directions"
+                f"axis {axis} carries no load ({largest:.3g} N of {most.max():.3g} N); "
+                "its K_i cannot be told: load the rotor along every actuator axis, "
+                "in both directions"
             )
 
 

@@ -99,8 +99,8 @@ def _sizes(machine: Machine, result: ParameterEstimate) -> list[Finding]:
         known = path not in TIMING and parse_parameter(path).table in {"bearing", "amplifier"}
         if known and start > 0 and value > 0 and not 1 / _FAR < value / start < _FAR:
             far.append(f"{path} is {value / start:.3g} times its start")
-    found = zip(result.paths, result.values, result.start, result.standard_deviations, strict=True)
-    for path, value, start, deviation in found:
+    rows = zip(result.paths, result.values, result.start, result.standard_deviations, strict=True)
+    for path, value, start, deviation in rows:
         width = _stated(machine, result, path, float(start))
         if abs(value - start) > width + COVERAGE * deviation and not any(
             path in text for text in far

@@ -40,15 +40,15 @@ def machine_from_document(document: Mapping[str, Any], name: str, text: str = ""
     shaft, unknown = _shaft(tables["shaft"], materials)
     if unclear or unknown:
         raise InvalidInput(listed(name, [*unclear, *unknown]))
-    given = file.given()
+    stated = file.given()
     # of tables whose parts have a field of their own the machine has that
     no_field = set(attachments()) - _FIELDS
     effects = tuple(
-        part for table in attachments() if table in no_field for part in given.pop(table, ())
+        part for table in attachments() if table in no_field for part in stated.pop(table, ())
     )
     try:
         return Machine(
-            shaft=shaft, assumed=assumed, file_text=text, effects=effects, **whole, **given
+            shaft=shaft, assumed=assumed, file_text=text, effects=effects, **whole, **stated
         )
     except InvalidMachine as error:
         raise InvalidMachine(name, error.problems) from None  # named by its file
@@ -89,16 +89,16 @@ def _shaft(
     complaints = []
     end = 0.0
     for i, table in enumerate(tables):
-        given = table.given()
-        material = given.pop("material", None)
+        stated = table.given()
+        material = stated.pop("material", None)
         if material in materials:
-            given["material"] = materials[material]
+            stated["material"] = materials[material]
         elif material is not None:
             remedy = suggestion(
                 material, materials, f"there is no material table; add [material.{material}]"
             )
             complaints.append(f'[[shaft]] {i + 1}: material "{material}" is unknown; {remedy}')
-        sections.append(ShaftSection(**{"start": end, **given}))
+        sections.append(ShaftSection(**{"start": end, **stated}))
         end = sections[-1].start + sections[-1].length
     return tuple(sections), complaints
 
@@ -173,8 +173,8 @@ def _wrong_form(loc: Sequence[str | int], kind: str, value: object) -> str:
     keys = [str(part) for part in loc if isinstance(part, str)]
     many = kind == "list_type" or isinstance(loc[-1], int)
     key, right = ".".join(keys), _brackets(".".join(keys), many=many)
-    given = "an array" if isinstance(value, list) else shown(value)
-    return f"{key} is {given}, but must be {right}; write its keys below the line {right}"
+    form = "an array" if isinstance(value, list) else shown(value)
+    return f"{key} is {form}, but must be {right}; write its keys below the line {right}"
 
 
 def _brackets(path: str, *, many: bool) -> str:

@@ -87,13 +87,15 @@ class SealTableTable(Table):
     M: Annotated[Any, NestedOf("mass")] = optional("added mass")
 
     def build(self) -> SealTable:
-        given = self.given()
-        order = given.get("axes", SEAL_AXES)
-        axes = tuple((axis, given[axis]) for axis in order if axis in given)
+        stated = self.given()
+        order = stated.get("axes", SEAL_AXES)
+        axes = tuple((axis, stated[axis]) for axis in order if axis in stated)
         rest = tuple(
-            (axis, given[axis]) for axis in SEAL_AXES if axis in given and axis not in order
+            (axis, stated[axis]) for axis in SEAL_AXES if axis in stated and axis not in order
         )
-        return SealTable(axes + rest, tuple((c, given[c]) for c in SEAL_COEFFICIENTS if c in given))
+        return SealTable(
+            axes + rest, tuple((c, stated[c]) for c in SEAL_COEFFICIENTS if c in stated)
+        )
 
 
 class ToleranceTable(Table):

@@ -160,7 +160,8 @@ def section_problems(where: str, section: Section) -> Iterator[str]:
     stated = [key for key in section.to_dict() if key != "kind"]
     for key in stated:
         if key not in keys:
-            yield f"{inside}: {key} is no key of this kind; leave it out, it takes {', '.join(keys)}"
+            known = ", ".join(keys)
+            yield f"{inside}: {key} is no key of this kind; leave it out, it takes {known}"
     if kind == "pid":
         if section.integral_time is None and section.derivative_time is None:
             yield (

@@ -78,8 +78,8 @@ def problems(machine: MachineDescription) -> tuple[str, ...]:
             _weights,
         ),
     )
-    found = tuple(_sizes(machine)) or tuple(_not_finite(machine, ""))
-    return found or tuple(line for check in checks for line in check(machine))
+    first = tuple(_sizes(machine)) or tuple(_not_finite(machine, ""))
+    return first or tuple(line for check in checks for line in check(machine))
 
 
 def _sizes(machine: MachineDescription) -> Iterator[str]:

@@ -75,12 +75,12 @@ def of_size(p: tuple[float, ...], bias: float, area: float = 1.0) -> MagnetCoeff
     """Coefficients without load of magnets p (``parameters``) at another bias current [A], poles
     ``area`` times as large.
     """
-    found = []
+    fitting = []
     for c, gap in ((p[4], p[5]), (p[7], p[8])):
         # k_i = 4 c b_0 db/dI, k_s = b_0 k_i
         b, slope = _flux(bias, gap, p[2], p[3])
-        found.append((4 * area * c * b * slope, 4 * area * c * b**2 * slope))
-    return MagnetCoefficients((found[0][0], found[1][0]), (found[0][1], found[1][1]))
+        fitting.append((4 * area * c * b * slope, 4 * area * c * b**2 * slope))
+    return MagnetCoefficients((fitting[0][0], fitting[1][0]), (fitting[0][1], fitting[1][1]))
 
 
 def from_geometry(bearing: MagneticBearing, bias: float) -> bool:

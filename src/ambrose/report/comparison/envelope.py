@@ -61,8 +61,8 @@ class Share:
     @property
     def ratio(self) -> float:
         """Of the value to its limit; infinite for an unstable loop, 0 without a limit."""
-        own = None if self.check is None else self.check.ratio
-        return math.inf if not self.stable else own or 0.0
+        ratio = None if self.check is None else self.check.ratio
+        return math.inf if not self.stable else ratio or 0.0
 
     @property
     def passed(self) -> bool:
@@ -223,7 +223,7 @@ def envelope_section(
         label for label in dict.fromkeys((*points, *left_out)) if label not in known
     ]
     grid = len(places) == len(points) and _is_grid(places)
-    shown = (
+    panels = (
         [_panel(candidate, places) for candidate in candidates]
         if grid
         else [_table(known, candidates, points)]
@@ -237,7 +237,7 @@ def envelope_section(
         words += (
             " Each second row (±): the worst that was found over the tolerances around the point."
         )
-    return Section("The envelope", words, (), (*shown, _legend()))
+    return Section("The envelope", words, (), (*panels, _legend()))
 
 
 def _is_grid(places: Sequence[OperatingPoint]) -> bool:

@@ -310,8 +310,8 @@ def _time_figure(
     if span is not None and span[1] - span[0] < 0.99 * whole:
         span_words = f"{units.quantity(span[0], 's')} to {units.quantity(span[1], 's')}"
         words += (
-            f" Shown from {span_words} of the {units.quantity(whole, 's')} computed; a double-click "
-            "shows all."
+            f" Shown from {span_words} of the {units.quantity(whole, 's')} computed; "
+            "a double-click shows all."
         )
     return Figure(units.prose(first.title), picture, _with(words, hidden))
 

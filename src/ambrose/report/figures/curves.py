@@ -91,17 +91,17 @@ def _check_curves(curves: Sequence[tuple[str, Curve]]) -> None:
     for label, curve in curves:
         here = f"curve {curve.name} at {label}"
         if (curve.kind, curve.x_unit, curve.y_unit) != (first.kind, first.x_unit, first.y_unit):
-            given = f"{curve.kind} in {curve.y_unit or '-'} over {curve.x_unit}"
+            form = f"{curve.kind} in {curve.y_unit or '-'} over {curve.x_unit}"
             wanted = f"{first.kind} in {first.y_unit or '-'} over {first.x_unit} like the first one"
-            raise invalid(here, given, wanted, "put different quantities into different figures")
+            raise invalid(here, form, wanted, "put different quantities into different figures")
         shape = (len(curve.labels), len(curve.x))
         if np.shape(curve.y) != shape or np.iscomplexobj(curve.y):
-            given = (
+            form = (
                 f"of shape {np.shape(curve.y)}{' and complex' if np.iscomplexobj(curve.y) else ''}"
             )
             raise invalid(
                 f"y of {here}",
-                given,
+                form,
                 f"real, of shape {shape} (lines, points)",
                 "give magnitudes, one row per label",
             )
@@ -175,7 +175,7 @@ def _draw(
     overlay: bool,
 ) -> None:
     place = {"row": panel.row, "col": panel.column}
-    shown: set[str] = set()
+    in_legend: set[str] = set()
     for label, curve in curves:
         look = style[label]
         x = curve.x * axes.x_factor
@@ -191,7 +191,7 @@ def _draw(
                 drawn(x),
                 drawn(y),
                 label,
-                shown=first and label not in shown,
+                shown=first and label not in in_legend,
                 hovertemplate=hover,
                 name=theme.plain(label) + _legend_text(panel, label, curves, axes, overlay=overlay),
                 line={
@@ -200,7 +200,7 @@ def _draw(
                     "width": look.width if panel.main else 1.4,
                 },
             )
-            shown.add(label)
+            in_legend.add(label)
             if panel.main and len(panel.names) == 1 and _peaked(curve) and not overlay:
                 mark_peak(figure, place, x, y, look)
     if is_map(curves[0][1]):

@@ -79,14 +79,14 @@ def panel_figure(
     )
     _set_heights(figure, rows, height / total, [gap / total for gap in gaps])
     levels = limit_levels(everything, axes)
-    shown: set[str] = set()
+    in_legend: set[str] = set()
     for i, row in enumerate(rows):
         for j, panel in enumerate(row):
             place = {"row": i + 1, "col": j + 1}
-            _draw(figure, panel, place, axes, style, shown, mark_peaks=mark_peaks)
+            _draw(figure, panel, place, axes, style, in_legend, mark_peaks=mark_peaks)
             draw_limits(figure, place, levels, axes, size=(width, height), named=i == j == 0)
             _words(figure, panel, place, style, width, above[i])
-    theme.dress(figure, total, legend=len(shown) > 1, lines=max(0, above[0] - 1))
+    theme.dress(figure, total, legend=len(in_legend) > 1, lines=max(0, above[0] - 1))
     _scale(figure, rows, axes)
     return figure, beyond(everything, axes)
 
@@ -97,7 +97,7 @@ def _draw(
     place: dict[str, int],
     axes: Axes,
     style: Mapping[str, theme.Style],
-    shown: set[str],
+    in_legend: set[str],
     *,
     mark_peaks: bool,
 ) -> None:
@@ -115,12 +115,12 @@ def _draw(
                 place,
                 y=drawn(y),
                 label=label,
-                shown=label not in shown,
+                shown=label not in in_legend,
                 line=look.line,
                 hovertemplate=hover,
                 **grid,
             )
-            shown.add(label)
+            in_legend.add(label)
             if mark_peaks:
                 mark_peak(figure, place, curve.x * axes.x_factor, y, look)
 

@@ -200,13 +200,15 @@ def pole_zero_map(systems: Mapping[str, Any], reach: float | None = None) -> Any
         raise invalid(
             "the number of systems", len(systems), f"1 to {_MOST_SYSTEMS}", "draw several maps"
         )
-    given = {title: as_statespace(system) for title, system in systems.items()}
-    for title, system in given.items():
+    by_title = {title: as_statespace(system) for title, system in systems.items()}
+    for title, system in by_title.items():
         if system.dt is not None:
             raise InvalidInput(
                 f"system {title!r} is sampled; a pole-zero map shows continuous systems"
             )
-    points = {title: (poles_of(system), invariant_zeros(system)) for title, system in given.items()}
+    points = {
+        title: (poles_of(system), invariant_zeros(system)) for title, system in by_title.items()
+    }
     radius = _reach(points) if reach is None else check_positive(reach, "reach", "in rad/s")
     titles = [theme.plain(title) for title in points]
     figure = theme.subplots(rows=1, cols=len(points), horizontal_spacing=0.3 / (2 + len(points)))

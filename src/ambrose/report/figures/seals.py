@@ -96,8 +96,8 @@ def _measured(figure: Any, item: Frf, factor: float, column: int, points: bool) 
     )
     look = theme.Style(_MEASURED, "solid", "circle", 1.3)
     for row, y in ((1, size * factor), (2, angle), (4, item.coherence[:, 0])):
-        place, shown = {"row": row, "col": column}, column == 1 and row == 1
-        _line(figure, place, f, y, "measured, with 95 %", look, shown=shown, points=points)
+        place, in_legend = {"row": row, "col": column}, column == 1 and row == 1
+        _line(figure, place, f, y, "measured, with 95 %", look, shown=in_legend, points=points)
 
 
 def _modelled(
@@ -110,8 +110,12 @@ def _modelled(
     column: int,
 ) -> None:
     f, value = model.omega / units.TWO_PI, model.values[:, 0, 0]
-    shown = not any(trace.name == theme.plain(label) and trace.showlegend for trace in figure.data)
-    _line(figure, {"row": 1, "col": column}, f, np.abs(value) * factor, label, look, shown=shown)
+    in_legend = not any(
+        trace.name == theme.plain(label) and trace.showlegend for trace in figure.data
+    )
+    _line(
+        figure, {"row": 1, "col": column}, f, np.abs(value) * factor, label, look, shown=in_legend
+    )
     near = phase(item.values[:, 0, 0])
     angle = phase(value)
     if len(angle) == len(near):
@@ -213,8 +217,8 @@ def frequency_figure(
                 _line(figure, place, ends, level, label, style[label])
             if truth is not None:
                 level = np.full(2, truth(pressure)[number] * factor)
-                shown = bool(number == 0 and pressure == fit.pressures[-1])
-                _line(figure, place, ends, level, "truth", _TRUTH, shown=shown)
+                in_legend = bool(number == 0 and pressure == fit.pressures[-1])
+                _line(figure, place, ends, level, "truth", _TRUTH, shown=in_legend)
         if valid_to is not None:
             figure.add_vline(x=valid_to / units.TWO_PI, **place, line=_MARK)
         inside = fit.frequency <= (np.inf if valid_to is None else valid_to * 1.01)

@@ -47,14 +47,14 @@ def synchronous_figure(blocks: Sequence[Checks]) -> Any:
         )
     )
     style = theme.styles([_BEFORE, _AFTER, *pressures])
-    shown: set[str] = set()
+    in_legend: set[str] = set()
     for k, (name, title) in enumerate(rows, start=1):
         place = {"row": k, "col": 1}
         curves = [curve for block in blocks if (curve := _curve(block, name)) is not None]
         largest = max(float(np.nanmax(np.abs(curve.y))) for curve in curves)
         factor, unit = units.scale(curves[0].y_unit, largest)
         for curve in curves:
-            _draw(figure, place, curve, factor, unit, style, shown)
+            _draw(figure, place, curve, factor, unit, style, in_legend)
         # zero is part of every picture: what falls is seen against it
         figure.update_yaxes(rangemode="tozero", **place)
         theme.heading(figure, place, f"<b>{title}</b> [{unit}]")
@@ -74,7 +74,7 @@ def _draw(
     factor: float,
     unit: str,
     style: dict[str, theme.Style],
-    shown: set[str],
+    in_legend: set[str],
 ) -> None:
     """The lines of one block, and its limit."""
     x = drawn(curve.x / units.TWO_PI)
@@ -87,12 +87,12 @@ def _draw(
             x,
             drawn(values * factor),
             label,
-            shown=label not in shown,
+            shown=label not in in_legend,
             name=words,
             hovertemplate=f"{words}<br>%{{x:.4g}} Hz · %{{y:.4g}} {unit}<extra></extra>",
             line={"color": look.colour, "dash": look.dash, "width": look.width},
         )
-        shown.add(label)
+        in_legend.add(label)
     for words, level in curve.limits:
         if level > 0:
             ends = np.array([curve.x[0], curve.x[-1]]) / units.TWO_PI

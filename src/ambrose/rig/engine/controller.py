@@ -109,16 +109,16 @@ def sample_time(law: LawLike, machine: Machine, wanted: float | None) -> float:
     """The controller's own sample time [s], else the one wanted, else the machine's, else 0.1 ms.
     Raises InvalidInput.
     """
-    own = law_of(law).sample_time
-    if own is not None:
-        if wanted is not None and not same_clock(own, wanted):
+    law_time = law_of(law).sample_time
+    if law_time is not None:
+        if wanted is not None and not same_clock(law_time, wanted):
             raise invalid(
                 "the sample time",
                 f"{wanted:g} s",
-                f"the controller's own {own:g} s",
+                f"the controller's own {law_time:g} s",
                 "leave it out",
             )
-        return own
+        return law_time
     if wanted is not None:
         return check_positive(wanted, "the sample time", "give it in seconds")
     return (machine_timing(machine) or DEFAULT).sample_time

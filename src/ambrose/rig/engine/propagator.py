@@ -206,13 +206,15 @@ def _built(
     # y = C z + D u; columns after u do not reach y directly
     D = np.zeros((len(C), a))
     D[2 * b : 2 * b + a] = direct
-    held = np.column_stack([Bu, w])[used]
+    inputs = np.column_stack([Bu, w])[used]
     speed, h = float(quiet.speed[0]), quiet.dt / steps
 
     # the step, and half of it
-    whole = _propagated(L[np.ix_(used, used)], B, held, unbalance.T[used], driven.T[used], speed, h)
+    whole = _propagated(
+        L[np.ix_(used, used)], B, inputs, unbalance.T[used], driven.T[used], speed, h
+    )
     middle = _propagated(
-        L[np.ix_(used, used)], B, held, unbalance.T[used], driven.T[used], speed, h, 0.5
+        L[np.ix_(used, used)], B, inputs, unbalance.T[used], driven.T[used], speed, h, 0.5
     )
     states = used.sum()
     linear, half = whole[0], middle[0]

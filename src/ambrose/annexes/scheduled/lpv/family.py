@@ -50,9 +50,9 @@ class Family:
 
     def scaled(self, plant: GeneralizedPlant) -> ScaledPlant:
         """A further plant of the same kind in this family's states, time and units."""
-        given = _channels(plant, self.reference, self.t)
+        plant_signals = _channels(plant, self.reference, self.t)
         if self.notes:
-            given = _extended(given)
+            plant_signals = _extended(plant_signals)
 
         # given is in the states x / t already: only what comes after t is left of T.
         T, inverse = self.T / self.t[:, None], self.inverse * self.t
@@ -63,15 +63,15 @@ class Family:
         b = np.sqrt(self.rate * self.unit)
         g = np.sqrt(self.unit)
         return replace(
-            given,
-            A=inverse @ given.A @ T / a,
-            B1=inverse @ given.B1 / b,
-            B2=inverse @ given.B2 / np.sqrt(a),
-            C1=given.C1 @ T / b,
-            C2=given.C2 @ T / np.sqrt(a),
-            D11=given.D11 / self.unit,
-            D12=given.D12 / g,
-            D21=given.D21 / g,
+            plant_signals,
+            A=inverse @ plant_signals.A @ T / a,
+            B1=inverse @ plant_signals.B1 / b,
+            B2=inverse @ plant_signals.B2 / np.sqrt(a),
+            C1=plant_signals.C1 @ T / b,
+            C2=plant_signals.C2 @ T / np.sqrt(a),
+            D11=plant_signals.D11 / self.unit,
+            D12=plant_signals.D12 / g,
+            D21=plant_signals.D21 / g,
         )
 
     @property

@@ -128,7 +128,7 @@ def design_schedule(
             schedule_grid(machine, point, one, POINTS_OF_TWO if along.parts else POINTS)
             for one in along.each
         )
-    axes, own = check_axes(grid, along.name), along.of(point)
+    axes, design_value = check_axes(grid, along.name), along.of(point)
     for one, axis in zip(along.each, axes, strict=True):
         value, (low, high) = one.of(point), axis[[0, -1]]
         if not low <= value <= high:
@@ -165,7 +165,7 @@ def design_schedule(
             axes,
             rate=rate,
             backoff=above,
-            nominal=own,
+            nominal=design_value,
             parameter=along.name,
             unit=along.unit,
             progress=say,

@@ -99,11 +99,11 @@ class Lpv(Method):
         """What is asked to be scheduled over: parameter, its ends and its largest rate."""
         from ambrose.law.scheduling import PRESSURE, SPEED
 
-        given = (
+        ranges = (
             (SPEED, self.speeds, self.speed_rate),
             (PRESSURE, self.pressures, self.pressure_rate),
         )
-        return tuple(item for item in given if item[1:] != (None, None))
+        return tuple(item for item in ranges if item[1:] != (None, None))
 
     @classmethod
     def suits(cls, plant: Plant) -> bool:

@@ -213,18 +213,20 @@ def _design(job: _Job, axes: tuple[np.ndarray, ...]) -> _Design:
         chosen = family.in_units(smallest * (1 + step))
         try:
             point = factors(well_conditioned(chosen, shape, job.time_limit), shape.varying)
-            scheduled, found = _verified(job, chosen, point, shape)
+            scheduled, at_points = _verified(job, chosen, point, shape)
         except (AmbroseError, np.linalg.LinAlgError) as failure:
             reason = f"back-off {1 + step:.4g}: {failure}"
             job.say(reason)
             step *= 2
             continue
-        fastest = max(f.fastest_pole for f in found)
+        fastest = max(f.fastest_pole for f in at_points)
         job.say(
-            f"gamma {chosen.unit:.6g}: verified at {len(found)} points, fastest pole "
+            f"gamma {chosen.unit:.6g}: verified at {len(at_points)} points, fastest pole "
             f"{fastest:.3g} rad/s"
         )
-        return _Design(scheduled, chosen, found, optimal, lower, pointwise, 1 + step, family.notes)
+        return _Design(
+            scheduled, chosen, at_points, optimal, lower, pointwise, 1 + step, family.notes
+        )
     raise NumericalFailure(
         f"no scheduled controller passed its verification ({reason}); narrow the range, take more "
         "grid points, or give a rate"
@@ -295,8 +297,8 @@ def _scheduled(
         # out of the scaled time, then out of the scaled u and y
         matrices = original_matrices(plant, (A * family.rate, B * root, C * root, D))
         systems[value] = StateSpace(*matrices, given.y, given.u)
-    for i, own in enumerate(family.axes):
-        lost = [value[i] for value in without if value[i] not in own]
+    for i, axis in enumerate(family.axes):
+        lost = [value[i] for value in without if value[i] not in axis]
         axes = (*axes[:i], axes[i][~np.isin(axes[i], lost)], *axes[i + 1 :])
     return ScheduledSystem(
         axes, [systems[value] for value in grid_points(axes)], job.parameter, job.unit
@@ -331,8 +333,8 @@ def _require(job: _Job, at_points: Sequence[Frozen], gamma: float) -> None:
 
 
 def _result(job: _Job, design: _Design, nominal: Any) -> Synthesis:
-    found, gamma = design.found, design.family.unit
-    worst = max(found, key=lambda f: f.guaranteed)
+    at_points, gamma = design.found, design.family.unit
+    worst = max(at_points, key=lambda f: f.guaranteed)
     if not np.isfinite(worst.guaranteed):
         raise NumericalFailure(
             f"between the grid points, at {job.parameter} {named(worst.value)} {job.unit}, "
@@ -350,7 +352,7 @@ def _result(job: _Job, design: _Design, nominal: Any) -> Synthesis:
             f"between {low} and {high}",
             "choose it within the grid",
         )
-    between_them = [f.guaranteed for f in found if not f.on_grid]
+    between_them = [f.guaranteed for f in at_points if not f.on_grid]
     margins = {
         "gamma_optimal": design.optimal,
         "gamma_lower": design.lower,
@@ -359,15 +361,15 @@ def _result(job: _Job, design: _Design, nominal: Any) -> Synthesis:
         "guaranteed_between": max(between_them, default=float("nan")),
         "grid_points": float(len(design.family.plants)),
         "schedule_points": float(len(design.scheduled.systems)),
-        "checked_points": float(len(found)),
+        "checked_points": float(len(at_points)),
     }
     certificate = Certificate(
-        all(f.stable for f in found),
-        max(f.spectral_abscissa for f in found),
-        max(f.norm for f in found),
-        max(f.fastest_pole for f in found),
+        all(f.stable for f in at_points),
+        max(f.spectral_abscissa for f in at_points),
+        max(f.norm for f in at_points),
+        max(f.fastest_pole for f in at_points),
         margins,
-        f"{design.family.n} states, {design.scheduled.words()}, {len(found)} points",
+        f"{design.family.n} states, {design.scheduled.words()}, {len(at_points)} points",
     )
     scheduled = balanced_states(design.scheduled)
     return Synthesis(
@@ -376,7 +378,7 @@ def _result(job: _Job, design: _Design, nominal: Any) -> Synthesis:
         worst.guaranteed,
         Status.VERIFIED,
         certificate,
-        tuple(f.row() for f in found),
+        tuple(f.row() for f in at_points),
         (*design.notes, *_words(job, design, worst)),
         scheduled,
     )

@@ -197,7 +197,7 @@ def _reference(machine: Machine, paths: Sequence[str]) -> np.ndarray:
     is not zero, SI.
     """
     points = (machine.operation.design, *machine.operation.envelope)
-    found = []
+    coefficients = []
     for path in paths:
         values = (nominal_values(reduced_plant(machine, point, 0), [path])[0] for point in points)
         value = next((abs(float(value)) for value in values if value), 0.0)
@@ -208,8 +208,8 @@ def _reference(machine: Machine, paths: Sequence[str]) -> np.ndarray:
                 "non-zero at one",
                 "give it a value to watch",
             )
-        found.append(value)
-    return np.array(found)
+        coefficients.append(value)
+    return np.array(coefficients)
 
 
 def _stable_loop(
