@@ -47,14 +47,14 @@ from ambrose.synthesis.fixed_order.job import bending_modes_for
 HERTZ = 2 * math.pi
 # [kg], [m], [m] of rotors on magnetic bearings
 _MASS = (1e-3, 5e3)
-_LENGTH = (0.02, 12.0)
-_DIAMETER = (1e-3, 2.0)
+_LENGTH = (0.02, 12.0)  # [m] of a rotor; outside, a unit is probably wrong
+_DIAMETER = (1e-3, 2.0)  # [m] of a shaft; outside, a unit is probably wrong
 _DENSITY, _MODULUS = (1e3, 2e4), (1e10, 7e11)  # [kg/m3], [Pa] of shafts
 _RATIO = (0.3, 3.0)  # k_s gap / (k_i bias): 1 for magnets without iron
 _NODE = 0.05  # of a mode's largest deflection
 _SHORT = 3.0  # diameters of length that one bearing may hold
 _MARGIN = 1.2  # K_p k_i / k_s below which stiffness is left to chance
-_MODES = 12
+_MODES = 12  # bending modes that are looked at
 _APART = 1e-9  # of the squared critical speeds: no figure shows it
 _POINTS = 8  # at most, at which the reference controller is looked at
 

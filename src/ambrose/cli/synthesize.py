@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -26,15 +27,18 @@ from ambrose.terminal import (
 )
 
 METHODS = methods()
-_WORD = "--method"
+_METHOD_OPTION = "--method"
 
 
 @click.command(
     cls=GroupedCommand,
-    groups={"": ("method", "point", "output"), **groups_from(METHODS, "With every method", _WORD)},
+    groups={
+        "": ("method", "point", "output"),
+        **groups_from(METHODS, "With every method", _METHOD_OPTION),
+    },
 )
 @MACHINE
-@click.option(_WORD, type=click.Choice(list(METHODS)), default="tuned", show_default=True)
+@click.option(_METHOD_OPTION, type=click.Choice(list(METHODS)), default="tuned", show_default=True)
 @click.option(
     "--point",
     default=None,
@@ -112,7 +116,7 @@ def synthesize(
     from ambrose.synthesis.design import design
     from ambrose.synthesis.synchronous_design import design_synchronous, in_words
 
-    chosen = chosen_from(METHODS, method, asked, _WORD)
+    chosen = chosen_from(METHODS, method, asked, _METHOD_OPTION)
     description = load(machine)
     on_machine = chosen.on(description)  # refuses before the design, which takes a while
     for option, value in (
@@ -166,16 +170,18 @@ def synthesize(
             result = replace(result, synchronous=block.blocks)
     failure = kept(lambda path: write_controller(path, result), output)
     if machine_file is not None and result.filters is not None:
-        runs = on_machine.timing()
+        timing = on_machine.timing()
         settings = result.filters
-        if runs is not None:  # or the loop would be judged continuous, read back from the file
+        # without its timing in the file, the loop read back would be judged as a continuous one
+        if timing is not None:
             settings = replace(
                 settings,
                 sample_rate=None,
-                sample_time=runs.sample_time,
-                delay=runs.delay_samples * runs.sample_time,
+                sample_time=timing.sample_time,
+                delay=timing.delay_samples * timing.sample_time,
             )
-        # of [machine.assumed]; the rest speaks of other settings
+        # reasons of [machine.assumed] that still hold: the other ones of [controller] speak of the
+        # settings that the filters replace
         stays = {"controller.sample_time", "controller.delay"}
         reasons = tuple(
             row
@@ -228,7 +234,7 @@ def synthesize(
         if block is not None:
             lines = [
                 ("time constant", f"{2 / block.gain:.4g} s"),
-                ("proved angle", f"{block.angle * 57.29577951:.4g} deg"),
+                ("proved angle", f"{math.degrees(block.angle):.4g} deg"),
             ]
             lines += [
                 ("on", f"{low:.4g} to {high:.4g} rad/s")
@@ -243,11 +249,12 @@ def synthesize(
 
 
 def _numbers(certificate: dict[str, Any]) -> dict[str, Any]:
-    """What is told of a certificate: where the loop runs sampled those figures first, and no
-    margins of another one that it does not have. The controller file keeps all.
+    """The rows of the table: where the loop runs sampled its own margins come first, and those of
+    the continuous loop, named so, only where the sampled one is stable. The controller file keeps
+    all.
     """
-    margins, apart = certificate["margins"], {"margins", "envelope"}
-    numbers = {name: value for name, value in certificate.items() if name not in apart}
+    margins, separate = certificate["margins"], {"margins", "envelope"}
+    numbers = {name: value for name, value in certificate.items() if name not in separate}
     as_run = {name: value for name, value in margins.items() if name.startswith("sampled_")}
     if not as_run:
         return numbers | margins
@@ -255,9 +262,9 @@ def _numbers(certificate: dict[str, Any]) -> dict[str, Any]:
     if not certificate["stable"]:
         return leading
     others = numbers | {name: value for name, value in margins.items() if name not in as_run}
-    full = {"full_spectral_abscissa", "full_sensitivity_peak"}
+    of_full_plant = {"full_spectral_abscissa", "full_sensitivity_peak"}
     return leading | {
         name if name == "fastest_pole" else f"continuous {name}": value
         for name, value in others.items()
-        if name not in full
+        if name not in of_full_plant
     }

@@ -47,7 +47,7 @@ from ambrose.core.statespace import (
     static_gain,
 )
 
-_PER_DECADE = 9
+_PER_DECADE = 9  # points of a grid
 # a design's grid reaches this factor beyond the slowest and fastest pole of the plant
 _MARGIN = 10.0
 

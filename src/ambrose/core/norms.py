@@ -28,12 +28,12 @@ from ambrose.core.presentation import Presented
 from ambrose.core.realisation.balancing import balance_system
 from ambrose.core.statespace import StateSpace, as_statespace
 
-_MAX_STEPS = 60
+_MAX_STEPS = 60  # raises of the lower bound, at most; it converges quadratically
 _STENCIL = np.linspace(-1.0, 1.0, 17)  # points of one pass of the local search
-_PASSES = 5
+_PASSES = 5  # zooms of the stencil around a peak
 # the same with partial fractions, where the last parabola is enough
 _FINE_STENCIL = np.linspace(-1.0, 1.0, 13)
-_FINE_PASSES = 3
+_FINE_PASSES = 3  # zooms of the finer stencil
 # tolerance from which on partial fractions, which lose up to four digits, may choose the
 # frequencies
 _EXPANDED = 1e-8

@@ -9,8 +9,8 @@ import numpy as np
 from ambrose.core.checks import check_shape
 
 _EXACT = 4096  # samples summed one by one; beyond, blocks of samples are bounded together
-_BATCH = 64
-_DOUBLINGS = 60
+_BATCH = 64  # powers of A that are stacked at once
+_DOUBLINGS = 60  # of the horizon, at most
 
 
 def peak_gains(increment: np.ndarray, B: np.ndarray, steps: float = np.inf) -> np.ndarray:

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from ambrose.core.checks import NumericalFailure, check_shape, invalid, named_failure
 
-_ROUNDS = 60
+_ROUNDS = 60  # relocations of the poles, at most
 _SETTLED = 1e-9  # relative change of every pole
 _LEAST_DAMPING = 1e-6  # of a mirrored pole, relative
 

@@ -83,8 +83,8 @@ def simulate_piecewise(
     """
     parts: list[np.ndarray] = []
     x: np.ndarray | None = None
-    for given, piece in zip(systems, inputs, strict=True):
-        system, _ = _sampled(given, None)
+    for stage, piece in zip(systems, inputs, strict=True):
+        system, _ = _sampled(stage, None)
         if x is None:
             x = _start(x0, system.n_states)
         elif len(x) != system.n_states:

@@ -287,7 +287,7 @@ class LoopIdentification(Identification):
     def updated(self) -> Identification:
         if self.seal is None:
             with_values = Identification.updated(self)
-            return replace(with_values, machine=self._as_late(with_values.machine))
+            return replace(with_values, machine=self._with_delay_as_run(with_values.machine))
         with_seal = self.seal.update(self.given, self.result)
         return replace(
             self,
@@ -297,9 +297,9 @@ class LoopIdentification(Identification):
             ),
         )
 
-    def _as_late(self, machine: Machine) -> Machine:
-        """The machine whose [controller] is as late as the one that ran, where it states a rate and
-        that is the records'.
+    def _with_delay_as_run(self, machine: Machine) -> Machine:
+        """The machine whose [controller] has the delay of the one that ran; unchanged where the
+        file states no rate, or another one than the records', or where the delay was identified.
         """
         settings = machine.controller
         if (
@@ -310,6 +310,8 @@ class LoopIdentification(Identification):
         ):
             return machine
         dt = self.outputs[0].record.dt
+
+        # equal but for the rounding of a rate and of a delay that is written in seconds
         stated = settings.sample_time if settings.delay is None else settings.delay
         if (
             abs(settings.sample_time / dt - 1) > 1e-6

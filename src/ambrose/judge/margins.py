@@ -32,8 +32,8 @@ from ambrose.machine.criteria import TWO_PI, demand
 from ambrose.machine.description import Requirements
 
 SIDES = ("output", "input")
-_ITERATIONS = 30
-_TOLERANCE = 1e-11
+_ITERATIONS = 30  # of the false position, at most
+_TOLERANCE = 1e-11  # relative, of a crossing's frequency and value
 
 
 @dataclass(frozen=True, slots=True)

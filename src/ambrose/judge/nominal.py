@@ -32,7 +32,7 @@ from ambrose.model.unbalance import Unbalance, residual_unbalance
 
 _LOWEST = 0.5 * TWO_PI  # rad/s, start of the default grid
 _SPEEDS = 40  # speeds at which the rotor is assembled anew for unbalance
-_STABILITY_SPEEDS = 11
+_STABILITY_SPEEDS = 11  # over the range of speed
 _BEYOND = 5.0  # the default grid reaches this many times past the standard's range
 
 Progress = Callable[[str, float], None]

@@ -14,7 +14,7 @@ from ambrose.judge.loop_response import Evaluator, LoopResponse
 Rows = Callable[[LoopResponse], np.ndarray]  # a LoopResponse -> (k, w) real, non-negative
 
 _INSIDE = 7  # points inside a bracket per round: each round narrows it fourfold
-_ROUNDS = 4
+_ROUNDS = 4  # refinements of the grid around a peak
 _CANDIDATES = 4  # local maxima followed per curve
 _WORTH = 0.5  # of the largest grid value: a lower local maximum is not followed
 

@@ -21,7 +21,7 @@ from ambrose.model.plant import Plant
 from ambrose.model.uncertainty import with_offsets_of
 
 Progress = Callable[[str], None]
-_CAMPBELL_SPEEDS, _CAMPBELL_MODES = 15, 10
+_CAMPBELL_SPEEDS, _CAMPBELL_MODES = 15, 10  # points over speed; branches drawn
 
 
 def full_plants(machine: Machine) -> tuple[Plant, ...]:

@@ -33,7 +33,7 @@ from ambrose.model.uncertainty import in_tolerances, tolerances_around
 _FULL_POINTS = 40
 _STARTS = 3  # of the search inside the box, besides the nominal point
 _BENDING = re.compile(r"rotor\.bending_(\d+)\.")
-_INSIDE = 32
+_INSIDE = 32  # points inside the box, beside its corners
 Progress = Callable[[str], None]
 
 

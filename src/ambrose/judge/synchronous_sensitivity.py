@@ -16,7 +16,7 @@ import numpy as np
 from ambrose.core.frequency import transfer_matrix
 from ambrose.law.synchronous import Condition, SynchronousLoop
 
-_FREQUENCIES = 400
+_FREQUENCIES = 400  # of the grid, from 3 rad/s
 _BESIDE = 1e-13  # from a pole of the block, in z
 
 

@@ -500,11 +500,11 @@ def _assembled(
     whole = np.zeros((m + states, m + states))
     for source, targets, theta in entries:
         t, j = len(targets), names.index(source)
-        own = range(start, start + len(theta) - t)
+        inner = range(start, start + len(theta) - t)
         rows = [names.index(target) for target in targets]
-        whole[np.ix_(rows, [j, *own])] += theta[:t]
-        whole[np.ix_(own, [j, *own])] = theta[t:]
-        start += len(own)
+        whole[np.ix_(rows, [j, *inner])] += theta[:t]
+        whole[np.ix_(inner, [j, *inner])] = theta[t:]
+        start += len(inner)
 
     parts = whole[m:, m:], whole[m:, :m], whole[:m, m:], whole[:m, :m]
     return StateSpace(*parts, _signals("err", axes), _signals("u", axes), dt)

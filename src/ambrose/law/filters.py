@@ -19,7 +19,7 @@ from ambrose.core.checks import InvalidInput, check_finite
 from ambrose.machine.controller import SECTIONS, PidSettings, Section
 from ambrose.machine.validation.controller import section_problems
 
-DERIVATIVE_FILTER = 0.1
+DERIVATIVE_FILTER = 0.1  # time constant over the derivative's, where none is stated
 _UNITS = {"time": (1e3, "ms"), "frequency": (0.5 / np.pi, "Hz"), "phase": (180 / np.pi, "deg")}
 
 

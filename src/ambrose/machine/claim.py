@@ -22,7 +22,7 @@ _NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 if sys.platform == "win32":
     import msvcrt
 
-    def _taken(descriptor: int) -> bool:
+    def _held_by_another(descriptor: int) -> bool:
         try:
             msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
         except PermissionError:
@@ -32,7 +32,7 @@ if sys.platform == "win32":
 else:
     import fcntl
 
-    def _taken(descriptor: int) -> bool:
+    def _held_by_another(descriptor: int) -> bool:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -91,7 +91,7 @@ def _hold(lock: Path) -> int:
             if not lock.is_file():
                 raise
             descriptor = os.open(lock, os.O_RDONLY | _NO_LINK)  # somebody else's run left it
-        if _taken(descriptor):
+        if _held_by_another(descriptor):
             os.close(descriptor)
             break
         with suppress(OSError):

@@ -14,7 +14,7 @@ from ambrose.machine.messages import meant, shown
 from ambrose.machine.units import DIMENSIONS, read_quantity
 
 UNIT_STRING = r"^\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*[A-Za-zµμ°%].*$"
-_LARGEST_COUNT = 1_000_000
+_LARGEST_COUNT = 1_000_000  # of anything that a file counts
 # stands for a reference until pydantic has made the schema, which knows only its own definitions
 PLACEHOLDER = "x-quantity"
 

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from unicodedata import category
 
-_LONGEST = 60
+_LONGEST = 60  # characters of a value in a message
 SHOWN = 20  # problems, or known names, in one message
 BULLET = "\n  - "  # before each further line of a message
 

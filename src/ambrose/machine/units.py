@@ -21,10 +21,10 @@ from ambrose.machine.messages import meant, shown
 _NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)\s*(.*)", re.DOTALL)
 _UNIT = re.compile(r"[A-Za-z%°][A-Za-z%°_]*-?\d?(?:[ /][A-Za-z%°(][A-Za-z%°_()]*-?\d?\)?)*")
 _LONGEST_TEXT = 200  # characters of a quantity
-_LONGEST_UNIT = 40
+_LONGEST_UNIT = 40  # characters of its unit
 _PI = Fraction("3.14159265358979323846264338327950288419716939937511")
 _FLOAT_DIGITS = 17  # tell any two floats apart
-_MOST_DIGITS = 50
+_MOST_DIGITS = 50  # of a number that is converted exactly, at most
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from ambrose.machine.attachment import TILTED, Station, attached
 from ambrose.machine.machine import Machine
 from ambrose.model.effects import sensor
 
-QUARTER = np.pi / 2
+QUARTER = np.pi / 2  # [rad] from zeta to eta
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 LEAST_AMPLIFICATION = 2.5  # below it a peak is critically damped: no critical speed
-_OFFSET, _SPAN = 1.5, 0.17
+_OFFSET, _SPAN = 1.5, 0.17  # of SM = 17 % (1 - 1/(AF - 1.5))
 # margin from which more than 2.5 is allowed, and from which anything is
 _BELOW, _ABOVE = (0.0, 0.16), (0.10, 0.26)
 

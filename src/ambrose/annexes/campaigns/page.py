@@ -25,10 +25,10 @@ from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, Verdict
 from ambrose.report.record import record_page
 from ambrose.report.verification import verification_page
 
-_WORST = 20
-_LINES = 1500
-_BINS = 10
-_MAPS = 3
+_WORST = 20  # rows of each table
+_LINES = 1500  # drawn; of more, the best half and the worst half
+_BINS = 10  # classes of a parameter that has more than three times as many values
+_MAPS = 3  # pairs of parameters that are mapped
 _SCALE = ((0.0, "#d5efe8"), (0.5, "#f7bd80"), (1.0, "#d55e00"))
 _DARK = "#4a1626"
 _MAP = (

@@ -39,7 +39,7 @@ PLANS = ("grid", "random", "latin-hypercube")
 MODELS = ("full", "reduced")
 BASES = ("machine", "controller", "scenario", "point")  # that a path may name whole
 SECTIONS = (*BASES, "tolerance", "option")
-MOST_CASES = 1_000_000
+MOST_CASES = 1_000_000  # of one plan
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
 _KEYS = ("task", "plan", "cases", "seed", "model", "machine", "controller", "scenario", "point")
 

@@ -16,7 +16,7 @@ from ambrose.core.checks import check_shape
 
 _MOST_LEVELS = 40  # values up to which each is a class of its own
 _CLASSES = 100  # at most, and as many as leave ten samples to each
-_LEAST = 10
+_LEAST = 10  # cases in a class, so that its mean says something
 
 
 def main_effects(x: ArrayLike, y: ArrayLike, *, complete: bool = False) -> np.ndarray:

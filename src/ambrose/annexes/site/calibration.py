@@ -115,33 +115,35 @@ def calibrate(
     rolling = (
         slow_roll if isinstance(slow_roll, Record) or slow_roll is None else read_record(slow_roll)
     )
-    still = [_read(item, settle) for item in several]
-    found = machine
+    levitated_records = [_read(item, settle) for item in several]
+    calibrated = machine
     before: dict[str, float] = {}
     # a circle is bent by the magnets' centre and by run-out, which are found later
     for _ in range(2 if around else 1):
-        centres = {bearing.name: bearing.magnetic_offset for bearing in found.bearings}
-        found = replace(
+        centres = {bearing.name: bearing.magnetic_offset for bearing in calibrated.bearings}
+        calibrated = replace(
             machine,
             bearings=tuple(replace(b, magnetic_offset=centres[b.name]) for b in machine.bearings),
             sensors=tuple(
                 replace(own, runout=new.runout)
-                for own, new in zip(machine.sensors, found.sensors, strict=True)
+                for own, new in zip(machine.sensors, calibrated.sensors, strict=True)
             ),
         )
         entries: list[Calibrated] = []
         notes: list[str] = []
         if around is not None:
-            found = _circle(found, around, find, entries, notes)
+            calibrated = _circle(calibrated, around, find, entries, notes)
         if rolling is not None:
-            found = _runout(found, rolling, harmonics, settle, entries, notes)
+            calibrated = _runout(calibrated, rolling, harmonics, settle, entries, notes)
             if doubt := load_doubt(machine, [rolling]):
                 notes.append(doubt)
-        if still:
-            found = _centres(found, still, entries, notes)
+        if levitated_records:
+            calibrated = _centres(calibrated, levitated_records, entries, notes)
         before = {entry.name: entry.before for entry in entries} | before
     return Calibration(
-        found, tuple(replace(entry, before=before[entry.name]) for entry in entries), tuple(notes)
+        calibrated,
+        tuple(replace(entry, before=before[entry.name]) for entry in entries),
+        tuple(notes),
     )
 
 
@@ -155,12 +157,12 @@ def _pairs(machine: Machine) -> tuple[Sensor, ...]:
     alone is recorded.
     """
     for bearing in machine.bearings:
-        own = [sensor for sensor in machine.sensors if sensor.bearing == bearing.name]
-        if len(own) > 1:
+        sensors = [sensor for sensor in machine.sensors if sensor.bearing == bearing.name]
+        if len(sensors) > 1:
             remedy = "calibrate them one by one, by records and machine files with one pair each"
             raise invalid(
                 f"the number of sensor pairs of bearing {bearing.name}",
-                len(own),
+                len(sensors),
                 "one, for records hold their mean",
                 remedy,
             )
@@ -244,9 +246,9 @@ def _circle(
     used = np.all([e.used for e in ellipses], axis=0)
 
     # reach: mean radius over gain, the displacement at the sensors; reach = levers clearance
-    given = np.array([pair.gain for pair in pairs])
+    gains = np.array([pair.gain for pair in pairs])
     reach = np.array(
-        [np.mean(np.array(e.radius) / g) for e, g in zip(ellipses, given, strict=True)]
+        [np.mean(np.array(e.radius) / g) for e, g in zip(ellipses, gains, strict=True)]
     )
     known = np.array(gaps, float) if find == "gain" else np.linalg.solve(levers, reach)
 
@@ -255,13 +257,16 @@ def _circle(
     part = replace(record, values=kept, start_time=0.0)
 
     # back: displacements at the bearings from those at the sensors
-    scale, back = np.array([np.mean(e.radius) for e in ellipses]), np.linalg.inv(levers)
+    scale, bearings_from_sensors = (
+        np.array([np.mean(e.radius) for e in ellipses]),
+        np.linalg.inv(levers),
+    )
 
     def model(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         # x = (offset / radius (2n), gain (2n) or clearance / mean radius (n), compliance (n)),
         # the last in 1e-3 mean radii per kN: unknowns of order one
         offset, compliance = x[: 2 * n].reshape(n, 2) * scale[:, None], x[-n:] * scale.mean() * 1e-3
-        gain = x[2 * n : 4 * n].reshape(n, 2) if find == "gain" else given
+        gain = x[2 * n : 4 * n].reshape(n, 2) if find == "gain" else gains
         return (
             offset,
             gain,
@@ -289,18 +294,21 @@ def _circle(
         ]
     )
     for _ in range(_REFINEMENTS):  # the contact force follows from where the rotor is
-        pressed = _pressed(machine, part, back @ displaced(x)) / 1e3
+        pressed = _pressed(machine, part, bearings_from_sensors @ displaced(x)) / 1e3
 
-        def left(x: np.ndarray, pressed: np.ndarray = pressed) -> np.ndarray:
+        def residual(unknowns: np.ndarray, pressed: np.ndarray = pressed) -> np.ndarray:
             # |q| - levers (clearance + compliance force), in radii
-            *_, gap, compliance = model(x)
+            *_, gap, compliance = model(unknowns)
             return np.ravel(
-                (np.abs(displaced(x)) - levers @ (gap[:, None] + compliance[:, None] * pressed))
+                (
+                    np.abs(displaced(unknowns))
+                    - levers @ (gap[:, None] + compliance[:, None] * pressed)
+                )
                 / scale[:, None]
             )
 
-        found = least_squares(left, x, loss="soft_l1", f_scale=1e-3)
-        x = found.x
+        fit = least_squares(residual, x, loss="soft_l1", f_scale=1e-3)
+        x = fit.x
     if not pressed.any():
         notes.append(
             "the record holds no currents, so that the compliance of the contact is in gain or "
@@ -311,13 +319,13 @@ def _circle(
     # one independent observation
     freedom = max(_SECTORS * n - len(x), 1)  # neighbouring samples err together
     spread = np.sqrt(
-        np.diag(np.linalg.pinv(found.jac.T @ found.jac)) * float(found.fun @ found.fun) / freedom
+        np.diag(np.linalg.pinv(fit.jac.T @ fit.jac)) * float(fit.fun @ fit.fun) / freedom
     )
     offset, gain, gap, _ = model(x)
 
     # half-widths of 95 %: model() is linear in x, so that it scales two standard deviations, too
     wide, wide_gain, wide_gap, _ = model(2 * spread)
-    wide = wide + given * [
+    wide = wide + gains * [
         [sum(item.amplitude for item in pair.runout)] for pair in pairs
     ]  # at what angle the rotor stood is not known
 
@@ -381,21 +389,21 @@ def _pressed(machine: Machine, record: Record, q: np.ndarray) -> np.ndarray:
             i = i + np.stack(signal_rows(record, [f"e_{row}" for row in rows]))
 
         # displacement along the bearing's own axes
-        own = q[b] * np.exp(-1j * bearing.angle)
-        p, load = magnets[b].of_force, weight[b]
+        local = q[b] * np.exp(-1j * bearing.angle)
+        constants, load = magnets[b].of_force, weight[b]
         pulls = (
             np.array(
                 [
-                    magnet.force(*ends, p)
-                    for ends in zip(i[0], i[1], own.real, own.imag, strict=True)
+                    magnet.force(*ends, constants)
+                    for ends in zip(i[0], i[1], local.real, local.imag, strict=True)
                 ]
             )
             + load
         )
 
         # F . q / |q|; a magnet that pulls inward leaves the contact without force
-        outward = pulls[:, 0] * own.real + pulls[:, 1] * own.imag
-        forces[b] = np.maximum(outward / np.abs(own), 0.0)
+        outward = pulls[:, 0] * local.real + pulls[:, 1] * local.imag
+        forces[b] = np.maximum(outward / np.abs(local), 0.0)
     return forces
 
 
@@ -590,7 +598,7 @@ def _centres(
         guess = weight[k]
         k_s = np.array(centred[0][k].coefficients.negative_stiffness)
 
-        def left(
+        def residual(
             v: np.ndarray, k: int = k, magnets: Any = magnets, guess: Any = guess, k_s: Any = k_s
         ) -> np.ndarray:
             # (force of the magnets at q - centre + weight) / k_s = 0, as a displacement
@@ -601,16 +609,16 @@ def _centres(
                 pulls.append(magnet.force(i[k, 0], i[k, 1], at[0], at[1], p))
             return np.ravel((np.array(pulls) + load) / k_s / _UNIT)
 
-        found = least_squares(left, np.zeros(4 if free else 2))
+        fit = least_squares(residual, np.zeros(4 if free else 2))
 
         # (J^T J)^-1 times the residual's variance per degree of freedom
-        J = np.linalg.pinv(found.jac.T @ found.jac)
-        power = float(np.sum(found.fun**2)) / max(len(found.fun) - len(found.x), 1)
-        noise = np.sqrt(np.diag(J) * power)[:2] * _UNIT
+        covariance = np.linalg.pinv(fit.jac.T @ fit.jac)
+        power = float(np.sum(fit.fun**2)) / max(len(fit.fun) - len(fit.x), 1)
+        noise = np.sqrt(np.diag(covariance) * power)[:2] * _UNIT
 
         # a wrong weight moves the centre by dW / k_s; where it is an unknown, not at all
         doubt = np.zeros(2) if free else _WEIGHT * np.abs(guess) / k_s
-        centre = found.x[:2] * _UNIT
+        centre = fit.x[:2] * _UNIT
         for way, axis in enumerate(("zeta", "eta")):
             # run-out adds to the half-width whole: at what angle the rotor stood is not known
             half = float(2 * np.hypot(noise[way], doubt[way] / 2)) + sum(

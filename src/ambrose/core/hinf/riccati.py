@@ -37,7 +37,7 @@ _FLOOR = 1e-9  # gamma below this fraction of the plant's gain from w to z count
 # successive factors above the lower bound, the last one repeated
 _GROWTH = (1.02, 1.2, 2.0, 4.0, 10.0)
 _LARGEST = 1e12  # how far above the lower bound a solution is looked for
-_STEPS = 60
+_STEPS = 60  # of the bisection on gamma, at most
 
 
 @dataclass(frozen=True, slots=True, eq=False)

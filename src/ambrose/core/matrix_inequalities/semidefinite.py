@@ -28,7 +28,7 @@ from ambrose.core.matrix_inequalities.matrix_variables import (
     kronecker,
 )
 
-_STEPS = 80
+_STEPS = 80  # of the method, at most
 _SHORT = 1e-7  # a step length below which the method has stalled
 
 

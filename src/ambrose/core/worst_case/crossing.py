@@ -28,9 +28,9 @@ _CHUNK = 60_000  # matrices whose eigenvalues are computed at once
 _DIRECTIONS = 40  # at random, per parameter beyond the first
 _FEW_CORNERS = 5  # parameters up to which all corners are directions
 _STARTS = 6  # per round
-_STEPS = 60
+_STEPS = 60  # along the surface of the crossing, at most
 _HALVINGS = 12  # of a grid interval in which an eigenvalue crosses the real axis
-_NEWTON = 12
+_NEWTON = 12  # steps of Newton's method, at most
 _SAME = 1e-12  # of a column, to which it must be made of others
 _STILL = 1e-10  # relative imaginary part of the eigenvalue that counts as none
 

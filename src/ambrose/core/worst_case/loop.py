@@ -32,7 +32,7 @@ _STEP = 0.8  # rad, largest turn of the determinant between two grid points that
 # (about)
 _HIDDEN = 1.2
 _BESIDE = 1e-6  # relative step of the derivative in frequency
-_ROUNDS = 14
+_ROUNDS = 14  # of new grid points between restless ones, at most
 # norm of M11 delta, over the channels, below which a frequency is left out unless its neighbour is
 # not
 _WEAK = 0.1

@@ -24,7 +24,7 @@ from ambrose.core.presentation import Presented
 from ambrose.core.worst_case.elimination import determinants_at
 from ambrose.core.worst_case.loop import BoxLoop, box_loop, box_points, default_grid, gains
 
-_STARTS = 10
+_STARTS = 10  # points from which the gain is climbed, the largest first
 _BAND = 0.1  # relative width in which two starts of one member are the same
 _STEP = 1e-6  # relative step of the derivative in frequency
 _BESIDE = (-1.0, 0.0, 1.0)  # of a member's pole, in its decays

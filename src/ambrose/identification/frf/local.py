@@ -21,7 +21,7 @@ from ambrose.identification.frf.spectral import Frf
 from ambrose.identification.output_error.synchronous import without_synchronous
 from ambrose.record.record import Record
 
-_DEGREE = 2
+_DEGREE = 2  # of the local polynomial (Pintelon & Schoukens 2012, ch. 7)
 _INDEPENDENT = 1e-5  # least singular value of the lines' matrix, columns of unit length
 _WIDER = (1.0, 3.0, 9.0)  # bands tried, in widths of the least
 _WORSE = 1.25  # times the noise of the least band, up to which a wider one is no worse

@@ -16,7 +16,7 @@ from ambrose.record.record import Record
 
 _ALIKE = 0.02  # relative difference of successive periods within one step
 _SLACK = 1e-3  # [s] by which steps of two signals may overlap and still follow each other
-_MOST_BLOCKS = 20
+_MOST_BLOCKS = 20  # of a step, whose scatter gives the deviation
 _LEAST_PERIODS, _LEAST_BLOCKS = 4, 3  # of a step, and of its fit
 _HARMONICS = 8  # that are fitted beside the sine, as far as the sampling shows them
 _SHOWN = 0.9  # of half the sample rate, below which a harmonic is told from another one

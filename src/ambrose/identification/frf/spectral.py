@@ -26,7 +26,7 @@ from ambrose.identification.output_error.synchronous import without_synchronous
 from ambrose.record.record import Record
 
 WINDOWS = ("hann", "boxcar")
-_EXCITED = 1e-4  # of the strongest line's power: weaker lines are left out
+_EXCITED = 1e-4  # of the strongest line's power (-40 dB): weaker lines are left out
 _BLOCK = 500_000  # samples of all signals cut at once
 # least eigenvalue of the excitations' coherence matrix: below, they cannot be told apart
 _INDEPENDENT = 1e-6
@@ -81,6 +81,7 @@ class Frf:
 
     def between(self, low: float, high: float) -> Frf:
         """The lines from ``low`` to ``high`` [rad/s]; raises InvalidInput where there are none."""
+        # a line at an end of the band is within, whatever its rounding
         kept = (self.omega >= low * (1 - 1e-9)) & (self.omega <= high * (1 + 1e-9))
         if not kept.any():
             has = f"{self.omega[0]:g} to {self.omega[-1]:g} rad/s"
@@ -149,6 +150,7 @@ def closed_loop(
     if excitations is not None:
         e = (excitations,) if isinstance(excitations, str) else tuple(excitations)
     records = (records,) if isinstance(records, Record) else tuple(records)
+    # v_<axis> is made of u_<axis> and e_<axis> where the record lacks it
     needed = {
         *e,
         *u,
@@ -183,23 +185,27 @@ def closed_loop(
     # e alone: its response to itself is one
     T, total = (T, powers) if u == e else (T[:, m:], powers[m:])
     Tu, Ty = T[:, :m], T[:, m:]
-    back = np.linalg.inv(Tu) if u != e else np.broadcast_to(np.eye(m), Tu.shape)
-    G = Ty @ back
+    Tu_inverse = np.linalg.inv(Tu) if u != e else np.broadcast_to(np.eye(m), Tu.shape)
+    G = Ty @ Tu_inverse
     K = sum(len(start) for start in frames.starts)
-    missed, power = np.zeros(total.shape), np.zeros((len(y), len(omega)))
+    unexplained, power = np.zeros(total.shape), np.zeros((len(y), len(omega)))
     # once more: the difference of sums of squares would lose clean records
     for _, block in frames.blocks(names):
         Z = block[:, :, kept].transpose(2, 0, 1)  # (w, signals, segments)
-        left = (Z if u == e else Z[:, m:]) - T @ Z[:, :m]
-        missed += _squares(left)
-        power += _squares(left[:, m:] - G @ left[:, :m])  # what is left of y - G u
+        residual = (Z if u == e else Z[:, m:]) - T @ Z[:, :m]
+        unexplained += _squares(residual)
+        power += _squares(residual[:, m:] - G @ residual[:, :m])  # what is left of y - G u
 
-    # of K segments of noise the regression on e takes tr(P N), overlap allowed for
-    lost = np.einsum("wab,wab->w", P, N).real
-    power = power.T / np.maximum(K - lost, 1e-9 * K)[:, None]
-    Q = P @ back  # the segments' weights, seen from the inputs
+    # power of the noise: sum |r|^2 / (K - tr(P N)); of K segments of noise the regression on e
+    # absorbs tr(P N), overlap allowed for, which for m excitations without overlap is m
+    absorbed = np.einsum("wab,wab->w", P, N).real
+    power = power.T / np.maximum(K - absorbed, 1e-9 * K)[:, None]
+
+    # G errs by sum_k r_k E_k^H Q of the residuals r = y - G u, with Q = S_ee^-1 T_u^-1, so that
+    # E|dG_ij|^2 = power_i (Q' N conj Q)_jj
+    Q = P @ Tu_inverse
     share = np.einsum("wai,wab,wbi->wi", Q, N, Q.conj()).real
-    coherence = 1 - missed.T / np.where(total.T > 0, total.T, 1.0)
+    coherence = 1 - unexplained.T / np.where(total.T > 0, total.T, 1.0)
     coherence = np.clip(np.where(total.T > 0, coherence, 0.0), 0.0, 1.0)
     return Frf(
         G,
@@ -239,7 +245,7 @@ class _Frames:
         return 2 * np.pi * np.arange(len(self.window) // 2 + 1) / (len(self.window) * self.dt)
 
     @property
-    def likeness(self) -> np.ndarray:
+    def window_correlation(self) -> np.ndarray:
         """Correlation of the noise in segments 0, 1, 2 ... steps apart."""
         # rho_d = sum w(t) w(t + d step)/sum w^2
         w, L = self.window, len(self.window)
@@ -249,7 +255,7 @@ class _Frames:
     def independent(self) -> float:
         """How many segments without overlap would tell as much."""
         # K^2/(K + 2 sum (K - d) rho_d^2) per record (Welch)
-        rho = self.likeness
+        rho = self.window_correlation
         total = 0.0
         for start in self.starts:
             K = len(start)
@@ -282,7 +288,7 @@ class _Frames:
         """
         lines = len(self.omega)
         n = len(names)
-        rho = self.likeness
+        rho = self.window_correlation
         powers = np.zeros((n, lines))
         products = np.zeros((lines, n, m), complex)
         N = np.zeros((lines, m, m), complex)
@@ -368,6 +374,8 @@ def _excited(
             )
     strong = (power > _EXCITED * power.max(axis=1, keepdims=True)).all(axis=0)
     low, high = (0.0, np.inf) if band is None else band
+    # lines 0 and 1 hold the mean and drift that the window spreads; the last is the Nyquist
+    # frequency, where a spectrum is real
     kept = (
         (omega >= max(low, 1.5 * omega[1]) * (1 - 1e-9))
         & (omega <= high * (1 + 1e-9))
@@ -385,9 +393,9 @@ def _excited(
 def _inverse(S: np.ndarray, omega: np.ndarray, names: tuple[str, ...]) -> np.ndarray:
     """S^-1 (w, m, m) of the excitations' spectra, after checking that they differ at every line."""
     size = np.sqrt(np.einsum("waa->wa", S).real)
-    alike = S / size[:, :, None] / size[:, None, :]
-    values, vectors = np.linalg.eigh(alike)
-    worst = int(np.argmin(values[:, 0]))
+    coherence = S / size[:, :, None] / size[:, None, :]
+    values, vectors = np.linalg.eigh(coherence)
+    worst = int(np.argmin(values[:, 0]))  # the line with the least eigenvalue
     if values[worst, 0] < _INDEPENDENT:
         together = [
             name

@@ -43,7 +43,7 @@ def stepped(
     groups: list[list[tuple[Record, Step]]] = []
     for record, plan in zip(records, plans, strict=True):
         for step in plan:
-            own = next(
+            same_step = next(
                 (
                     g
                     for g in groups
@@ -51,9 +51,9 @@ def stepped(
                 ),
                 None,
             )
-            if own is None:
-                groups.append(own := [])
-            own.append((record, step))
+            if same_step is None:
+                groups.append(same_step := [])
+            same_step.append((record, step))
     enough = sorted((g for g in groups if len(g) >= len(u)), key=lambda g: g[0][1].frequency)
     if not enough:
         raise InvalidInput(

@@ -50,7 +50,7 @@ from ambrose.model.static_load import operating_magnets
 from ambrose.record.record import Record
 
 _LOAD = 0.25  # of the bias current: the load that amplitude 1 of a quadratic signal stands for
-_PASSES = 2
+_PASSES = 2  # fits of the force, each on the records that the one before cleaned
 # of the change that the correction makes: standard deviation for terms beyond the third; assumed
 _TRUNCATED = 0.05
 _PIECE = 65_536  # samples at a time
@@ -321,14 +321,14 @@ def without_magnets(
     """What the magnets add to ``result``, and the records, their experiment and its fit without it;
     as given where nothing.
     """
-    found, kept = None, (tuple(records), experiment, result)
+    force, kept = None, (tuple(records), experiment, result)
     for _ in range(_PASSES):
-        further = magnetic_force(machine, kept[0], controller, kept[1], kept[2], found)
+        further = magnetic_force(machine, kept[0], controller, kept[1], kept[2], force)
         if further is None:
             break
-        left = further.less(records)
+        cleaned = further.less(records)
         try:
-            task = build_experiment(machine, left, controller, result.paths, experiment.options)
+            task = build_experiment(machine, cleaned, controller, result.paths, experiment.options)
             fitted = replace(
                 fit(task, dict(zip(result.paths, kept[2].values.tolist(), strict=True))),
                 start=result.start,
@@ -337,16 +337,16 @@ def without_magnets(
             break
         if not fitted.converged:
             break
-        found, kept = replace(further, responses=()), (left, task, fitted)
-    if found is None:
+        force, kept = replace(further, responses=()), (cleaned, task, fitted)
+    if force is None:
         return None, *kept
 
     # variances add: noise, the amplitudes' own, terms beyond the third
     sure = np.hypot(
         kept[2].standard_deviations,
-        np.hypot(np.sqrt(found.widening), _further_terms(result, kept[2].values)),
+        np.hypot(np.sqrt(force.widening), _further_terms(result, kept[2].values)),
     )
-    return found, kept[0], kept[1], kept[2].widened(sure)
+    return force, kept[0], kept[1], kept[2].widened(sure)
 
 
 def _further_terms(result: ParameterEstimate, values: np.ndarray) -> np.ndarray:

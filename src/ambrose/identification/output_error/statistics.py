@@ -17,7 +17,7 @@ from ambrose.machine.parameters import TIMING
 
 # of the strongest parameter's effect; and the least eigenvalue of J'J with a unit diagonal
 _VISIBLE = 1e-12
-_CONFIDENCE = 0.99
+_CONFIDENCE = 0.99  # of all lags of a signal together (Bonferroni)
 # standard deviation over value, and correlation, that are worth a warning
 _UNSURE, _ALIKE = 0.3, 0.98
 # standard deviation over value below which parameters are told apart all the same; assumed, as

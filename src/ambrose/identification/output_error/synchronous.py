@@ -21,7 +21,7 @@ from ambrose.record.record import Record
 
 _NEARLY = 0.02  # of the stated speed, within which the true one is looked for; assumed
 _CLEAR = 20.0  # power of the lines over what noise makes of it, from which they tell the speed
-_BLOCKS, _PAD = (64, 8192), 16
+_BLOCKS, _PAD = (64, 8192), 16  # blocks, least and most; factor of zero padding
 _PIECE = 65_536  # samples at a time
 _TOLD = 1e-3  # rad: a smaller change of the angle is none
 _TOLD_APART = 0.1  # of a cycle over the record: by less, two waves are one

@@ -33,7 +33,7 @@ from ambrose.record.record import Record
 # [Hz], of broadband records where nothing else is asked for
 _LOWEST = 5.0
 _HIGHEST = 100.0
-_LINES = 20
+_LINES = 20  # from the one to the other
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -47,10 +47,10 @@ def load_remarks(
     if _without_mean(machine, means, _bias(records)):
         means = {}
     means = {**(loads or {}), **means}
-    found = zip(machine.bearings, _at_currents(machine, means, _bias(records)), strict=True)
+    at_bearings = zip(machine.bearings, _at_currents(machine, means, _bias(records)), strict=True)
     return tuple(
         text
-        for bearing, (item, here) in found
+        for bearing, (item, here) in at_bearings
         for text in _of_bearing(bearing.name, item, here, means)
     )
 

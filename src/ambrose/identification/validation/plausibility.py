@@ -17,9 +17,9 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
 
 _MISSED = 0.3
-_FAR = 2.0
-_ALIKE = 0.02
-_MOVED = 0.05
+_FAR = 2.0  # factor by which a value may leave the file's
+_ALIKE = 0.02  # relative, by which ratios of one cause differ
+_MOVED = 0.05  # relative; a mean change below is none
 # of what is left unexplained, or of what still follows the excitation: another delay must leave
 # less
 _CLEARLY = 0.7

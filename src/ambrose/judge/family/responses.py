@@ -114,9 +114,9 @@ def unbalance_over_box(
         least = max(worst.value, nominal)
         limit = gain_bound(loop, here, least) if bound else np.nan
         rows.append((nominal * force, least * force, limit * force, worst.delta))
-    nominal, found, limits, delta = zip(*rows, strict=True)
+    nominal, largest, limits, delta = zip(*rows, strict=True)
     return BoxUnbalance(
-        speeds, np.array(nominal), np.array(found), np.array(limits), np.array(delta)
+        speeds, np.array(nominal), np.array(largest), np.array(limits), np.array(delta)
     )
 
 

@@ -21,7 +21,7 @@ from ambrose.machine.seals import (
 from ambrose.machine.validation.signs import not_positive
 
 COMPUTED = ("K", "k", "C", "c")  # what a geometry yields
-_MOST_POLES = 12
+_MOST_POLES = 12  # of a rational seal
 _WIDEST = 0.05  # clearance over diameter
 _PRESWIRL = 2.0  # surface speeds; inlet swirl measured on test rigs stays below one
 

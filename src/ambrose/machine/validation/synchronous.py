@@ -14,7 +14,7 @@ from ambrose.machine.messages import complaint, shown
 from ambrose.machine.synchronous import SYNCHRONOUS_COORDINATES, SYNCHRONOUS_MODES, Synchronous
 from ambrose.machine.validation.signs import not_positive
 
-_HARMONICS = 8
+_HARMONICS = 8  # of the turning; the speed's multiples that a block may follow
 
 
 def synchronous(machine: MachineDescription) -> Iterator[str]:

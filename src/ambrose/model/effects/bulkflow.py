@@ -287,10 +287,10 @@ def seal_table(
     condition's. Raises as ``bulk_flow``.
     """
     axes: list[tuple[str, tuple[float, ...]]] = []
-    for name, given in (("pressure", pressures), ("speed", speeds), ("frequency", frequencies)):
-        if given is None:
+    for name, points in (("pressure", pressures), ("speed", speeds), ("frequency", frequencies)):
+        if points is None:
             continue
-        grid = check_shape(given, f"the {name} axis of the seal table", "(n,)").astype(float)
+        grid = check_shape(points, f"the {name} axis of the seal table", "(n,)").astype(float)
         if grid.size == 0 or (np.diff(grid) <= 0).any():
             raise invalid(
                 f"the {name} axis of the seal table",

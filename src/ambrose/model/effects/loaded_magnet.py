@@ -25,7 +25,7 @@ from ambrose.model.effects.magnet import (
 )
 
 _STEP = 1e-3  # of bias current and gap, in differences of fourth order: 1e-12 of a slope
-_ITERATIONS = 200
+_ITERATIONS = 200  # of a fixed point, at most
 _EXACT = 1e-12  # relative
 
 

@@ -17,7 +17,7 @@ from ambrose.rig.engine.state import Rig, compiled
 # (Fastest pole) times step: chosen at most (error 3e-6 in the tests), and refused above; unstable
 # from 2.6 on.
 _COMFORTABLE, _LARGEST = 0.2, 1.0
-_ITERATIONS = 50
+_ITERATIONS = 50  # of Newton's method, at most
 _DOWN = -np.pi / 2  # where a weightless rotor rests
 
 

@@ -13,7 +13,7 @@ from ambrose.rig.scenario import LEVITATED, Scenario
 # a rotor that stays [s] within this part of the touchdown gap counts as lifted
 _CLEAR, _OFF = 0.05, 0.9
 _BEFORE = 0.05  # [s] before a touchdown in which currents at their limit count as its cause
-_AT_LIMIT = 0.999
+_AT_LIMIT = 0.999  # of the limit: reached, but for rounding
 
 
 @dataclass(slots=True)

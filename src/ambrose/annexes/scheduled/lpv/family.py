@@ -26,7 +26,7 @@ from ambrose.core.scheduled import check_alike, grid_points
 _EPSILON = 1e-3  # of a regularisation, in the scaled plants' units
 # of every state and output, tried for the sake of good coordinates
 _DISTURBANCES = tuple(10.0**-k for k in range(7))
-_HARDLY = 1.01
+_HARDLY = 1.01  # times the gamma without it: what the disturbance may cost
 
 
 @dataclass(frozen=True, slots=True, eq=False)

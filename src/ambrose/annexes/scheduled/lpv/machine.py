@@ -33,12 +33,12 @@ from ambrose.model.plant import Plant
 from ambrose.model.reduce import free_mode_reduction
 
 POINTS, POINTS_OF_TWO = 8, 3  # of a grid that is not given, along each of its parameters
-_BACKOFF = 1.1
+_BACKOFF = 1.1  # gamma of the law over the least that exists, where none is stated
 # factors of the control weight, tried until the tolerances are held
 _CONTROL = (1.0, 0.7, 0.5, 0.35)
 _MODES = 3  # bending modes per plane besides those of the design, on which corners are judged
 _FAR = 20  # times the highest of the operating points
-_PADE = 2
+_PADE = 2  # order of the delay's approximation
 _PEAK = 3.0  # where no sensitivity is required: border of zone A of ISO 14839-3
 
 

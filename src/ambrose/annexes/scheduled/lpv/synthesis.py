@@ -285,8 +285,8 @@ def _scheduled(
     root = np.sqrt(family.rate)
     systems, without = {}, []
     for value in grid_points(axes):
-        given = job.plant_at(value)
-        plant = family.scaled(given)
+        model = job.plant_at(value)
+        plant = family.scaled(model)
         try:
             A, B, C, D = controller(plant, point, family.to_relative(value))
         except NumericalFailure:
@@ -296,7 +296,7 @@ def _scheduled(
             continue
         # out of the scaled time, then out of the scaled u and y
         matrices = original_matrices(plant, (A * family.rate, B * root, C * root, D))
-        systems[value] = StateSpace(*matrices, given.y, given.u)
+        systems[value] = StateSpace(*matrices, model.y, model.u)
     for i, axis in enumerate(family.axes):
         lost = [value[i] for value in without if value[i] not in axis]
         axes = (*axes[:i], axes[i][~np.isin(axes[i], lost)], *axes[i + 1 :])

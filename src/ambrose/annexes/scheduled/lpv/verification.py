@@ -31,7 +31,7 @@ from ambrose.core.statespace import StateSpace
 from ambrose.judge.certificate import generalized_certificate
 
 _RAISED = 1.5  # how far above the designed gamma a guarantee between grid points is looked for
-_STEPS = 20
+_STEPS = 20  # halvings of the interval, at most
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,7 @@
 """A reduced plant and its controller, scheduled or fixed, while the pressure moves: its cells, and
 the proof on them.
 
-The pressure is anywhere within the span; what a scheduled controller is told of it is within
+The pressure is anywhere within the span; what a scheduled controller reads of it is within
 ``error``, beyond the span's ends too, as far as the schedule goes. Both move: as they like, or the
 pressure up to a rate. A pressure sensor that is T late adds rate x T to the error. Of a sampled
 loop the mean delay (n + 1/2) T is in the model, as a second-order all-pass. Every cell
@@ -39,7 +39,7 @@ from ambrose.model.reduce import reduce
 _MODES = (0, 1, 2, 3)  # bending modes per plane that are tried
 SAME = 5e-3  # relative, of the frozen sensitivities on a model and on the full plant
 CLOSE = 1e-2  # of a proof to the worst found at rest, beyond which one with more terms is tried
-_PADE = 2
+_PADE = 2  # order of the delay's approximation
 _CELLS = 8  # of a fixed controller
 _HALVINGS = 8  # of a cell in which a seal is bent
 # degree of X(p), and share of the states whose rows change with p
@@ -85,9 +85,9 @@ class MovingModel:
         """C of y + d over the states of plant and controller."""
         return np.hstack([self.C, np.zeros((len(self.C), self.law.n_states))])
 
-    def controller(self, told: float) -> StateSpace:
-        """The law where the pressure is told as ``told`` [Pa]."""
-        return self.law.at(told)
+    def controller(self, reported: float) -> StateSpace:
+        """The law where the pressure is measured as ``reported`` [Pa]."""
+        return self.law.at(reported)
 
     def _around(self, K: StateSpace) -> tuple[np.ndarray, np.ndarray]:
         """What the controller adds to A, and B of d: u = K (-(C x + d))."""
@@ -117,9 +117,9 @@ class MovingModel:
             [seal_force(self.plant, seal, pressure) for seal in seals]
         )
 
-    def frozen(self, pressure: float, told: float) -> StateSpace:
+    def frozen(self, pressure: float, reported: float) -> StateSpace:
         """d -> y + d with both held."""
-        A, B = self._around(self.controller(told))
+        A, B = self._around(self.controller(reported))
         return StateSpace(A + self._at(pressure), B, self.output, np.eye(len(self.output)))
 
     def relative(self, pressure: np.ndarray) -> np.ndarray:
@@ -131,7 +131,7 @@ class MovingModel:
         """
         low, high = self.span.low, self.span.high
 
-        # bends of what is told, and of its band where that meets the span's ends
+        # bends of the reported pressure, and of its band where that meets the span's ends
         first, last = told_range(self.span, self.law, error)
         inner = self.law.knots(low, high, _CELLS)
         if self.law.grid is not None:
@@ -139,33 +139,35 @@ class MovingModel:
         knots = sorted({first, last, *(v for v in inner if first < v < last)})
         share = (0.0, 1.0) if error else (0.0,)  # told exactly, a cell is a line
         return tuple(
-            cell for told in pairwise(knots) for cell in self._cells(told, share, error, _HALVINGS)
+            cell
+            for reported in pairwise(knots)
+            for cell in self._cells(reported, share, error, _HALVINGS)
         )
 
     def _cells(
-        self, told: tuple[float, ...], share: tuple[float, ...], error: float, left: int
+        self, reported: tuple[float, ...], share: tuple[float, ...], error: float, left: int
     ) -> Iterator[Cell]:
-        """Of what is told and a share of its band; halved where a seal is bent, along what moves
-        the pressure more.
+        """Of the pressure that is reported and a share of its band; halved where a seal is bent,
+        along what moves the pressure more.
         """
         low, high = self.span.low, self.span.high
-        # pressures that may be told as each end; p: its shares, a row per end
-        bands = np.array([(max(low, v - error), min(high, v + error)) for v in told])
+        # pressures that may be reported as each end; p: its shares, a row per end
+        bands = np.array([(max(low, v - error), min(high, v + error)) for v in reported])
         p = bands[:, :1] + np.array(share) * np.ptp(bands, axis=1)[:, None]
         try:
-            yield self._cell(p, [self._around(self.controller(v)) for v in told])
+            yield self._cell(p, [self._around(self.controller(v)) for v in reported])
         except BentSeal:
             if left == 0:
                 raise
             if len(share) > 1 and abs(p[:, 1] - p[:, 0]).max() > abs(p[1] - p[0]).max():
-                halves = [(told, half) for half in _halves(share)]
+                halves = [(reported, half) for half in _halves(share)]
             else:
-                halves = [(half, share) for half in _halves(told)]
+                halves = [(half, share) for half in _halves(reported)]
             for one, other in halves:
                 yield from self._cells(one, other, error, left - 1)
 
     def _cell(self, pressures: np.ndarray, around: list[tuple[np.ndarray, np.ndarray]]) -> Cell:
-        # s = -1 .. 1 over the pressures of this cell, (told, share) at its corners
+        # s = -1 .. 1 over the pressures of this cell, (reported, share) at its corners
         part = replace(self.span, low=pressures.min(), high=pressures.max())
         middle = (part.low + part.high) / 2
         s = (pressures - middle) / part.half
@@ -184,7 +186,7 @@ class MovingModel:
             term = self._pulled([powers[i] if i < len(powers) else none for powers in terms])
             net = elevated(net, power.shape) + power[:, :, None, None] * term
 
-        # the controller depends on what is told alone, linearly
+        # the controller depends on the reported pressure alone, linearly
         for_A, for_B = (np.stack([beside[m] for beside in around])[:, None] for m in (0, 1))
         shape = (max(2, net.shape[0]), net.shape[1])
         return Cell(
@@ -200,8 +202,8 @@ def _halves(ends: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
 
 
 def told_range(span: PressureSpan, law: MovingLaw, error: float) -> tuple[float, float]:
-    """What a pressure of the span may be told as [Pa]: beyond its ends by the error, as far as a
-    schedule goes.
+    """What a pressure of the span may be reported as [Pa]: beyond its ends by the error, as far as
+    a schedule goes.
     """
     if law.grid is None:
         return span.low, span.high

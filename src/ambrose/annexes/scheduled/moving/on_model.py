@@ -1,8 +1,8 @@
-"""Verification on a reduced model while the seal pressure changes: a schedule that is not told it
-exactly, or a fixed law.
+"""Verification on a reduced model while the seal pressure changes: of a schedule that reads it with
+an error, or of a fixed law.
 
-Proved is the model of moving/model.py with as many bending modes as the frozen sensitivities of the
-full plant need.
+The proof is of the model of moving/model.py, with as many bending modes as it takes to agree with
+the full plant's sensitivities at constant pressure.
 """
 
 from __future__ import annotations
@@ -47,10 +47,11 @@ def check_on_model(
     tell: Tell = lambda text: None,
 ) -> Checks:
     """Stability and output sensitivity while the pressure moves at up to ``rate`` [Pa/s] and is
-    told within ``error`` [Pa].
+    measured within ``error`` [Pa].
 
     law: continuous; a schedule over pressure that covers the span, or fixed. The proof for the rate
-    is judged by the machine's requirement; one that cannot be had has the value inf and says why.
+    is judged by the machine's requirement; where there is none, its value is inf and its detail
+    says why.
     Raises InvalidInput.
     """
     check_positive(rate, "the rate of the pressure", "give the fastest change in Pa/s")
@@ -58,23 +59,23 @@ def check_on_model(
     wanted = demand("maximum singular value of a sensitivity", machine.requirements)
     label = span.label + (f", told to {error / 1e5:.4g} bar" if error else "")
 
-    def without(why: str, stable: bool = True) -> Checks:
+    def not_proved(why: str, stable: bool = True) -> Checks:
         return Checks(label, stable, (judged_rate(wanted, rate, np.inf, f"not proved: {why}"),))
 
     plant = assemble(machine, span.middle)
     moving = moving_law(law, plant)
     if moving.dt is not None:
-        return without("the controller is sampled; give the continuous one that it was made of")
+        return not_proved("the controller is sampled; give the continuous one that it was made of")
     try:
-        held = [
-            (p, told)
-            for told in np.linspace(*told_range(span, moving, error), FROZEN)
-            for p in _told(told, error, span)
+        pairs = [
+            (p, reported)
+            for reported in np.linspace(*told_range(span, moving, error), FROZEN)
+            for p in _true_pressures(reported, error, span)
         ]
         lag = 0.0 if timing is None else timing.lag
-        model = choose_model(plant, span, law, lag, held)
+        model = choose_model(plant, span, law, lag, pairs)
         at = (
-            f"the worst of {len(held)} pairs, at {model.held[0] / 1e5:.4g} bar told as "
+            f"the worst of {len(pairs)} pairs, at {model.held[0] / 1e5:.4g} bar told as "
             f"{model.held[1] / 1e5:.4g} bar"
         )
         title = "Largest output sensitivity while the pressure stands still, found, full plant"
@@ -82,15 +83,19 @@ def check_on_model(
         tell(f"proving the loop {label}, at up to {rate / 1e5:.4g} bar/s")
         value, words = prove_on_model(model, rate, error, tell)
     except AmbroseError as failure:
-        return without(str(failure), stable=not isinstance(failure, UnstableAtRest))
+        return not_proved(str(failure), stable=not isinstance(failure, UnstableAtRest))
     checks.append(judged_rate(wanted, rate, value, words))
     return Checks(label, True, tuple(checks), notes=(REST,))
 
 
-def _told(told: float, error: float, span: PressureSpan) -> tuple[float, ...]:
-    """The pressures that may be told as this one, as far as they are looked at."""
-    here = min(max(told, span.low), span.high)
-    return tuple(sorted({max(span.low, told - error), here, min(span.high, told + error)}))
+def _true_pressures(reported: float, error: float, span: PressureSpan) -> tuple[float, ...]:
+    """Pressures of the span that the sensor may report as this one: the ends of the band
+    ``reported`` +- error [Pa], and what lies nearest in the span.
+    """
+    nearest = min(max(reported, span.low), span.high)
+    return tuple(
+        sorted({max(span.low, reported - error), nearest, min(span.high, reported + error)})
+    )
 
 
 def scheduled_spans(machine: Machine, law: ScheduledSystem) -> tuple[PressureSpan, ...]:

@@ -26,8 +26,8 @@ REST = (
     "sigma_max(S_o) at rest"
 )
 _NODES = 13  # pressures at which a seal's coefficients are read
-_STRAIGHT = 1e-3
-_MOST_POWERS = 3
+_STRAIGHT = 1e-3  # largest misfit of a polynomial over the range of its coefficient
+_MOST_POWERS = 3  # of pressure in a seal's coefficients
 
 Tell = Callable[[str], None]
 

@@ -42,11 +42,11 @@ from ambrose.model.uncertainty import tolerances_around
 _MODES, _SAME = (0, 2, 4, 6), 1e-2
 _FROZEN = 11  # speeds at which the loop that turns steadily is examined
 _CELLS = 6  # of a fixed controller
-_NODES = 7
-_POWERS = 3
-_STRAIGHT = 2e-3
-_HALVINGS = 6
-_PADE = 2
+_NODES = 7  # Chebyshev points of a cell, to which polynomials are fitted
+_POWERS = 3  # of speed in a cell, at most
+_STRAIGHT = 2e-3  # largest misfit of an entry over its range; above, a cell is halved
+_HALVINGS = 6  # of a cell, at most
+_PADE = 2  # order of the delay's approximation
 # rad/s, of the filters for what stands still; from a third to three times as fast it hardly matters
 _POLE = TWO_PI * 60.0
 _MOST = 12  # rows of tolerances up to which each has its filters

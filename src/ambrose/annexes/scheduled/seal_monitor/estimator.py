@@ -17,8 +17,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 BLOCK = 0.0125  # [s] whose sums count as independent
-_FEWEST = 5.0  # blocks
-_Z = 1.959963984540054
+_FEWEST = 5.0  # blocks beyond one per parameter: fewer show no scatter
+_Z = 1.959963984540054  # 97.5 % quantile of the normal distribution
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +40,8 @@ class Estimate:
 
 
 def block_sums(signals: Mapping[str, np.ndarray], block: int) -> dict[str, np.ndarray]:
-    """Sums over successive blocks (b): ze (b, q), zr1 (b, q, q), zr2 (b, q, q, q) and zd (b, q,
-    c).
+    """Sums over b successive blocks, for q parameters and c doubts (what the model takes as known):
+    ze (b, q), zr1 (b, q, q), zr2 (b, q, q, q) and zd (b, q, c).
     """
 
     def cut(x: np.ndarray) -> np.ndarray:
@@ -101,16 +101,19 @@ class Window:
         self.weight, self.weight2 = f * self.weight + 1, f * f * self.weight2 + 1
 
     def estimate(self, kinds: np.ndarray, rate: float) -> Estimate:
-        """kinds (c,): numbers of the groups whose members err together; rate [reference/s]."""
+        """theta and its interval from the sums so far.
+
+        kinds (c,): numbers of the groups whose members err together; rate [reference/s].
+        """
         q = self.q
         s, R1, R2 = np.split(self.sums, [q, q + q * q])
         R1, R2 = R1.reshape(q, q), R2.reshape(q, q, q)
 
-        lost = np.full(q, np.inf)
+        unknown = np.full(q, np.inf)
         # blocks of equal weight with the same scatter of their mean: (sum w)^2 / sum w^2
         counted = self.weight**2 / self.weight2 if self.weight2 else 0.0
-        if counted < _FEWEST + q or np.linalg.cond(R1) > 1e8:
-            return Estimate(np.full(q, np.nan), lost, lost, lost, lost, np.inf)
+        if counted < _FEWEST + q or np.linalg.cond(R1) > 1e8:  # not excited
+            return Estimate(np.full(q, np.nan), unknown, unknown, unknown, unknown, np.inf)
 
         # s = R1 theta + (R2 theta) theta: the linear part first, then by iteration on R2 theta
         theta = np.linalg.solve(R1, s)
@@ -131,19 +134,19 @@ class Window:
 
         # their scatter, q degrees of freedom being spent on theta; theta errs by slope^-1 of it
         scatter = T @ self.squares @ T.T * counted / (counted - q)
-        back = np.linalg.inv(slope)
-        spread = np.sqrt(np.diag(back @ scatter @ back.T))
+        slope_inverse = np.linalg.inv(slope)
+        spread = np.sqrt(np.diag(slope_inverse @ scatter @ slope_inverse.T))
 
         # neighbours are not quite independent: half of them count
         noise = students_t((counted - q) / 2) * spread
 
         # a doubt moves theta by slope^-1 sum z d; those of a kind add up, the kinds in quadrature
-        effect = np.abs(back @ self.known)
+        effect = np.abs(slope_inverse @ self.known)
         groups = [effect[:, kinds == kind].sum(axis=1) for kind in np.unique(kinds)]
         known = np.sqrt(np.sum(np.square(groups), axis=0)) if groups else np.zeros(q)
 
         # theta(t - age) = theta(t) -+ rate age, at worst, enters by slope^-1 sum w age z r1
-        ages = back @ self.lag
+        ages = slope_inverse @ self.lag
         change = rate * np.abs(ages).sum(axis=1)
         return Estimate(
             theta,

@@ -27,8 +27,8 @@ from ambrose.record.record import Record
 
 # [s], [s], [reference/s]
 WINDOW = 2.0
-SHORT = 0.25
-RATE = 0.01
+SHORT = 0.25  # [s] window that notices a fast change, or half the long one
+RATE = 0.01  # [1/s] how fast a seal may change, of its reference; assumed
 _STRETCH = 1.0  # [s] of the record worked on at once
 OLD = 2.0  # windows: mean age of what an estimate rests on, beyond which nothing is said
 WIDE = 1.0  # noise part of a half width, in units of the reference, beyond which nothing is said
