@@ -13,6 +13,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ambrose.code.beside import blocks_beside, diverging, judge_beside, missed_beside
 from ambrose.code.block.block import check_limits
 from ambrose.code.block.cascade import build_cascade
 from ambrose.code.block.fixed import ControlBlock, build_block
@@ -33,6 +34,7 @@ from ambrose.code.targets import TARGETS, C, Fmu, Target
 from ambrose.core.checks import UnstableSystem, invalid, same_clock
 from ambrose.core.presentation import Presented
 from ambrose.core.statespace import StateSpace, rename
+from ambrose.judge.checks import Checks
 from ambrose.judge.result import Synthesis, synthesis_of
 from ambrose.law.law import LawLike, law_of
 from ambrose.law.loop import match_axes
@@ -50,7 +52,7 @@ from ambrose.options import choose
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Delivery(Presented):
     """What was written for a target, and what it was verified on; fallback: the same of the
-    controller that takes over.
+    controller that takes over; synchronous: of the blocks beside it.
     """
 
     target: str
@@ -58,6 +60,7 @@ class Delivery(Presented):
     block: ControlBlock | ScheduledBlock
     paths: tuple[Path, ...]
     fallback: Deployment | None = None
+    synchronous: tuple[Checks, ...] = ()
 
     def facts(self) -> Mapping[str, Any]:
         """Target, verdict, size, rate and files."""
@@ -81,6 +84,7 @@ class Delivery(Presented):
         """What speaks against it, one sentence each."""
         return (
             *self.deployment.problems,
+            *diverging(self.synchronous),
             *_of_fallback(self.fallback.problems if self.fallback else ()),
         )
 
@@ -91,6 +95,7 @@ class Delivery(Presented):
         """
         return (
             *unmet_limits(self.deployment),
+            *missed_beside(self.synchronous),
             *_of_fallback(unmet_limits(self.fallback) if self.fallback else ()),
         )
 
@@ -138,6 +143,7 @@ def export(
     synthesis = _synthesis(controller, machine)
     _check_target(synthesis, target)
     machine = bundled_machine(synthesis) if machine is None else machine
+    around = blocks_beside(synthesis, machine, target)
     other = _fallback(fallback, synthesis, target, machine)
     limits = _limits(synthesis, machine, target)
     check_place(directory)  # all this before the verification, which takes seconds
@@ -154,7 +160,7 @@ def export(
         ):
             same = replace(target, rate=1 / block.sample_time, delay_samples=block.delay)
             try:
-                fixed, law = _deploy(other, machine, same, limits, progress)
+                fixed, waiting = _deploy(other, machine, same, limits, progress)
             except UnstableSystem as error:
                 raise UnstableSystem(f"the fallback: {error}") from error
             beside = cast(Deployment, fixed)
@@ -163,12 +169,20 @@ def export(
             watch = supervision_limits(
                 synthesis.scheduled, machine, target.pressure_rate, band, stuck
             )
-            block = supervise(block, cast(ControlBlock, law), watch)
+            block = supervise(block, cast(ControlBlock, waiting), watch)
             lines = [*lines, "Fallback:", *provenance_lines(other, fixed)]
+        judged: tuple[Checks, ...] = ()
+        if around and machine is not None and isinstance(target, C):
+            law = (
+                synthesis if isinstance(deployment, ScheduledDeployment) else deployment.controller
+            )
+            unit, judged = judge_beside(around, machine, law, block, progress, force=target.force)
+            files = target.files_beside(unit, lines)
+        else:
+            files = target.files(synthesis, deployment, block, lines)
         progress("writing")
-        files = target.files(synthesis, deployment, block, lines)
         paths = tuple(write_files(directory, files, held=True))
-        return Delivery(target.to, deployment, block, paths, beside)
+        return Delivery(target.to, deployment, block, paths, beside, judged)
 
 
 def _fallback(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from ambrose.options import Options, count, hertz, option, positive
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from ambrose.code.block.scheduled import ScheduledBlock
     from ambrose.code.c.code import Arithmetic, Precision
     from ambrose.code.sampled import Deployment, ScheduledDeployment
+    from ambrose.code.synchronous import RunUnit
     from ambrose.core.sampling import Method
     from ambrose.judge.result import Synthesis
     from ambrose.law.scheduling import Scheduling
@@ -48,6 +49,7 @@ class Target(Options, ABC):
     """
 
     to: ClassVar[str]
+    beside: ClassVar[str] = "its interface has no key phasor"  # why it holds no synchronous blocks
     name: str = option(
         "controller", "Prefix of every name in the code, a C identifier.", check=_identifier
     )
@@ -110,6 +112,17 @@ class Target(Options, ABC):
     ) -> Files:
         """{name: content} of the block; lines: where it comes from."""
 
+    def check_beside(self) -> None:
+        """Raises InvalidInput where this target holds no synchronous blocks."""
+        from ambrose.core.checks import invalid
+
+        raise invalid(
+            "a controller with synchronous blocks",
+            f"for the target {self.to!r}",
+            "for the target 'c'",
+            f"{self.beside}; write C, which runs both in one unit",
+        )
+
     def told(self, along: Scheduling) -> tuple[tuple[float | None, ...], tuple[float | None, ...]]:
         """The limits of what the code is told, of each parameter, and of their rates."""
         limits, rates = (
@@ -160,12 +173,24 @@ class C(Target):
 
         return generate(block, self.arithmetic, lines)
 
+    def check_beside(self) -> None:
+        from ambrose.code.c.run import check_run_arithmetic
+
+        check_run_arithmetic(self.arithmetic)
+
+    def files_beside(self, unit: RunUnit, lines: Sequence[str]) -> Files:
+        """{name: content} of the block with its synchronous blocks."""
+        from ambrose.code.c.run import generate_run
+
+        return generate_run(unit, cast("Precision", self.arithmetic), lines)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mat(Target):
     """A MAT-file for MATLAB and Octave, in double precision."""
 
     to: ClassVar[str] = "mat"
+    beside: ClassVar[str] = "a MAT-file holds the linear law alone"
 
     def files(
         self,

@@ -60,6 +60,7 @@ class BlockFault(IntFlag):
     LIMIT = 16  # an amplitude at its limit
     OUTSIDE = 32  # the speed is outside the band
     DISABLED = 64
+    INPUT = 128  # a reading that is not finite, or that the caller calls unusable
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,7 +147,8 @@ class Angle:
         self.tau += self.dt
 
         # a turn has ended: its mean speed is the speed in its middle
-        if pulse >= 0:
+        came = 0 <= pulse < self.dt
+        if came:
             period = self.tau - pulse
             self.tau = pulse
             if self.pulses > 0:
@@ -179,7 +181,7 @@ class Angle:
         # a speed takes two pulses; the first one after a loss counts as the first
         if self.pulses < 2:
             fault |= BlockFault.LOST
-            if pulse >= 0 and self.pulses < 1:
+            if came and self.pulses < 1:
                 self.pulses = 1
         self.theta = 2 * math.pi * (turns - math.floor(turns))
         return fault
@@ -221,13 +223,17 @@ class SynchronousBlock:
         contact: bool = False,
         saturated: bool = False,
         enabled: bool = True,
+        unusable: bool = False,
     ) -> np.ndarray:
         """c (n,) [m] of this sample, to be added to the errors [m]. pulse: as ``Angle.follow``;
         currents (n,) [A]: what the base controller gave a sample ago; contact, saturated: of the
-        machine; enabled: the switch.
+        machine; enabled: the switch; unusable: whether the caller trusts no reading of the sample.
         """
         fault = self.angle.follow(pulse)
         fault |= BlockFault.CONTACT * contact | BlockFault.SATURATED * saturated
+        readings = (errors,) if currents is None else (errors, currents)
+        if unusable or not all(np.isfinite(values).all() for values in readings):
+            fault |= BlockFault.INPUT
         # c = Re(sum e^{j n theta} a), of all blocks before any of them moves on
         total, turns = np.zeros(self.law.channels), []
         y = -np.asarray(errors, float)

@@ -75,6 +75,8 @@ def record():
     )
     errors += 1e-7 * rng.standard_normal((N, 4))
     errors[(t > 0.8) & (t < 0.85)] *= 100
+    errors[(t > 0.9) & (t < 0.903), 2] = np.nan
+    pulses[np.flatnonzero(t > 1.4)[:3]] = [np.inf, np.nan, 0.5]  # no ages of a pulse
     flags = [
         {
             "contact": bool(0.6 < x < 0.61),

@@ -5,6 +5,7 @@ vectors come from it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +18,7 @@ from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.code.block.supervised import SupervisedBlock, supervised_twin
 from ambrose.core.checks import InvalidInput, check_shape
 from ambrose.core.scheduled import corners
+from ambrose.law.supervision import SupervisedProgram
 
 # status bits, as in the header
 HELD = 1
@@ -58,22 +60,39 @@ def run_block(
     flags (None: all true); start (n,): the states before the first sample (None: zero). Raises
     InvalidInput.
     """
-    e, status = _plausible_errors(block, errors, valid)
-    x = np.zeros(block.n_states) if start is None else np.array(start, dtype=float)
-    carry, largest = np.zeros(block.winding), np.abs(x)
-    currents = np.empty((len(e), len(block.outputs)))
+    e, status = plausible_errors(block, errors, valid)
+    steps, currents = FixedSteps(block, start), np.empty((len(e), len(block.outputs)))
+    largest = np.abs(steps.x)
     for k in range(len(e)):
-        u, step = block.respond(e[k], x)
-        currents[k] = np.minimum(np.maximum(u, -block.current_limit), block.current_limit)
+        currents[k] = steps.step(e[k])
+        status[k] |= LIMITED * steps.limited
+        largest = np.maximum(largest, np.abs(steps.x))
+    return BlockRun(currents, status, steps.x, largest)
+
+
+class FixedSteps:
+    """A fixed block sample by sample, of errors that are plausible. x (n,): its states; limited:
+    whether the last step cut a current.
+    """
+
+    def __init__(self, block: ControlBlock, start: ArrayLike | None = None) -> None:
+        self.block, self.limited = block, False
+        self.x = np.zeros(block.n_states) if start is None else np.array(start, dtype=float)
+        self._carry = np.zeros(block.winding)
+
+    def step(self, e: np.ndarray) -> np.ndarray:
+        """Currents (p,) [A] from errors (m,) [m]."""
+        u, step = self.block.respond(e, self.x)
+        given = np.minimum(np.maximum(u, -self.block.current_limit), self.block.current_limit)
 
         # anti-windup: unwind (us - u), on the first states alone
-        cut = currents[k] - u
-        if cut.any():
-            status[k] |= LIMITED
-            step[: len(carry)] += block.unwind[: len(carry)] @ cut
-        x = _add_compensated(x, step, carry, FLOOR["double"])
-        largest = np.maximum(largest, np.abs(x))
-    return BlockRun(currents, status, x, largest)
+        cut = given - u
+        self.limited = bool(cut.any())
+        if self.limited:
+            w = len(self._carry)
+            step[:w] += self.block.unwind[:w] @ cut
+        self.x = _add_compensated(self.x, step, self._carry, FLOOR["double"])
+        return given
 
 
 def run_scheduled(
@@ -88,8 +107,7 @@ def run_scheduled(
     infinity allowed; valid (k, m): the errors' flags (None: all true); start (n,): the states
     before the first sample (None: zero). single: computed in single precision. Raises InvalidInput.
     """
-    e, status = _plausible_errors(block, errors, valid)
-    kind = np.float32 if single else np.float64
+    e, status = plausible_errors(block, errors, valid)
     v, d = np.asarray(told, dtype=float), len(block.axes)
     if v.shape != ((len(e),) if d == 1 else (len(e), d)):
         size = f"({len(e)},)" if d == 1 else f"({len(e)}, {d})"
@@ -98,38 +116,62 @@ def run_scheduled(
             "sample"
         )
 
-    # grid points of the cell and their shares, sample by sample
     schedule, told_status = follow_told(block, v)
     status |= told_status
-    index, share = corners(block.axes, schedule.reshape(len(e), d))
-    x = np.zeros(block.n_states, kind) if start is None else np.array(start, dtype=kind)
-    carry, largest = np.zeros_like(x), np.abs(x)
-
-    # [A - I, B] and [C, D] act on z = (x, e), interpolated: sum of share_i M_i z
-    to_state = np.concatenate([block.increment, block.B], axis=2).astype(kind)
-    to_current = np.concatenate([block.C, block.D], axis=2).astype(kind)
-    unwind, limit = block.unwind.astype(kind), block.current_limit.astype(kind)
-    lowest = np.negative(limit)
-    e, share = e.astype(kind), share.astype(kind)
-    currents = np.empty((len(e), len(block.outputs)), kind)
-    floor = FLOOR["float" if single else "double"]
+    steps = ScheduledSteps(block, schedule, start, single)
+    currents = np.empty((len(e), len(block.outputs)), steps.x.dtype)
+    largest = np.abs(steps.x)
     for k in range(len(e)):
-        z = np.concatenate([x, e[k]])
-        at = list(zip(index[k], share[k], strict=True))
-        u = sum(to_current[i] @ (part * z) for i, part in at)
-        currents[k] = np.minimum(np.maximum(u, lowest), limit)
+        currents[k] = steps.step(e[k])
+        status[k] |= LIMITED * steps.limited
+        largest = np.maximum(largest, np.abs(steps.x))
+    return BlockRun(
+        currents.astype(float), status, steps.x.astype(float), largest.astype(float), schedule
+    )
+
+
+class ScheduledSteps:
+    """A scheduled block sample by sample, of errors that are plausible. schedule (k,) or (k, 2):
+    where the law of every sample is taken; x, limited: as of ``FixedSteps``.
+    """
+
+    def __init__(
+        self,
+        block: ScheduledBlock,
+        schedule: np.ndarray,
+        start: ArrayLike | None = None,
+        single: bool = False,
+    ) -> None:
+        kind: Any = np.float32 if single else np.float64
+        self.limited, self._k = False, 0
+        self.x = np.zeros(block.n_states, kind) if start is None else np.array(start, dtype=kind)
+        self._carry, self._floor = np.zeros_like(self.x), FLOOR["float" if single else "double"]
+
+        # grid points of the cell and their shares, sample by sample
+        index, share = corners(block.axes, schedule.reshape(len(schedule), len(block.axes)))
+        self._index, self._share = index, share.astype(kind)
+
+        # [A - I, B] and [C, D] act on z = (x, e), interpolated: sum of share_i M_i z
+        self._to_state = np.concatenate([block.increment, block.B], axis=2).astype(kind)
+        self._to_current = np.concatenate([block.C, block.D], axis=2).astype(kind)
+        self._unwind, self._limit = block.unwind.astype(kind), block.current_limit.astype(kind)
+
+    def step(self, e: np.ndarray) -> np.ndarray:
+        """Currents (p,) [A] from errors (m,) [m]."""
+        k, self._k = self._k, self._k + 1
+        z = np.concatenate([self.x, e.astype(self.x.dtype)])
+        at = list(zip(self._index[k], self._share[k], strict=True))
+        u = sum(self._to_current[i] @ (part * z) for i, part in at)
+        given = np.minimum(np.maximum(u, -self._limit), self._limit)
 
         # step, and anti-windup where a current is limited
-        cut = currents[k] - u
-        step = sum(to_state[i] @ (part * z) for i, part in at)
-        if cut.any():
-            status[k] |= LIMITED
-            step += sum(unwind[i] @ (part * cut) for i, part in at)
-        x = _add_compensated(x, step, carry, floor)
-        largest = np.maximum(largest, np.abs(x))
-    return BlockRun(
-        currents.astype(float), status, x.astype(float), largest.astype(float), schedule
-    )
+        cut = given - u
+        step = sum(self._to_state[i] @ (part * z) for i, part in at)
+        self.limited = bool(cut.any())
+        if self.limited:
+            step = step + sum(self._unwind[i] @ (part * cut) for i, part in at)
+        self.x = _add_compensated(self.x, step, self._carry, self._floor)
+        return np.asarray(given)
 
 
 def run_supervised(
@@ -143,7 +185,7 @@ def run_supervised(
     allowed; valid (k, m): the errors' flags (None: all true). From the start of the code, without
     states that the caller set. Raises InvalidInput.
     """
-    e, status = _plausible_errors(block, errors, valid)
+    e, status = plausible_errors(block, errors, valid)
     readings = np.asarray(told, dtype=float)
     if readings.shape != (len(e), 3):
         what = f"({len(e)}, 3), a reading, an estimate and its half width for every sample"
@@ -155,16 +197,21 @@ def run_supervised(
         twin.estimate = estimate[0], estimate[1]
         twin.schedule(value)
         currents[k] = twin.step(e[k])
-        found = twin.supervisor
-        status[k] |= (
-            LIMITED * twin.limited
-            | found.state << STATE_AT
-            | found.fault << REASON_AT
-            | LATCHED * found.latched
-        )
-        schedule[k] = found.value
+        status[k] |= supervised_bits(twin)
+        schedule[k] = twin.supervisor.value
     states = twin.states.astype(float)
     return BlockRun(currents, status, states, np.abs(states), schedule)
+
+
+def supervised_bits(twin: SupervisedProgram) -> int:
+    """The status of the last step of a supervised block, without that of its errors."""
+    found = twin.supervisor
+    return (
+        LIMITED * int(twin.limited)
+        | found.state << STATE_AT
+        | found.fault << REASON_AT
+        | LATCHED * int(found.latched)
+    )
 
 
 def _add_compensated(
@@ -204,7 +251,7 @@ def _follow_one(
     low, high = float(axis[0]), float(axis[-1])
     with np.errstate(invalid="ignore"):
         good = np.abs(told) <= limit
-    known, status = _hold_last(told[:, None], good[:, None], hold)
+    known, status = hold_last(told[:, None], good[:, None], hold)
     status = np.where(good, 0, status | bit)
     first = int(np.argmax(good)) if good.any() else len(good)
     known = known[:, 0].astype(float)
@@ -234,7 +281,7 @@ def run_fixed(fixed: FixedBlock, errors: ArrayLike, valid: ArrayLike | None = No
     given, good = _inputs(block, errors, valid)
     e = given.astype(np.int64)
     one = 1 << s
-    e, status = _hold_last(e, good & (e >= -one) & (e <= one), block.hold_samples)
+    e, status = hold_last(e, good & (e >= -one) & (e <= one), block.hold_samples)
     n = block.n_states
     X, largest = np.zeros(n, np.int64), np.zeros(n, np.int64)
     edge = 1 << fixed.state_bits
@@ -279,7 +326,7 @@ def run_fixed_cascade(
     e = given.astype(np.int64)
     one = 1 << s
     edge = 1 << fixed.state_bits
-    e, status = _hold_last(e, good & (e >= -one) & (e <= one), block.hold_samples)
+    e, status = hold_last(e, good & (e >= -one) & (e <= one), block.hold_samples)
     X = np.zeros(n, np.int64)
     rest = np.zeros(n, np.int64)
     largest = np.zeros(n, np.int64)
@@ -352,13 +399,21 @@ def _shift(value: np.ndarray, bits: np.ndarray, half: np.ndarray) -> np.ndarray:
     return np.sign(value) * ((np.abs(value) + half) >> bits)
 
 
-def _plausible_errors(
+def plausible_errors(
     block: Block, errors: ArrayLike, valid: ArrayLike | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """The errors (k, m) [m] that are used, and the status (k,) so far."""
+    e, good = usable_errors(block, errors, valid)
+    return hold_last(e, good, block.hold_samples)
+
+
+def usable_errors(
+    block: Block, errors: ArrayLike, valid: ArrayLike | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The errors (k, m) [m] as measured, and which of them (k, m) are used."""
     e, good = _inputs(block, np.asarray(errors, dtype=float), valid)
     with np.errstate(invalid="ignore"):
-        return _hold_last(e, good & (np.abs(e) <= block.error_limit), block.hold_samples)
+        return e, good & (np.abs(e) <= block.error_limit)
 
 
 def _inputs(
@@ -375,7 +430,7 @@ def _inputs(
     return e, check_shape(valid, "valid", "(k, m)", k=len(e), m=e.shape[1]) != 0
 
 
-def _hold_last(e: np.ndarray, good: np.ndarray, hold: int) -> tuple[np.ndarray, np.ndarray]:
+def hold_last(e: np.ndarray, good: np.ndarray, hold: int) -> tuple[np.ndarray, np.ndarray]:
     """Bad samples replaced by the channel's last good one (zero before the first), and the status
     (k,) without limiting.
     """

@@ -204,6 +204,7 @@ class CompiledSynchronous:
         contact: bool = False,
         saturated: bool = False,
         enabled: bool = True,
+        unusable: bool = False,
     ) -> np.ndarray:
         """As ``SynchronousBlock.step``."""
         n = self.law.channels
@@ -214,7 +215,7 @@ class CompiledSynchronous:
             else np.ascontiguousarray(currents, self._kind)
         )
         c = np.empty(n, self._kind)
-        flags = 4 * contact | 8 * saturated | 64 * (not enabled)
+        flags = 4 * contact | 8 * saturated | 64 * (not enabled) | 128 * unusable
         self.faults = self._library.sync_step(
             ctypes.c_void_p(self._address),
             self._real(pulse),

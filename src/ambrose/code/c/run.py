@@ -1,0 +1,260 @@
+"""A controller with synchronous blocks beside it as C99: the controller's files, the blocks' files,
+and one unit that runs both, with its own self-test.
+
+The twin is ``ambrose.code.synchronous``; the texts are templates/run.h.j2, run.c.j2 and
+run_test.c.j2. ``CompiledRun`` runs the unit in this process.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ambrose.code.block.names import as_comment
+from ambrose.code.block.scheduled import ScheduledBlock
+from ambrose.code.block.supervised import SupervisedBlock
+from ambrose.code.c.code import Precision, generate
+from ambrose.code.c.compiler import COMPILERS, build_library, find_compiler, load_library
+from ambrose.code.c.literals import literal, real_table
+from ambrose.code.c.synchronous import generate_synchronous
+from ambrose.code.rendering import render
+from ambrose.code.synchronous import Base, RunUnit, UnitRun, run_unit
+from ambrose.core.checks import InvalidInput, invalid
+
+_FLAGS = ("-Wall", "-Wextra", "-pedantic", "-Werror", "-ffp-contract=off")
+_EVERY = 61  # samples between two rows of the self-test
+_TURNS = 11  # of the self-test
+_LEAST, _MOST = 2500, 20000  # samples of it
+_SHARE = 0.1  # of the largest plausible error: the self-test's signals
+_FLOAT = 2e-2  # of the largest current: how far single precision may be
+_WINDOWS = {  # shares of the self-test in which something is wrong
+    "lost": (0.30, 0.50),
+    "contact": (0.55, 0.56),
+    "invalid": (0.60, 0.605),
+    "off": (0.65, 0.70),
+    "none": (0.75, 0.755),
+    "large": (0.85, 0.86),
+}
+
+
+def check_run_arithmetic(arithmetic: str) -> None:
+    """Refuse fixed point for synchronous blocks. Raises InvalidInput."""
+    if arithmetic not in get_args(Precision):
+        remedy = (
+            "in fixed point the increments eps Ts T e of an amplitude vanish below its last bit; "
+            "use double or float"
+        )
+        raise invalid(
+            "arithmetic beside a synchronous block", repr(arithmetic), "double or float", remedy
+        )
+
+
+def generate_run(
+    unit: RunUnit, arithmetic: Precision = "double", provenance: Sequence[str] = ()
+) -> dict[str, str]:
+    """The files of a unit by name: the controller's (``code.c.code.generate``), <name>_sync.h and
+    .c, <name>_run.h, .c and _run_test.c. Raises InvalidInput, also for fixed point.
+    """
+    check_run_arithmetic(arithmetic)
+    base = unit.base
+    files = {
+        **generate(base, arithmetic, provenance),
+        **generate_synchronous(unit.law, f"{base.name}_sync", arithmetic, provenance),
+    }
+    if arithmetic == "float":
+        unit = RunUnit(base.single(), unit.law, unit.contact)
+    facts = {**_facts(unit, arithmetic, provenance), **_self_test(unit, arithmetic)}
+    for end in ("_run.h", "_run.c", "_run_test.c"):
+        files[f"{base.name}{end}"] = render(f"{end[1:]}.j2", facts)
+    return files
+
+
+def _facts(unit: RunUnit, arithmetic: str, provenance: Sequence[str]) -> dict[str, Any]:
+    base, table = unit.base, real_table(arithmetic)
+    supervised = isinstance(base, SupervisedBlock)
+    told = [one.name for one in base.along.each] if isinstance(base, ScheduledBlock) else []
+    told += ["estimate", "half_width"] if supervised else []
+    touches = bool(np.isfinite(unit.contact).all())
+    return {
+        "name": base.name,
+        "prefix": base.name.upper(),
+        "sync": f"{base.name.upper()}_SYNC",
+        "n": len(base.inputs),
+        "type": arithmetic,
+        "arithmetic": {"double": "double precision", "float": "single precision"}[arithmetic],
+        "sample_time": f"{base.sample_time:.9g}",
+        "provenance": [as_comment(line) for line in provenance] or ["provenance: not given"],
+        "supervised": supervised,
+        "transfers": base.transfers,
+        "touches": touches,
+        "contact": table(unit.contact) if touches else "",
+        "error_limit": table(base.error_limit),
+        "zero": literal(0.0, arithmetic),
+        "told_parameters": "".join(f"{arithmetic} {name}, " for name in told),
+        "told_arguments": "".join(f"{name}, " for name in told),
+    }
+
+
+def _middle(base: Base) -> list[float]:
+    """What a scheduled block is told in the self-test: the middle of its ranges."""
+    if not isinstance(base, ScheduledBlock):
+        return []
+    return [float(axis[0] + axis[-1]) / 2 for axis in base.axes]
+
+
+def _self_test(unit: RunUnit, arithmetic: str) -> dict[str, Any]:
+    """Signals of whole numbers, as run_test.c.j2 makes them, and what the twin answers."""
+    base, first = unit.base, unit.law.blocks[0]
+    dt, n = base.sample_time, len(base.inputs)
+    low, high = first.band
+    start = low + first.hysteresis + 0.05 * (high - low)
+
+    # whole rows; a run-up from near the lower end of the first band to about its middle
+    count = int(np.clip(_TURNS * 2 * np.pi / (start * dt), _LEAST, _MOST))
+    rows = -(-count // _EVERY)
+    count = rows * _EVERY
+    slope = min(0.25 * unit.law.fastest, 0.45 * (high - low) / (count * dt))
+    per_speed = dt / (2 * np.pi) * 2**32
+    step, change = round(start * per_speed), round(slope * dt * per_speed)
+    windows = {name: [round(a * count), round(b * count)] for name, (a, b) in _WINDOWS.items()}
+
+    k = np.arange(count)
+    steps = step + change * k
+    turn = np.concatenate([[0], np.cumsum(steps)[:-1]]) % 2**32
+    within = {name: (k >= a) & (k < b) for name, (a, b) in windows.items()}
+    pulses = np.where((turn < steps) & ~within["lost"], dt * (turn / steps), -1.0)
+
+    # a triangle of each channel, |2^32 - at| - 2^30, at = turn + 1000000007 i
+    scale = _SHARE * base.error_limit / 2**30
+    at = (turn[:, None] + np.arange(n) * 1000000007) % 2**32
+    wave = np.where(at < 2**31, at, 2**32 - at).astype(float) - 2.0**30
+    errors = wave * np.where(within["large"][:, None], 8.0 * scale, scale)
+    errors[within["none"], -1] = np.nan
+    valid = np.ones((count, n), bool)
+    valid[within["invalid"], 0] = False
+
+    middle = _middle(base)
+    told = np.full((count, len(middle)), middle) if middle else None
+    texts = [literal(value, arithmetic) for value in middle]
+    if isinstance(base, SupervisedBlock):
+        told = np.column_stack([np.full(count, middle[0]), np.full((count, 2), np.nan)])
+        texts += ["none", "none"]
+    elif told is not None and told.shape[1] == 1:
+        told = told[:, 0]
+    run = run_unit(unit, pulses, errors, told, valid, within["contact"], ~within["off"])
+    shown = slice(_EVERY - 1, None, _EVERY)
+    table, largest = real_table(arithmetic), np.abs(run.currents).max(axis=0)
+    share = {"double": 1e-9, "float": _FLOAT}[arithmetic]
+    return {
+        "rows": rows,
+        "every": _EVERY,
+        "first": step,
+        "change": change,
+        "sample_time_double": literal(dt, "double"),
+        "windows": {name: f"{a}, {b}" for name, (a, b) in windows.items()},
+        "told_test": "".join(f"{text}, " for text in texts),
+        "scale": real_table("double")(scale),
+        "currents": table(run.currents[shown]),
+        "faults": _whole(run.faults[shown]),
+        "status": _whole(run.status[shown]),
+        "tolerance": table(np.maximum(share * largest, 1e-12)),
+    }
+
+
+def _whole(values: np.ndarray) -> str:
+    lines = [", ".join(map(str, values[i : i + 24].tolist())) for i in range(0, len(values), 24)]
+    return "{" + ",\n    ".join(lines) + "}"
+
+
+_RECORD = """#include <stddef.h>
+#include "{name}_run.h"
+void record(long count, const double *pulses, const double *errors,
+    const unsigned char *valid, const double *told, const unsigned *flags, double *currents,
+    double *c, double *amplitudes, unsigned *marks);
+void record(long count, const double *pulses, const double *errors,
+    const unsigned char *valid, const double *told, const unsigned *flags, double *currents,
+    double *c, double *amplitudes, unsigned *marks)
+{{
+    static {name}_run run;
+    long k;
+    int i, b;
+    {name}_run_init(&run);
+    for (k = 0; k < count; k++) {{
+        {name}_real error[{n}], current[{n}];
+        (void)told;
+        for (i = 0; i < {n}; i++) error[i] = ({name}_real)errors[k * {n} + i];
+        marks[2 * k] = {name}_run_step(&run, ({name}_real)pulses[k], error, valid + k * {n},
+            {told}flags[k], current);
+        marks[2 * k + 1] = run.faults;
+        for (i = 0; i < {n}; i++) currents[k * {n} + i] = current[i], c[k * {n} + i] = run.c[i];
+        for (b = 0; b < {blocks}; b++)
+            for (i = 0; i < {n}; i++) {{
+                amplitudes[(k * {blocks} + b) * {n2} + 2 * i] = run.sync.block[b].re[i];
+                amplitudes[(k * {blocks} + b) * {n2} + 2 * i + 1] = run.sync.block[b].im[i];
+            }}
+    }}
+}}
+"""
+
+
+class CompiledRun:
+    """The unit's C code in this process."""
+
+    def __init__(
+        self, unit: RunUnit, arithmetic: Precision = "double", compiler: str | None = None
+    ) -> None:
+        """Compiles the code. Raises InvalidInput where there is no C compiler, or it fails."""
+        chosen = find_compiler(compiler)
+        if chosen is None:
+            raise InvalidInput(
+                f"there is no C compiler {compiler or ' or '.join(COMPILERS)} on this computer; "
+                "install one to run the C code here"
+            )
+        self.unit = unit
+        name, n = unit.base.name, len(unit.base.inputs)
+        facts = _facts(unit, arithmetic, ())
+        columns = facts["told_parameters"].count(",")
+        told = "".join(f"({name}_real)told[{columns} * k + {i}], " for i in range(columns))
+        text = _RECORD.format(name=name, n=n, n2=2 * n, blocks=len(unit.law.blocks), told=told)
+        files = {**generate_run(unit, arithmetic), "record.c": text}
+        sources = [f"{name}.c", f"{name}_sync.c", f"{name}_run.c", "record.c"]
+        self._columns = columns
+        self._library = load_library(
+            build_library(chosen, files, sources, _FLAGS, "give another compiler", libraries="-lm")
+        )
+
+    def run(
+        self,
+        pulses: ArrayLike,
+        errors: ArrayLike,
+        told: ArrayLike | None = None,
+        valid: ArrayLike | None = None,
+        contact: ArrayLike | None = None,
+        enabled: ArrayLike | None = None,
+    ) -> UnitRun:
+        """As ``code.synchronous.run_unit``; its states are left empty."""
+        e = np.ascontiguousarray(errors, float)
+        (count, n), blocks = e.shape, len(self.unit.law.blocks)
+        good = np.ones((count, n), np.uint8) if valid is None else np.array(valid, np.uint8)
+        marks = np.zeros(count, bool) if contact is None else np.asarray(contact, bool)
+        on = np.ones(count, bool) if enabled is None else np.asarray(enabled, bool)
+        flags = (4 * marks + 64 * ~on).astype(np.uint32)
+        given = np.ascontiguousarray(
+            np.zeros((count, 1)) if told is None else np.asarray(told, float).reshape(count, -1)
+        )
+        times = np.ascontiguousarray(pulses, float)
+        currents, c = np.zeros((count, n)), np.zeros((count, n))
+        amplitudes = np.zeros((count, blocks, n), complex)
+        bits = np.zeros((count, 2), np.uint32)
+        arrays = (times, e, good, given, flags, currents, c, amplitudes, bits)
+        self._library.record(
+            ctypes.c_long(count), *(ctypes.c_void_p(array.ctypes.data) for array in arrays)
+        )
+        empty = np.zeros((count, 0), int)
+        return UnitRun(
+            currents, bits[:, 0].astype(int), bits[:, 1].astype(int), empty, c, amplitudes
+        )

@@ -1,0 +1,186 @@
+"""A controller block with synchronous blocks beside it, as one unit: its twin in Python, sample by
+sample.
+
+Per sample, with the errors e as measured:
+
+1. readings that are lost (not finite, beyond the limit, called invalid) are a fault of the blocks
+   alone; the controller replaces them as it does without blocks;
+2. the blocks see e and the currents of the sample before, and give c;
+3. the controller sees e + c, within its own limit of what is plausible, so that no c makes it hold
+   a reading.
+
+A fault of the blocks never reaches the controller: c is bounded, held or faded, and with all blocks
+off c = 0 exactly, so that the currents are those of the controller alone, bit by bit. While a
+supervised controller is not in the hands of its schedule, for which T was proved, the blocks are
+released.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ambrose.code.block.fixed import ControlBlock
+from ambrose.code.block.run import (
+    LIMITED,
+    STATE_AT,
+    FixedSteps,
+    ScheduledSteps,
+    follow_told,
+    hold_last,
+    supervised_bits,
+    usable_errors,
+)
+from ambrose.code.block.scheduled import ScheduledBlock
+from ambrose.code.block.supervised import SupervisedBlock, supervised_twin
+from ambrose.core.checks import invalid
+from ambrose.law.supervision import State
+from ambrose.law.synchronous_block import SynchronousBlock, SynchronousLaw
+
+Base = ControlBlock | ScheduledBlock
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunUnit:
+    """A controller block and the synchronous blocks beside it, channels in the block's order.
+
+    contact (m,) [m]: an error beyond it counts as contact (infinite: the caller alone tells).
+    Raises InvalidInput for blocks with another number of channels or sample time.
+    """
+
+    base: Base
+    law: SynchronousLaw
+    contact: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        n = len(self.base.inputs)
+        if not len(self.contact):
+            object.__setattr__(self, "contact", np.full(n, np.inf))
+        if np.shape(self.contact) != (n,):
+            raise invalid("contact", np.shape(self.contact), f"({n},)", "give one per channel")
+        if (self.law.channels, len(self.base.outputs)) != (n, n):
+            raise invalid(
+                "the channels of the synchronous blocks",
+                self.law.channels,
+                f"those of the controller, {n} errors and {len(self.base.outputs)} currents",
+                "design the blocks for this controller",
+            )
+        if abs(self.law.sample_time - self.base.sample_time) > 1e-9 * self.base.sample_time:
+            raise invalid(
+                "the sample time of the synchronous blocks",
+                f"{self.law.sample_time:g} s",
+                f"the controller's, {self.base.sample_time:g} s",
+                "design the blocks for this controller",
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UnitRun:
+    """currents (k, p) [A], status (k,) of the controller, faults (k,) of the blocks together,
+    states (k, blocks), c (k, m) [m] and the amplitudes (k, blocks, m) [m] after every sample.
+    """
+
+    currents: np.ndarray
+    status: np.ndarray
+    faults: np.ndarray
+    states: np.ndarray
+    c: np.ndarray
+    amplitudes: np.ndarray
+
+
+def run_unit(
+    unit: RunUnit,
+    pulses: ArrayLike,
+    errors: ArrayLike,
+    told: ArrayLike | None = None,
+    valid: ArrayLike | None = None,
+    contact: ArrayLike | None = None,
+    enabled: ArrayLike | None = None,
+) -> UnitRun:
+    """Double precision, over a record. pulses (k,) [s]: as ``law.synchronous_block.key_phasor``;
+    errors (k, m) [m], valid (k, m); told: as the block's ``run_scheduled`` or ``run_supervised``;
+    contact, enabled (k,): of the machine, and the switch. Raises InvalidInput.
+    """
+    base, blocks = unit.base, SynchronousBlock(unit.law)
+    e, good = usable_errors(base, errors, valid)
+    count, n = e.shape
+    marks = np.zeros(count, bool) if contact is None else np.asarray(contact, bool)
+    on = np.ones(count, bool) if enabled is None else np.asarray(enabled, bool)
+    step, status = _stepping(base, told, hold_last(e, good, base.hold_samples)[1])
+    currents, c = np.zeros((count, n)), np.zeros((count, n))
+    faults, states = np.zeros(count, int), np.zeros((count, len(unit.law.blocks)), int)
+    amplitudes = np.zeros((count, len(unit.law.blocks), n), complex)
+    seen, last = np.zeros(n), np.zeros(n)
+    now = 0
+    for k, pulse in enumerate(np.asarray(pulses, float).tolist()):
+        usable = good[k]
+        read = np.where(usable, e[k], 0.0)
+        c[k] = blocks.step(
+            pulse,
+            read,
+            last,
+            bool(marks[k] or (np.abs(read) > unit.contact).any()),
+            bool(now & LIMITED),
+            bool(on[k]) and _in_charge(base, now),
+            not usable.all(),
+        )
+        # e + c within what the controller takes for plausible; a lost reading stays the last one
+        given = np.minimum(np.maximum(read + c[k], -base.error_limit), base.error_limit)
+        seen = np.where(usable, given, seen)
+        last, added = step(k, seen)
+        status[k] |= added
+        now = int(status[k])
+        currents[k] = last
+        faults[k] = int(np.bitwise_or.reduce([int(run.fault) for run in blocks.running]))
+        states[k] = blocks.states
+        amplitudes[k] = blocks.amplitudes()
+    return UnitRun(currents, status, faults, states, c, amplitudes)
+
+
+def in_order(law: SynchronousLaw, axes: tuple[str, ...], base: Base) -> SynchronousLaw:
+    """The blocks with their channels, in the order of ``axes``, in that of a controller's errors
+    (columns of currents in that of its currents).
+    """
+    rows = [axes.index(name.removeprefix("err_")) for name in base.inputs]
+    after = [len(axes) + axes.index(name.removeprefix("u_")) for name in base.outputs]
+    blocks = []
+    for block in law.blocks:
+        columns = rows + (after if block.reads_currents else [])
+        drive = block.drive[:, rows][:, :, columns]
+        blocks.append(replace(block, drive=drive, limit=block.limit[rows]))
+    return replace(law, blocks=tuple(blocks))
+
+
+def _in_charge(base: Base, status: int) -> bool:
+    return not isinstance(base, SupervisedBlock) or status >> STATE_AT & 3 == State.SCHEDULED
+
+
+def _stepping(
+    base: Base, told: ArrayLike | None, status: np.ndarray
+) -> tuple[Callable[[int, np.ndarray], tuple[np.ndarray, int]], np.ndarray]:
+    """One sample of a controller: its currents and the bits of its status that this adds; and the
+    status (k,) from what is known before.
+    """
+    if isinstance(base, SupervisedBlock):
+        twin, readings = supervised_twin(base), np.asarray(told, float)
+
+        def supervised(k: int, e: np.ndarray) -> tuple[np.ndarray, int]:
+            twin.estimate = float(readings[k, 1]), float(readings[k, 2])
+            twin.schedule(float(readings[k, 0]))
+            return twin.step(e), supervised_bits(twin)
+
+        return supervised, status
+    if isinstance(base, ScheduledBlock):
+        schedule, more = follow_told(base, np.asarray(told, float))
+        steps: FixedSteps | ScheduledSteps = ScheduledSteps(base, schedule)
+        status = status | more
+    else:
+        steps = FixedSteps(base)
+
+    def step(k: int, e: np.ndarray) -> tuple[np.ndarray, int]:
+        return steps.step(e), LIMITED * steps.limited
+
+    return step, status

@@ -1,0 +1,205 @@
+"""Synchronous blocks beside every kind of controller in C: against the twin over a run-up with
+faults, and what no fault may reach.
+"""
+
+import subprocess
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from ambrose import StateSpace, load_machine
+from ambrose.code.block.cascade import build_cascade
+from ambrose.code.block.fixed import build_block
+from ambrose.code.block.run import run_block, run_scheduled, run_supervised
+from ambrose.code.block.supervised import supervise
+from ambrose.code.c.compiler import find_compiler, has_compiler
+from ambrose.code.c.run import CompiledRun, generate_run
+from ambrose.code.sampled import deploy
+from ambrose.code.synchronous import RunUnit, in_order, run_unit
+from ambrose.core.checks import InvalidInput
+from ambrose.law.pid import pid_controller
+from ambrose.law.supervision import Limits
+from ambrose.law.synchronous_block import (
+    BlockFault,
+    BlockLaw,
+    BlockState,
+    SynchronousLaw,
+    key_phasor,
+)
+from ambrose.machine.controller import Channel, PidSettings, Section
+from schedule_driver import CURRENT, DT, ERROR, block_of, gain_schedule, pressure_schedule
+
+compiled = pytest.mark.skipif(not has_compiler(), reason="no C compiler")
+N = 3600
+KINDS = ("fixed", "cascade", "scheduled", "supervised")
+SOME = ["fixed", *(pytest.param(kind, marks=pytest.mark.campaign) for kind in KINDS[1:])]
+LIMIT = 0.04 * float(np.min(ERROR))
+
+
+def pd():
+    A, B = np.diag([0.0, 0.0, -500.0]), [[30.0, 5.0], [0.0, 40.0], [2e3, 1e3]]
+    C, D = [[400.0, 20.0, 50.0], [0.0, 600.0, -30.0]], 1.5e3 * np.eye(2)
+    return StateSpace(A, B, C, D, ["err_x", "err_y"], ["u_x", "u_y"])
+
+
+def base_of(kind):
+    fixed = build_block(deploy(pd(), DT, DT, force=True), "unit", ERROR, CURRENT)
+    if kind == "cascade":
+        machine = load_machine("seal-rig")
+        chain = (Section("pid", 0.2, 2e-3, 0.1), Section("low-pass", frequency=9e3, damping=0.7))
+        bank = PidSettings(channels=(Channel(machine.axes, 2e3, chain),))
+        sampled = deploy(pid_controller(bank, machine), DT, DT, force=True)
+        return build_cascade(sampled, bank, machine, "unit", ERROR, CURRENT)
+    if kind == "scheduled":
+        return block_of(gain_schedule())
+    if kind == "supervised":
+        watch = Limits(1e4, 6e4, 2e3, rate=2e6, noise=300.0, band=4e3, dwell=0.003, fade=0.002)
+        return supervise(block_of(pressure_schedule()), replace(fixed, name="lpv"), watch)
+    return fixed
+
+
+@cache
+def unit_of(kind):
+    rng = np.random.default_rng(3)
+    base = base_of(kind)
+    base = replace(base, current_limit=np.full(len(base.inputs), 0.8))
+    n = len(base.inputs)
+    size = (3, n, 2 * n)
+    drive = np.eye(n, 2 * n) + 0.2 * (rng.standard_normal(size) + 1j * rng.random(size))
+    drive[:, :, n:] *= 1e-5
+    times = (4.0, 0.02, 0.01, 0.05)
+    first = BlockLaw(
+        np.array([150.0, 300.0, 420.0]), drive, (160.0, 330.0), 12.0, np.full(n, LIMIT), 1, 0.0,
+        *times,
+    )  # fmt: skip
+    second = BlockLaw(
+        np.array([150.0]), np.eye(n, dtype=complex)[None], (200.0, 420.0), 8.0, np.full(n, LIMIT),
+        2, 0.5, *times, False,
+    )  # fmt: skip
+    law = SynchronousLaw((first, second), DT, 3000.0)
+    return RunUnit(base, law, np.full(n, 0.9 * float(np.min(ERROR))))
+
+
+def record(kind):
+    """A run-up with lost pulses, jumps, contact, saturation, lost readings, amplitudes at their
+    limit, switching off, and, for a pressure, a reading that is lost.
+    """
+    n = len(base_of(kind).inputs)
+    t = np.arange(N) * DT
+    end = N * DT
+    s = t / end
+    times, speeds = [0.0, 0.8 * end, end], [140.0, 400.0, 400.0]
+    pulses = key_phasor(times, speeds, DT, N)
+    pulses[(s > 0.55) & (s < 0.70)] = -1
+    pulses[np.flatnonzero(s > 0.80)[:200:37]] = 0.0
+    theta = np.cumsum(np.interp(t, times, speeds)) * DT
+    size = 0.2 * float(np.min(ERROR))
+    errors = size * np.column_stack(
+        [np.cos(theta - j) + 0.3 * np.cos(2 * theta + j) for j in range(n)]
+    )
+    errors[(s > 0.42) & (s < 0.47)] *= 4.9
+    errors[(s > 0.75) & (s < 0.752), 1] = np.nan
+    errors[(s > 0.76) & (s < 0.762), 0] = 1.0
+    valid = np.ones((N, n), bool)
+    valid[(s > 0.30) & (s < 0.302), 0] = False
+    told = None
+    if kind in {"scheduled", "supervised"}:
+        told = np.linspace(150.0, 550.0, N)
+    if kind == "supervised":
+        told = np.column_stack([100 * told, np.full((N, 2), np.nan)])
+        told[(s > 0.90) & (s < 0.92), 0] = np.nan
+    return pulses, errors, told, valid, (s > 0.34) & (s < 0.345), ~((s > 0.94) & (s < 0.96))
+
+
+@cache
+def twin_of(kind):
+    return run_unit(unit_of(kind), *record(kind))
+
+
+@compiled
+@pytest.mark.parametrize("kind", SOME)
+def test_the_code_is_its_twin_over_a_run_up_with_faults(kind):
+    unit = unit_of(kind)
+    run, code = twin_of(kind), CompiledRun(unit).run(*record(kind))
+    assert np.array_equal(run.status, code.status)
+    assert np.array_equal(run.faults, code.faults)
+    for name in ("currents", "c", "amplitudes"):
+        twin, other = getattr(run, name), getattr(code, name)
+        assert np.abs(twin - other).max() <= 1e-12 * np.abs(twin).max(), name
+    every = sum(BlockFault)
+    assert np.bitwise_or.reduce(run.faults) == every
+    assert set(run.states.ravel()) == {int(state) for state in BlockState}
+
+
+@pytest.mark.parametrize("kind", ["cascade", "scheduled", "supervised"])
+def test_blocks_that_are_off_leave_the_controller_bit_by_bit(kind):
+    unit = unit_of(kind)
+    _, errors, told, valid, contact, _ = (x[1600:] if x is not None else x for x in record(kind))
+    off = run_unit(unit, np.full(N - 1600, -1.0), errors, told, valid, contact)
+    assert not off.c.any()
+    alone = {"scheduled": run_scheduled, "supervised": run_supervised}.get(kind)
+    alone = alone(unit.base, errors, told, valid) if alone else run_block(unit.base, errors, valid)
+    assert np.array_equal(off.currents, alone.currents)
+    assert np.array_equal(off.status, alone.status)
+
+
+@pytest.mark.parametrize("kind", ["fixed", "supervised"])
+def test_whatever_the_pulses_do_what_is_added_is_bounded(kind):
+    unit = unit_of(kind)
+    _, errors, told, valid, contact, _ = (x[:1500] if x is not None else x for x in record(kind))
+    wild = np.random.default_rng(0).choice([-1.0, 0.0, 0.5 * DT, np.nan, np.inf, 9.0], 1500)
+    run = run_unit(unit, wild, errors, told, valid, contact)
+    assert np.isfinite(run.currents).all()
+    assert (np.abs(run.currents) <= unit.base.current_limit).all()
+    assert (np.abs(run.c) <= 2 * LIMIT * (1 + 1e-9)).all()
+
+
+def test_blocks_are_released_while_the_schedule_is_not_in_charge():
+    run = twin_of("supervised")
+    waiting = np.flatnonzero(run.status >> 4 & 3) + 1
+    waiting = waiting[waiting < N]
+    assert len(waiting) > 10
+    assert not (run.states[waiting] == BlockState.ON).any()
+
+
+@compiled
+@pytest.mark.parametrize(
+    ("kind", "arithmetic"),
+    [
+        ("fixed", "double"),
+        pytest.param("scheduled", "float", marks=pytest.mark.campaign),
+        pytest.param("supervised", "double", marks=pytest.mark.campaign),
+    ],
+)
+def test_the_self_test_passes_and_can_fail(kind, arithmetic, tmp_path):
+    unit = unit_of(kind)
+    files = generate_run(unit, arithmetic)
+    name = unit.base.name
+    broken = files[f"{name}_sync.c"].replace("b->re[i] + eps", "b->re[i] - eps")
+    for text, status in ((files[f"{name}_sync.c"], 0), (broken, 1)):
+        for file, content in {**files, f"{name}_sync.c": text}.items():
+            (tmp_path / file).write_text(content)
+        sources = [f"{name}.c", f"{name}_sync.c", f"{name}_run.c", f"{name}_run_test.c"]
+        flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-pedantic", "-Werror"]
+        subprocess.run([find_compiler(), *flags, *sources, "-o", "t"], cwd=tmp_path, check=True)
+        ran = subprocess.run([tmp_path / "t"], capture_output=True, text=True, check=False)
+        assert ran.returncode == status, ran.stdout[-400:]
+
+
+def test_fixed_point_and_blocks_of_another_loop_are_refused():
+    unit = unit_of("fixed")
+    with pytest.raises(InvalidInput, match="increments"):
+        generate_run(unit, "fixed32")
+    with pytest.raises(InvalidInput, match="sample time"):
+        RunUnit(unit.base, replace(unit.law, sample_time=2 * DT))
+
+
+def test_channels_follow_the_controller_s_order():
+    law, base = unit_of("fixed").law, base_of("fixed")
+    turned = replace(base, inputs=("err_y", "err_x"))
+    drive = law.blocks[0].drive
+    moved = in_order(law, ("x", "y"), turned).blocks[0].drive
+    assert np.array_equal(moved, drive[:, [1, 0]][:, :, [1, 0, 2, 3]])
+    assert np.array_equal(in_order(law, ("x", "y"), base).blocks[0].drive, drive)
