@@ -295,11 +295,11 @@ def load_controller(path: Path, machine: Machine) -> Synthesis:
     from ambrose.machine.file.toml import machine_hash
 
     result = read_controller(path)
-    made = result.provenance
-    if made.machine_hash not in {None, machine_hash(machine)}:
+    provenance = result.provenance
+    if provenance.machine_hash not in {None, machine_hash(machine)}:
         other = (
-            f"another machine, {made.machine}"
-            if made.machine != machine.name
+            f"another machine, {provenance.machine}"
+            if provenance.machine != machine.name
             else f"other numbers of {machine.name}"
         )
         say(

@@ -345,13 +345,13 @@ def _places(machine: Machine, rotor: Rotor) -> Iterator[str]:
         at, *each = (
             plane_rows(rotor, [bearing.position, *(pair.position for pair in pairs)])[0] @ shape
         )[:, 0] / largest
-        read = sum(pair.weight * value for pair, value in zip(pairs, each, strict=True))
-        if abs(read) < _NODE:
+        measured = sum(pair.weight * value for pair, value in zip(pairs, each, strict=True))
+        if abs(measured) < _NODE:
             yield (
                 f"the sensor of bearing {bearing.name} is at a node of {what} and hardly sees it; "
                 "move it along the shaft"
             )
-        elif at * read < 0 and abs(at) > _NODE:
+        elif at * measured < 0 and abs(at) > _NODE:
             yield (
                 f"the sensor of bearing {bearing.name} is across a node of {what}: what damps "
                 "other modes drives this one; "

@@ -158,7 +158,7 @@ def commission(
     make_folder(directory)
     if problem := compiler_problem():
         progress(f"the code will be written, but its law runs in Python: {problem}")
-    made = walk(
+    results = walk(
         STAGES,
         {
             "site": plants,
@@ -169,15 +169,15 @@ def commission(
             "progress": progress,
         },
     )
-    deployment, _, files = made["code"]
+    deployment, _, files = results["code"]
     return Commissioning(
-        made["identification"],
+        results["identification"],
         reference,
-        made["candidate"],
-        made["cycle"],
+        results["candidate"],
+        results["cycle"],
         deployment,
         files,
-        made["law"][1],
+        results["law"][1],
     )
 
 

@@ -305,7 +305,7 @@ def _magnet(
     reasons["bearing.max_current"] = (
         "the bias current: beyond, one of the two opposite coils is off"
     )
-    made = MagneticBearing(
+    bearing = MagneticBearing(
         "A",
         0.0,
         bias,
@@ -322,7 +322,7 @@ def _magnet(
             reasons["bearing.force_per_current"] = "k_s gap / bias"
         if known.negative_stiffness is None:
             reasons["bearing.negative_stiffness"] = "k_i bias / gap"
-        return replace(made, force_per_current=(k_i, k_i), negative_stiffness=(k_s, k_s))
+        return replace(bearing, force_per_current=(k_i, k_i), negative_stiffness=(k_s, k_s))
     geometry = MagnetGeometry(1.0, 1.0, gap)
     turns = max(float(round(2 * BIAS_FLUX * gap / (VACUUM_PERMEABILITY * bias))), 1.0)
     flux = VACUUM_PERMEABILITY * turns * bias / (2 * gap)
@@ -338,7 +338,7 @@ def _magnet(
         "gives max_force with all the "
         "current in one of two opposite coils"
     )
-    return replace(made, geometry=replace(geometry, turns=turns, pole_area=float(f"{area:.9g}")))
+    return replace(bearing, geometry=replace(geometry, turns=turns, pole_area=float(f"{area:.9g}")))
 
 
 def _stiffness(bearing: MagneticBearing) -> float:

@@ -42,19 +42,19 @@ def walk(stages: Sequence[Stage], given: Mapping[str, Any]) -> dict[str, Any]:
     the required stages raise.
     """
     failures: list[tuple[str, str]] = []
-    made = {**given, "failures": failures}
+    results = {**given, "failures": failures}
     for stage in stages:
         if stage.announced:
-            made["progress"](stage.announced)
+            results["progress"](stage.announced)
         try:
-            made[stage.name] = stage.make(*(made[name] for name in stage.needs))
+            results[stage.name] = stage.make(*(results[name] for name in stage.needs))
         except _FAILURES as error:
             if stage.otherwise is REQUIRED:
                 raise
             known = isinstance(error, AmbroseError)
             why = str(error) if known else f"{type(error).__name__}: {error}"
             name = stage.name.replace("_", " ")
-            made["progress"](f"no {name}; {why}")
+            results["progress"](f"no {name}; {why}")
             failures.append((name, why))
-            made[stage.name] = stage.otherwise
-    return made
+            results[stage.name] = stage.otherwise
+    return results

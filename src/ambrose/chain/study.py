@@ -156,17 +156,17 @@ def study(
 
 def _study(machine: Machine, directory: Path, progress: Progress) -> Study:
     check_trials(machine)
-    made = walk(STAGES, {"machine": machine, "directory": directory, "progress": progress})
-    commissioned = made["commissioning"]
+    results = walk(STAGES, {"machine": machine, "directory": directory, "progress": progress})
+    commissioned = results["commissioning"]
     result = Study(
         machine,
-        made["plants"],
-        made["reduced"],
-        made["candidates"],
-        made["speed_curves"],
-        (*made["designs"][1], *made["failures"]),
+        results["plants"],
+        results["reduced"],
+        results["candidates"],
+        results["speed_curves"],
+        (*results["designs"][1], *results["failures"]),
         commissioned,
-        made["run_ups"],
+        results["run_ups"],
     )
     progress("writing the report")
     unwritten = []

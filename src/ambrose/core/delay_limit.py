@@ -43,13 +43,13 @@ def least_sensitivity(A: ArrayLike, C: ArrayLike, delay: float) -> float:
         return float("inf")
 
     # The inner factor's inverse from the observability of the unstable part (-A is stable).
-    seen = sla.solve_continuous_lyapunov(a.T, c.T @ c)  # A^T W + W A = C^T C
-    size = np.linalg.eigvalsh((seen + seen.T) / 2)
+    observability = sla.solve_continuous_lyapunov(a.T, c.T @ c)  # A^T W + W A = C^T C
+    size = np.linalg.eigvalsh((observability + observability.T) / 2)
 
     # W singular: an unstable motion that shows in no measurement.
     if size[0] <= 1e-13 * size[-1]:
         return float("inf")
-    b = np.linalg.solve(seen, c.T)  # B^{-1}(s) = I + C (s - A)^{-1} B is all-pass
+    b = np.linalg.solve(observability, c.T)  # B^{-1}(s) = I + C (s - A)^{-1} B is all-pass
 
     # The error falls with the cell's width squared: extrapolated from two grids (Richardson).
     coarse, fine = (

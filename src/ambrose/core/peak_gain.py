@@ -33,6 +33,7 @@ def peak_gains(increment: np.ndarray, B: np.ndarray, steps: float = np.inf) -> n
 
 
 def _single(increment: float, steps: float) -> float:
+    """sum over k < steps of |a|^k, a = 1 + increment."""
     distance = -increment if increment >= -1 else 2 + increment  # 1 - |a|
 
     # |a| >= 1: the sum (|a|^k - 1)/(|a| - 1) of the geometric series, k where |a| = 1
@@ -62,7 +63,8 @@ def _summed(A: np.ndarray, B: np.ndarray, steps: float) -> np.ndarray:
         total += np.abs(np.stack(powers[: min(_BATCH, count - start)]) @ response).sum(axis=0)
         response = powers[-1] @ response
 
-        # each entry against its own sum: states and inputs may be in units of any size
+        # each entry against its own sum: states and inputs may be in units of any size; what is
+        # below 1e-18 of it no longer changes a sum of doubles
         if (np.abs(response) <= 1e-18 * total).all():
             count = min(count, start + _BATCH)
             break
@@ -71,17 +73,17 @@ def _summed(A: np.ndarray, B: np.ndarray, steps: float) -> np.ndarray:
     power = np.linalg.matrix_power(A, count)
     done = float(count)
     for _ in range(_DOUBLINGS):
-        more = np.abs(power) @ total
-        if done >= steps or (more <= 1e-12 * total).all():
+        further = np.abs(power) @ total
+        if done >= steps or (further <= 1e-12 * total).all():
             break
-        total = total + more
+        total = total + further
         power = power @ power
         done *= 2
-    return total * (1 + 1e-9)
+    return total * (1 + 1e-9)  # an upper bound in spite of rounding and of what was cut off
 
 
 def _rotation(A: np.ndarray, B: np.ndarray, steps: float) -> np.ndarray:
-    """|A^k b| = r^k |b| where A is r times a rotation."""
+    """By r = ||A||_2: ||A^k b|| <= r^k ||b||, with equality where A is r times a rotation."""
     r = np.linalg.norm(A, 2)
     if r >= 1 and steps == np.inf:
         return np.full(B.shape, np.inf)
@@ -89,6 +91,6 @@ def _rotation(A: np.ndarray, B: np.ndarray, steps: float) -> np.ndarray:
     # |x_i| <= sum_k ||A^k b|| <= ||b|| sum_k r^k, r the 2-norm of A:
     # at most 1/(1 - r), or (r^steps - 1)/(r - 1)
     length = steps if r >= 1 else 1 / (1 - r)
-    if r > 1:
+    if r > 1:  # r^steps overflows beyond exp(709)
         length = float(np.expm1(steps * np.log(r)) / (r - 1)) if steps * np.log(r) < 700 else np.inf
     return np.broadcast_to(np.linalg.norm(B, axis=0) * length, B.shape).copy()

@@ -123,9 +123,9 @@ def _zoh(system: StateSpace, dt: float, fraction: float) -> StateSpace:
     # the integral of exp(A s) B over 0..t:
     # x[k+1] = exp(A (dt - f)) (exp(A f) x + Gam(f) u[k-1]) + Gam(dt - f) u[k],   y = C x + D u[k-1]
     n, m = B.shape
-    late, gain_late = _held(A, B, fraction)
+    held_A, gain_late = _held(A, B, fraction)
     return StateSpace(
-        np.block([[early @ late, early @ gain_late], [np.zeros((m, n + m))]]),
+        np.block([[early @ held_A, early @ gain_late], [np.zeros((m, n + m))]]),
         np.vstack([gain_early, np.eye(m)]),
         np.hstack([C, D]),
         np.zeros_like(D),
@@ -234,12 +234,12 @@ def _matched(system: StateSpace, dt: float, prewarp: float | None) -> StateSpace
 
         # Columns of length one; states that the input hardly moves stay out, with C = 0.
         size = np.linalg.norm(known, axis=0)
-        seen = size > _UNSEEN * size.max()
+        visible = size > _UNSEEN * size.max()
         wanted = target / np.maximum(np.abs(target), 1e-300)
 
         # C and D are real: real and imaginary parts one below the other.
         rows, right = (
-            np.vstack([known.real, known.imag])[:, seen] / size[seen],
+            np.vstack([known.real, known.imag])[:, visible] / size[visible],
             np.concatenate([wanted.real, wanted.imag]),
         )
         coefficients = np.linalg.lstsq(rows, right, rcond=None)[0]
@@ -251,7 +251,7 @@ def _matched(system: StateSpace, dt: float, prewarp: float | None) -> StateSpace
                 "'tustin'"
             )
         values = np.zeros(len(size))
-        values[seen] = coefficients / size[seen]
+        values[visible] = coefficients / size[visible]
         C[i, inner_states], D[i, i] = values[:-1], values[-1]
     return StateSpace(sampled.A, sampled.B, C, D, system.inputs, system.outputs, dt)
 

@@ -70,14 +70,14 @@ def identify_loop(
                 )
 
     # A delay to be found begins at the one by which the recorded u follows the controller.
-    seen = None
+    measured_delay = None
     if CONTROLLER_DELAY in paths and CONTROLLER_DELAY not in (start or {}):
         law = deployed_controller(
             plant_at(machine, records[0].point, {}), controller, records[0].dt, 0
         )
-        seen = seen_delay(controller_match(machine, records[0], law))
-    if seen is not None:
-        options = replace(options, computing_delay=seen)
+        measured_delay = seen_delay(controller_match(machine, records[0], law))
+    if measured_delay is not None:
+        options = replace(options, computing_delay=measured_delay)
     setup: dict[str, Any] = {
         "bending_modes": options.bending_modes,
         "computing_delay": options.computing_delay,
@@ -111,23 +111,23 @@ def identify_loop(
         try:
             result = closed_loop.fit(experiment, start)
         except InvalidInput:
-            if seen is None or len(paths) == 1:
+            if measured_delay is None or len(paths) == 1:
                 raise
         if (
-            seen is not None
+            measured_delay is not None
             and len(paths) > 1
             and (result is None or _unsure(result, records[0].dt))
         ):
             progress(
-                f"the delay cannot be told; u follows the controller after {seen} samples: taken "
-                "as its delay"
+                f"the delay cannot be told; u follows the controller after {measured_delay} samples: "
+                "taken as its delay"
             )
             paths = [path for path in paths if path != CONTROLLER_DELAY]
             unknown = tuple(paths)
             experiment = build_experiment(machine, records, controller, paths, options)
             result = closed_loop.fit(experiment, start)
         else:
-            seen = None
+            measured_delay = None
         assert result is not None
         if result.converged and options.period is None:
             progress("taking out what the magnets' nonlinearity makes")
@@ -169,8 +169,8 @@ def identify_loop(
         magnets=magnets,
         **setup,
     )
-    if seen is not None:
-        done = replace(done, seen_delay=seen)
+    if measured_delay is not None:
+        done = replace(done, seen_delay=measured_delay)
     return _with_repeats(done, records, identify_alone, progress) if repeats else done
 
 

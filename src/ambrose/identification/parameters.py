@@ -258,13 +258,16 @@ def ratios(reference: Plant, plant: Plant, paths: Sequence[str]) -> np.ndarray:
                     "identify each bias current on its own, or take the bearings as known in this "
                     "fit",
                 )
-        here, there = nominal_values(reference, [path])[0], nominal_values(plant, [path])[0]
-        if here != 0:
-            factors[i] = there / here
-        elif there != 0:
+        nominal_reference, nominal_plant = (
+            nominal_values(reference, [path])[0],
+            nominal_values(plant, [path])[0],
+        )
+        if nominal_reference != 0:
+            factors[i] = nominal_plant / nominal_reference
+        elif nominal_plant != 0:
             raise invalid(
                 f'parameter "{path}"',
-                f"zero at the first operating point and {there:g} at another",
+                f"zero at the first operating point and {nominal_plant:g} at another",
                 "non-zero at the first",
                 "identify the points one by one",
             )

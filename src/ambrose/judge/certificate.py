@@ -163,11 +163,11 @@ def contradiction(plant: Plant, result: Synthesis, sampled: Mapping[str, float])
 
     sampled: those of the loop as it runs, recomputed as well (``as_it_runs.sampled_margins``).
     """
-    said = result.certificate
+    certificate = result.certificate
     margins = {
-        "full_spectral_abscissa": said.spectral_abscissa,
-        "full_sensitivity_peak": said.closed_loop_norm,
-        **said.margins,
+        "full_spectral_abscissa": certificate.spectral_abscissa,
+        "full_sensitivity_peak": certificate.closed_loop_norm,
+        **certificate.margins,
     }
     for name, value in {**full_plant_margins(plant, result)[1], **sampled}.items():
         said_of_it = margins.get(name, np.nan)

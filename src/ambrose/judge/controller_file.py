@@ -277,20 +277,21 @@ def controller_text(
 ) -> str:
     """What ``write_controller`` writes. Raises InvalidInput."""
     synthesis = synthesis_of(result)
-    made = synthesis.provenance
+    provenance_now = synthesis.provenance
     if machine is not None:
-        made = replace(
-            made,
+        provenance_now = replace(
+            provenance_now,
             package_version=__version__,
             machine=machine.name,
             machine_hash=machine_hash(machine),
         )
-    if date is not None or not made.date:
-        made = replace(
-            made, date=(date or datetime.now(UTC)).astimezone(UTC).isoformat(timespec="seconds")
+    if date is not None or not provenance_now.date:
+        provenance_now = replace(
+            provenance_now,
+            date=(date or datetime.now(UTC)).astimezone(UTC).isoformat(timespec="seconds"),
         )
-    written = replace(synthesis, provenance=made)
-    content = replace(written, provenance=replace(made, digest=written.digest)).to_dict()
+    written = replace(synthesis, provenance=provenance_now)
+    content = replace(written, provenance=replace(provenance_now, digest=written.digest)).to_dict()
     signals = {side: _signals(content[side], side) for side in _UNITS}
     return _layout({"format": FORMAT, "version": VERSION, **content, **signals})
 
@@ -553,7 +554,7 @@ def _synthesis(table: ControllerTable) -> Synthesis:
         raise InvalidInput(
             f"status is '{table.status}', but there is no certificate; design the controller again"
         )
-    made = table.provenance.model_dump(exclude={"package"})
+    provenance_data = table.provenance.model_dump(exclude={"package"})
     filters = (
         None
         if table.filters is None
@@ -577,7 +578,7 @@ def _synthesis(table: ControllerTable) -> Synthesis:
         scheduled,
         table.stopped_early,
         None if table.weights is None else _weights(table.weights),
-        Provenance(**made),
+        Provenance(**provenance_data),
         filters,
         blocks,
     )

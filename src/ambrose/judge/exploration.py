@@ -307,8 +307,10 @@ def _over_tolerances(
     model = fixed if timing is None else timing.late(fixed)
     modes = default_bending_modes(plant)
     reduced = reduce(plant, modes)
-    late = "" if timing is None else ", the continuous law with the sampled loop's mean delay"
-    notes.append(f"families: {modes} bending modes per plane{late}")
+    delay_words = (
+        "" if timing is None else ", the continuous law with the sampled loop's mean delay"
+    )
+    notes.append(f"families: {modes} bending modes per plane{delay_words}")
     tolerances = tolerances_around(plant)
     try:
         if "pulses" in parts:

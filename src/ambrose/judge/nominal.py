@@ -103,10 +103,10 @@ def check(
 
 
 def _extend(
-    checks: list[Check], curves: list[Curve], more: tuple[list[Check], list[Curve]]
+    checks: list[Check], curves: list[Curve], extra: tuple[list[Check], list[Curve]]
 ) -> None:
-    checks += more[0]
-    curves += more[1]
+    checks += extra[0]
+    curves += extra[1]
 
 
 def _grid(

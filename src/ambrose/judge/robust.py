@@ -124,8 +124,8 @@ def check(
     notes = []
     box_holds = all(check.passed is not False for check in checks)
     tell("sensitivity over the box", 0.4)
-    more, curves, worst = _sensitivity(output, input_, grid, requirements, box_holds)
-    checks += more
+    sensitivity_checks, curves, worst = _sensitivity(output, input_, grid, requirements, box_holds)
+    checks += sensitivity_checks
     if not box_holds:
         notes.append(
             "The loop is unstable somewhere in the box: the worst-case gains are infinite."
@@ -410,9 +410,9 @@ def _worst_and_bound(loop: BoxLoop, grid: np.ndarray) -> tuple[BoxGain, Check]:
     bound = proved_gain(loop, worst.value, near)
     # search where the proof says it may be
     if np.isfinite(bound.value) and bound.value > (1 + _APART) * worst.value:
-        again = worst_gain(loop, also=(bound.frequency,))
-        if again.value > worst.value:
-            worst = again
+        refined = worst_gain(loop, also=(bound.frequency,))
+        if refined.value > worst.value:
+            worst = refined
     how = "proved at all frequencies"
     value = bound.value
     reason = ""

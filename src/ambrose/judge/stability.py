@@ -73,14 +73,14 @@ def judge_points(
     machine: Machine,
     given: LawLike,
     timing: Timing | None,
-    more: Iterable[OperatingPoint] = (),
+    extra_points: Iterable[OperatingPoint] = (),
 ) -> tuple[Stability, ...]:
     """Stability on the full plant at every operating point of a machine that the law covers, and at
-    ``more`` of them.
+    ``extra_points``.
     """
     law = law_of(given)
     envelope = machine.operation.envelope
-    points = [*envelope, *(point for point in more if point not in envelope)]
+    points = [*envelope, *(point for point in extra_points if point not in envelope)]
     plants = (assemble(machine, point) for point in points)
     return tuple(judge_stability(plant, law, timing) for plant in plants if law.covers(plant))
 

@@ -144,8 +144,8 @@ def check_block(
     notes: tuple[str, ...] = ()
     if item.block.harmonic == 1 and residual_unbalance(item.loop.machine) is not None:
         progress(f"unbalance with the {item.label}")
-        more, drawn = _unbalance_checks(item)
-        checks += more
+        unbalance, drawn = _unbalance_checks(item)
+        checks += unbalance
         curves += drawn
     else:
         notes = (

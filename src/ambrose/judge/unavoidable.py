@@ -51,11 +51,11 @@ def beyond_reach(least: float, pole: float, delay: float, limit: float) -> str:
         return ""
     remedy = "sample faster, shorten the delay, or lower k_s"
     if not math.isfinite(least):
-        seen = (
+        invisible = (
             f"the unstable motion at {pole / _HERTZ:.3g} Hz shows in no sensor, or the delay "
             "outlasts it"
         )
-        return f"no controller can: {seen}; {remedy}"
+        return f"no controller can: {invisible}; {remedy}"
     return (
         f"no controller can: {unavoidable_words(least, pole, delay)}, and {limit:.3g} is asked; "
         f"{remedy}"

@@ -242,7 +242,7 @@ def _facts(table: Mapping[str, Any], stated: Mapping[str, Any]) -> dict[str, Any
     """What holds for the whole controller, in SI: said by the table or stated. Raises
     InvalidInput.
     """
-    said = {key: table.get(key) for key in FACTS}
+    in_table = {key: table.get(key) for key in FACTS}
     step = table.get("sample_time")
     # 0: what MATLAB calls continuous
     if step is not None and (seconds := _scalar("the sample time", step)) != 0:
@@ -251,16 +251,17 @@ def _facts(table: Mapping[str, Any], stated: Mapping[str, Any]) -> dict[str, Any
             raise invalid(
                 "the sample time", f"{seconds:g} s", f"at least {SAMPLE_TIME:g} s", remedy
             )
-        said["rate_hz"] = 1 / seconds
+        in_table["rate_hz"] = 1 / seconds
     facts: dict[str, Any] = {"input_unit": 1.0, "output_unit": 1.0}
     for key in FACTS:
         own, given = (
-            None if value is None else _fact(key, value) for value in (said[key], stated.get(key))
+            None if value is None else _fact(key, value)
+            for value in (in_table[key], stated.get(key))
         )
         if key != "axes" and own is not None and given is not None and own != given:
             raise InvalidInput(
-                f"{key} is {said[key]} in the file, and {stated[key]} was stated; leave out what "
-                "is wrong"
+                f"{key} is {in_table[key]} in the file, and {stated[key]} was stated; leave out "
+                "what is wrong"
             )
         if (value := own if given is None else given) is not None:
             facts[key] = value
@@ -456,7 +457,7 @@ def _rational(where: str, numerators: Sequence[Any], denominator: Any, falling: 
 
 def _matrices(table: Mapping[str, Any]) -> list[np.ndarray]:
     """A (n, n), B (n, m), C (p, n), D (p, m); D may be left out. Raises InvalidInput."""
-    read = {}
+    matrices = {}
     for key in "ABCD":
         rows = [_listed(key, row) for row in _listed(key, table.get(key, []))]
         if len({len(row) for row in rows}) > 1:
@@ -464,8 +465,8 @@ def _matrices(table: Mapping[str, Any]) -> list[np.ndarray]:
                 f"the rows of {key} have different lengths; give the matrix row by row"
             )
         numbers = [[_real(key, value) for value in row] for row in rows]
-        read[key] = np.array(numbers).reshape(len(rows), -1 if rows and rows[0] else 0)
-    A, B, C, D = (read[key] for key in "ABCD")
+        matrices[key] = np.array(numbers).reshape(len(rows), -1 if rows and rows[0] else 0)
+    A, B, C, D = (matrices[key] for key in "ABCD")
     p, m = (max(D.shape[0], C.shape[0]), max(D.shape[1], B.shape[1]))
     n = len(A)
     if "D" not in table:

@@ -208,8 +208,8 @@ def modes(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
     every rigid motion. Raises InvalidInput for bearings at one place.
     """
     places = np.array([bearing.position for bearing in machine.bearings])
-    read = measured_ports(machine)[0::2]
-    readings = np.array([port.position for port in read])
+    sensors = measured_ports(machine)[0::2]
+    readings = np.array([port.position for port in sensors])
     for what, values in (("bearing", places), ("sensor", readings)):
         if (np.diff(np.sort(values)) < 1e-6).any():
             raise invalid(
@@ -239,5 +239,5 @@ def modes(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
             ]
         )
 
-    S = shapes(readings, [port.direction for port in read])
+    S = shapes(readings, [port.direction for port in sensors])
     return np.linalg.inv(S), shapes(places, [bearing.angle for bearing in machine.bearings])

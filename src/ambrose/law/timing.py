@@ -81,8 +81,8 @@ class Timing:
         return series(passes, law)
 
     def __str__(self) -> str:
-        late = "1 sample" if self.delay_samples == 1 else f"{self.delay_samples} samples"
-        return f"sampled at {self.rate:.6g} Hz, {late} late ({self.source})"
+        delay = "1 sample" if self.delay_samples == 1 else f"{self.delay_samples} samples"
+        return f"sampled at {self.rate:.6g} Hz, {delay} late ({self.source})"
 
 
 DEFAULT = Timing(1e-4, 1, "assumed: nothing says it")  # where a rate is needed and nobody knows one
@@ -98,9 +98,11 @@ def machine_timing(machine: Machine | None) -> Timing | None:
     settings = None if machine is None else machine.controller
     if settings is None or settings.sample_time is None:
         return None
-    late = 1.0 if settings.delay is None else settings.delay / settings.sample_time
-    whole = math.ceil(late - SAME_CLOCK * max(late, 1.0))
-    rounded = f", {late:.3g} rounded up" if abs(late - whole) > SAME_CLOCK * max(late, 1.0) else ""
+    delay = 1.0 if settings.delay is None else settings.delay / settings.sample_time
+    whole = math.ceil(delay - SAME_CLOCK * max(delay, 1.0))
+    rounded = (
+        f", {delay:.3g} rounded up" if abs(delay - whole) > SAME_CLOCK * max(delay, 1.0) else ""
+    )
     return Timing(settings.sample_time, whole, f"machine file{rounded}")
 
 
@@ -123,8 +125,8 @@ def timing_of(
         timing = _timing_of_law(law_of(law), of_machine)
     elif rate is not None:
         program = None if law is None else law_of(law).program
-        late = _delay(of_machine) if program is None else program.delay
-        timing = Timing(1 / check_positive(rate, "rate", "give the sample rate in Hz"), late)
+        delay = _delay(of_machine) if program is None else program.delay
+        timing = Timing(1 / check_positive(rate, "rate", "give the sample rate in Hz"), delay)
     if delay_samples is None:
         return timing
     if timing is None:
@@ -144,12 +146,12 @@ def timing_of(
 
 def _timing_of_law(law: Law, of_machine: Timing | None) -> Timing | None:
     """What a law says of itself, else what the machine file says."""
-    late = _delay(of_machine) if law.program is None else law.program.delay
-    late = late if law.delay_samples is None else law.delay_samples
+    delay = _delay(of_machine) if law.program is None else law.program.delay
+    delay = delay if law.delay_samples is None else law.delay_samples
     if law.sample_time is not None:
-        return Timing(float(law.sample_time), late, "the controller's own")
+        return Timing(float(law.sample_time), delay, "the controller's own")
     if law.rate:
-        return Timing(1 / law.rate, late, "what it was designed for")
+        return Timing(1 / law.rate, delay, "what it was designed for")
     return of_machine
 
 

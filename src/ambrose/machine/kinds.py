@@ -156,18 +156,18 @@ class NestedOf(_Kind):
     def _read_level(self, value: list[object], depth: int) -> Any:
         if depth > 3:
             raise ValueError(f"is nested deeper than three lists; give {self.expects}")
-        read = []
+        rows = []
         for i, element in enumerate(value):
             try:
                 one = Quantity(self.dimension)
-                read.append(
+                rows.append(
                     self._read_level(element, depth + 1)
                     if isinstance(element, list)
                     else one.read(element)
                 )
             except ValueError as error:
                 raise ValueError(f"(element {i + 1}) {error}") from None
-        return tuple(read)
+        return tuple(rows)
 
     def schema(self) -> dict[str, Any]:
         level: dict[str, Any] = Quantity(self.dimension).schema()
@@ -340,10 +340,10 @@ def _quantity_schema(name: str) -> dict[str, Any]:
 
 
 def _read_elements(values: list[object], dimension: str) -> list[float]:
-    read = []
+    elements = []
     for i, value in enumerate(values):
         try:
-            read.append(read_quantity(value, DIMENSIONS[dimension]))
+            elements.append(read_quantity(value, DIMENSIONS[dimension]))
         except ValueError as error:
             raise ValueError(f"(element {i + 1}) {error}") from None
-    return read
+    return elements

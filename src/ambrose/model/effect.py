@@ -120,7 +120,7 @@ def reactions(
 
     Raises InvalidInput where the point lies outside of what an effect covers.
     """
-    made = []
+    parts = []
     for effect, part in parts_of(machine):
         names, reaction = ports_of(effect, part), effect.reaction(part, point)
         if reaction.n_ports != len(names):
@@ -130,8 +130,8 @@ def reactions(
                 f"of its {len(names)} ports",
                 "make its matrices as large as its stations have axes",
             )
-        made.append((names, reaction))
-    return made
+        parts.append((names, reaction))
+    return parts
 
 
 def joined(parts: list[Reaction]) -> Reaction:

@@ -79,9 +79,9 @@ def sensor_turn(machine: Machine) -> np.ndarray:
     """(axes, axes): displacements along the actuators' axes from the measured ones; the identity
     for sensors at their angle.
     """
-    read = measured_ports(machine)[0::2]
+    sensors = measured_ports(machine)[0::2]
     turned = [
         sensor.rotation(port.direction - b.angle)
-        for port, b in zip(read, machine.bearings, strict=True)
+        for port, b in zip(sensors, machine.bearings, strict=True)
     ]
     return np.asarray(block_diag(*turned))

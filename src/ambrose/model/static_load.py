@@ -59,7 +59,7 @@ def _in_plane(
     w = modes.frequencies[0::2]
     shapes = modes.shapes[:, 0::2]
     b = len(magnets)
-    at, read = (
+    at, at_sensors = (
         np.array([displacement_row(rotor, x, 0.0) for x in places]) @ shapes
         for places in (magnets, sensors)
     )
@@ -67,7 +67,9 @@ def _in_plane(
     # Unknowns: modal displacements q and the magnets' forces f; w^2 q - at^T f = W, read q = 0.
     # size of the coordinates: all have the stiffness of the first bending mode
     size = np.maximum(w, w[2] if len(w) > 2 else 1.0)
-    whole = np.block([[np.diag((w / size) ** 2), -(at / size).T], [read / size, np.zeros((b, b))]])
+    whole = np.block(
+        [[np.diag((w / size) ** 2), -(at / size).T], [at_sensors / size, np.zeros((b, b))]]
+    )
     right = np.concatenate([shapes.T @ gravity_load(rotor, 0.0) / size, np.zeros(b)])
     # a single magnet carries the whole, however the rotor hangs
     solution = np.linalg.lstsq(whole, right, rcond=1e-13)[0]

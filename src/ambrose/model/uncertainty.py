@@ -182,10 +182,10 @@ def tolerances_around(
     nowhere.
     """
     chosen = plant.machine.tolerances if tolerances is None else tuple(tolerances)
-    here = (item for item in chosen if not item.around or plant.point.label in item.around)
+    local = (item for item in chosen if not item.around or plant.point.label in item.around)
     return tuple(
         t
-        for t in here
+        for t in local
         if t.relative is None or any(c.nominal != 0 for c in channels(plant, t.parameter))
     )
 

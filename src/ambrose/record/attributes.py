@@ -134,10 +134,10 @@ def read_attributes(attributes: Mapping[str, Any]) -> RecordAttributes:
 def record_schema() -> dict[str, Any]:
     """JSON schema (draft 2020-12) of a record's attributes: every key with its meaning and form."""
     title = f"attributes of an ambrose record, version {VERSION}"
-    made = {"title": title, **tidy_schema(RecordAttributes.model_json_schema())}
+    schema = {"title": title, **tidy_schema(RecordAttributes.model_json_schema())}
     return {
         "$schema": DIALECT,
-        **made,
+        **schema,
         "additionalProperties": {"type": "string", "description": "a note"},
     }
 

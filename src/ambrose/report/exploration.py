@@ -120,8 +120,8 @@ def _members(family: PulseFamily) -> str:
     return f"{int(family.stable.sum())} of {len(family.stable)} members are stable"
 
 
-def _all(standing: tuple[Stability, ...]) -> bool:
-    return bool(standing) and all(item.stable for item in standing)
+def _all(stabilities: tuple[Stability, ...]) -> bool:
+    return bool(stabilities) and all(item.stable for item in stabilities)
 
 
 def _words(item: PoleMap) -> str:

@@ -359,7 +359,7 @@ def _square(figure: Any, row: int, count: int) -> None:
         figure.update_yaxes(constrain="domain", nticks=5, scaleanchor=name, row=row, col=column)
 
 
-_AT_LIMIT = 0.999
+_AT_LIMIT = 0.999  # of the limit: reached, but for rounding
 _CLEAR = 0.05  # [s] without contact after which a rotor that starts in contact counts as lifted
 _KINDS = (
     ("y", "Displacements at the sensors"),

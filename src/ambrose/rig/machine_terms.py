@@ -30,9 +30,9 @@ class Share(float):
     of: str
 
     def __new__(cls, share: float, of: str) -> Share:
-        made = super().__new__(cls, share)
-        made.of = of
-        return made
+        value = super().__new__(cls, share)
+        value.of = of
+        return value
 
     def __repr__(self) -> str:
         return f"{100 * self:g} % of {self.of}"
@@ -132,16 +132,16 @@ def _at(item: Any, bearings: Sequence[str]) -> Iterator[Any]:
         return
     chosen = {"first": bearings[:1], "last": bearings[-1:], "every": bearings}[word]
     for number, name in enumerate(chosen):
-        more: dict[str, Any] = {}
+        changes: dict[str, Any] = {}
         if isinstance(item, Unbalance):
-            more = (
+            changes = (
                 {"amount": item.amount / len(chosen)}
                 if item.amount is not None
                 else {"share": item.share / len(chosen)}
             )
         elif isinstance(item, Prbs):
-            more = {"seed": item.seed + _SEEDS * number}
-        yield replace(item, **{key: f"{before}{name}{after}"}, **more)
+            changes = {"seed": item.seed + _SEEDS * number}
+        yield replace(item, **{key: f"{before}{name}{after}"}, **changes)
 
 
 def _parted(text: str) -> tuple[str, str, str]:

@@ -95,10 +95,10 @@ def loops_along(
     law = law_of(controller)
 
     def loop_at(value: float) -> StateSpace:
-        here = replace(
+        at_value = replace(
             first, system=between.at(value), point=along.moved(plant.point, float(value))
         )
-        return closed_loop(here, law)
+        return closed_loop(at_value, law)
 
     return loop_at
 

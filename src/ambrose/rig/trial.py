@@ -155,8 +155,10 @@ def simulate_linear(
         if law.schedule is not None:
             return spin_up(plant, law, events)
         fixed = match_controller(law, plant)
-        late = timing is not None and fixed.dt is None
-        return spin_up(plant, timing.late(fixed) if late and timing is not None else fixed, events)
+        with_delay = timing is not None and fixed.dt is None
+        return spin_up(
+            plant, timing.late(fixed) if with_delay and timing is not None else fixed, events
+        )
     # the plant turns as the record will say
     if events.speed is not None and events.speed_at(0.0) != plant.point.speed:
         turning = assemble(plant.machine, replace(plant.point, speed=events.speed_at(0.0)))
@@ -179,7 +181,7 @@ def run_on_rig(plant: Plant, program: LawLike, scenario: str, timing: Timing | N
     Only the measured displacements are kept: the currents carry the rotor's weight and hide the
     response beside it.
     """
-    rate, late = (None, None) if timing is None else (timing.rate, timing.delay_samples)
-    trace = simulate_scenario(plant, program, scenario, rate=rate, delay_samples=late)
+    rate, delay_samples = (None, None) if timing is None else (timing.rate, timing.delay_samples)
+    trace = simulate_scenario(plant, program, scenario, rate=rate, delay_samples=delay_samples)
     measured = trace.record.select(plant.named("y"))
     return replace(trace, record=measured, scenario=f"{scenario} on the virtual rig")

@@ -281,11 +281,11 @@ def _stretches(
     """Number of the first sample, drive and log (k, columns) of one stretch after the other; motion
     moves along.
     """
-    again, sensor = (
+    laws_stretch, sensor = (
         None if program is not None else laws.stretch(task.scenario),
         bool(task.scenario.pressure_sensors),
     )
-    length = again or _STRETCH
+    length = laws_stretch or _STRETCH
     switch = task.switch
     reported = time.perf_counter()
     recent: list[tuple[np.ndarray, np.ndarray]] = []
@@ -302,7 +302,7 @@ def _stretches(
         )
         drive = stretch(task, number, count)
         motion.follow(task, drive, number)
-        if law is None or again is not None or number == switch:
+        if law is None or laws_stretch is not None or number == switch:
             law = laws.at(drive, count // 2, number >= switch, sensor)
         if number == switch:
             motion.x = take_over(law, *_remembered(recent, motion.held, law.delay))

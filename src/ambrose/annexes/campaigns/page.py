@@ -113,13 +113,13 @@ def counts(campaign: Campaign) -> list[tuple[str, bool | None, str]]:
         ("passed", "do not pass"),
         ("completed", "not completed"),
     ):
-        if name in campaign.values and (there := int((~np.isnan(campaign.values[name])).sum())):
+        if name in campaign.values and (evaluated := int((~np.isnan(campaign.values[name])).sum())):
             count = int((campaign.values[name] == 0).sum())
             rows.append(
                 (
                     name,
                     count == 0,
-                    f"{count} of {there} cases {bad}" if count else f"all {there} cases",
+                    f"{count} of {evaluated} cases {bad}" if count else f"all {evaluated} cases",
                 )
             )
     order = campaign.worst_first
@@ -207,8 +207,8 @@ def _map(campaign: Campaign, a: str, b: str) -> Any:
     y, down = _axis(campaign, b)
     worst = np.full((len(down), len(across)), np.nan)
     unstable = worst.copy()
-    there = ~np.isnan(values)
-    np.fmax.at(worst, (y[there], x[there]), values[there])
+    evaluated = ~np.isnan(values)
+    np.fmax.at(worst, (y[evaluated], x[evaluated]), values[evaluated])
     unstable[y[campaign.lost], x[campaign.lost]] = 1.0  # one case is enough for a cell
     finite = np.where(np.isfinite(worst) & np.isnan(unstable), worst, np.nan)
     picture = theme.subplots(rows=1, cols=1)

@@ -65,8 +65,8 @@ class Campaign(Presented):
         if not self.measure:
             return np.zeros(0, dtype=int)
         column = self.values[self.measure]
-        there = np.flatnonzero(~np.isnan(column))
-        return there[np.argsort(-column[there], kind="stable")]
+        evaluated = np.flatnonzero(~np.isnan(column))
+        return evaluated[np.argsort(-column[evaluated], kind="stable")]
 
     @property
     def lost(self) -> np.ndarray:
@@ -212,7 +212,7 @@ def read_campaign(plan: Plan, directory: str | Path) -> Campaign:
     """What the folder of a campaign holds of a plan. Raises InvalidInput."""
     cases = list(plan.drawn())
     wanted = {case.key for case in cases}
-    there = (
+    stored = (
         {row["key"]: row for row in rows_of(Path(directory) / ROWS) if row["key"] in wanted}
         if (Path(directory) / ROWS).exists()
         else {}
@@ -222,8 +222,8 @@ def read_campaign(plan: Plan, directory: str | Path) -> Campaign:
         settings[variable.path], units[variable.path] = _setting(
             [case.settings[i][1] for case in cases]
         )
-    names = dict.fromkeys(name for row in there.values() for name in row["values"])
-    rows = [there.get(case.key) for case in cases]
+    names = dict.fromkeys(name for row in stored.values() for name in row["values"])
+    rows = [stored.get(case.key) for case in cases]
     values = {
         name: _value([None if row is None else row["values"].get(name) for row in rows])
         for name in names

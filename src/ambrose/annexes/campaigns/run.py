@@ -92,9 +92,9 @@ def run_plan(
         begun = time.monotonic()
         progress("reading the plan's machines, controllers and scenarios")
         bases, fixed = bases_of(plan, progress), fixed_of(plan)
-        there = keys_there(folder / ROWS)
+        stored = keys_there(folder / ROWS)
         cases = list({case.key: case for case in plan.drawn()}.values())
-        missing = sorted((case for case in cases if case.key not in there), key=group_of)[:most]
+        missing = sorted((case for case in cases if case.key not in stored), key=group_of)[:most]
         progress(f"{len(cases)} cases, {len(cases) - len(missing)} of them computed before")
         _check_some(missing, bases, fixed)
         failed = computed = lost = 0

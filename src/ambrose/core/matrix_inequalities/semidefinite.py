@@ -237,6 +237,7 @@ class _Solver:
 
     def infeasible(self, iterate: Minimum) -> bool:
         """Whether Z, scaled, is a certificate: F^T(Z) = 0 and -<F_0, Z> > 0."""
+        # relative to <F_0, Z>: F^T(Z) is zero but for rounding, and no x has come near
         direction = float(np.linalg.norm(self.adjoint(self.Z)))
         return (
             iterate.bound > 1e-12
@@ -277,7 +278,8 @@ class _Solver:
             / self.order
         )
 
-        # centre: the share of mu to keep, small where the predictor comes far
+        # centre: the share (mu_after / mu)^power of mu to keep (Mehrotra), small where the
+        # predictor comes far
         power = max(1.0, 3 * min(a, b) ** 2)
         centre = min(1.0, max(float(after) / mu, 1e-6) ** power)
 
@@ -310,14 +312,14 @@ class _Solver:
             # another as Kronecker products, gathered over the inequalities. Mixed parts are entered
             # on one side, twice: (M + M^T) / 2 below makes it one on both.
             for n, a in enumerate(i.terms):
-                here = slice(a.variable.start, a.variable.stop)
+                span = slice(a.variable.start, a.variable.stop)
                 for column, inner in zip(i.columns, G, strict=True):
-                    M[here, column] += 2 * a.adjoint(inner)  # its mirror image is left to the end
+                    M[span, column] += 2 * a.adjoint(inner)  # its mirror image is left to the end
                 for b in i.terms[n:]:
                     P, Q = products.setdefault((a.variable, b.variable), ([], []))
-                    more = kronecker(a, b, Z, W)
-                    P += more[0]
-                    Q += more[1]
+                    factors = kronecker(a, b, Z, W)
+                    P += factors[0]
+                    Q += factors[1]
         for (first, second), (P, Q) in products.items():
             double = 1 if first is second else 2
             M[first.start : first.stop, second.start : second.stop] += double * curvature(

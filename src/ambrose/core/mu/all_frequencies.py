@@ -112,8 +112,8 @@ def proved_level(
                 f"{task.level:.4g}; {len(low)} are "
                 f"open near {now[0][0]:.4g} rad/s: allow more, or a higher level"
             )
-        more = task.attempt(*now)
-        low, high = np.concatenate([more[0], low]), np.concatenate([more[1], high])
+        remaining = task.attempt(*now)
+        low, high = np.concatenate([remaining[0], low]), np.concatenate([remaining[1], high])
     return ProvedLevel(task.level, task.frequency, tried)
 
 

@@ -296,7 +296,7 @@ def _minimise(
     balanced, of size about 1.
     """
     b = len(M)
-    late = np.zeros(b, int)
+    stalled_steps = np.zeros(b, int)
     x = np.tile(basis.start, (b, 1))
     worst = np.zeros((b, basis.n_w), complex)
     active = np.arange(b)
@@ -331,8 +331,8 @@ def _minimise(
             xa[c], ba[c] = _lower_beta(basis, m[c], xa[c], ba[c], here, target)
 
         # Long without a centre: see _without_centre.
-        late[active] = np.where(centred, 0, late[active] + 1)
-        k = np.flatnonzero((late[active] >= _LATE) & ~done)
+        stalled_steps[active] = np.where(centred, 0, stalled_steps[active] + 1)
+        k = np.flatnonzero((stalled_steps[active] >= _LATE) & ~done)
         if len(k) and basis.is_g.any():
             xa[k], ba[k] = _without_centre(structure, basis, m[k], xa[k], ba[k], level[active[k]])
 

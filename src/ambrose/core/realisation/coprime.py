@@ -168,13 +168,16 @@ def coprime_factors(
     )
 
     # eps = M~ y - N~ v, that of the plant's: inputs (v, y)
-    seen = StateSpace(
+    plant_observer = StateSpace(
         *_observer(plant, check_shape(L, "plant_gain", "(n, p)", n=plant.n_states, p=p)),
         [*plant.inputs, *plant.outputs],
         eps,
         plant.dt,
     )
-    for name, system in (("A + L C of the plant", seen), ("A + L C of the controller", observer)):
+    for name, system in (
+        ("A + L C of the plant", plant_observer),
+        ("A + L C of the controller", observer),
+    ):
         if system.n_states and not is_stable(system):
             raise invalid(
                 name,
@@ -185,7 +188,10 @@ def coprime_factors(
 
     # One v and one y for both: [V~ -U~; -N~ M~] from (v, y) to (alpha, eps).
     left = select(
-        _joined(append(seen, observer), {name: [f"K {name}"] for name in seen.inputs}),
+        _joined(
+            append(plant_observer, observer),
+            {name: [f"K {name}"] for name in plant_observer.inputs},
+        ),
         outputs=[*alpha, *eps],
     )
 
@@ -401,7 +407,7 @@ def injection_gain(
 
     # The leading k Schur vectors Q1 span the unstable part: T1, seen by C1 = sigma^-1 C Q1. With
     # L = Q1 g the rest of the triangle stays; T1 + g C1 is to be stable.
-    slow, seen = T[:k, :k], (C * t @ Q[:, :k]) / sigma[:, None]
+    slow, outputs_of_slow = T[:k, :k], (C * t @ Q[:, :k]) / sigma[:, None]
 
     # A pole on the boundary is mirrored into itself: no stabilising solution.
     values = np.linalg.eigvals(slow)
@@ -419,12 +425,12 @@ def injection_gain(
     if dt is None:
         # T1^T X + X T1 = C1^T C1; with Y = X^-1 the Bernoulli equation
         # T1 Y + Y T1^T = Y C1^T C1 Y
-        X = lyapunov(-slow.T, seen.T @ seen)
+        X = lyapunov(-slow.T, outputs_of_slow.T @ outputs_of_slow)
     else:
         # T1^T X T1 = X + C1^T C1; with Y = X^-1 the Riccati equation without process noise,
         # Y = T1 Y T1^T - T1 Y C1^T (I + C1 Y C1^T)^-1 C1 Y T1^T
         inverse = np.linalg.inv(slow)
-        X = discrete_lyapunov(inverse.T, inverse.T @ seen.T @ seen @ inverse)
+        X = discrete_lyapunov(inverse.T, inverse.T @ outputs_of_slow.T @ outputs_of_slow @ inverse)
 
     # X on the scale of a unit diagonal: what is unseen does not depend on the units of the states.
     size = np.sqrt(np.maximum(np.diag(X), 1e-300))
@@ -437,8 +443,8 @@ def injection_gain(
     # Kalman gain g = -Y C1^T (sampled: -T1 Y C1^T (I + C1 Y C1^T)^-1)
     # shift (A + L C) = shift A + Q1 g C1: L = Q1 g/shift, in the states and the units as given
     Y = np.linalg.inv(X / size / size[:, None]) / size / size[:, None]
-    innovation = np.eye(p) if dt is None else np.eye(p) + seen @ Y @ seen.T
-    gain = -(Y if dt is None else slow @ Y) @ np.linalg.solve(innovation, seen).T / shift
+    innovation = np.eye(p) if dt is None else np.eye(p) + outputs_of_slow @ Y @ outputs_of_slow.T
+    gain = -(Y if dt is None else slow @ Y) @ np.linalg.solve(innovation, outputs_of_slow).T / shift
     return t[:, None] * (Q[:, :k] @ gain) / sigma, sigma[:, None] * innovation * sigma
 
 

@@ -223,8 +223,8 @@ def count_unstable(loop: BoxLoop, delta: np.ndarray, start: Sweep) -> tuple[np.n
             break
         added = _evaluated(loop, new)
         used, order = used.joined(added)
-        more, more_rate = _determinants(added, loop, delta)
-        h, rate = np.hstack([h, more])[:, order], np.hstack([rate, more_rate])[:, order]
+        added_values, more_rate = _determinants(added, loop, delta)
+        h, rate = np.hstack([h, added_values])[:, order], np.hstack([rate, more_rate])[:, order]
         start = start.joined(added[~np.isin(new, start.omega)])[0]
 
     # h = prod(s - perturbed poles) / prod(s - nominal poles), the latter stable, is real at 0 and

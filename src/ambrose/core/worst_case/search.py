@@ -165,12 +165,12 @@ def _best_of_each_band(rows: np.ndarray) -> list[tuple[float, float, float]]:
     """
     chosen: list[tuple[float, float, float]] = []
     count: dict[int, int] = {}
-    seen: set[tuple[int, int]] = set()
+    taken_bands: set[tuple[int, int]] = set()
     for value, member, omega in rows[:, np.argsort(-rows[0])].T:
         band = round(np.log(max(omega, 1e-300)) / _BAND)
-        if (band, int(member)) in seen or count.get(band, 0) == 3:
+        if (band, int(member)) in taken_bands or count.get(band, 0) == 3:
             continue
-        seen.add((band, int(member)))
+        taken_bands.add((band, int(member)))
         count[band] = count.get(band, 0) + 1
         chosen.append((value, member, omega))
         if len(chosen) == _STARTS or value < 0.3 * chosen[0][0]:

@@ -438,14 +438,14 @@ def _replaced(moved: np.ndarray, plant: Plant, j: int) -> np.ndarray:
         return moved
     bias = _bias(plant, j)
     i, x = moved
-    made = []
+    records_without = []
     p = operating_magnets(plant.machine, plant.point.bias_current)[j // 2].of_force
     for load, power in ((_LOAD * bias, 2), (0.0, 3)):
         terms, chosen = _terms(p, plant.axes[j], load, *largest), _POWERS.sum(axis=1) == power
-        made.append(
+        records_without.append(
             sum(c * i**m * x**n for c, (m, n) in zip(terms[chosen], _POWERS[chosen], strict=True))
         )
-    moved[:] = made
+    moved[:] = records_without
     return moved
 
 

@@ -311,11 +311,11 @@ def _nuisances(L: np.ndarray, R: np.ndarray, lines: Lines) -> tuple[np.ndarray, 
     waves = np.einsum("wl,ij->lijw", lines.W, np.eye(p)).reshape(R.size, -1)
     N = np.hstack([_real((L * lines.z[:, None, None]).reshape(-1, L.shape[2])), _real(waves)])
     G = N.T @ N
-    seen = np.diag(G) > 0
-    size = np.sqrt(np.where(seen, np.diag(G), 1.0))
+    excited = np.diag(G) > 0
+    size = np.sqrt(np.where(excited, np.diag(G), 1.0))
 
     # directions that the lines do not show stay at zero
-    values, V = np.linalg.eigh(np.where(seen[:, None] & seen, G / size / size[:, None], 0.0))
+    values, V = np.linalg.eigh(np.where(excited[:, None] & excited, G / size / size[:, None], 0.0))
     keep = values > _INVISIBLE * values[-1]
     basis = V[:, keep] / np.sqrt(values[keep]) / size[:, None]
     columns = N @ basis

@@ -240,9 +240,9 @@ def warnings_of(
         yield Finding(Code.CORRELATED, WARNING, what, "hardly told apart", remedy)
     if not all(test.passed for test in tests):
         yield Finding(Code.RESIDUALS, WARNING, verdict)
-    elif (seen := power_of(tests)) and min(seen.values()) > _BLIND:
+    elif (powers := power_of(tests)) and min(powers.values()) > _BLIND:
         what = (
-            f"the residual tests see what the model lacks only from {min(seen.values()):.0%} of "
+            f"the residual tests see what the model lacks only from {min(powers.values()):.0%} of "
             "the excited response on"
         )
         remedy = (
@@ -289,11 +289,11 @@ def verdict_of(tests: Sequence[ResidualTest], converged: bool = True, lacking: s
     elif lacking:
         parts.append("no residual test fails")
     else:
-        seen = sorted(power_of(tests).values())
+        powers = sorted(power_of(tests).values())
         share = (
-            f"; what it lacks would show from {100 * seen[0]:.2g} to {100 * seen[-1]:.2g} % of a "
-            "response on"
-            if seen
+            f"; what it lacks would show from {100 * powers[0]:.2g} to {100 * powers[-1]:.2g} % of "
+            "a response on"
+            if powers
             else ""
         )
         parts.append(

@@ -197,9 +197,11 @@ class Synchronous:
 
         # the line of a sine that were the whole signal: (k A/2)^2 = k^2 var/2
         whole = len(signal) * float(np.var(signal)) * len(signal) / 2
-        here, around = beside[:, 3], beside[:, [0, 1, 2, 4, 5, 6]].mean(axis=1)
-        seen = (here > _LINE * around) & (here > _SHARE * whole)
-        return tuple(order for order, coincides in zip(self.orders, seen, strict=True) if coincides)
+        at_line, around = beside[:, 3], beside[:, [0, 1, 2, 4, 5, 6]].mean(axis=1)
+        driven = (at_line > _LINE * around) & (at_line > _SHARE * whole)
+        return tuple(
+            order for order, coincides in zip(self.orders, driven, strict=True) if coincides
+        )
 
 
 def synchronous_of(

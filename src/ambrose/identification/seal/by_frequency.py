@@ -154,20 +154,20 @@ def identify_by_frequency(
     if form is not None and form not in FORMS:
         raise invalid("form", repr(form), f"one of {', '.join(FORMS)}", "correct it")
     progress(f"reading {len(records)} record{'s' * (len(records) > 1)}")
-    read = [item if isinstance(item, Record) else read_record(item) for item in records]
+    loaded = [item if isinstance(item, Record) else read_record(item) for item in records]
     names = tuple(Path(item).name for item in records if not isinstance(item, Record))
     checked = [
         finding
-        for number, record in enumerate(read, 1)
+        for number, record in enumerate(loaded, 1)
         for finding in signal_findings(machine, record, number)
     ]
     refuse(checked)
-    kinds = [is_stepped(record, [n for n in record.signals if n[:2] == "e_"]) for record in read]
+    kinds = [is_stepped(record, [n for n in record.signals if n[:2] == "e_"]) for record in loaded]
     if len(set(kinds)) > 1:
         raise InvalidInput(
             "some records hold stepped sines and others do not; give those of one kind"
         )
-    reference = any(record.point.seal_pressure == 0 for record in read)
+    reference = any(record.point.seal_pressure == 0 for record in loaded)
     lines = None
     if not kinds[0]:
         lines = list(frequencies or 2 * np.pi * np.linspace(_LOWEST, _HIGHEST, _LINES))
@@ -176,10 +176,10 @@ def identify_by_frequency(
             "frequencies are those of the steps where the records hold stepped sines; leave them "
             "out"
         )
-    progress(f"the seal at {len({record.point.seal_pressure for record in read})} pressures")
+    progress(f"the seal at {len({record.point.seal_pressure for record in loaded})} pressures")
     fit = stepped_sine.identify(
         machine,
-        read,
+        loaded,
         seal=seal,
         settle=settle,
         currents=currents,
@@ -187,7 +187,7 @@ def identify_by_frequency(
         lines=lines,
         harmonics=harmonics,
     )
-    fit = with_baseline(machine, fit, read) if reference else fit
+    fit = with_baseline(machine, fit, loaded) if reference else fit
     mean = averaged(fit)
     form = form or ("line" if len(mean.pressures) > 2 else "table")
     if form == "line" and len(mean.pressures) < 3:

@@ -50,18 +50,18 @@ class SealByPressure:
         """Where operating points lie above the highest pressure measured, to which the line goes
         on, and which points are surely off their line, but hardly; else "".
         """
-        top, said = float(self.fit.pressure.max()), []
+        top, sentences = float(self.fit.pressure.max()), []
         if self.highest > top * (1 + 1e-9):
-            said = [
+            sentences = [
                 f"the lines of seal {self.fit.seal} go on to {self.highest:g} Pa; the highest "
                 f"pressure measured is {top:g} Pa"
             ]
-        said += [
+        sentences += [
             f"seal {self.fit.seal} {item.what}: {item.evidence}"
             for item, matters in self._scattered
             if not matters
         ]
-        return "; ".join(said)
+        return "; ".join(sentences)
 
     @property
     def _scattered(self) -> list[tuple[Finding, bool]]:
@@ -198,9 +198,9 @@ def beyond_tolerance(machine: Machine, fit: SealFit) -> tuple[Finding, ...]:
                 elif parameter.quantity == "pressure" and pressure:
                     widths.append(half_width(one, pressure) / pressure * abs(start))
             if widths and start and abs(value - start) > max(widths) + COVERAGE * deviation:
-                said = f"{letter} at {pressure:g} Pa is {value / start:.3g} times the file's"
+                evidence = f"{letter} at {pressure:g} Pa is {value / start:.3g} times the file's"
                 far.append(
-                    f"{said}, beyond its tolerance of {100 * max(widths) / abs(start):.3g} %"
+                    f"{evidence}, beyond its tolerance of {100 * max(widths) / abs(start):.3g} %"
                 )
     if not far:
         return ()

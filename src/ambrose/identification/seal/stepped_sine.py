@@ -196,8 +196,8 @@ def _key(frequency: float) -> float:
 def _signals(machine: Machine, records: Sequence[Record], currents: str | None) -> list[str]:
     """Displacements and measured currents, or what the amplifiers were told."""
     axes = machine.axes
-    there = all(f"i_{a}" in record.signals for record in records for a in axes)
-    measured = currents == "measured" or (currents is None and there)
+    all_currents = all(f"i_{a}" in record.signals for record in records for a in axes)
+    measured = currents == "measured" or (currents is None and all_currents)
     return [f"y_{a}" for a in axes] + [
         f"{kind}_{a}" for kind in ("i" if measured else "ue") for a in axes
     ]

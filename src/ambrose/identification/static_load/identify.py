@@ -184,8 +184,8 @@ def bearing_forces(
         f"o_{port}" if f"o_{port}" in system.inputs else f"f_{port}" for port in levels.ports
     ]
     N_b, N_f = system.B[:, at], system.B[:, [system.inputs.index(name) for name in outside]]
-    seen = [system.outputs.index(f"s_{port.name}") for port in sensor_ports(machine)]
-    S = sensor.means(machine.sensor_pairs, axes) @ system.C[seen]
+    sensor_rows = [system.outputs.index(f"s_{port.name}") for port in sensor_ports(machine)]
+    S = sensor.means(machine.sensor_pairs, axes) @ system.C[sensor_rows]
     # takes the magnets out again
     K = system.stiffness + N_b @ np.diag(_stiffness(machine, point, None)) @ N_b.T
     # of the rows: rigid modes have no stiffness

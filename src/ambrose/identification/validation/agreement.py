@@ -72,9 +72,11 @@ def compare(result: Estimate, other: Machine) -> tuple[Agreement, ...]:
         result.paths, result.values.tolist(), result.standard_deviations.tolist(), strict=True
     ):
         if path not in TIMING:
-            there = float(nominal_values(plant, [path])[0])
+            in_plant = float(nominal_values(plant, [path])[0])
             rows.append(
-                Agreement(path, value, COVERAGE * deviation, there, _half_width(other, path, there))
+                Agreement(
+                    path, value, COVERAGE * deviation, in_plant, _half_width(other, path, in_plant)
+                )
             )
     if not rows:
         raise InvalidInput(

@@ -30,9 +30,9 @@ def machine_at_load(machine: Machine, records: Sequence[Record]) -> Machine:
     if not means or _without_mean(machine, means, _bias(records)):
         return machine
     bias, bearings = _bias(records), list(machine.bearings)
-    for j, (item, here) in enumerate(_at_currents(machine, means, bias)):
-        if here is not None and item.parameters is not None:
-            bearings[j] = with_coefficients(bearings[j], item.parameters[0], here)
+    for j, (item, coefficients) in enumerate(_at_currents(machine, means, bias)):
+        if coefficients is not None and item.parameters is not None:
+            bearings[j] = with_coefficients(bearings[j], item.parameters[0], coefficients)
     return replace(machine, bearings=tuple(bearings))
 
 
@@ -50,8 +50,8 @@ def load_remarks(
     at_bearings = zip(machine.bearings, _at_currents(machine, means, _bias(records)), strict=True)
     return tuple(
         text
-        for bearing, (item, here) in at_bearings
-        for text in _of_bearing(bearing.name, item, here, means)
+        for bearing, (item, coefficients) in at_bearings
+        for text in _of_bearing(bearing.name, item, coefficients, means)
     )
 
 
@@ -132,12 +132,16 @@ def _at_currents(
 
 
 def _of_bearing(
-    name: str, item: LoadedMagnet, here: MagnetCoefficients | None, means: Mapping[str, float]
+    name: str,
+    item: LoadedMagnet,
+    coefficients: MagnetCoefficients | None,
+    means: Mapping[str, float],
 ) -> Iterator[str]:
-    if here is None:
+    if coefficients is None:
         return
     k_i, k_s = (
-        np.array(getattr(here, quantity)) / np.array(getattr(item.coefficients, quantity)) - 1
+        np.array(getattr(coefficients, quantity)) / np.array(getattr(item.coefficients, quantity))
+        - 1
         for quantity in ("force_per_current", "negative_stiffness")
     )
     for way, current, of_k_i, of_k_s in zip(("zeta", "eta"), item.currents, k_i, k_s, strict=True):

@@ -53,13 +53,15 @@ def simulate_outputs(
     for record, task in zip(records, experiment.tasks, strict=True):
         model, free = experiment.models[task.place], replace(task, initial_state=True, offset=True)
         loop = over_weights(model, theta, experiment.sizes)[0]
-        part, made = (
+        part, response = (
             _fitted_part(record, model, task.samples),
             fit(loop, synchronised(loop, free))[0],
         )
-        for name, row, size in zip(signals, made, unit, strict=True):  # of the residual, the model
+        for name, row, size in zip(
+            signals, response, unit, strict=True
+        ):  # of the residual, the model
             row[:] = part[name] - row * size
-        outputs.append(SimulatedOutput(part, signals, made))
+        outputs.append(SimulatedOutput(part, signals, response))
     return tuple(outputs)
 
 

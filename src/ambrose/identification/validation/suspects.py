@@ -86,13 +86,13 @@ def suspects(
     as far as the fit took them as known.
     """
     options = replace(options, period=None)
-    more = min(options.bending_modes + _FURTHER, bending_modes_of_mesh(machine))
+    modes = min(options.bending_modes + _FURTHER, bending_modes_of_mesh(machine))
     cut = (
         None
-        if more <= options.bending_modes
-        else _truncation(machine, records, controller, result, options, more)
+        if modes <= options.bending_modes
+        else _truncation(machine, records, controller, result, options, modes)
     )
-    options = replace(options, bending_modes=max(more, options.bending_modes))
+    options = replace(options, bending_modes=max(modes, options.bending_modes))
     paths = [
         path
         for path in (*TIMING, *_others(machine, options.bending_modes))
@@ -169,8 +169,8 @@ def judged(result: ParameterEstimate, suspected: Sequence[Suspect], dt: float) -
         for path, value in zip(result.paths, result.values, strict=True)
     ]
     # what noise hides is in the interval, whatever it is of a value near zero
-    seen = moves > result.standard_deviations
-    relative = np.where(seen, moves / np.maximum(sizes, 1e-300), 0.0)
+    significant = moves > result.standard_deviations
+    relative = np.where(significant, moves / np.maximum(sizes, 1e-300), 0.0)
     k = int(relative.max(axis=0).argmax())
     effect = float(relative[:, k].max())
     named = causes(suspected)

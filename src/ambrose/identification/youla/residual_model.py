@@ -55,14 +55,14 @@ class SampledResidual:
         L = self.factors.plant_gain
         L_K = self.factors.controller_gain
         p, n = len(G.outputs), G.n_states
-        inside, k = loop.n_states, L_K.shape[0]
+        loop_states, k = loop.n_states, L_K.shape[0]
 
         # x_o+ = (A + L C) x_o + B (u + alpha) - L y,   eps = y - C x_o
         C_y, C_u = loop.C[:p], loop.C[p:]
-        A = np.block([[loop.A, np.zeros((inside, n))], [G.B @ C_u - L @ C_y, G.A + L @ G.C]])
+        A = np.block([[loop.A, np.zeros((loop_states, n))], [G.B @ C_u - L @ C_y, G.A + L @ G.C]])
 
         # alpha enters as the excitation, and the controller's states by -L_K
-        B = np.vstack([loop.B - np.vstack([np.zeros((inside - k, L_K.shape[1])), L_K]), G.B])
+        B = np.vstack([loop.B - np.vstack([np.zeros((loop_states - k, L_K.shape[1])), L_K]), G.B])
         C = self.whitening @ np.hstack([C_y, -G.C])
         D = np.zeros((p, B.shape[1]))
 
@@ -70,7 +70,7 @@ class SampledResidual:
         directions = []
         for change in changes:
             dA, dB = np.zeros_like(A), np.zeros_like(B)
-            dA[:inside, :inside], dB[:inside] = change.A, change.B
+            dA[:loop_states, :loop_states], dB[:loop_states] = change.A, change.B
             directions.append(SystemDerivative(dA, dB, np.zeros_like(C), D))
         return StateSpace(A, B, C, D, self.excitations, self.signals, loop.dt), directions
 
@@ -143,8 +143,8 @@ def held_residual(
 
     # no controller of its own: alpha is the excitation, and LoopModel's loop is the plant held
     empty = np.zeros((0, 0))
-    none = StateSpace(empty, empty, empty, empty, (), (), dt)
+    no_law = StateSpace(empty, empty, empty, empty, (), (), dt)
     B, C = system.B[:, u], system.C[y]
     return LoopModel(
-        nominal, system.A, B, C, dA, dB, none, factors.alpha, factors.eps, np.ones(len(nominal))
+        nominal, system.A, B, C, dA, dB, no_law, factors.alpha, factors.eps, np.ones(len(nominal))
     )

@@ -108,11 +108,11 @@ def unbalance_over_box(
         else:
             at = plant
         force = _residual(at, residual).force(speed)
-        here = np.array([speed])
-        nominal = gains(loop.at(here), loop, np.zeros((1, loop.parameters)))[0, 0]
+        omega = np.array([speed])
+        nominal = gains(loop.at(omega), loop, np.zeros((1, loop.parameters)))[0, 0]
         worst = worst_gain_at(loop, float(speed))
         least = max(worst.value, nominal)
-        limit = gain_bound(loop, here, least) if bound else np.nan
+        limit = gain_bound(loop, omega, least) if bound else np.nan
         rows.append((nominal * force, least * force, limit * force, worst.delta))
     nominal, largest, limits, delta = zip(*rows, strict=True)
     return BoxUnbalance(

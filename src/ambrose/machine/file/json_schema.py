@@ -21,14 +21,14 @@ def machine_schema() -> dict[str, Any]:
     # whoever reads a record needs no tables of machines
     from ambrose.machine.file.tables import machine_file
 
-    made: dict[str, Any] = tidy_schema(machine_file().model_json_schema(by_alias=True))
-    tables: dict[str, Any] = made.pop("$defs")
+    schema: dict[str, Any] = tidy_schema(machine_file().model_json_schema(by_alias=True))
+    tables: dict[str, Any] = schema.pop("$defs")
     head = {
         "$schema": DIALECT,
         "title": f"ambrose machine file, schema {SCHEMA_VERSION}",
-        "description": made.pop("description"),
+        "description": schema.pop("description"),
     }
-    return {**head, **made, "$defs": {**dict(sorted(tables.items())), **quantity_schemas()}}
+    return {**head, **schema, "$defs": {**dict(sorted(tables.items())), **quantity_schemas()}}
 
 
 def tidy_schema(node: Any) -> Any:

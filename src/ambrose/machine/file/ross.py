@@ -179,10 +179,10 @@ def _layer(name: str, key: str, row: _Row) -> dict[str, Any]:
         raise InvalidInput(
             f"{name}: [{key}]: L, rho, E and G_s must be positive; correct the element"
         )
-    made = Material(
+    material_part = Material(
         rho, young, min(max(young / (2 * shear) - 1, -0.99), 0.49), str(material.get("name", ""))
     )
-    return {**row, **numbers, "stuff": made}
+    return {**row, **numbers, "stuff": material_part}
 
 
 def _conical(layer: Mapping[str, Any]) -> bool:

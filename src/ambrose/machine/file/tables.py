@@ -136,13 +136,13 @@ def make_table(
     name: str, doc: str, keys: Mapping[str, Any], noun: type[Part] | None = None
 ) -> type[Table]:
     """A table with these keys (``keys_of``); ``noun`` is the part that it becomes."""
-    made = cast(
+    table = cast(
         type[Table], create_model(name, __base__=Table, __doc__=" ".join(doc.split()), **keys)
     )
     if noun is not None:
         named = [item for item in fields(noun) if "key" in item.metadata]  # type: ignore[arg-type]  # every Part is a dataclass
-        made.noun, made.attributes = noun, {item.metadata["key"]: item.name for item in named}
-    return made
+        table.noun, table.attributes = noun, {item.metadata["key"]: item.name for item in named}
+    return table
 
 
 def keys_of(noun: type[Part]) -> dict[str, tuple[Any, Any]]:
@@ -228,7 +228,7 @@ def _machine_file(effects: tuple[Attachment, ...]) -> type[Table]:
         part: type = item.part
         below = table_of(part)
         tables.setdefault(item.table, (GenericAlias(list, (below,)), optional(below.__doc__ or "")))
-    made = make_table(
+    table = make_table(
         "MachineFile",
         "A rotor on magnetic bearings.",
         {
@@ -241,5 +241,5 @@ def _machine_file(effects: tuple[Attachment, ...]) -> type[Table]:
         },
         MachineDescription,
     )
-    made.apart = frozenset({"machine", "material", "shaft"})
-    return made
+    table.apart = frozenset({"machine", "material", "shaft"})
+    return table

@@ -77,9 +77,11 @@ def gas_flow(
     # below the least drop the coefficients fall in proportion to it
     least = LEAST_DROP * (geometry.exit_pressure or geometry.inlet_pressure or 0.0)
     spin = speed if geometry.speed is None else geometry.speed
-    asked = tuple(max(w, _SLOWEST) for w in frequencies)
+    used_frequencies = tuple(max(w, _SLOWEST) for w in frequencies)
     try:
-        return _flow(geometry, max(pressure, least), spin, asked), min(pressure / least, 1.0)
+        return _flow(geometry, max(pressure, least), spin, used_frequencies), min(
+            pressure / least, 1.0
+        )
     except InvalidInput as error:
         raise InvalidInput(f"{where}: {error}") from error
     except NumericalFailure as error:

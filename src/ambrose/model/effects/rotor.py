@@ -416,10 +416,10 @@ def _strain_energy(rotor: Rotor, shapes: np.ndarray) -> np.ndarray:
     e = np.stack([right - left, right + left - 2 * np.diff(w, axis=0) / length], axis=1)
 
     # phi^T M shapes of the corrected modes
-    seen = rotor.corrected.T @ shapes
+    strained = rotor.corrected.T @ shapes
     return np.asarray(
         np.tensordot(e, rotor.bending @ e, ([0, 1], [0, 1]))
-        + seen.T @ (rotor.correction[:, None] * seen)
+        + strained.T @ (rotor.correction[:, None] * strained)
     )
 
 

@@ -219,10 +219,10 @@ def glance_table(machine: Machine, candidates: Sequence[Candidate], points: Sequ
             )
         )
     boxes = [candidate.robust for candidate in candidates]
-    made = [checks for checks in boxes if checks is not None]
-    if made:
-        rows.append(_heading(f"Tolerances ({_box(machine)}) {around(made[0])}", candidates))
-        for known, better in _names(made, _IN_THE_BOX):
+    evaluated = [checks for checks in boxes if checks is not None]
+    if evaluated:
+        rows.append(_heading(f"Tolerances ({_box(machine)}) {around(evaluated[0])}", candidates))
+        for known, better in _names(evaluated, _IN_THE_BOX):
             rows.append(
                 _row(known, [_entry(checks, known.name, detailed=True) for checks in boxes], better)
             )
@@ -478,15 +478,15 @@ def _mu_row(candidates: Sequence[Candidate]) -> list[Row]:
 
 
 def _controller_rows(candidates: Sequence[Candidate]) -> list[Row]:
-    made = [candidate.synthesis for candidate in candidates]
-    orders = [float(synthesis.controller.n_states) for synthesis in made]
+    syntheses = [candidate.synthesis for candidate in candidates]
+    orders = [float(synthesis.controller.n_states) for synthesis in syntheses]
     factor, unit = units.scale("rad/s")
-    fastest = [synthesis.certificate.fastest_pole * factor for synthesis in made]
+    fastest = [synthesis.certificate.fastest_pole * factor for synthesis in syntheses]
     gammas = [
         Cell(units.number(synthesis.gamma), detail=synthesis.method)
         if math.isfinite(synthesis.gamma)
         else Cell("none", "muted")
-        for synthesis in made
+        for synthesis in syntheses
     ]
     return [
         ("Order (number of states)", "", *_numbers(orders, better=min)),

@@ -89,18 +89,18 @@ def _check_curves(curves: Sequence[tuple[str, Curve]]) -> None:
             "set Curve.kind",
         )
     for label, curve in curves:
-        here = f"curve {curve.name} at {label}"
+        where = f"curve {curve.name} at {label}"
         if (curve.kind, curve.x_unit, curve.y_unit) != (first.kind, first.x_unit, first.y_unit):
             form = f"{curve.kind} in {curve.y_unit or '-'} over {curve.x_unit}"
             wanted = f"{first.kind} in {first.y_unit or '-'} over {first.x_unit} like the first one"
-            raise invalid(here, form, wanted, "put different quantities into different figures")
+            raise invalid(where, form, wanted, "put different quantities into different figures")
         shape = (len(curve.labels), len(curve.x))
         if np.shape(curve.y) != shape or np.iscomplexobj(curve.y):
             form = (
                 f"of shape {np.shape(curve.y)}{' and complex' if np.iscomplexobj(curve.y) else ''}"
             )
             raise invalid(
-                f"y of {here}",
+                f"y of {where}",
                 form,
                 f"real, of shape {shape} (lines, points)",
                 "give magnitudes, one row per label",

@@ -516,7 +516,7 @@ def _time_axis(
     figure.update_layout(height=figure.layout.height + 16, margin={"b": 64})
 
 
-_FRAMES, _ROUNDS = 72, 12
+_FRAMES, _ROUNDS = 72, 12  # pictures of the window, and how often they are played
 _FRAME_TIME = 45  # [ms]
 _SIZE = 0.10  # largest displacement on the page, in rotor lengths
 _OBLIQUE = np.array([-0.42, -0.30])  # where x points on the page
@@ -573,6 +573,7 @@ def rotor_animation(
         for j in range(len(moments))
     ]
     theme.dress(figure, _STAGE_HEIGHT, legend=False)
+    # room around the orbits, for the touchdown circles and the names below
     reach = 1.25 * _SIZE * machine.length
     figure.update_xaxes(
         visible=False,

@@ -294,8 +294,8 @@ def _labels(
     extent = [high, -high]
     for sign in (1, -1):
         taken: list[float] = []  # right end of the text on each level
-        here = (s for s in stations if (s.kind in {"bearing", "seal", "disc"}) == (sign > 0))
-        for station in sorted(here, key=lambda s: s.position):
+        on_side = (s for s in stations if (s.kind in {"bearing", "seal", "disc"}) == (sign > 0))
+        for station in sorted(on_side, key=lambda s: s.position):
             text = (
                 f"{station.kind.replace('_', ' ')} {units.axis_name(station.name)}"
                 if station.name.lower() != station.kind
@@ -434,13 +434,13 @@ def _shapes(
             hovertemplate="%{x:.0f} mm: %{y:.3f}<extra></extra>",
         )
         for station in sensed:
-            there = float(np.interp(station.position, nodes[order], shape))
+            deflection = float(np.interp(station.position, nodes[order], shape))
             symbol, colour = _SEES[station.kind], _KINDS[station.kind]
             theme.scatter(
                 figure,
                 {},
                 [station.position],
-                [there],
+                [deflection],
                 mode="markers",
                 yaxis=axis,
                 marker={

@@ -115,8 +115,8 @@ def _add_force(rig: Any, drive: Any, P: Any, k: int, tau: float, start: Any, F: 
                     drive.seal[k + 1 if long else 0, i, m],
                 )
                 row[m] = here + tau * (next_ - here) - ref[m]
-            more = (row[0], row[1], row[2], row[3], 0.0)
-            fx, fy = seal_force(y[out], y[out + 1], y[out + 2], y[out + 3], 0.0, 0.0, more)
+            row_values = (row[0], row[1], row[2], row[3], 0.0)
+            fx, fy = seal_force(y[out], y[out + 1], y[out + 2], y[out + 3], 0.0, 0.0, row_values)
             out += 4
             for m in range(lags):
                 gx, gy = state_force(y[out], y[out + 1], row[5 + 2 * m], row[6 + 2 * m])

@@ -204,8 +204,8 @@ def named(value: Any) -> str:
 
 
 def _extended(plant: ScaledPlant) -> ScaledPlant:
-    more = full_regularisation(plant)
-    return plant.extended(more.rows, more.columns, _EPSILON)
+    regularisation = full_regularisation(plant)
+    return plant.extended(regularisation.rows, regularisation.columns, _EPSILON)
 
 
 def _balanced(family: Family, middle: int) -> Family:
@@ -238,9 +238,9 @@ def _disturbed(plant: ScaledPlant, best: Level) -> Level:
     A state that is known exactly, as that of a weight driven by a measurement, has Y = 0: in states
     that balance such a Y, S would be unbounded.
     """
-    more = full_regularisation(plant)
+    regularisation = full_regularisation(plant)
     for epsilon in _DISTURBANCES:
-        level = best_level(plant.extended(more.rows, more.columns, epsilon))
+        level = best_level(plant.extended(regularisation.rows, regularisation.columns, epsilon))
         if level.gamma <= _HARDLY * best.gamma:
             return level
     return best

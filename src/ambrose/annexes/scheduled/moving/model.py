@@ -63,17 +63,17 @@ class MovingModel:
         # (f, u) -> (q, qdot, y), the currents late
         y, u = list(plant.named("y")), list(plant.named("u"))
         part = select(plant.system, [*forces, *u], [*motions, *y])
-        late = apply_delay(GeneralizedPlant(part, forces, u, motions, y), lag, _PADE).system
+        delayed = apply_delay(GeneralizedPlant(part, forces, u, motions, y), lag, _PADE).system
         r, v = len(forces), len(motions)
-        if late.D.any():
+        if delayed.D.any():
             raise InvalidInput(
                 "the currents reach the sensors at once; give the amplifier a bandwidth in the "
                 "machine file"
             )
-        self.A = late.A
-        self.B = late.B[:, r:]
-        self.C = late.C[v:]
-        self._into, self._own = late.B[:, :r], late.C[:v]
+        self.A = delayed.A
+        self.B = delayed.B[:, r:]
+        self.C = delayed.C[v:]
+        self._into, self._own = delayed.B[:, :r], delayed.C[:v]
         self._ranges = [seal_range(plant, seal, span) for seal in plant.machine.seals]
         self.plant = plant
         self.span = span
@@ -273,7 +273,7 @@ def prove_on_model(model: Model, rate: float, error: float, tell: Tell) -> tuple
     lag = model.loop.lag
     at_rest = model.at_rest
     size = f"model with {model.modes} bending modes per plane, {len(loop.output.T)} states"
-    late = f", {1e6 * lag:.4g} us late" if lag else ""
+    delay_words = f", {1e6 * lag:.4g} us late" if lag else ""
     value = np.inf
     words = ""
     end = time.monotonic() + _TIME_LIMIT
@@ -297,8 +297,8 @@ def prove_on_model(model: Model, rate: float, error: float, tell: Tell) -> tuple
         if raised < value:
             value = raised
             words = (
-                f"{size}{late}; {proof.gamma / at_rest - 1:.1%} above what was found at rest "
-                "there, and raised by the "
+                f"{size}{delay_words}; {proof.gamma / at_rest - 1:.1%} above what was found at "
+                "rest there, and raised by the "
                 f"{model.off:.2%} by which the model is off the full plant at rest; the "
                 f"inequality holds by {proof.slack:.0e}, "
                 f"rounding {proof.rounding:.0e}"

@@ -83,10 +83,10 @@ def pressure_loop(
     for k, terms in enumerate(rows):
         into[2 * k : 2 * k + 2, at : at + 2] = np.eye(2)
         for i, P in enumerate(terms):
-            here = slice(at, at + 2)
-            per_parameter[here, 4 * k : 4 * k + 4] = P
+            block = slice(at, at + 2)
+            per_parameter[block, 4 * k : 4 * k + 4] = P
             if i + 1 < len(terms):
-                shift[here, at + 2 : at + 4] = np.eye(2)
+                shift[block, at + 2 : at + 4] = np.eye(2)
             owner += [k, k]
             at += 2
 

@@ -385,10 +385,10 @@ def _proof(family: _Family, slope: float, tell: Tell) -> Proof:
 
 
 def _how(family: _Family, proof: Proof, off: float) -> str:
-    late = f", {1e6 * family.lag:.4g} us late" if family.lag else ""
+    delay_words = f", {1e6 * family.lag:.4g} us late" if family.lag else ""
     return (
-        f"model with {family.modes} bending modes per plane{late}, raised by the {off:.2%} by "
-        "which it is off the full plant "
+        f"model with {family.modes} bending modes per plane{delay_words}, raised by the {off:.2%} "
+        "by which it is off the full plant "
         f"at steady speeds; the inequality holds by {proof.slack:.0e}, rounding "
         f"{proof.rounding:.0e}"
     )

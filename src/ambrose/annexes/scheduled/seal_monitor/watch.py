@@ -262,7 +262,7 @@ def _limits(machine: Machine, record: Record, path: str) -> tuple[float, float] 
                 float(nominal_values(reduced_plant(machine, point, 0), [path])[0]),
                 {path},
             )
-        here = [
+        tolerances = [
             t
             for t in machine.tolerances
             if t.parameter in wanted and (not t.around or point.label in t.around)
@@ -270,7 +270,7 @@ def _limits(machine: Machine, record: Record, path: str) -> tuple[float, float] 
         width = max(
             (
                 abs(value) * (t.relative or 0.0) + (t.absolute or 0.0) * (t.parameter == path)
-                for t in here
+                for t in tolerances
             ),
             default=0.0,
         )
