@@ -119,8 +119,8 @@ def identify_loop(
             and (result is None or _unsure(result, records[0].dt))
         ):
             progress(
-                f"the delay cannot be told; u follows the controller after {measured_delay} samples: "
-                "taken as its delay"
+                "the delay cannot be told; u follows the controller after "
+                f"{measured_delay} samples: taken as its delay"
             )
             paths = [path for path in paths if path != CONTROLLER_DELAY]
             unknown = tuple(paths)
