@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -86,6 +87,10 @@ def design(
     method: Method | str = "tuned",
     *,
     point: OperatingPoint | str | None = None,
+    synchronous: str | None = None,
+    synchronous_band: tuple[float, float] | None = None,
+    synchronous_time: float | None = None,
+    base: Any = None,
     progress: Progress = _quiet,
     **options: Any,
 ) -> Synthesis:
@@ -98,12 +103,20 @@ def design(
     ``Lpv`` (scheduled over speed, pressure or both); or the name of one, "tuned", its options then
     by name: ``amb.design(machine, amb.Tuned(order=12))`` is ``amb.design(machine, "tuned",
     order=12)``. What each has stands with it, help(amb.Tuned). point: of the machine (None: the one
-    that designs are made for). A controller that does not hold the full plant comes back with
-    status "unstable". Raises InvalidInput.
+    that designs are made for). synchronous: "current-free", "force-free" or "vibration-free", a
+    block against unbalance beside it, on within synchronous_band [rad/s] (None: from a tenth of the
+    top speed), with the time constant synchronous_time [s] (None: as short as the loop allows);
+    base: the controller to add it to, in place of a new design. A controller that does not hold the
+    full plant comes back with status "unstable". Raises InvalidInput.
     """
+    from ambrose.judge.result import synthesis_of
     from ambrose.model.plant import Plant as PlantType
     from ambrose.synthesis.design import design as designed
+    from ambrose.synthesis.synchronous_design import check_request, design_synchronous, in_words
 
+    more = {"synchronous_band": synchronous_band, "synchronous_time": synchronous_time}
+    name = method if isinstance(method, str) else type(method).__name__.lower()
+    check_request(synchronous, name, {**more, "base": base})
     if not isinstance(machine, PlantType):
         machine = assemble(machine, point)
     elif point is not None:
@@ -111,7 +124,25 @@ def design(
             f"the plant is at {machine.point.label!r} already; give the machine to choose another "
             "point"
         )
-    return designed(machine, method, progress=progress, **options)
+    result = (
+        designed(machine, method, progress=progress, **options)
+        if base is None
+        else synthesis_of(controller_of(base))
+    )
+    if synchronous is None:
+        return result
+    block = design_synchronous(
+        machine.machine,
+        result,
+        synchronous,
+        band=synchronous_band,
+        time_constant=synchronous_time,
+        rate=options.get("rate", getattr(method, "rate", None)),
+        delay_samples=options.get("delay_samples", getattr(method, "delay_samples", None)),
+        progress=progress,
+    )
+    left_out = tuple(f"synchronous block: {in_words(item)}" for item in block.forbidden)
+    return replace(result, synchronous=block.blocks, notes=(*result.notes, *left_out, *block.notes))
 
 
 def verify(

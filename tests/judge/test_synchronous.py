@@ -207,6 +207,31 @@ def test_a_design_is_proved_and_leaves_the_forbidden_band_out(designed, flywheel
     }
 
 
+def test_a_leak_leaves_what_the_exact_loop_leaves(loop, designed):
+    """e with the block settled over e without, from the converged phasors and from the exact
+    sampled loop at the speed itself.
+    """
+    from ambrose.law.synchronous_table import block_table
+
+    speed, eps, leak = 600.0, 2.0, 0.05
+    T = block_table(designed.blocks[1], loop.machine).at(speed)
+    leaking = replace(designed.blocks[1], leak=leak, time_constant=2 / eps)
+    item = next(iter(block_loops(loop.machine, loop.law, (leaking,))))
+    settled, alone = (
+        item.converged(speed, REST),
+        loop.converged(None, speed, REST, forward_patterns(loop.machine)),
+    )
+    before, after = alone.y, settled.y - settled.c
+    on, off = (
+        sensitivity(loop, "current-free", speed, REST, table, eps, np.array([speed]), leak)[0]
+        for table in (T, None)
+    )
+    expected = on @ np.linalg.solve(off, before)
+    assert np.linalg.norm(after - expected) < 0.01 * np.linalg.norm(after)
+    assert 0.01 < np.linalg.norm(after) / np.linalg.norm(before) < 0.2
+    assert np.linalg.norm(settled.u) > 0.01 * np.linalg.norm(alone.u)
+
+
 def test_the_plain_notch_is_refused_with_where_it_is_unstable_and_what_would_be_stable(flywheel):
     item = block_loops(*flywheel, (Synchronous("current-free", (400.0, 520.0), 1.0),))[0]
     checks = check_block(item)

@@ -107,37 +107,24 @@ def synthesize(
     tolerances around each; the other methods design for one operating point (--point), lpv for a
     range of speeds, of seal pressures or both.
     """
-    from ambrose.core.checks import check_positive, invalid
+    from ambrose.core.checks import invalid
     from ambrose.judge.controller_file import write_controller
     from ambrose.judge.plants import plant_at
     from ambrose.judge.result import Status
     from ambrose.law.filters import filter_rows
     from ambrose.machine.file.update import save_machine
     from ambrose.synthesis.design import design
-    from ambrose.synthesis.synchronous_design import design_synchronous, in_words
+    from ambrose.synthesis.synchronous_design import check_request, design_synchronous, in_words
 
     chosen = chosen_from(METHODS, method, asked, _METHOD_OPTION)
     description = load(machine)
     on_machine = chosen.on(description)  # refuses before the design, which takes a while
-    for option, value in (
-        ("--synchronous-band", synchronous_band),
-        ("--synchronous-time", synchronous_time),
-        ("--base", base),
-    ):
-        if value is not None and synchronous is None:
-            raise invalid(
-                option, "given", "given with --synchronous", "add --synchronous current-free"
-            )
-    if synchronous is not None:
-        if method == "lpv":
-            raise invalid(
-                "--synchronous",
-                synchronous,
-                "left out with --method lpv",
-                "give a controller fixed over speed",
-            )
-        if synchronous_time is not None:
-            check_positive(synchronous_time, "--synchronous-time", "give 2/eps in seconds")
+    more = {
+        "--synchronous-band": synchronous_band,
+        "--synchronous-time": synchronous_time,
+        "--base": base,
+    }
+    check_request(synchronous, method, more, "--synchronous")
     if machine_file is not None and getattr(chosen, "structure", None) not in {"pid", "filters"}:
         raise invalid(
             "--machine-file",

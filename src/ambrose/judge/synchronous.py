@@ -93,12 +93,16 @@ class BlockLoop:
         return np.linspace(*self.block.band, count)
 
     def drive(self, speed: float) -> np.ndarray:
-        """D (a, a) of mode "damping": c = D y once settled, (eps/(2 leak)) T."""
+        """D (a, a) of a block that leaks: c = D z once settled, (eps/(2 leak)) T."""
         return self.block.gain / (2 * self.block.leak) * self.table.at(speed)
 
     def converged(self, speed: float, condition: Condition) -> Converged:
-        gain = self.drive if self.mode == "damping" else None
-        return converged_at(self.loop, self.mode, speed, condition, gain)
+        return converged_at(self.loop, self.mode, speed, condition, self.gain)
+
+    @property
+    def gain(self) -> Callable[[float], np.ndarray] | None:
+        """``drive`` of a block that leaks; None: it drives its signal to zero."""
+        return self.drive if self.block.leak > 0 else None
 
 
 def block_loops(
@@ -390,8 +394,7 @@ def _unbalance_checks(item: BlockLoop) -> tuple[list[Check], list[Curve]]:
                 rows[:, k] = np.maximum(rows[:, k], sizes)
 
     limits = np.array([orbit_limit(machine, float(w)) for w in speeds])
-    gain = item.drive if item.mode == "damping" else None
-    forbidden = forbidden_bands(item.loop, item.mode, item.block.band, item.conditions, gain)
+    forbidden = forbidden_bands(item.loop, item.mode, item.block.band, item.conditions, item.gain)
 
     # a forbidden band is found between the drawn speeds as well
     k = int(np.argmax(after[0] / limits))

@@ -215,7 +215,9 @@ class SynchronousLoop:
         """The 1x phasors under forces f (a, patterns) [N] at the bearings, with the block
         converged.
 
-        mode None: without a block. drive D (a, a) complex: of mode "damping", c = D y.
+        mode None: without a block. drive D (a, a) complex: of a block that leaks, which settles at
+        c = D z, (eps/(2 leak)) T, with z what the mode drives to zero (of mode "damping" y); None:
+        one that does not leak, z = 0.
         """
         plant, n = self.plant(speed, condition), len(self.axes)
 
@@ -241,23 +243,26 @@ class SynchronousLoop:
         top = np.hstack([one + K @ G, -K])
         right = -K @ Gf[:n]
 
+        # z = Z_u u + Z_c c + z_f, what the mode drives to zero (of "damping": what it feeds back)
+        Zu, Zc = G, 0 * one
+        z_f = Gf[:n]
+        if mode == "current-free":  # K (y - c) = -u, and y - c = 0
+            Zc = -one
+        elif mode == "force-free":
+            # y_b + (k_i/k_s) i with y_b = B y, i = G_i u + its part from f
+            B = at_bearings(self.machine)
+            Zu = B @ G + np.diag(k_i / k_s) @ Gi
+            z_f = B @ Gf[:n] + np.diag(k_i / k_s) @ Gf[2 * n :]
+
         if mode is None:
             bottom, z = np.hstack([0 * one, one]), 0 * Gf[:n]
-        elif mode == "current-free":  # K (y - c) = -u, and y - c = 0
-            bottom, z = np.hstack([G, -one]), -Gf[:n]
-        elif mode == "vibration-free":
-            # y = G u + G_f f = 0
-            bottom, z = np.hstack([G, 0 * one]), -Gf[:n]
+        elif drive is not None:
+            # c = D z: (1 - D Z_c) c - D Z_u u = D z_f
+            bottom, z = np.hstack([-drive @ Zu, one - drive @ Zc]), drive @ z_f
         elif mode == "damping":
-            if drive is None:
-                raise InvalidInput("mode damping has no gain D; give the one of its table")
-            # c - D G u = D G_f f
-            bottom, z = np.hstack([-drive @ G, one]), drive @ Gf[:n]
+            raise InvalidInput("mode damping has no gain D; give the one of its table")
         else:
-            # y_b + (k_i/k_s) i = 0 with y_b = B y, i = G_i u + its part from f
-            B = at_bearings(self.machine)
-            bottom = np.hstack([B @ G + np.diag(k_i / k_s) @ Gi, 0 * one])
-            z = -(B @ Gf[:n] + np.diag(k_i / k_s) @ Gf[2 * n :])
+            bottom, z = np.hstack([Zu, Zc]), -z_f
 
         solution = np.linalg.solve(np.vstack([top, bottom]), np.vstack([right, z]))
         u, c = solution[:n], solution[n:]

@@ -15,8 +15,20 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import StateSpace
-from ambrose.law.synchronous_block import SynchronousBlock, SynchronousLaw, key_phasor
+from ambrose.law.law import Law
+from ambrose.law.synchronous import synchronous_loop
+from ambrose.law.synchronous_block import (
+    BlockState,
+    SynchronousBlock,
+    SynchronousLaw,
+    key_phasor,
+)
+from ambrose.law.synchronous_table import running_law
+from ambrose.law.timing import Timing
+from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
+from ambrose.machine.synchronous import Synchronous
+from ambrose.model.assemble import assemble
 from ambrose.rig.scenario import Scenario
 
 
@@ -42,6 +54,13 @@ class SynchronousProgram:
     _x: np.ndarray = field(default_factory=lambda: np.zeros(0))
     _u: np.ndarray = field(default_factory=lambda: np.zeros(0))
     _k: int = 0
+
+    def words(self) -> str:
+        """For how long each block was on, in words."""
+        told = np.array([states for _, states, _, _ in self.history]).reshape(len(self.history), -1)
+        shares = (told == int(BlockState.ON)).mean(axis=0) if len(told) else np.zeros(0)
+        shown = ", ".join(f"{share:.0%}" for share in shares) or "not"
+        return f"synchronous blocks on for {shown} of the time"
 
     @property
     def sample_time(self) -> float:
@@ -81,6 +100,37 @@ class SynchronousProgram:
                 )
             )
         return self._u
+
+
+def blocks_of(machine: Machine, law: Law) -> tuple[Synchronous, ...]:
+    """The blocks that run beside a law: its own, else those of the machine file; none beside a
+    program of its own.
+    """
+    settings = machine.controller
+    if law.synchronous or law.program is not None or settings is None:
+        return law.synchronous
+    return settings.synchronous
+
+
+def beside_law(
+    machine: Machine,
+    law: Law,
+    blocks: Sequence[Synchronous],
+    scenario: Scenario,
+    start: OperatingPoint,
+    timing: Timing,
+) -> SynchronousProgram:
+    """The program that runs a fixed law and synchronous blocks through a scenario; start: where it
+    begins. Raises InvalidInput for a law that is scheduled.
+    """
+    if law.scheduled_over is not None or law.program is not None:
+        raise InvalidInput(
+            "synchronous blocks are simulated beside a fixed controller; leave them out of this "
+            "controller's file, or export both to C and run that"
+        )
+    loop = synchronous_loop(machine, law, timing.rate, timing.delay_samples)
+    sampled = loop.controller(assemble(machine, start))
+    return synchronous_program(machine, sampled, running_law(blocks, loop), scenario)
 
 
 def synchronous_program(

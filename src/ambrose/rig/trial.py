@@ -17,7 +17,7 @@ from ambrose.judge.plants import Progress, chosen_point
 from ambrose.law.law import LawLike, law_of
 from ambrose.law.loop import closed_loop, match_controller, running_law
 from ambrose.law.supervision import check_pair, supervised, supervision_limits
-from ambrose.law.timing import Timing, timing_of
+from ambrose.law.timing import DEFAULT, Timing, timing_of
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
@@ -29,6 +29,7 @@ from ambrose.rig import linear, virtual_rig
 from ambrose.rig.engine.controller import sample_time
 from ambrose.rig.run_up import Step, spin_up
 from ambrose.rig.scenario import Scenario, load_scenario
+from ambrose.rig.synchronous import beside_law, blocks_of
 from ambrose.rig.trace import Trace
 
 RUN_UP = "spin-up-steps"  # P3: 20 to 300 Hz in 1 s, a step of force or set point every 50 ms
@@ -75,7 +76,8 @@ def simulate_scenario(
     is told cannot be trusted, pressure_rate [Pa/s]: how fast that may change (None: the machine
     file's), pressure_error [Pa]: how far off the reading may be, stuck_after [s]: how long it may
     be the very same (None: for ever); ``law.supervision``. estimate: a seal monitor runs "beside"
-    the reading, or "alone" in place of it (registered by the annex of schedules). rig: further
+    the reading, or "alone" in place of it (registered by the annex of schedules). Synchronous
+    blocks of the controller, else of the machine file, run beside it (rig only). rig: further
     arguments of ``virtual_rig.run`` (second, bending_modes, seed, path, ...). Raises InvalidInput.
     """
     law = law_of(controller)
@@ -84,6 +86,14 @@ def simulate_scenario(
     events = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     events, where = events.on(described), chosen_point(described, point)
     timing = timing_of(described, law, rate, delay_samples)
+    blocks = blocks_of(described, law)
+    if blocks and (linear or fallback is not None or rig.get("second") is not None):
+        raise invalid(
+            "the simulation of a controller with synchronous blocks",
+            "linear" if linear else "with a second controller",
+            "on the virtual rig, the controller alone",
+            "leave that out, or the blocks out of the controller's file",
+        )
     if linear:
         if rig or fallback is not None:
             raise invalid(
@@ -109,6 +119,13 @@ def simulate_scenario(
         "a minute)"
     )
     start = where or (plant.point if plant is not None else None)
+    if blocks:
+        begin = start or described.operation.nominal
+        if events.speed is None:  # the key phasor's
+            events = replace(events, speed=begin.speed)
+        beside = beside_law(described, law, blocks, events, begin, timing or DEFAULT)
+        trace = virtual_rig.run(described, beside, events, point=start, progress=progress, **rig)
+        return replace(trace, text=f"{trace.text}; {beside.words()}")
     if fallback is None:
         return virtual_rig.run(described, law, events, point=start, progress=progress, **rig)
     sample = sample_time(law, described, events.sample_time)

@@ -436,3 +436,30 @@ def in_words(item: Forbidden) -> str:
         item.replacement, "nothing keeps the limit there"
     )
     return f"{item}; {instead} ({item.low / TWO_PI:.4g} to {item.high / TWO_PI:.4g} Hz)"
+
+
+def check_request(
+    synchronous: str | None, method: str, given: Mapping[str, Any], name: str = "synchronous"
+) -> None:
+    """What can be refused of a block that is asked for beside a design. given: the other options
+    by name, None where left out; name: what the block's own option is called. Raises InvalidInput.
+    """
+    for option, value in given.items():
+        if value is not None and synchronous is None:
+            raise invalid(option, "given", f"given with {name}", f"add {name} current-free")
+    if synchronous is None:
+        return
+    if method == "lpv":
+        raise invalid(
+            name,
+            synchronous,
+            "left out with the method lpv",
+            "give a controller fixed over speed",
+        )
+    if synchronous not in MODES[:3]:
+        raise invalid(
+            name, repr(synchronous), f"one of {', '.join(MODES[:3])}", "choose one of them"
+        )
+    for option, value in given.items():
+        if option.endswith("time") and value is not None:
+            check_positive(value, option, "give 2/eps in seconds")
