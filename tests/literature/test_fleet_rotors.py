@@ -9,22 +9,36 @@ bearings.
    frequencies at 25,000 rpm. Rotor and frequencies are recalled; neither was fitted to the other.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.linalg as sla
 
 import ambrose as amb
+from ambrose.machine.description import MachineDescription
 from ambrose.model.effects.rotor import displacement_row, finite_element_rotor
 
 pytestmark = pytest.mark.literature
 RPM = np.pi / 30
 
 
+def _as_printed(machine):
+    """The rotor on the mesh of its source alone: of the book six elements, of which the bundled
+    machine has more, and no nodes where its magnets and sensors stand.
+    """
+    elements = 1 if machine.name in {"two-disc-rotor", "overhung-disc-rotor"} else None
+    shaft = tuple(replace(s, elements=elements or s.elements) for s in machine.shaft)
+    return MachineDescription(
+        machine.name, shaft, (), (), discs=machine.discs, beam_theory=machine.beam_theory
+    )
+
+
 def whirl(machine, speed, supports, count):
     """Undamped and damped frequencies [rad/s] of the lowest ``count`` lateral modes on (position,
     k_x, k_y, c_x, c_y).
     """
-    rotor = finite_element_rotor(amb.load_machine(machine))
+    rotor = finite_element_rotor(_as_printed(amb.load_machine(machine)))
     D, K = speed * rotor.gyroscopic, rotor.stiffness.copy()
     for position, *values in supports:
         for angle, k, c in zip((0.0, np.pi / 2), values[:2], values[2:], strict=True):

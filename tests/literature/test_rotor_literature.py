@@ -17,7 +17,7 @@ import scipy.linalg as sla
 
 from ambrose.core.mechanical import SecondOrder, to_statespace
 from ambrose.core.statespace import poles
-from ambrose.machine.description import Amplifier
+from ambrose.machine.description import Amplifier, MachineDescription
 from ambrose.machine.file.toml import load_machine
 from ambrose.machine.machine import Machine
 from ambrose.machine.rotor_model import Disc, Material, ShaftSection
@@ -140,10 +140,12 @@ def test_nelson_mcvaugh_mesh_is_converged():
 
 
 def test_the_bundled_machine_is_this_rotor():
-    bundled, other = (
-        finite_element_rotor(load_machine("nelson-mcvaugh-rotor")),
-        nelson_rotor("rayleigh"),
+    machine = load_machine("nelson-mcvaugh-rotor")
+    # without the parts on magnets, which have nodes of their own
+    shaft = MachineDescription(
+        machine.name, machine.shaft, (), (), discs=machine.discs, beam_theory=machine.beam_theory
     )
+    bundled, other = finite_element_rotor(shaft), nelson_rotor("rayleigh")
     for name in ("positions", "mass", "gyroscopic", "stiffness"):
         one, two = getattr(bundled, name), getattr(other, name)
         np.testing.assert_allclose(one, two, rtol=1e-9, atol=1e-9 * np.abs(two).max())

@@ -101,10 +101,12 @@ def test_the_free_rotor_rings_as_measured_and_all_other_modes_as_before():
     values = poles(free_mode_reduction(assemble(free), 3).system)
     ringing = np.sort_complex(values[values.imag > 1000])
     found = {round(abs(p), 3): -p.real / abs(p) for p in ringing if -p.real / abs(p) < 0.1}
+    # nodes where seal and coupling stood are gone with them
+    rest = free_bending_frequencies(finite_element_rotor(replace(free, bending_modes=())), 3)
     expected = {
         0.97 * frequencies()[0]: 0.02,
-        frequencies()[1]: 0.01,
-        frequencies()[2]: machine().modal_damping,
+        rest[1]: 0.01,
+        rest[2]: machine().modal_damping,
     }
     for rate, ratio in expected.items():
         near = min(found, key=lambda w: abs(w - rate))

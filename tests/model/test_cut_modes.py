@@ -59,7 +59,8 @@ def test_bound_holds_and_is_not_far(name, turns):
     rounding = 2e-13 * size
     assert (error <= bound + rounding).all()
     told = (np.abs(omega) < all_frequencies[kept] / 10) & (error > 100 * rounding)
-    half, most, all_ = np.percentile(bound[told] / error[told], [50, 90, 100])
+    # at a resonance that the rest could move there is no bound
+    half, most, all_ = np.percentile(bound[told] / error[told], [50, 90, 100], method="nearest")
     print(f"{name}, {speed:.0f} rad/s: bound over error {half:.1f}, {most:.1f}, {all_:.1f}")
     if (
         name != "process-compressor"
@@ -68,5 +69,5 @@ def test_bound_holds_and_is_not_far(name, turns):
 
 
 def test_rotors_in_all_their_modes_have_no_error():
-    machine = amb.load_machine("vertical-pump")
+    machine = amb.load_machine("flywheel")
     assert (compliance_error_bound(machine, 100.0, np.array([10.0, 1e4])) == 0).all()

@@ -33,8 +33,10 @@ from ambrose.model.effects.rotor import (
     MassProperties,
     Rotor,
     finite_element_rotor,
+    free_bending_frequencies,
     free_modes,
     mass_properties,
+    mesh_error,
     plane_rows,
 )
 from ambrose.model.plant import Plant, top_speed
@@ -42,6 +44,7 @@ from ambrose.model.ports import measured_ports, sensor_turn
 from ambrose.model.reduce import free_mode_reduction
 from ambrose.model.static_load import magnet_coefficients, operating_magnets, static_sag
 from ambrose.synthesis.explanation import below_stiffness, stiffness_margin
+from ambrose.synthesis.fixed_order.aims import highest_verified
 from ambrose.synthesis.fixed_order.job import bending_modes_for
 
 HERTZ = 2 * math.pi
@@ -56,6 +59,8 @@ _SHORT = 3.0  # diameters of length that one bearing may hold
 _MARGIN = 1.2  # K_p k_i / k_s below which stiffness is left to chance
 _MODES = 12  # bending modes that are looked at
 _APART = 1e-9  # of the squared critical speeds: no figure shows it
+_COARSE = 0.01  # of a bending frequency, that the mesh may be above a finer one
+_SHOWN = 3  # bending modes that are looked at in any case
 _POINTS = 8  # at most, at which the reference controller is looked at
 
 
@@ -193,6 +198,7 @@ def insight(plant: Plant) -> dict[str, Any]:
         critical = critical_speeds(machine)
     except AmbroseError:
         critical = []
+    bending, errors = mesh_error(machine, _judged_modes(machine, rotor))
     return {
         "bearings": [
             {
@@ -210,8 +216,10 @@ def insight(plant: Plant) -> dict[str, Any]:
         "unstable_pole_rad_s": pole,
         "delay_s": delay,
         "least_sensitivity": least,
+        "mesh_error": errors.tolist(),
         "doubts": [
             *_sizes(machine, properties),
+            *_mesh(bending, errors),
             *_forces(machine, bearings),
             *_stiffness(machine, margin),
             *_places(machine, rotor),
@@ -220,6 +228,25 @@ def insight(plant: Plant) -> dict[str, Any]:
         ],
         "remarks": [*_remarks(machine), *_not_held(machine)],
     }
+
+
+def _judged_modes(machine: Machine, rotor: Rotor) -> int:
+    """How many bending modes lie where the sensitivity is judged; the first three in any case."""
+    available = bending_modes_of(rotor)
+    frequencies = free_bending_frequencies(rotor, available)
+    inside = int((frequencies <= highest_verified(machine)).sum())
+    return min(max(inside, _SHOWN), available)
+
+
+def _mesh(bending: np.ndarray, errors: np.ndarray) -> Iterator[str]:
+    """The mode that the mesh has furthest off."""
+    worst = int(errors.argmax())
+    if errors[worst] >= _COARSE:
+        what = f"bending mode {worst + 1} ({bending[worst] / HERTZ:.4g} Hz)"
+        yield (
+            f"the mesh is too coarse: {what} is {100 * errors[worst]:.2g} % above that of a finer "
+            "one; raise elements of the longest [[shaft]] sections"
+        )
 
 
 def _outside(value: float, span: tuple[float, float]) -> bool:

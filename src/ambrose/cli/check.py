@@ -93,6 +93,7 @@ def _facts_in_words(facts: dict[str, Any]) -> list[tuple[str, str]]:
         ),
         ("least sensitivity that the delay allows", f"{facts['least_sensitivity']:.3g}"),
         ("free-free bending", ", ".join(quantity(w, "rad/s") for w in facts["bending_rad_s"])),
+        ("error of the mesh in these and all judged", _mesh(facts["mesh_error"])),
         ("unstable open-loop poles", f"{unstable} rad/s" if unstable else "none"),
         (
             "rotor states, full and reduced",
@@ -106,6 +107,11 @@ def _facts_in_words(facts: dict[str, Any]) -> list[tuple[str, str]]:
         ("uncertain parameters", ", ".join(facts["tolerances"]) or "none"),
         ("assumed entries", f"{facts['assumed']}, listed with their reasons in the report"),
     ]
+
+
+def _mesh(errors: list[float]) -> str:
+    worst = max(range(len(errors)), key=errors.__getitem__)
+    return f"at most {100 * errors[worst]:.2g} %, of mode {worst + 1}"
 
 
 def _bearing(item: dict[str, Any]) -> tuple[str, str]:

@@ -98,7 +98,7 @@ def _convert_machine(
     )
     from ambrose.core.checks import InvalidInput
     from ambrose.machine.atomic_write import write_text
-    from ambrose.machine.file.ross import ross_text
+    from ambrose.machine.file.ross import off_nodes, ross_text
     from ambrose.machine.file.stations import read_rotor
     from ambrose.machine.file.toml import bundled_machines, load_machine, read_toml
     from ambrose.machine.file.update import save_machine
@@ -118,9 +118,13 @@ def _convert_machine(
         left += [f"{len(machine.bending_modes)} measured bending modes"] * bool(
             machine.bending_modes
         )
-        summary: dict[str, object] = {"rotor_model": str(output), "left_out": left}
+        moved = off_nodes(machine)
+        summary: dict[str, object] = {"rotor_model": str(output), "left_out": left, "moved_m": moved}
         springy = "a model of ROSS, bearings as springs of the reference controller"
         words = f"{output}: {springy}; left out: {', '.join(left) or 'nothing'}"
+        words += "".join(
+            f"; {name} moved by {1e6 * away:.3g} um to a node" for name, away in moved.items()
+        )
     else:
         if output.exists() and output.samefile(source):
             raise InvalidInput(

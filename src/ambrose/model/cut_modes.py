@@ -12,8 +12,7 @@ V^T Lambda V = diag(theta^2). A force on the ports, with the model's own a, is a
 on the rest, which answers Lambda^1/2 c = (I - w^2 T - N)^-1 l, T = Lambda^-1 <= I / w_c^2, with r =
 (w / w_c)^2 and
 
-    |N| <= p = 2 zeta |w| / w_c + g |w Omega| / w_c^2,    n = r + p,
-    g the largest eigenvalue of (G, M).
+    |N| <= p = 2 zeta |w| / w_c + |Lambda^-1/2 G_cc Lambda^-1/2| |w Omega|,    n = r + p.
 
 Symmetry makes the error of the compliance l^T e, e that of Lambda^1/2 c, and one further term for
 what e moves the kept modes with, H_aa their own compliance in the model. In l_1 the model answers
@@ -32,7 +31,8 @@ each. Altogether
     h = |w Omega Lambda^-1/2 G_ca|.
 
 Where n is not small, damping holds |(I - w^2 T - N)^-1| <= 1 + (w^2 + g |w Omega|) / (2 zeta |w|
-w_c) instead (by its numerical range), for rest and model alike. The smaller of the two counts.
+w_c) instead (by its numerical range), g the largest eigenvalue of (G, M), for rest and model alike.
+The smaller of the two counts.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ from ambrose.core.checks import check_shape
 from ambrose.machine.machine import Machine
 from ambrose.model.basis import bending_modes_of, in_plane, modes_of, port_positions
 from ambrose.model.effects.rotor import (
+    Rotor,
     finite_element_rotor,
     free_bending_frequencies,
     plane_rows,
@@ -68,9 +69,10 @@ def compliance_error_bound(machine: Machine, speed: float, omega: ArrayLike) -> 
         return np.zeros(len(omega))
     G = rotor.plane_gyroscopic
 
-    # theta; w_c, the first bending mode cut off; g
+    # theta; w_c, the first bending mode cut off; |Lambda^-1/2 G_cc Lambda^-1/2|; g
     theta = frequency[kept:]
     lowest = free_bending_frequencies(rotor, kept - 1)[-1]
+    turned = _gyroscopic_part(rotor, Phi[:, :kept], frequency[:kept], lowest)
     largest = float(sla.eigvalsh(G, rotor.plane_mass, subset_by_index=[len(G) - 1, len(G) - 1])[0])
 
     # G and ports in the modes of the model; residual modes for the loads G Phi_a
@@ -96,7 +98,7 @@ def compliance_error_bound(machine: Machine, speed: float, omega: ArrayLike) -> 
         # n = r + p, and the bound by damping where that is not small
         h, spin = abs(w * speed) * np.linalg.norm(loads, 2), largest * abs(w * speed)
         ratio = abs(w) / lowest
-        n = ratio**2 + 2 * zeta * ratio + spin / lowest**2
+        n = ratio**2 + 2 * zeta * ratio + turned * abs(w * speed)
         most = 1 + (w**2 + spin) / (2 * zeta * abs(w) * lowest) if zeta * w else np.inf
         r, p = ratio**2, n - ratio**2
 
@@ -121,3 +123,24 @@ def compliance_error_bound(machine: Machine, speed: float, omega: ArrayLike) -> 
             moved**2 * receptance / (1 - loop) if loop < 1 else np.inf
         )
     return bound
+
+
+def _gyroscopic_part(rotor: Rotor, Phi: np.ndarray, frequency: np.ndarray, lowest: float) -> float:
+    """An upper bound on the norm of Lambda^-1/2 G_cc Lambda^-1/2 [s2], a hundredth above it.
+
+    Phi (2N, k) and frequency (k,) [rad/s]: the kept modes; lowest [rad/s]: w_c. Of the largest
+    x^T G x / x^T K x outside the kept modes; a shift of K makes it definite, and costs at most what
+    it is of w_c^2.
+    """
+    # K + s M = L L^T; the kept modes are L^T Phi there, orthogonal to each other
+    shift = 0.01 * lowest**2
+    L = np.linalg.cholesky(rotor.plane_stiffness + shift * rotor.plane_mass)
+    held = L.T @ Phi / np.sqrt(frequency**2 + shift)
+
+    # P L^-1 G L^-T P, P = I - held held^T
+    G = sla.solve_triangular(L, rotor.plane_gyroscopic, lower=True)
+    G = sla.solve_triangular(L, G.T, lower=True)
+    G -= held @ (held.T @ G)
+    G -= (G @ held) @ held.T
+    top = sla.eigvalsh((G + G.T) / 2, subset_by_index=[len(G) - 1, len(G) - 1])[0]
+    return float(top) * (1 + shift / lowest**2)

@@ -70,7 +70,7 @@ def test_matrices_have_their_structure(theory):
     G = rotor.gyroscopic
     K = rotor.stiffness
     n = 4 * rotor.n_nodes
-    assert rotor.n_nodes == 3 + 4 + 4 + 2 + 1
+    assert rotor.n_nodes == 3 + 4 + 4 + 2 + 1 + 1  # a disc stands inside an element
     assert M.shape == G.shape == K.shape == (n, n)
     for symmetric in (M, K, rotor.plane_mass, rotor.plane_gyroscopic, rotor.plane_stiffness):
         assert np.array_equal(symmetric, symmetric.T)

@@ -20,6 +20,7 @@ from ambrose.core.checks import InvalidInput, invalid
 from ambrose.machine.file.toml import parse_toml, written, written_key
 from ambrose.machine.limits import TOML_BYTES
 from ambrose.machine.machine import Machine
+from ambrose.machine.mesh import mesh, node_positions, stations
 from ambrose.machine.rotor_model import Disc, Material, RotorModel, ShaftSection
 
 _SOFT = 1e-3  # of the stiffest material at a node: a layer below carries mass only
@@ -269,58 +270,55 @@ def ross_text(machine: Machine, springs: Mapping[str, tuple[float, float]]) -> s
     """The machine as a TOML file that ROSS loads: an element per element of the mesh, discs,
     bearings as springs.
 
-    springs: stiffness [N/m] and damping [N s/m] of every bearing, by name. Attachments stand at the
-    nearest node.
+    springs: stiffness [N/m] and damping [N s/m] of every bearing, by name. Discs and bearings stand
+    at nodes, as everything in the mesh does but for what ``off_nodes`` names.
     """
-    nodes, lines = [0.0], ['ross_version = "2.0.0"', "", "[parameters]"]
+    lines = ['ross_version = "2.0.0"', "", "[parameters]"]
     flags = {
         "shear_effects": machine.beam_theory == "timoshenko",
         "rotary_inertia": machine.beam_theory != "bernoulli-euler",
     }
-    for section in machine.shaft:
-        material = section.material
-        for number in range(section.elements):
-            length, n = section.length / section.elements, len(nodes) - 1
-            ends = [section.diameters(place / section.elements) for place in (number, number + 1)]
-            rings = [([(bore, outer) for outer, bore, _ in ends], 1.0)]
-            if any(mass > outer for outer, _, mass in ends):
-                rings.append(([(outer, max(mass, outer)) for outer, _, mass in ends], 1e-8))
-            for layer, (((idl, odl), (idr, odr)), share) in enumerate(rings):
-                young = material.youngs_modulus * share
-                row = {
-                    "L": length,
-                    "idl": idl,
-                    "odl": odl,
-                    "idr": idr,
-                    "odr": odr,
-                    "n": n,
-                    "axial_force": 0,
-                    "torque": 0,
-                    **flags,
-                    "gyroscopic": True,
-                    "shear_method_calc": "cowper",
-                    "tag": f"shaft {n}.{layer}",
-                }
-                lines += _element(f"ShaftElement_shaft {n}.{layer}", row)
-                lines += _element(
-                    f"ShaftElement_shaft {n}.{layer}",
-                    {
-                        "name": f"{material.name or 'steel'}{layer}",
-                        "rho": material.density,
-                        "E": young,
-                        "G_s": young / (2 * (1 + material.poisson_ratio)),
-                        "color": "#525252",
-                    },
-                    "material",
-                )
-            nodes.append(nodes[-1] + length)
+    pieces = mesh(machine.shaft, stations(machine))
+    for n, piece in enumerate(pieces):
+        material = piece.section.material
+        ends = [piece.section.diameters(place) for place in (piece.left, piece.right)]
+        rings = [([(bore, outer) for outer, bore, _ in ends], 1.0)]
+        if any(mass > outer for outer, _, mass in ends):
+            rings.append(([(outer, max(mass, outer)) for outer, _, mass in ends], 1e-8))
+        for layer, (((idl, odl), (idr, odr)), share) in enumerate(rings):
+            young = material.youngs_modulus * share
+            row = {
+                "L": piece.length,
+                "idl": idl,
+                "odl": odl,
+                "idr": idr,
+                "odr": odr,
+                "n": n,
+                "axial_force": 0,
+                "torque": 0,
+                **flags,
+                "gyroscopic": True,
+                "shear_method_calc": "cowper",
+                "tag": f"shaft {n}.{layer}",
+            }
+            lines += _element(f"ShaftElement_shaft {n}.{layer}", row)
+            lines += _element(
+                f"ShaftElement_shaft {n}.{layer}",
+                {
+                    "name": f"{material.name or 'steel'}{layer}",
+                    "rho": material.density,
+                    "E": young,
+                    "G_s": young / (2 * (1 + material.poisson_ratio)),
+                    "color": "#525252",
+                },
+                "material",
+            )
 
-    def nearest(position: float) -> int:
-        return min(range(len(nodes)), key=lambda i: abs(nodes[i] - position))
+    nodes = node_positions(pieces)
 
     for disc in machine.discs:
         row = {
-            "n": nearest(disc.position),
+            "n": _nearest(nodes, disc.position),
             "m": disc.mass,
             "Id": disc.diametral_inertia,
             "Ip": disc.polar_inertia,
@@ -330,7 +328,7 @@ def ross_text(machine: Machine, springs: Mapping[str, tuple[float, float]]) -> s
     for bearing in machine.bearings:
         k, c = springs[bearing.name]
         row = {
-            "n": nearest(bearing.position),
+            "n": _nearest(nodes, bearing.position),
             "kxx": [k],
             "kyy": [k],
             "cxx": [c],
@@ -339,6 +337,22 @@ def ross_text(machine: Machine, springs: Mapping[str, tuple[float, float]]) -> s
         }
         lines += _element(f"BearingElement_{bearing.name}", row)
     return "\n".join(lines) + "\n"
+
+
+def off_nodes(machine: Machine) -> dict[str, float]:
+    """How far [m] discs and bearings stand from the nodes that ``ross_text`` gives them, by name,
+    where it is more than rounding: so near to another node that no element fits between.
+    """
+    nodes = node_positions(mesh(machine.shaft, stations(machine)))
+    found = {
+        part.name: abs(nodes[_nearest(nodes, part.position)] - part.position)
+        for part in (*machine.discs, *machine.bearings)
+    }
+    return {name: away for name, away in found.items() if away > 1e-9 * machine.length}
+
+
+def _nearest(nodes: Sequence[float], position: float) -> int:
+    return min(range(len(nodes)), key=lambda i: abs(nodes[i] - position))
 
 
 def _element(name: str, row: Mapping[str, Any], below: str = "") -> list[str]:
