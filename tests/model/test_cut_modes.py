@@ -62,10 +62,7 @@ def test_bound_holds_and_is_not_far(name, turns):
     # at a resonance that the rest could move there is no bound
     half, most, all_ = np.percentile(bound[told] / error[told], [50, 90, 100], method="nearest")
     print(f"{name}, {speed:.0f} rad/s: bound over error {half:.1f}, {most:.1f}, {all_:.1f}")
-    if (
-        name != "process-compressor"
-    ):  # with ports at 23 places, whose residual modes follow more of the rest than the bound can know
-        assert half < 15 and most < 30
+    assert half < 10 and most < 12
 
 
 def test_rotors_in_all_their_modes_have_no_error():
