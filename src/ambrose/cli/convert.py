@@ -119,7 +119,11 @@ def _convert_machine(
             machine.bending_modes
         )
         moved = off_nodes(machine)
-        summary: dict[str, object] = {"rotor_model": str(output), "left_out": left, "moved_m": moved}
+        summary: dict[str, object] = {
+            "rotor_model": str(output),
+            "left_out": left,
+            "moved_m": moved,
+        }
         springy = "a model of ROSS, bearings as springs of the reference controller"
         words = f"{output}: {springy}; left out: {', '.join(left) or 'nothing'}"
         words += "".join(
