@@ -36,8 +36,8 @@ class Piece:
 
 def stations(machine: MachineDescription) -> tuple[float, ...]:
     """The axial places [m] of everything that stands on the shaft, ascending, each once."""
-    own = (*machine.discs, *machine.bearings, *machine.sensors, *machine.seals)
-    places = [part.position for part in own]
+    places = [part.position for part in (*machine.discs, *machine.bearings)]
+    places += [part.position for part in (*machine.sensors, *machine.seals)]
     places += [at.position for effect, part in attached(machine) for at in effect.stations(part)]
     return tuple(sorted(set(places)))
 

@@ -344,10 +344,9 @@ def off_nodes(machine: Machine) -> dict[str, float]:
     where it is more than rounding: so near to another node that no element fits between.
     """
     nodes = node_positions(mesh(machine.shaft, stations(machine)))
-    found = {
-        part.name: abs(nodes[_nearest(nodes, part.position)] - part.position)
-        for part in (*machine.discs, *machine.bearings)
-    }
+    places = {disc.name: disc.position for disc in machine.discs}
+    places |= {bearing.name: bearing.position for bearing in machine.bearings}
+    found = {name: abs(nodes[_nearest(nodes, at)] - at) for name, at in places.items()}
     return {name: away for name, away in found.items() if away > 1e-9 * machine.length}
 
 
