@@ -26,7 +26,7 @@ from ambrose.machine.criteria import TWO_PI, Demand, demand
 from ambrose.machine.description import Tolerance
 from ambrose.model.basis import bending_modes_of
 from ambrose.model.plant import Plant
-from ambrose.model.reduce import default_bending_modes, reduce
+from ambrose.model.reduce import default_bending_modes, reduce_from
 from ambrose.model.uncertainty import in_tolerances, tolerances_around
 
 # points of the box at which the eigenvalues of the full plant's loop are computed
@@ -99,7 +99,7 @@ def check_over_box(
     points = np.vstack([points[:1], extra, points[1:]])
 
     # resonances of every member: a reduced plant places them closely enough for a first look
-    small = reduce(plant, _modes(plant, names)) if plant.bending_modes is None else plant
+    small = reduce_from(plant, _modes(plant, names)) if plant.bending_modes is None else plant
 
     base = box.base_grid()
     abscissa = np.empty(len(points))
