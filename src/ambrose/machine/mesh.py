@@ -36,8 +36,10 @@ class Piece:
 
 def stations(machine: MachineDescription) -> tuple[float, ...]:
     """The axial places [m] of everything that stands on the shaft, ascending, each once."""
-    places = [part.position for part in (*machine.discs, *machine.bearings)]
-    places += [part.position for part in (*machine.sensors, *machine.seals)]
+    places = [disc.position for disc in machine.discs]
+    places += [bearing.position for bearing in machine.bearings]
+    places += [sensor.position for sensor in machine.sensors]
+    places += [seal.position for seal in machine.seals]
     places += [at.position for effect, part in attached(machine) for at in effect.stations(part)]
     return tuple(sorted(set(places)))
 
