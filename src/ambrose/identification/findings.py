@@ -29,6 +29,7 @@ class Code(StrEnum):
     DUPLICATE_RECORD = "duplicate-record"
     SAMPLE_RATE = "sample-rate"  # not the stated one
     MIXED_CHANNELS = "mixed-channels"  # swapped or inverted
+    EXCITATION = "excitation"  # not of the size or the time that the loop answered
     NO_RESPONSE = "no-response"  # the displacements do not follow the excitation
     # the model with the start values responds otherwise; settled by the fit
     FAR_FROM_START = "far-from-start"

@@ -30,7 +30,7 @@ from ambrose.identification.youla import identify as youla
 from ambrose.law.law import LawLike
 from ambrose.machine.description import AMPLIFIER_PARAMETERS
 from ambrose.machine.machine import Machine
-from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
+from ambrose.machine.parameters import CONTROLLER_DELAY, EXCITATION_DELAY, TIMING, parse_parameter
 from ambrose.record.record import Record
 
 _SHORT = 1.0  # [s] of every record on which other delays are tried
@@ -85,6 +85,8 @@ def identify_loop(
     progress("checking the records")
     known = {path: value for path, value in (start or {}).items() if path not in TIMING}
     checks = diagnose_records(machine, (*records, *others), controller, start=known, **setup)
+    if EXCITATION_DELAY in paths:
+        checks = tuple(finding for finding in checks if finding.code != Code.EXCITATION)
     if CONTROLLER_DELAY in paths:  # then the delay is found, not given
         checks = tuple(finding for finding in checks if finding.code != Code.OTHER_DELAY)
     refuse(checks)

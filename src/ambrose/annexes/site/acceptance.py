@@ -19,13 +19,22 @@ from typing import Any
 
 import numpy as np
 
+from ambrose.annexes.site.resolution import (
+    Resonance,
+    between,
+    predicted_resonances,
+    risen,
+)
 from ambrose.core.checks import InvalidInput, invalid, same_clock
 from ambrose.core.frequency import frequency_response
 from ambrose.core.presentation import Presented
 from ambrose.core.sampling import c2d
-from ambrose.core.statespace import select
+from ambrose.core.statespace import StateSpace, select
+from ambrose.identification.data_quality.diagnosis import screened
+from ambrose.identification.data_quality.excitation_fit import KNOWN, LoopModel, doubted
 from ambrose.identification.data_quality.signals import check_point
-from ambrose.identification.frf.local import local_response
+from ambrose.identification.findings import Finding
+from ambrose.identification.frf.local import band_width, local_response
 from ambrose.identification.frf.spectral import Frf
 from ambrose.identification.output_error.problem import check_machine
 from ambrose.identification.validation.operating_load import machine_at_load
@@ -50,6 +59,7 @@ _SAME_LAW = 0.1  # of the measured response of the controller, by which the file
 # of T_o: by how much the magnets' curvature may move it, at the size of the test's motion; assumed
 _CURVED = 0.01
 _ALL_LINES = 2.3  # half-widths of one line that hold a thousand lines together (Bonferroni)
+_DOUBTED = 1.5  # times the half-widths of the file's parameters: 99.7 %
 _WHOLE = 0.8  # coherence of a line that tells
 
 
@@ -60,7 +70,8 @@ class MeasuredLoop:
     omega (w,) [rad/s]; S (w, a, a): output sensitivity; half (w, a): 95 % half-width of |S_ii|;
     sigma, low, high (w,): its maximum singular value and the ends of its interval; predicted:
     (label, S (w, a, a)) by the machine file and, where the records hold currents, with the magnets
-    at their static load; coherence (w, a); checks: its verdict.
+    at their static load; coherence (w, a); checks: its verdict; between (w - 1, a + 1): by what
+    factor the prediction of every axis, and of sigma, rises between two lines above both.
     """
 
     point: OperatingPoint
@@ -74,6 +85,7 @@ class MeasuredLoop:
     predicted: tuple[tuple[str, np.ndarray], ...]
     coherence: np.ndarray
     checks: Checks
+    between: np.ndarray
 
     @property
     def modulus(self) -> np.ndarray:
@@ -84,7 +96,8 @@ class MeasuredLoop:
     def peaks(self) -> list[tuple[float, float]]:
         """Ends of the 95 % interval of the peak of |S_ii| over all lines, of every axis."""
         low, high = self.modulus - _ALL_LINES * self.half, self.modulus + self.half
-        return list(zip(low.max(axis=0).tolist(), high.max(axis=0).tolist(), strict=True))
+        top = [risen(high[:, i], self.between[:, i]) for i in range(len(self.axes))]
+        return list(zip(low.max(axis=0).tolist(), top, strict=True))
 
     @property
     def loops(self) -> np.ndarray:
@@ -189,10 +202,38 @@ def accept(
             f"the controller's, {timing.rate:g} Hz",
             "record every sample",
         )
+    findings = screened(
+        machine, read, controller, computing_delay=timing.delay_samples, excited="er"
+    )
+    told = _told(findings)
     measured = tuple(
-        _measure(machine, controller, timing, group, harmonics) for group in points.values()
+        _measure(machine, controller, timing, group, harmonics, told) for group in points.values()
     )
     return Acceptance(machine, controller, str(timing), measured, names)
+
+
+def _told(findings: Sequence[Finding]) -> list[Check]:
+    """What the records show of themselves: a failed check for every kind of finding, or one that
+    says that there is none.
+    """
+    none = Demand(0.0, "<=", "")
+    if not findings:
+        title = "Findings in the records"
+        detail = "y, u and e fit the controller file, the loop and each other"
+        return [judge("record.findings", title, 0.0, "-", none, detail)]
+    codes = dict.fromkeys(finding.code for finding in findings)
+    return [
+        judge(
+            f"record.{code}",
+            own[0].what[0].upper() + own[0].what[1:],
+            float(len(own)),
+            "-",
+            none,
+            "; ".join(f"{item.evidence}; {item.remedy}" for item in own),
+        )
+        for code in codes
+        if (own := [finding for finding in findings if finding.code == code])
+    ]
 
 
 def _named(item: Record | str | Path, number: int) -> tuple[str, str]:
@@ -225,7 +266,12 @@ def _check(machine: Machine, record: Record, number: int) -> None:
 
 
 def _measure(
-    machine: Machine, controller: LawLike, timing: Timing, records: list[Record], harmonics: int
+    machine: Machine,
+    controller: LawLike,
+    timing: Timing,
+    records: list[Record],
+    harmonics: int,
+    told: list[Check],
 ) -> MeasuredLoop:
     from scipy.special import stdtrit
 
@@ -246,12 +292,19 @@ def _measure(
 
     # M: y per excitation; with the currents u per excitation below it
     signals = [f"{name}_{axis}" for name in ("y", "u")[: 1 + currents] for axis in axes]
+    band = (0.0, min(highest, 0.95 * np.pi / timing.sample_time))
+    models = [("predicted", plant)]
+    if loaded != machine:
+        models.append(("at the static load", assemble(loaded, point)))
+    last = models[-1][1]
+    resonances = predicted_resonances(last, law, band[1])
     both = local_response(
         records,
         [f"{kind}_{axis}" for axis in axes],
         signals,
-        band=(0.0, min(highest, 0.95 * np.pi / timing.sample_time)),
+        band=band,
         harmonics=harmonics,
+        beside=[w for item in resonances for w in item.lines()],
     )
 
     # T_o = M K from excitation currents, M itself from references: S_o = I - M through
@@ -282,9 +335,6 @@ def _measure(
     low, high = sigma[:, 0] - np.maximum(above, _norm_of_error(M, through)), sigma[:, 0] + above
 
     # the prediction, and beside it the one with the magnets at the load that the currents tell
-    models = [("predicted", plant)]
-    if loaded != machine:
-        models.append(("at the static load", assemble(loaded, point)))
     predicted = tuple(
         (words, _sensitivity(item, K, omega, timing.sample_time)) for words, item in models
     )
@@ -307,10 +357,15 @@ def _measure(
         predicted,
         M.coherence,
         Checks(label, True, (), (), notes),
+        between(last, law, omega),
     )
-    checks = _checks(loop, machine, highest)
+    checks = [
+        *_checks(loop, machine, highest, _allowed(last, law, omega)),
+        _resolution(resonances, omega, records, len(axes)),
+    ]
     if currents:
         checks += _law_checks(both, K, kind, timing)
+    checks += told
     return replace(loop, checks=replace(loop.checks, checks=tuple(checks)))
 
 
@@ -429,7 +484,39 @@ def _norm_of_error(T: Frf, through: np.ndarray) -> np.ndarray:
     return np.asarray(a[:, -1] * np.linalg.norm(b, axis=1) + np.linalg.norm(a, axis=1) * b[:, -1])
 
 
-def _checks(loop: MeasuredLoop, machine: Machine, highest: float) -> list[Check]:
+def _allowed(plant: Plant, law: StateSpace, omega: np.ndarray) -> np.ndarray:
+    """By how much |S_ii| (w, a) may differ from the prediction for what the machine file does not
+    know: S = I - T K, the half-widths of the parameters as independent errors.
+    """
+    loop = LoopModel.of(plant, law, omega, doubted(plant, KNOWN))
+    K, slopes = loop.K, loop.at(np.zeros(len(loop.blocks)))[1]
+    return np.asarray(np.sqrt(np.sum(np.abs(np.einsum("pwij,wji->pwi", slopes, K)) ** 2, axis=0)))
+
+
+def _resolution(
+    resonances: Sequence[Resonance], omega: np.ndarray, records: Sequence[Record], a: int
+) -> Check:
+    """The band that is fitted together about a line, over the width of the sharpest resonance."""
+    span = sum(record.values.shape[1] * record.dt for record in records)
+    band = band_width(a, len(records), span)
+    seen = [item for item in resonances if omega[0] < item.frequency < omega[-1]]
+    title = "Band fitted about a line, over the width of the sharpest predicted resonance"
+    wanted = Demand(1.0, "<=", "")
+    if not seen:
+        return judge("sensitivity.resolution", title, 0.0, "-", wanted, "none is sharp")
+    sharp = min(seen, key=lambda item: item.width)
+    detail = (
+        f"at {sharp.frequency / TWO_PI:.4g} Hz, {sharp.width / TWO_PI:.3g} Hz wide; band "
+        f"{band / TWO_PI:.3g} Hz"
+    )
+    if band > sharp.width:
+        detail += f"; the record is too short: {span * band / sharp.width:.2g} s would do"
+    return judge("sensitivity.resolution", title, band / sharp.width, "-", wanted, detail)
+
+
+def _checks(
+    loop: MeasuredLoop, machine: Machine, highest: float, allowed: np.ndarray
+) -> list[Check]:
     requirements, found = machine.requirements, []
     file, last = loop.predicted[0][1], loop.predicted[-1]
     own, predicted = loop.modulus, np.abs(np.einsum("wii->wi", file))
@@ -447,6 +534,7 @@ def _checks(loop: MeasuredLoop, machine: Machine, highest: float) -> list[Check]
                 low[:, i],
                 high[:, i],
                 predicted[:, i],
+                loop.between[:, i],
                 wanted,
             )
         )
@@ -462,6 +550,7 @@ def _checks(loop: MeasuredLoop, machine: Machine, highest: float) -> list[Check]
             loop.low,
             loop.high,
             largest,
+            loop.between[:, -1],
             wanted,
         )
     )
@@ -484,19 +573,26 @@ def _checks(loop: MeasuredLoop, machine: Machine, highest: float) -> list[Check]
             )
         )
 
-    # distance from the last prediction, with the magnets at their load where that is known
+    # distance from the last prediction, with the magnets at their load where that is known, over
+    # what noise on a thousand lines and the doubts of the machine file make of it
     off = np.abs(own - np.abs(np.einsum("wii->wi", last[1])))
-    worst = int(np.argmax(off.max(axis=1)))
+    doubt = np.hypot(_ALL_LINES * loop.half, _DOUBTED * allowed)
+    worst = int(np.argmax((off / doubt).max(axis=1)))
     inside = (
         f"{100 * float((off <= loop.half).mean()):.0f} % of the lines within 95 % of the measured"
     )
-    detail = f"at {loop.omega[worst] / TWO_PI:.4g} Hz, {last[0]}; {inside}"
+    detail = (
+        f"at {loop.omega[worst] / TWO_PI:.4g} Hz, where it is {off[worst].max():.3g}, {last[0]}; "
+        f"{inside}; more than 1: another machine, controller or delay than the files', or a wrong "
+        "scale of the excitation"
+    )
     found.append(
-        information(
+        judge(
             "sensitivity.agreement",
-            "Largest distance from the prediction, any axis",
-            float(off.max()),
+            "Distance from the prediction over its doubt, any axis",
+            float((off / doubt).max()),
             "-",
+            Demand(1.0, "<=", ""),
             detail,
         )
     )
@@ -529,11 +625,14 @@ def _peak(
     low: np.ndarray,
     high: np.ndarray,
     predicted: np.ndarray,
+    between: np.ndarray,
     wanted: Any,
 ) -> Check:
-    """The largest measured value; the limit and the zone judge the outer end of its interval."""
+    """The largest measured value; the limit and the zone judge the outer end of its interval, and
+    of what the prediction rises between the lines.
+    """
     k = int(np.argmax(value))
-    top, at = float(high.max()), omega[np.argmax(predicted)] / TWO_PI
+    top, at = risen(high, between), omega[np.argmax(predicted)] / TWO_PI
     beside = (
         f"95 %: {low.max():.3g} to {top:.3g}; predicted peak {predicted.max():.4g} at {at:.4g} Hz"
     )

@@ -8,12 +8,14 @@ could be mixed up (data_quality/channels.py).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import AmbroseError
+from ambrose.core.checks import AmbroseError, InvalidInput
+from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import delayed
 from ambrose.core.statespace import StateSpace
 from ambrose.identification.data_quality.channels import (
@@ -33,10 +35,13 @@ from ambrose.identification.data_quality.controller import (
     controller_match,
     resolution_residual,
 )
+from ambrose.identification.data_quality.excitation_fit import DOUBTS, excitation_findings
 from ambrose.identification.data_quality.signals import signal_findings
-from ambrose.identification.findings import ERROR, WARNING, Code, Finding
+from ambrose.identification.findings import ERROR, WARNING, Code, Finding, refuse
+from ambrose.identification.frf.phasors import Step, phasors
 from ambrose.identification.output_error.problem import as_records, deployed_controller
 from ambrose.identification.parameters import plant_at, ratios
+from ambrose.identification.validation.operating_load import machine_at_load
 from ambrose.law.law import LawLike, law_of
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
@@ -49,6 +54,11 @@ _SUSPECT = {"y": 0.25, "u": 0.25, "K": 0.02, "i": 0.05}
 _BETTER = 1.0  # by how much a score must fall: a factor e in what is left unexplained
 _CLEARLY = 3.0  # and the worst of its relations by this factor
 _COARSE = 1.5  # times what the steps of a coarse converter make of the controller's residual
+# findings after which the loop is not the one that is modelled; modes per plane that it has
+_OF_LAW = (Code.OTHER_CONTROLLER, Code.CONTROLLER_GAIN, Code.OTHER_DELAY, Code.CHANNEL_SKEW)
+_MODES = (1, 6)
+_BESIDE = 1.5  # neighbouring lines of a Hann window that err together
+_LIKELIER = 12.0  # of a logarithm of likelihoods
 # residual of the controller that is no matter, and that of another controller
 _MINOR, _OTHER = 0.02, 0.2
 
@@ -56,25 +66,30 @@ _MINOR, _OTHER = 0.02, 0.2
 def diagnose_records(
     machine: Machine,
     records: Record | Sequence[Record],
-    controller: LawLike,
+    controller: LawLike | None,
     *,
     start: Mapping[str, float] | None = None,
     bending_modes: int = 3,
     computing_delay: float = 1,
+    excited: str = "ef",
+    doubts: Mapping[str, float] = DOUBTS,
 ) -> tuple[Finding, ...]:
     """What is wrong or doubtful about these records, errors first; () where nothing is. Arguments
     as ``identify``.
 
-    Looks for: no excitation; dead, clipped, saturated, held, repeated and missing samples; swapped
-    and inverted channels; a wrong sample rate; a record given twice; another controller, delay or
-    channel skew; an excitation that the machine does not follow. Records that do not belong
-    together or to the machine are left to ``identify``, which refuses them.
+    Looks for: no excitation of the kinds ``excited`` ("": none is needed); dead, clipped,
+    saturated, held, repeated and missing samples; swapped and inverted channels; a wrong sample
+    rate; a record given twice; another controller, delay or channel skew; an excitation that the
+    machine does not follow, or not of the size or the time at which it does, with the model as far
+    off as ``doubts`` says (relative, by quantity, or "seal"). controller: None where it is not
+    known, and then signals by themselves alone. Records that do not belong together or to the
+    machine are left to ``identify``, which refuses them.
     """
     records = as_records(records)
     findings = [
         finding
         for n, record in enumerate(records, 1)
-        for finding in signal_findings(machine, record, n)
+        for finding in signal_findings(machine, record, n, excited)
     ]
     findings += _twice(records)
     broken = any(finding.severity == ERROR for finding in findings)
@@ -82,8 +97,10 @@ def diagnose_records(
         len({(record.machine, record.sample_rate_hz) for record in records}) == 1
         and records[0].machine == machine.name
     )
-    if alike and not any(
-        finding.code in {Code.NO_EXCITATION, Code.DEAD_CHANNEL} for finding in findings
+    if (
+        alike
+        and controller is not None
+        and not any(finding.code in {Code.NO_EXCITATION, Code.DEAD_CHANNEL} for finding in findings)
     ):
         delay = round(computing_delay)
         for chosen in _by_point(records):
@@ -101,10 +118,46 @@ def diagnose_records(
                 else _wiring_findings(plant, controller, law, measured, own[0], delay)
             )
             findings += [finding for finding in mixed if finding.severity == ERROR or not broken]
-            if not broken and not any(finding.severity == ERROR for finding in mixed):
-                for n, record in zip(chosen, own, strict=True):
-                    findings += _controller_findings(machine, record, n + 1, law, delay)
+            if broken or any(finding.severity == ERROR for finding in mixed):
+                continue
+            of_law = [
+                finding
+                for n, record in zip(chosen, own, strict=True)
+                for finding in _controller_findings(machine, record, n + 1, law, delay, measured)
+            ]
+            findings += of_law
+            if measured is None or any(finding.code in _OF_LAW for finding in of_law):
+                continue
+
+            # the loop under the controller that ran, with other numbers of bending modes beside
+            loaded, first = machine_at_load(machine, own), own[0].point
+            given, *others = (
+                plant_at(loaded, first, begin, count)
+                for count in dict.fromkeys((bending_modes, *_MODES))
+            )
+            findings += excitation_findings(given, delayed(law, delay), own, doubts, others)
     return tuple(sorted(findings, key=lambda finding: finding.severity != ERROR))
+
+
+def screened(
+    machine: Machine,
+    records: Sequence[Record],
+    controller: LawLike | None,
+    *,
+    settled: Collection[Code] = (),
+    **how: Any,
+) -> tuple[Finding, ...]:
+    """The warnings of ``diagnose_records``, for what computes from records with the controller's
+    file; settled: codes that the caller decides on. A signal that is at its limit in a few samples
+    is none. Raises InvalidInput with every error.
+    """
+    found = [
+        finding
+        for finding in diagnose_records(machine, records, controller, **how)
+        if finding.code not in settled
+    ]
+    refuse(found)
+    return tuple(finding for finding in found if finding.code != Code.SATURATED)
 
 
 def _twice(records: Sequence[Record]) -> Iterator[Finding]:
@@ -313,34 +366,95 @@ def _following(record: Record, match: ControllerMatch) -> float | None:
         record, [f"u_{axis}" for axis in match.axes], match.left, match.axes
     )
     if responses is None:
-        return None
+        return _turning(record, match)
     rest = responses[1]
-    size, doubt = (np.sum(np.abs(one.values["u"]) ** 2, axis=(1, 2)) for one in responses)
-    noise = rest.noise["u"].sum(axis=1)
-    # the lines where noise matters least
-    clear = np.argsort(size / np.maximum(noise, 1e-300))[-max(len(size) // 4, 1) :]
-    excess = float(doubt[clear].sum() - noise[clear].sum())
-    chance = 3 * float(np.sqrt(np.sum(noise[clear] ** 2)))
-    return float(np.sqrt(max(excess, 0.0) / size[clear].sum())) if excess > chance else 0.0
+    size, doubt = (np.sum(np.abs(one.values["u"]) ** 2, axis=2) for one in responses)
+    noise = np.maximum(rest.noise["u"], 1e-300)
+    found = np.zeros(len(match.axes))
+    for i in range(len(match.axes)):
+        # the lines where noise matters least, each by its own noise: the mean of doubt/noise is 1
+        # where nothing follows, and its scatter tells by how much more it may be by chance
+        clear = np.argsort(size[:, i] / noise[:, i])[-max(len(size) // 4, 1) :]
+        ratio = doubt[clear, i] / noise[clear, i]
+        chance = 3 * float(np.std(ratio)) * np.sqrt(_BESIDE / len(clear))
+        if ratio.mean() - 1 > chance:
+            found[i] = np.sqrt(np.sum(ratio - 1) / np.sum(size[clear, i] / noise[clear, i]))
+    return float(found.max())
+
+
+def _turning(record: Record, match: ControllerMatch) -> float | None:
+    """The same of what turns with the rotor, in a record without excitation; None at rest."""
+    speed = abs(record.point.speed)
+    if not speed:
+        return None
+    turns = Step(speed, record.start_time, float(record.time[-1] + record.dt))
+    names = tuple(f"u_{axis}" for axis in match.axes)
+    u = record.select(names)
+    try:
+        whole, rest = (
+            phasors(item, turns, names, 0.0).blocks for item in (u, replace(u, values=match.left))
+        )
+    except InvalidInput:  # fewer than three turns
+        return None
+
+    # noise of one block has nothing to do with that of the next
+    size, excess = (np.abs(np.sum(one[1:] * one[:-1].conj(), axis=0)) for one in (whole, rest))
+    return float(np.sqrt((excess / np.maximum(size, 1e-300)).max()))
+
+
+def _late_turning(record: Record, law: StateSpace, delay: int, where: str) -> list[Finding]:
+    """Another delay than assumed, by what turns with the rotor: u = -K y, so many samples later."""
+    speed = abs(record.point.speed)
+    axes = [name.removeprefix("u_") for name in law.outputs]
+    turns = Step(speed or 1.0, record.start_time, float(record.time[-1] + record.dt))
+    try:
+        found = phasors(record, turns, [f"{kind}_{axis}" for kind in "yu" for axis in axes], 0.0)
+    except InvalidInput:
+        return []
+    y, u = found.blocks[:, : len(axes)], found.blocks[:, len(axes) :]
+    K = frequency_response(law, np.array([turns.frequency])).values[0]
+    lags = np.arange(LAGS + 1)
+    turned = np.exp(-1j * turns.frequency * lags * record.dt)
+
+    # the mean of the blocks' differences over its standard deviation, squared, of all axes
+    left = u + turned[:, None, None] * (y @ K.T)
+    mean = left.mean(axis=1)
+    variance = np.sum(np.abs(left - mean[:, None]) ** 2, axis=1) / max(len(u) * (len(u) - 1), 1)
+    off = np.sum(np.abs(mean) ** 2 / np.maximum(variance, 1e-300), axis=1)
+    best = int(np.argmin(off))
+    if not speed or best == delay or off[delay] - off[best] < _LIKELIER:
+        return []
+    return [_other_delay(where, best, delay, "so does what turns with the rotor in it")]
 
 
 def _controller_findings(
-    machine: Machine, record: Record, number: int, law: StateSpace, delay: int
+    machine: Machine,
+    record: Record,
+    number: int,
+    law: StateSpace,
+    delay: int,
+    measured: Responses | None,
 ) -> list[Finding]:
     match = controller_match(machine, record, law)
     if match is None:
         return []
     where = f"record {number}"
-    findings = [*_jump_findings(record, match, where), *_size(match, where)]
+    jumps = _jump_findings(record, match, where)
     worst = int(np.argmax(match.least))
-    if findings or match.least[worst] <= _MINOR:
+    if match.least[worst] <= _MINOR or jumps:
+        findings = [*jumps, *_size(match, where)]
         return findings + _timing(match, delay, where)
     if (match.least <= _MINOR + _COARSE * resolution_residual(machine, record, law)).all():
-        return []
+        return _size(match, where)
+
+    # noise between the controller and the recorder follows no excitation
     following = _following(record, match)
-    # noise between the controller and the recorder
     if following is not None and following <= _MINOR:
-        return []
+        if measured is None:
+            return _late_turning(record, law, delay, where)
+        return _late(measured, law, delay, where)
+    if found := _size(match, where):
+        return found + _timing(match, delay, where)
     residual = (
         float(match.least[worst])
         if following is None
@@ -417,6 +531,35 @@ def _timing(match: ControllerMatch, delay: int, where: str) -> list[Finding]:
     )
     remedy = "shift y or u of these axes by the difference, or record all channels in one scan"
     return [Finding(Code.CHANNEL_SKEW, WARNING, what, evidence, remedy)]
+
+
+def _late(measured: Responses | None, law: StateSpace, delay: int, where: str) -> list[Finding]:
+    """Another delay than assumed, by what follows the excitation: T_u = -K T_y, so many samples
+    later, each line by its noise; told where the likelihood is e^12 times larger (five standard
+    deviations).
+    """
+    if measured is None or not {"y", "u"} <= set(measured.values) or delay > LAGS:
+        return []
+    K = frequency_response(law, measured.omega).values
+    expected = -K @ measured.values["y"]
+
+    # variance of T_u + K T_y, at most: noise that goes round the loop is in both and cancels
+    noise = measured.noise["u"] + np.einsum("wij,wj->wi", np.abs(K) ** 2, measured.noise["y"])
+    lags = np.arange(LAGS + 1)
+    turned = np.exp(-1j * measured.omega[:, None] * lags * (law.dt or 0.0))
+    left = np.abs(measured.values["u"][:, None] - turned[..., None, None] * expected[:, None]) ** 2
+    off = np.sum(left.sum(axis=3) / np.maximum(noise, 1e-300)[:, None], axis=(0, 2)) / _BESIDE
+    best = int(np.argmin(off))
+    if best == delay or off[delay] - off[best] < _LIKELIER:
+        return []
+    evidence = "so does what follows the excitation in it, each line by its noise"
+    return [_other_delay(where, best, delay, evidence)]
+
+
+def _other_delay(where: str, best: int, delay: int, evidence: str) -> Finding:
+    what = f"{where}: the recorded u follows the controller after {_samples(best)}, not {delay}"
+    remedy = f"give --delay-samples {best}, unless u is recorded before it acts"
+    return Finding(Code.OTHER_DELAY, WARNING, what, evidence, remedy)
 
 
 def _size(match: ControllerMatch, where: str) -> list[Finding]:

@@ -25,12 +25,14 @@ _STEADY = 0.05  # change of speed or pressure within a record, over its largest
 _MEASURED = ("y", "u", "i")
 
 
-def signal_findings(machine: Machine, record: Record, number: int) -> list[Finding]:
+def signal_findings(
+    machine: Machine, record: Record, number: int, excited: str = "ef"
+) -> list[Finding]:
     """The findings of one record, the ``number``-th of those given; excitations may be constant or
-    two-valued.
+    two-valued. excited: kinds of excitation of which one must be there ("": none).
     """
     where = f"record {number}"
-    findings = _excitation(machine, record, where)
+    findings = _excitation(machine, record, where, excited) if excited else []
     shown = [f"{kind}_{axis}" for kind in _MEASURED for axis in machine.axes]
     shown = [name for name in shown if name in record.signals]
     for name in shown:
@@ -197,18 +199,18 @@ def _repeated(record: Record, names: list[str], where: str) -> list[Finding]:
     ]
 
 
-def _excitation(machine: Machine, record: Record, where: str) -> list[Finding]:
+def _excitation(machine: Machine, record: Record, where: str, kinds: str) -> list[Finding]:
     """No excitation at all, or excitations that are there but never change."""
     excitations = [
         name
         for name in record.signals
-        if name[:2] in {"e_", "f_"} and not name.startswith("f_magnet_")
+        if name[:1] in kinds and name[1:2] == "_" and not name.startswith("f_magnet_")
     ]
     known = [name for name in excitations if name[:2] == "f_" or name[2:] in machine.axes]
     if any(np.ptp(record[name]) > 0 for name in known):
         return []
-    kinds = ", ".join(dict.fromkeys(f"{name.partition('_')[0]}_" for name in record.signals))
-    evidence = f"{', '.join(known)} never change" if known else f"it has signals {kinds} alone"
+    held = ", ".join(dict.fromkeys(f"{name.partition('_')[0]}_" for name in record.signals))
+    evidence = f"{', '.join(known)} never change" if known else f"it has signals {held} alone"
     if excitations and not known:
         evidence = (
             f"{', '.join(excitations)} fit no axis of the machine ({', '.join(machine.axes)})"

@@ -37,6 +37,7 @@ def local_response(
     harmonics: int = 3,
     periodic: bool = False,
     at: Sequence[float] | None = None,
+    beside: Sequence[float] = (),
 ) -> Frf:
     """The response of ``outputs`` to excitations ``inputs`` (e_, r_ or d_<axis>), which are free of
     noise, over all records.
@@ -46,8 +47,9 @@ def local_response(
     polynomials leave no more. band [rad/s]: kept. harmonics: multiples of the speed up to which
     unbalance and run-out are taken out. periodic: each record is one whole period, without
     transient. at [rad/s]: the lines wanted, of which those that cannot be told are left out (None:
-    as dense as the record allows). Bands overlap: neighbouring lines are not independent. Raises
-    InvalidInput where the records are too short, or the inputs alike.
+    as dense as the record allows); beside [rad/s]: further ones between these. Bands overlap:
+    neighbouring lines are not independent. Raises InvalidInput where the records are too short, or
+    the inputs alike.
     """
     u, y = (tuple([names] if isinstance(names, str) else names) for names in (inputs, outputs))
     records = (records,) if isinstance(records, Record) else tuple(records)
@@ -67,9 +69,7 @@ def local_response(
         raise InvalidInput(
             f"{', '.join(still)} never changes in these records; excite it, or leave it out"
         )
-    unknowns = (_DEGREE + 1) * (m + (0 if periodic else len(records)))
-    # [rad/s], of the band around a line
-    width = 2 * np.pi * (unknowns + freedom + len(records)) / float(spans.sum())
+    width = band_width(m, len(records), float(spans.sum()), freedom, periodic)
     low, high = max(band[0], width), min(band[1], 0.98 * np.pi / dt - width / 2)
     if high <= low + 2 * width:
         requirement = (
@@ -89,6 +89,11 @@ def local_response(
         if narrow is not None:
             lines.append((centre, *narrow))
         centre += width * max(0.5, wider / 6)  # a third of half the band that was fitted
+    for centre in sorted({w for w in beside if low <= w < high} - {line[0] for line in lines}):
+        found, _ = _line(spectra, spans, m, centre, width, dt, periodic)
+        if found is not None:
+            lines.append((centre, *found))
+    lines.sort(key=lambda line: line[0])
     if not lines:
         raise InvalidInput(
             f"the excitations {', '.join(u)} are alike, or hold no power in the band; excite each "
@@ -111,6 +116,14 @@ def local_response(
         noise,
         share,
     )
+
+
+def band_width(
+    inputs: int, records: int, span: float, freedom: int = 20, periodic: bool = False
+) -> float:
+    """The least band [rad/s] that is fitted together about a line, from ``span`` [s] in all."""
+    unknowns = (_DEGREE + 1) * (inputs + (0 if periodic else records))
+    return 2 * np.pi * (unknowns + freedom + records) / span
 
 
 _Fit = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]

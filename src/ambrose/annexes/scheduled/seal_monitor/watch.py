@@ -16,7 +16,10 @@ from ambrose.annexes.scheduled.seal_monitor.model import SealModel, seal_model
 from ambrose.annexes.scheduled.seal_monitor.signals import Filter, Signals, measuring_filter
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_positive, invalid
+from ambrose.identification.data_quality.diagnosis import screened
+from ambrose.identification.data_quality.excitation_fit import DOUBTS
 from ambrose.identification.excitation import signal_rows
+from ambrose.identification.findings import Code
 from ambrose.identification.output_error.problem import check_machine
 from ambrose.identification.parameters import nominal_values, reduced_plant
 from ambrose.law.law import LawLike
@@ -29,6 +32,8 @@ from ambrose.record.record import Record
 WINDOW = 2.0
 SHORT = 0.25  # [s] window that notices a fast change, or half the long one
 RATE = 0.01  # [1/s] how fast a seal may change, of its reference; assumed
+# the seal may be another one than in the file, change, and not be told at all
+_SETTLED = (Code.MOVING_POINT, Code.FAR_FROM_START, Code.NO_RESPONSE)
 _STRETCH = 1.0  # [s] of the record worked on at once
 OLD = 2.0  # windows: mean age of what an estimate rests on, beyond which nothing is said
 WIDE = 1.0  # noise part of a half width, in units of the reference, beyond which nothing is said
@@ -210,6 +215,16 @@ def monitor(
             f"more than {following.settling + 10 * BLOCK:.2g} s",
             "the filters settle first; record longer",
         )
+    progress("checking the record")
+    faults = screened(
+        machine,
+        [record],
+        controller,
+        computing_delay=int(options.get("computing_delay", 1)),
+        excited="",
+        settled=_SETTLED,
+        doubts={**DOUBTS, "seal": 1.0},
+    )
     y, u = (np.stack([record[f"{kind}_{axis}"] for axis in machine.axes]) for kind in "yu")
     e = np.stack(signal_rows(record, [f"e_{axis}" for axis in machine.axes]))
     estimates: list[Estimate] = []
@@ -218,7 +233,8 @@ def monitor(
         estimates += following.follow(y[:, part], u[:, part] + e[:, part], e[:, part])
         if start and start % (20 * stretch) == 0:
             progress(f"{start * record.dt:.0f} of {total * record.dt:.0f} s")
-    return _history(machine, watched, following.model, following, record, estimates)
+    history = _history(machine, watched, following.model, following, record, estimates)
+    return replace(history, findings=(*map(str, faults), *history.findings))
 
 
 def _watched(machine: Machine, name: str | None) -> Seal:

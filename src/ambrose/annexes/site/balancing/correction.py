@@ -22,9 +22,12 @@ from ambrose.annexes.site.balancing.influence import NONE, Influence, influence,
 from ambrose.annexes.site.balancing.vectors import revolution
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.presentation import Presented
+from ambrose.identification.data_quality.diagnosis import screened
+from ambrose.identification.findings import Code
 from ambrose.identification.parameters import COVERAGE
 from ambrose.identification.validation.operating_load import load_doubt, machine_at_load
 from ambrose.law.law import LawLike
+from ambrose.law.timing import timing_of
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import suggestion
 from ambrose.model.assemble import assemble
@@ -40,6 +43,8 @@ _APART = 1.3  # least ratio of speeds that tells run-out from unbalance
 _ILL = 30.0  # condition of the matrix above which planes are hardly told apart
 _LEAST = 0.01  # relative error of a model's coefficients at the least; assumed
 _REFINEMENTS = 6
+# of records without excitation: what is turning is checked by ``revolution``
+_SETTLED = (Code.MOVING_POINT, Code.FAR_FROM_START, Code.NO_RESPONSE, Code.DUPLICATE_RECORD)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +71,8 @@ class Balancing(Presented):
     the relative error of the coefficients that the misfit asks for. method: "model" or "trial
     weights". quantity: what the rows are of. runout (a,) [m], complex, and whether it was found.
     scale: model over measured coefficients, where trial weights tell. allowed: by the machine's
-    grade, or None. trusted: whether the machine file's magnets carry the rotor with the currents
-    that were recorded.
+    grade, or None. trusted: whether the records show no fault, and the machine file's magnets carry
+    the rotor with the currents that were recorded.
     """
 
     machine: str
@@ -224,6 +229,17 @@ def balance(
         for item, given in trials
     ]
 
+    # what the records show of themselves, and of the controller where it is known
+    every = [*read, *(record for record, _ in tried)]
+    found = screened(
+        machine,
+        every,
+        controller,
+        computing_delay=_delay(machine, controller),
+        excited="",
+        settled=_SETTLED,
+    )
+
     def run(record: Record, weights: np.ndarray) -> _Run:
         turn = revolution(record, settle)
         plant = assemble(machine_at_load(machine, [record]), record.point)
@@ -243,7 +259,13 @@ def balance(
     )
 
     # what the angle and the currents rest on; one d for all: without currents anywhere d = y
-    notes = [doubt] if (doubt := load_doubt(machine, read)) else []
+    notes = [f"finding: {item}" for item in found]
+    notes += [doubt] if (doubt := load_doubt(machine, read)) else []
+    if controller is None and any(name.startswith("u_") for r in every for name in r.signals):
+        notes.append(
+            "u_ was not held against the controller; give it (--controller), and scale and time of "
+            "y and u are checked"
+        )
     if not any(name in r.signals for r in read for name in ("key", "angle")):
         notes.append(
             "no record holds key or angle: its time zero is taken as the passage of the key mark"
@@ -325,7 +347,7 @@ def balance(
         first.scale,
         residual_unbalance(machine),
         tuple(notes),
-        not doubt,
+        not (doubt or found),
     )
 
 
@@ -556,6 +578,12 @@ def _moved(
     return _estimate(
         machine, planes, [moved(run) for run in runs], [moved(run) for run in trials], False
     )
+
+
+def _delay(machine: Machine, controller: LawLike | None) -> int:
+    """Samples from measured errors to currents set."""
+    timing = None if controller is None else timing_of(machine, controller)
+    return 1 if timing is None else timing.delay_samples
 
 
 def _weights(given: Mapping[str, complex], planes: tuple[str, ...]) -> np.ndarray:
