@@ -90,6 +90,6 @@ def _sigma(plant: Plant, law: StateSpace, omega: np.ndarray) -> np.ndarray:
 
 def _sensitivity(plant: Plant, law: StateSpace, omega: np.ndarray) -> np.ndarray:
     # S_o = (I + G K)^-1 with G sampled through its hold
-    G = c2d(select(plant.system, plant.named("u"), plant.named("y")), law.dt or 1.0)
-    G, K = (frequency_response(system, omega).values for system in (G, law))
+    held = c2d(select(plant.system, plant.named("u"), plant.named("y")), law.dt or 1.0)
+    G, K = (frequency_response(system, omega).values for system in (held, law))
     return np.asarray(np.linalg.inv(np.eye(len(plant.axes)) + G @ K))

@@ -167,7 +167,8 @@ def fit_excitation(
 
     # every line counts by its own size: what a model has wrong is a share of the response
     size = np.sqrt(np.mean(np.abs(X) ** 2, axis=1, keepdims=True))
-    delta, tau, a = np.zeros(r), np.full(r, _first_delay(omega, X, base, dt)), np.zeros(p)
+    delta, tau = np.zeros(r), np.full(r, _first_delay(omega, X, base, dt))
+    a = np.zeros(p)
     covariance, misfit = np.eye(2 * r + p), _LEAST
     prior = np.r_[np.zeros(2 * r), np.full(p, 4.0)]  # a_p: 1/2 of a half-width
     for _ in range(_ROUNDS):
@@ -197,7 +198,8 @@ def fit_excitation(
         right = 2 * J @ b / together - prior * np.r_[np.zeros(2 * r), a]
         covariance = np.linalg.pinv(normal)
         step = scale * (covariance @ right)
-        delta, tau, a = delta + step[:r], tau + step[r : 2 * r], a + step[2 * r :]
+        delta, tau = delta + step[:r], tau + step[r : 2 * r]
+        a = a + step[2 * r :]
         delta, a = np.clip(delta, -0.95, 20.0), np.clip(a, -2.0, 2.0)
         if not np.isfinite(step).all():
             return None
@@ -238,7 +240,8 @@ class LoopModel:
         plant: Plant, law: StateSpace, omega: np.ndarray, moved: Sequence[Tolerance]
     ) -> LoopModel:
         """Raises InvalidInput."""
-        dt, u, y = law.dt or 0.0, list(plant.named("u")), list(plant.named("y"))
+        u, y = list(plant.named("u")), list(plant.named("y"))
+        dt = law.dt or 0.0
         G = frequency_response(c2d(select(plant.system, u, y), dt), omega).values
         K = frequency_response(law, omega).values
         held = hold(omega, dt)[:, None, None]
