@@ -281,10 +281,17 @@ def quantity_given(text: str | None, option: str, dimension: str) -> float | Non
     return value
 
 
-def load(machine: str) -> Machine:
+def load(machine: str, *, magnets: bool = True) -> Machine:
+    """The machine of a command; magnets: whether the command needs magnetic bearings. Raises
+    InvalidInput.
+    """
     from ambrose.machine.file.toml import load_machine
+    from ambrose.machine.machine import require_magnets
 
-    return load_machine(machine)
+    found = load_machine(machine)
+    if magnets:
+        require_magnets(found)
+    return found
 
 
 def load_controller(path: Path, machine: Machine) -> Synthesis:

@@ -53,7 +53,10 @@ from ambrose.machine.seals import (
 )
 from ambrose.machine.stator import CasingMode, Runout, Sensor, Support
 from ambrose.machine.synchronous import Synchronous
+from ambrose.model.effects.clearance import Clearance
 from ambrose.model.effects.journal_bearing import JournalBearing
+from ambrose.model.effects.probe import Probe
+from ambrose.model.effects.stage import Stage
 from physical_numbers import physical
 
 HERE = Path(__file__).parent
@@ -180,6 +183,9 @@ def test_every_value_of_the_small_machine():
                 (-20e3, 0.0),
                 (-20e3, 0.0),
             ),
+            Stage("expander", 0.25, 40e3, 9000 * rpm, 0.22, 0.009, 1.3, "radial"),
+            Clearance("eye", 0.24, 0.4e-3, 0.7),
+            Probe("VE1", 0.06, 45 * deg),
         ),
         supports=(
             Support(

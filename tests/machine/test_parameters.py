@@ -20,6 +20,7 @@ from ambrose.machine.parameters import (
 from ambrose.machine.units import DIMENSIONS
 
 GOOD = {
+    "stage.s.cross_coupling": ("stage", "s", "cross_coupling", "", "stiffness"),
     "seal.c.K": ("seal", "c", "K", "", "stiffness"),
     "seal.c.k": ("seal", "c", "k", "", "stiffness"),
     "seal.c.C": ("seal", "c", "C", "", "damping"),

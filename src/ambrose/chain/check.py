@@ -191,6 +191,15 @@ def insight(plant: Plant) -> dict[str, Any]:
     """
     machine, rotor = plant.machine, plant.rotor_model
     properties = mass_properties(rotor)
+    if not machine.bearings:
+        return {
+            "bearings": [],
+            "stiffness_margin": None,
+            "critical_speeds_rad_s": [],
+            "least_sensitivity": None,
+            "doubts": list(_sizes(machine, properties)),
+            "remarks": ["no magnetic bearings: ambrose lateral analyses the rotor as it stands"],
+        }
     bearings = capacities(machine, properties)
     margin = stiffness_margin(machine)
     least, pole, delay = unavoidable_sensitivity(plant)

@@ -24,7 +24,7 @@ from ambrose.judge.plants import Progress, campbell_map, full_plants, plant_gain
 from ambrose.judge.result import Status, Synthesis
 from ambrose.machine.atomic_write import make_folder, set_aside, write_json
 from ambrose.machine.claim import claimed
-from ambrose.machine.machine import Machine
+from ambrose.machine.machine import Machine, require_magnets
 from ambrose.model.plant import Plant
 from ambrose.model.reduce import reduce
 from ambrose.model.uncertainty import not_varied
@@ -155,6 +155,7 @@ def study(
 
 
 def _study(machine: Machine, directory: Path, progress: Progress) -> Study:
+    require_magnets(machine)
     check_trials(machine)
     results = walk(STAGES, {"machine": machine, "directory": directory, "progress": progress})
     commissioned = results["commissioning"]

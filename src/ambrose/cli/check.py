@@ -57,7 +57,7 @@ def check(machine: str, as_json: bool) -> None:
     """
     from ambrose.chain.plants import facts
 
-    known = facts(load(machine))
+    known = facts(load(machine, magnets=False))
     if as_json:
         say_json(known)
     else:
@@ -74,7 +74,7 @@ def _facts_in_words(facts: dict[str, Any]) -> list[tuple[str, str]]:
     from ambrose.report.units import quantity
 
     unstable = ", ".join(f"{re:.1f}{im + 0.0:+.1f}j" for re, im in facts["unstable_poles_rad_s"])
-    margin = facts["stiffness_margin"]
+    margin, least = facts["stiffness_margin"], facts["least_sensitivity"]
     return [
         ("rotor mass", quantity(facts["mass_kg"], "kg")),
         ("centre of mass", quantity(facts["centre_m"], "m")),
@@ -91,7 +91,7 @@ def _facts_in_words(facts: dict[str, Any]) -> list[tuple[str, str]]:
             "critical speeds, undamped",
             ", ".join(quantity(w, "rad/s") for w in facts["critical_speeds_rad_s"]) or "none",
         ),
-        ("least sensitivity that the delay allows", f"{facts['least_sensitivity']:.3g}"),
+        ("least sensitivity that the delay allows", "none" if least is None else f"{least:.3g}"),
         ("free-free bending", ", ".join(quantity(w, "rad/s") for w in facts["bending_rad_s"])),
         ("error of the mesh in these and all judged", _mesh(facts["mesh_error"])),
         ("unstable open-loop poles", f"{unstable} rad/s" if unstable else "none"),

@@ -19,6 +19,7 @@ from ambrose.core.statespace import (
 )
 from ambrose.law.law import LawLike, law_of
 from ambrose.law.timing import Timing
+from ambrose.machine.machine import require_magnets
 from ambrose.model.plant import Plant
 
 
@@ -59,6 +60,7 @@ def match_controller(controller: LawLike, plant: Plant) -> StateSpace:
     the one at the plant's speed or seal pressure. Raises InvalidInput where the size does not fit,
     or the names are those of other axes.
     """
+    require_magnets(plant.machine)
     return match_axes(law_of(controller).at(plant.point), plant.axes, repr(plant.machine.name))
 
 

@@ -58,8 +58,9 @@ class Attachment:
     line each (``where`` stands first in each). stations(part): where it acts. quantities: what
     may carry a tolerance: name -> (dimension, the components that can be named alone). most: how
     many entries a machine may have. on_stator: whether what it acts against moves with a support
-    or a casing mode that names it; otherwise it acts against the ground. reach: of its mark in
-    the drawing of the rotor, above the shaft [pixels].
+    or a casing mode that names it; otherwise it acts against the ground. carries: whether it
+    carries the rotor as a radial bearing does, so that a machine may do without magnets. reach: of
+    its mark in the drawing of the rotor, above the shaft [pixels].
     """
 
     table: str
@@ -69,6 +70,7 @@ class Attachment:
     quantities: Mapping[str, tuple[str, tuple[str, ...]]] = field(default_factory=dict)
     most: int = _MOST
     on_stator: bool = False
+    carries: bool = False
     reach: float = 26.0
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ambrose.core.arguments import names_wrong_types
+from ambrose.core.checks import InvalidInput
 from ambrose.core.presentation import html_table
 from ambrose.machine.attachment import attachment_of, by_table
 from ambrose.machine.description import (
@@ -179,3 +180,12 @@ def _tolerance_in_words(tolerance: Tolerance) -> str:
     if tolerance.relative is not None:
         return f"{tolerance.parameter} ± {100 * tolerance.relative:.4g} %"
     return f"{tolerance.parameter} ± {tolerance.absolute:.4g}"
+
+
+def require_magnets(machine: MachineDescription) -> None:
+    """Refuses a machine that nothing can control. Raises InvalidInput."""
+    if not machine.bearings:
+        raise InvalidInput(
+            f"{machine.name} has no magnetic bearings, so that there is nothing to control; give "
+            "it [[bearing]] tables, or take a command that does without: check, convert, lateral"
+        )

@@ -97,6 +97,7 @@ DIMENSIONS: dict[str, Dimension] = dict(
         _dimension("voltage", "V", "150 V", "V=1,mV=1e-3,kV=1e3"),
         _dimension("inductance", "H", "20 mH", "H=1,mH=1e-3,uH=1e-6"),
         _dimension("magnetic flux density", "T", "1.6 T", "T=1,mT=1e-3"),
+        _dimension("power", "W", "1.5 MW", "W=1,kW=1e3,MW=1e6"),
         _dimension("force", "N", "7.5 kN", "N=1,kN=1e3"),
         _dimension("pressure", "Pa", "2.04 bar", "Pa=1,kPa=1e3,MPa=1e6,bar=1e5,mbar=1e2"),
         _dimension("elastic modulus", "Pa", "210 GPa", "Pa=1,MPa=1e6,GPa=1e9,N/mm2=1e6"),

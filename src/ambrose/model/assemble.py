@@ -127,7 +127,7 @@ def attached_rotor(
     stiffness = np.diag([*modes.frequencies**2, *base.stiffness])
 
     # bearings: -k_s N^T N at every axis
-    control = np.array([rows[axis] for axis in machine.axes])
+    control = np.reshape([rows[axis] for axis in machine.axes], (-1, count + len(base)))
     stiffness -= control.T @ (magnet_coefficients(machine, point)[1][:, None] * control)
 
     # registered effects and seals at their pairs of ports: N^T (K, D, M) N

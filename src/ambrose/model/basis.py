@@ -85,9 +85,8 @@ def _full_modes(rotor: Rotor, forces: tuple[float, ...]) -> FreeModes:
 @lru_cache(maxsize=64)
 def rows_in(rotor: Rotor, modes: FreeModes, places: tuple[Port, ...]) -> np.ndarray:
     """The rows (p, k) that read the displacement at ports from mode coordinates; read-only."""
-    rows = (
-        np.array([displacement_row(rotor, p.position, p.direction) for p in places]) @ modes.shapes
-    )
+    whole = [displacement_row(rotor, p.position, p.direction) for p in places]
+    rows = np.reshape(whole, (len(places), len(modes.shapes))) @ modes.shapes
     rows.flags.writeable = False
     return rows
 

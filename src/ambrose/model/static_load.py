@@ -34,34 +34,45 @@ def static_sag(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
     negative stiffness is then another.
     """
     b = len(machine.bearings)
-    if machine.gravity_direction is None:
+    if machine.gravity_direction is None or not b:
         return np.zeros((b, 2)), np.zeros((b, 2))
     magnets = tuple(bearing.position for bearing in machine.bearings)
-    place, weight = _in_plane(
-        finite_element_rotor(machine),
-        magnets,
-        tuple(port.position for port in measured_ports(machine)[::2]),
-    )
+    read = tuple(port.position for port in measured_ports(machine)[::2])
+    place, weight = weight_in_plane(finite_element_rotor(machine), magnets, read, magnets)
     angle = np.array([machine.gravity_direction - bearing.angle for bearing in machine.bearings])
     along = np.column_stack([np.cos(angle), np.sin(angle)])
     return place[:, None] * along, weight[:, None] * along
 
 
+def sag_line(machine: Machine, positions: tuple[float, ...]) -> np.ndarray:
+    """How far the shaft hangs through (p,) [m] at axial positions [m], downwards from the sensors'
+    zero; zero without weight or without magnets (an oil film's rest position is not known).
+    """
+    if machine.gravity_direction is None or not machine.bearings or not positions:
+        return np.zeros(len(positions))
+    magnets = tuple(bearing.position for bearing in machine.bearings)
+    read = tuple(port.position for port in measured_ports(machine)[::2])
+    return weight_in_plane(finite_element_rotor(machine), magnets, read, positions)[0]
+
+
 @lru_cache(maxsize=16)
 @named_failure("the static deflection of the rotor")
-def _in_plane(
-    rotor: Rotor, magnets: tuple[float, ...], sensors: tuple[float, ...]
+def weight_in_plane(
+    rotor: Rotor,
+    magnets: tuple[float, ...],
+    sensors: tuple[float, ...],
+    places: tuple[float, ...],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement (b,) [m] and weight (b,) [N] at the magnets, both downwards, in modes of the
-    free rotor.
+    """Displacement (p,) [m] at ``places`` and weight (b,) [N] on the magnets, both downwards, in
+    modes of the free rotor.
     """
     modes = free_modes(rotor, min(2 * rotor.n_nodes - 2, FINE_MESH_MODES))
     w = modes.frequencies[0::2]
     shapes = modes.shapes[:, 0::2]
     b = len(magnets)
-    at, at_sensors = (
-        np.array([displacement_row(rotor, x, 0.0) for x in places]) @ shapes
-        for places in (magnets, sensors)
+    at, at_sensors, at_places = (
+        np.array([displacement_row(rotor, x, 0.0) for x in where]) @ shapes
+        for where in (magnets, sensors, places)
     )
 
     # Unknowns: modal displacements q and the magnets' forces f; w^2 q - at^T f = W, read q = 0.
@@ -73,7 +84,7 @@ def _in_plane(
     right = np.concatenate([shapes.T @ gravity_load(rotor, 0.0) / size, np.zeros(b)])
     # a single magnet carries the whole, however the rotor hangs
     solution = np.linalg.lstsq(whole, right, rcond=1e-13)[0]
-    return at @ (solution[: len(w)] / size), -solution[len(w) :]
+    return at_places @ (solution[: len(w)] / size), -solution[len(w) :]
 
 
 def operating_magnets(

@@ -14,6 +14,7 @@ from ambrose.judge.certificate import certify_envelope
 from ambrose.judge.envelope import envelope_of
 from ambrose.judge.result import Provenance, Synthesis
 from ambrose.machine.file.toml import machine_hash
+from ambrose.machine.machine import require_magnets
 from ambrose.model.plant import Plant
 from ambrose.options import choose, settings
 from ambrose.registry import registered
@@ -69,6 +70,7 @@ def design(
         raise invalid(
             "plant", type(plant).__name__, "a Plant", "assemble(machine, point) gives one"
         )
+    require_magnets(plant.machine)
     timing = chosen.timing(plant.machine)
     chosen = chosen.on(plant.machine)
     try:

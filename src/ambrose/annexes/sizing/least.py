@@ -19,7 +19,7 @@ from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.presentation import Presented, data_frame
 from ambrose.judge.result import Synthesis
 from ambrose.machine.description import Tolerance
-from ambrose.machine.machine import Machine
+from ambrose.machine.machine import Machine, require_magnets
 from ambrose.model.assemble import assemble
 from ambrose.synthesis.design import design
 from ambrose.synthesis.fixed_order.job import with_states
@@ -112,6 +112,7 @@ def least(
     its point is proved to be at most 1, so that performance is robust on the design model. Raises
     InvalidInput.
     """
+    require_magnets(machine)
     method = (method or Tuned()).without_bank().on(machine)
     if lever not in LEVERS:
         raise invalid(

@@ -15,7 +15,7 @@ from ambrose.annexes.sizing.magnets import Size
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.presentation import Presented, data_frame
-from ambrose.machine.machine import Machine
+from ambrose.machine.machine import Machine, require_magnets
 from ambrose.synthesis.methods.tuned import Tuned
 
 AREAS, BIASES = (0.12, 0.18, 0.25, 0.35, 0.5, 0.7, 1.0), (0.5, 0.7, 1.0)
@@ -142,6 +142,7 @@ def size(
     reserve [-]: force at the largest control current over static load, at least. time_limit [s] of
     computing for each. Ctrl-C keeps the sizes that are done. Raises InvalidInput.
     """
+    require_magnets(machine)
     method = (method or Tuned()).without_bank().on(machine)
     check_positive(
         reserve,

@@ -31,7 +31,7 @@ def machine_from_document(document: Mapping[str, Any], name: str, text: str = ""
     Raises InvalidInput with one line for each problem found: of its form, or of its physics where
     the form is right.
     """
-    file = read_table(machine_file(), document, name)
+    file = read_table(machine_file(), _with_magnets(document), name)
     tables = dict(file)
     whole = tables["machine"].given()
     whole.pop("version")
@@ -52,6 +52,16 @@ def machine_from_document(document: Mapping[str, Any], name: str, text: str = ""
         )
     except InvalidMachine as error:
         raise InvalidMachine(name, error.problems) from None  # named by its file
+
+
+def _with_magnets(document: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The document; with empty tables of magnets, sensors and amplifier where the rotor is carried
+    by bearings of another kind alone, and none is written.
+    """
+    others = [table for table, item in attachments().items() if item.carries]
+    if "bearing" in document or not any(document.get(table) for table in others):
+        return document
+    return {"sensor": [], "amplifier": {"order": "none"}, **document, "bearing": []}
 
 
 def read_table(model: type[Table], document: Mapping[str, Any], name: str) -> Table:

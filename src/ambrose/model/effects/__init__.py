@@ -9,5 +9,8 @@ ROOM = {
     "effect": {
         "coupling": "coupling:COUPLING",
         "journal_bearing": "journal_bearing:JOURNAL_BEARING",
+        "stage": "stage:STAGE",
+        "clearance": "clearance:CLEARANCE",
+        "probe": "probe:PROBE",
     },
 }

@@ -113,6 +113,7 @@ JOURNAL_BEARING = Effect(
         for entry in _ENTRIES
     },
     on_stator=True,
+    carries=True,
     reaction=_reaction,
     over_speed=True,
     actions=_actions,

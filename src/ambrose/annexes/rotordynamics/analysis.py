@@ -1,0 +1,281 @@
+"""``ambrose.lateral``: the lateral analysis of a rotor with its bearings, seals and controller."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+from ambrose.annexes.rotordynamics import items as rows
+from ambrose.annexes.rotordynamics import standard
+from ambrose.annexes.rotordynamics.capacity import capacities
+from ambrose.annexes.rotordynamics.clearances import largest_reading, rubs
+from ambrose.annexes.rotordynamics.level_one import LevelOne, sweep
+from ambrose.annexes.rotordynamics.level_two import shares
+from ambrose.annexes.rotordynamics.loop import ShaftLoop, shaft_loop
+from ambrose.annexes.rotordynamics.placement import (
+    ShaftMode,
+    UnbalanceCase,
+    place,
+    shaft_modes,
+    span_middle,
+)
+from ambrose.annexes.rotordynamics.response import respond
+from ambrose.annexes.rotordynamics.result import Lateral, ModeRow
+from ambrose.annexes.rotordynamics.stations import Layout, lay_out
+from ambrose.annexes.rotordynamics.tolerances import least_decrements
+from ambrose.core.arguments import names_wrong_types
+from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
+from ambrose.judge.stability import judge_stability
+from ambrose.law.law import LawLike, law_of
+from ambrose.law.timing import Timing, timing_of
+from ambrose.machine.attachment import attached
+from ambrose.machine.description import OperatingPoint
+from ambrose.machine.machine import Machine
+from ambrose.machine.parameters import operating_point
+from ambrose.model.effects.stage import Stage, rated_cross_coupling
+
+TRIP = 1.05  # times the maximum continuous speed, where nothing is said
+_SLOWEST = 0.05  # of the trip speed: where response curves begin
+_MODES_TO = 1.25  # times the trip speed: up to where modes are excited
+_BARE_NOTE = (
+    "Level I takes the rotor without seals and stages, as the standard does; a controller that "
+    "needs a seal's stiffness may not hold it."
+)
+
+
+@names_wrong_types
+def lateral(
+    machine: Machine,
+    controller: LawLike | None = None,
+    point: OperatingPoint | str | None = None,
+    *,
+    trip: float | None = None,
+    density: float | None = None,
+    tolerances: bool = True,
+    rate: float | None = None,
+    delay_samples: int | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Lateral:
+    """Unbalance response, stability (Level I and II), clearances and capacity, clause by clause.
+
+    controller: what controls; None for a rotor on journal bearings alone. point: the operating
+    point at maximum continuous speed, or its label (default: the fastest one). trip [rad/s]:
+    default 1.05 times the highest running speed. density [kg/m^3]: mean of the gas, for the
+    screening of Level I. tolerances: whether the least log decrement over them is looked for.
+    rate [Hz], delay_samples: the loop as it runs, as in ``ambrose.verify``. progress receives a
+    line per stage. Raises InvalidInput for a machine at rest, for a trip speed below the running
+    speeds and where a table does not reach it.
+    """
+    chosen = _point(machine, point)
+    running = machine.requirements.running_speeds
+    lowest, highest = running or (chosen.speed, chosen.speed)
+    stated, trip = trip, _trip(trip, highest)
+    if controller is None and machine.bearings:
+        raise InvalidInput(
+            f"{machine.name} floats on magnetic bearings and needs a controller: give one, or "
+            'design it with ambrose.design(machine, "pid")'
+        )
+    law = None if controller is None else law_of(controller)
+    timing = None if law is None else timing_of(machine, law, rate, delay_samples)
+    layout = lay_out(machine)
+
+    def loop_at(speed: float) -> ShaftLoop:
+        return shaft_loop(layout, replace(chosen, speed=speed, label=""), law, timing)
+
+    early: tuple[str, ...] = ()
+    if stated is None and not _covers(loop_at, trip):
+        early = (
+            f"The machine file does not cover {trip / standard.RPM:.5g} rpm, 1.05 times the "
+            "running speed; without a stated trip speed the analysis ends at the running speed.",
+        )
+        trip = highest
+    _reaches(loop_at, trip)
+    at_top = loop_at(chosen.speed)
+    name = getattr(controller, "label", "") or ("none" if law is None else "as given")
+    bare = Lateral(
+        machine=machine,
+        controller=str(name),
+        timing=_timing_in_words(law, timing),
+        point=chosen.label or f"{chosen.speed:.4g} rad/s",
+        speeds=(lowest, highest, trip),
+        layout=layout,
+    )
+    unstable = _unstable_at(at_top, loop_at, law, timing, (lowest, highest, trip))
+    progress("modes")
+    modes = shaft_modes(at_top, _MODES_TO * trip)
+    table = tuple(ModeRow(mode, shares(at_top, mode)) for mode in modes)
+    if unstable is not None:
+        return replace(bare, items=(rows.unstable(unstable),), modes=table)
+    if tolerances and machine.tolerances:
+        progress("modes over the tolerances")
+        table = least_decrements(at_top, table)
+
+    forward = [mode for mode in modes if mode.forward]
+    cases = _cases(layout, forward, chosen.speed)
+    progress(f"unbalance response, {len(cases)} placements")
+    response = respond(layout, loop_at, cases, _SLOWEST * trip, trip, progress)
+    reading = largest_reading(response, lowest, highest)
+    limit = standard.vibration_limit(highest / standard.RPM)
+    # S_cc = A_vl/A_max
+    largest = 1e6 * reading.peak_to_peak  # [um]
+    uncapped = limit / largest if largest else math.inf
+    scale = (max(1.0, min(standard.LARGEST_SCALE, uncapped)), uncapped)
+    found = rubs(response, scale[0])
+    progress("Level I")
+    one, notes = _level_one(machine, layout, chosen, law, timing, trip, density)
+    capacity = capacities(machine, chosen, response, trip) if machine.bearings else ()
+    items = (
+        *rows.unbalance(response, reading, (lowest, highest, trip), scale),
+        *rows.clearances(found, response),
+        *rows.level_one(one),
+        *rows.level_two(table, highest),
+        *rows.capacity(capacity),
+        *rows.iso(machine, at_top, response, highest, law, timing),
+        *rows.not_covered(machine),
+    )
+    if running is None:
+        notes = (
+            *notes,
+            "No running_speeds in the machine file: the machine is taken to run at "
+            f"{highest / standard.RPM:.5g} rpm alone, so that a slower critical speed needs its "
+            "margin from there.",
+        )
+    return replace(
+        bare,
+        items=tuple(items),
+        modes=table,
+        rubs=found,
+        response=response,
+        level_one=one,
+        capacities=capacity,
+        scale=scale,
+        notes=(*early, *notes),
+    )
+
+
+def _timing_in_words(law: LawLike | None, timing: Timing | None) -> str:
+    if law is None:
+        return "no controller"
+    return "continuous" if timing is None else str(timing)
+
+
+def _point(machine: Machine, point: OperatingPoint | str | None) -> OperatingPoint:
+    if point is not None:
+        chosen = operating_point(machine, point)
+    else:
+        chosen = max(machine.operation.envelope, key=lambda item: item.speed)
+    if chosen.speed <= 0:
+        raise InvalidInput(
+            f"the operating point {chosen.label or 'given'} stands still, but a lateral analysis "
+            "needs a turning rotor; give the point at maximum continuous speed"
+        )
+    return chosen
+
+
+def _trip(trip: float | None, highest: float) -> float:
+    if trip is None:
+        return TRIP * highest
+    if not (math.isfinite(trip) and trip >= highest):
+        raise invalid(
+            "the trip speed", f"{trip:g} rad/s", f"{highest:g} rad/s or more", "it ends the curves"
+        )
+    return trip
+
+
+def _covers(loop_at: Callable[[float], ShaftLoop], speed: float) -> bool:
+    try:
+        loop_at(speed)
+    except InvalidInput:
+        return False
+    return True
+
+
+def _reaches(loop_at: Callable[[float], ShaftLoop], trip: float) -> None:
+    """Refuses a trip speed that a table does not reach, before anything is computed."""
+    try:
+        loop_at(trip)
+    except InvalidInput as error:
+        raise InvalidInput(
+            f"the analysis goes to the trip speed, {trip:g} rad/s, which the machine file does not "
+            f"cover ({error}); extend the table, or give a trip speed inside"
+        ) from error
+
+
+def _unstable_at(
+    at_top: ShaftLoop,
+    loop_at: Callable[[float], ShaftLoop],
+    law: LawLike | None,
+    timing: Timing | None,
+    speeds: tuple[float, float, float],
+) -> str | None:
+    """Where the loop as it runs is unstable, of running speeds and trip; None: nowhere there."""
+    for speed in sorted({at_top.point.speed, *speeds}):
+        loop = at_top if speed == at_top.point.speed else loop_at(speed)
+        if law is None:
+            abscissa = float(loop.all_modes().real.max())
+        else:
+            abscissa = judge_stability(loop.plant, law, timing).abscissa
+        if abscissa >= 0:
+            return f"at {speed / standard.RPM:.5g} rpm a pole has real part {abscissa:.4g} 1/s"
+    return None
+
+
+def _cases(layout: Layout, forward: list[ShaftMode], speed: float) -> tuple[UnbalanceCase, ...]:
+    """A placement per forward mode; none twice."""
+    cases: list[UnbalanceCase] = []
+    for mode in forward:
+        for case in place(layout, mode, speed):
+            if all(case.weights != other.weights for other in cases):
+                cases.append(case)
+    if not cases:
+        raise NumericalFailure(
+            "no forward mode that can ring lies up to 1.25 times the trip speed, so that no "
+            "unbalance can be placed; the rotor is overdamped over its whole range"
+        )
+    return tuple(cases)
+
+
+def _level_one(
+    machine: Machine,
+    layout: Layout,
+    point: OperatingPoint,
+    law: LawLike | None,
+    timing: Timing | None,
+    trip: float,
+    density: float | None,
+) -> tuple[LevelOne | None, tuple[str, ...]]:
+    """Level I of the machine without seals and stages, and notes; None where it cannot be done."""
+    stages = [part for _, part in attached(machine) if isinstance(part, Stage)]
+    bare = replace(
+        machine,
+        seals=(),
+        tolerances=(),
+        effects=tuple(part for part in machine.effects if not isinstance(part, Stage)),
+        supports=tuple(replace(support, seals=()) for support in machine.supports),
+    )
+    anticipated = sum(rated_cross_coupling(stage) for stage in stages) or None
+    stations = _stations_of_coupling(layout, stages)
+    loop = shaft_loop(layout_of(bare, layout), replace(point, seal_pressure=0.0), law, timing)
+    notes: tuple[str, ...] = (_BARE_NOTE,) if machine.seals else ()
+    if anticipated is None:
+        notes = (*notes, "No [[stage]] in the machine file: Level I finds the border Q0 alone.")
+    try:
+        ratio = None
+        return sweep(loop, stations, anticipated, _MODES_TO * trip, ratio, density), notes
+    except NumericalFailure as error:
+        return None, (*notes, f"Level I was not done: {error}")
+
+
+def layout_of(machine: Machine, layout: Layout) -> Layout:
+    """The same stations on another machine with the same shaft and bearings."""
+    return replace(layout, machine=machine)
+
+
+def _stations_of_coupling(layout: Layout, stages: list[Stage]) -> list[int]:
+    """Mid-span; or each overhung impeller where all impellers are overhung."""
+    places = [journal.position for journal in layout.journals]
+    overhung = [s for s in stages if not min(places) <= s.position <= max(places)]
+    if stages and len(overhung) == len(stages):
+        return sorted({layout.nearest(stage.position) for stage in overhung})
+    return [span_middle(layout)]

@@ -1,0 +1,98 @@
+"""Critical speeds in a response curve: amplification factor and separation margin, by
+interpolation.
+
+N_c is where the amplitude peaks, N_1 and N_2 where it is 0.707 of the peak:
+AF = N_c/(N_2 - N_1). A peak with one flank inside the curve has twice that flank as its band.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.optimize import brentq
+
+from ambrose.annexes.rotordynamics import standard
+
+
+@dataclass(frozen=True, slots=True)
+class Critical:
+    """A peak: speed [rad/s], amplitude zero to peak [m], amplification factor (nan: no flank falls
+    to half power inside the curve), both flanks inside or one.
+    """
+
+    speed: float
+    amplitude: float
+    amplification: float
+    both_flanks: bool
+
+    @property
+    def damped(self) -> bool:
+        """Critically damped: no margin is asked for."""
+        return not self.amplification >= standard.CRITICALLY_DAMPED
+
+
+def criticals(speeds: np.ndarray, amplitude: np.ndarray) -> tuple[Critical, ...]:
+    """The peaks of amplitudes (w,) [m] over ascending speeds (w,) [rad/s]."""
+    curve = CubicSpline(speeds, amplitude)
+    slope = curve.derivative()
+    tops = [
+        float(w)
+        for w in slope.roots(extrapolate=False)
+        if curve(w, 2) < 0 and speeds[0] < w < speeds[-1]
+    ]
+    found = []
+    for k, top in enumerate(tops):
+        left = speeds[0] if k == 0 else tops[k - 1]
+        right = speeds[-1] if k == len(tops) - 1 else tops[k + 1]
+        peak = float(curve(top))
+        if peak < 1e-3 * float(amplitude.max()):
+            continue
+        flanks = [_flank(curve, peak, top, float(end)) for end in (left, right)]
+        known = [flank for flank in flanks if flank is not None]
+        band = sum(known) * 2 / len(known) if known else math.nan
+        factor = top / band if known else math.nan
+        found.append(Critical(top, peak, factor, len(known) == 2))
+    return tuple(found)
+
+
+def _flank(curve: CubicSpline, peak: float, top: float, end: float) -> float | None:
+    """From the peak to half power towards ``end`` [rad/s]; None where it is not reached."""
+    half = peak / math.sqrt(2)
+    places = np.linspace(top, end, 400)
+    below = np.flatnonzero(curve(places) < half)
+    if not below.size:
+        return None
+    k = int(below[0])
+    crossing = brentq(lambda w: float(curve(w)) - half, places[k - 1], places[k])
+    return abs(crossing - top)
+
+
+@dataclass(frozen=True, slots=True)
+class Separation:
+    """How far a critical speed lies from the running speeds: margin and what is required [%]."""
+
+    critical: Critical
+    margin: float
+    required: float
+
+    @property
+    def passed(self) -> bool:
+        return self.critical.damped or self.margin >= self.required
+
+
+def separation(critical: Critical, lowest: float, highest: float) -> Separation:
+    """Of a critical speed from the running range [rad/s]; inside of it the margin is 0 and what is
+    asked for that below the range.
+    """
+    below, above = (
+        (function(critical.amplification) if not critical.damped else 0.0)
+        for function in (standard.margin_below, standard.margin_above)
+    )
+    if critical.speed < lowest:
+        return Separation(critical, 100 * (lowest - critical.speed) / lowest, below)
+    if critical.speed > highest:
+        return Separation(critical, 100 * (critical.speed - highest) / highest, above)
+    return Separation(critical, 0.0, max(below, above))

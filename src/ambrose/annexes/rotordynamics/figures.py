@@ -1,0 +1,178 @@
+"""Pictures of a lateral analysis: response over speed, placement, Level I, capacity."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ambrose.annexes.rotordynamics import standard
+from ambrose.annexes.rotordynamics.capacity import AxisCapacity
+from ambrose.annexes.rotordynamics.level_one import LevelOne
+from ambrose.annexes.rotordynamics.placement import ShaftMode
+from ambrose.annexes.rotordynamics.response import Response
+from ambrose.annexes.rotordynamics.stations import Layout
+from ambrose.report import theme
+
+UM, MM = 1e6, 1e3
+_EVERY = 5  # of the fine grid: enough for the eye
+_ONE = {"row": 1, "col": 1}
+
+
+def response_figure(
+    response: Response, speeds: tuple[float, float, float], case: int, limit: float
+) -> Any:
+    """Probe readings, peak to peak, over the speed for one placement; limit A_vl [um]."""
+    figure = theme.subplots(rows=1, cols=1)
+    layout = response.layout
+    curves = [(item.name, response.read(item, case)) for item in layout.readings]
+    if not curves:
+        curves = [
+            (f"journal {j.name}", response.major_axis(layout.nearest(j.position), case))
+            for j in layout.journals
+        ]
+    rpm = response.fine[::_EVERY] / standard.RPM
+    looks = theme.styles([name for name, _ in curves])
+    highest = limit
+    for name, amplitude in curves:
+        y = 2 * UM * amplitude[::_EVERY]
+        look = looks[name]
+        theme.scatter(
+            figure,
+            _ONE,
+            np.float32(rpm),
+            np.float32(y),
+            name,
+            shown=True,
+            line={"color": look.colour, "dash": look.dash, "width": 1.8},
+            hovertemplate="%{x:.5g} rpm: %{y:.3g} um p-p<extra>" + theme.plain(name) + "</extra>",
+        )
+        highest = max(highest, float(y.max()))
+    lowest, top, trip = (speed / standard.RPM for speed in speeds)
+    theme.guide(figure, _ONE, [rpm[0], rpm[-1]], [limit, limit], color=theme.LIMIT, width=1.4)
+    theme.note(figure, _ONE, "vibration limit", rpm[0], limit, "left", "bottom")
+    for speed, word in ((lowest, "lowest"), (top, "highest running"), (trip, "trip")):
+        if word == "lowest" and lowest == top:
+            continue
+        theme.guide(
+            figure, _ONE, [speed, speed], [0, highest], color=theme.MUTED, width=1, dash="dot"
+        )
+        theme.note(figure, _ONE, word, speed, highest, "right", "top")
+    theme.dress(figure, 300, legend=True)
+    figure.update_xaxes(title_text="Speed [rpm]")
+    figure.update_yaxes(title_text="Reading [um p-p]", rangemode="tozero")
+    return figure
+
+
+def placement_figure(layout: Layout, response: Response, modes: Sequence[ShaftMode]) -> Any:
+    """The forward mode of each placement along the shaft, with its weights; journals as lines."""
+    shown = list(zip(response.cases, modes, strict=False))
+    figure = theme.subplots(rows=len(shown), cols=1, shared_xaxes=True, vertical_spacing=0.09)
+    x = MM * layout.positions
+    for row, (case, mode) in enumerate(shown, 1):
+        place = {"row": row, "col": 1}
+        line = mode.line().real
+        theme.guide(figure, place, [x[0], x[-1]], [0, 0], color=theme.MUTED, width=1)
+        theme.scatter(
+            figure, place, np.float32(x), np.float32(line), line={"color": "#0072b2", "width": 2}
+        )
+        for journal in layout.journals:
+            at = MM * journal.position
+            theme.guide(figure, place, [at, at], [-1, 1], color=theme.MUTED, width=1, dash="dot")
+            theme.note(figure, place, theme.plain(journal.name), at, -1, "center", "bottom")
+        for weight in case.weights:
+            at = MM * layout.positions[weight.station]
+            tip = float(line[weight.station])
+            theme.scatter(
+                figure,
+                place,
+                [at],
+                [tip],
+                mode="markers",
+                marker={"size": 11, "color": theme.LIMIT, "symbol": "circle"},
+                hovertemplate=f"{1e6 * weight.amount:.4g} g mm at {at:.4g} mm<extra></extra>",
+            )
+            text = f"{1e6 * weight.amount:.4g} g mm, {np.degrees(weight.angle):.0f} deg"
+            side = "left" if at < 0.5 * x[-1] else "right"
+            theme.note(figure, place, text, at, tip, side, "bottom" if tip > 0 else "top")
+        theme.heading(
+            figure,
+            place,
+            f"{mode.frequency / standard.RPM:.5g} rpm, log decrement {mode.log_decrement:.3g}",
+        )
+    theme.dress(figure, 150 * len(shown), legend=False, lines=1)
+    figure.update_yaxes(showticklabels=False, range=[-1.35, 1.35])
+    figure.update_xaxes(title_text="Position [mm]", row=len(shown), col=1)
+    return figure
+
+
+def level_one_figure(one: LevelOne) -> Any:
+    """Log decrement of every forward mode over the cross-coupled stiffness."""
+    figure = theme.subplots(rows=1, cols=1)
+    q = one.cross_coupling / 1e6
+    names = [f"{branch.mode.frequency / standard.RPM:.5g} rpm" for branch in one.branches]
+    looks = theme.styles(names)
+    for name, branch in zip(names, one.branches, strict=True):
+        look = looks[name]
+        theme.scatter(
+            figure,
+            _ONE,
+            np.float32(q),
+            np.float32(branch.log_decrement),
+            name,
+            shown=True,
+            line={"color": look.colour, "dash": look.dash, "width": 1.8},
+        )
+    low = min(0.0, *(float(branch.log_decrement.min()) for branch in one.branches))
+    high = max(float(branch.log_decrement.max()) for branch in one.branches)
+    theme.guide(
+        figure,
+        _ONE,
+        [q[0], q[-1]],
+        [standard.LEAST_LOG_DECREMENT] * 2,
+        color=theme.LIMIT,
+        width=1.4,
+    )
+    for value, word in ((one.anticipated, "Q_A"), (one.border, "Q0")):
+        if value is not None and np.isfinite(value):
+            at = value / 1e6
+            theme.guide(figure, _ONE, [at, at], [low, high], color=theme.MUTED, width=1, dash="dot")
+            theme.note(figure, _ONE, word, at, high, "left", "top")
+    theme.dress(figure, 280, legend=True)
+    figure.update_xaxes(title_text="Cross-coupled stiffness Q [N/um]", rangemode="tozero")
+    figure.update_yaxes(title_text="Log decrement [-]")
+    return figure
+
+
+def capacity_figure(axis: AxisCapacity) -> Any:
+    """Force that is left beside the weight over the frequency, and what unbalance takes."""
+    figure = theme.subplots(rows=1, cols=1)
+    rpm = axis.omega / standard.RPM
+    theme.scatter(
+        figure,
+        _ONE,
+        np.float32(rpm),
+        np.float32(axis.force),
+        "capacity",
+        shown=True,
+        line={"color": "#0072b2", "width": 2},
+        customdata=list(axis.limited_by),
+        hovertemplate="%{x:.4g} rpm: %{y:.4g} N 0-p, by %{customdata}<extra></extra>",
+    )
+    theme.scatter(
+        figure,
+        _ONE,
+        [speed / standard.RPM for _, speed, _ in axis.demand],
+        [max(force, 1e-6) for _, _, force in axis.demand],
+        "unbalance",
+        shown=True,
+        mode="markers",
+        marker={"size": 9, "color": theme.LIMIT},
+        customdata=[name for name, _, _ in axis.demand],
+        hovertemplate="%{customdata}: %{y:.4g} N 0-p<extra></extra>",
+    )
+    theme.dress(figure, 280, legend=True)
+    figure.update_xaxes(title_text="Speed [rpm]", type="log")
+    figure.update_yaxes(title_text="Force [N 0-p]", type="log")
+    return figure

@@ -1,0 +1,384 @@
+"""The rows of the summary, in the order of a data sheet: unbalance response, clearances, stability,
+capacity, then the standards for magnetic bearings clause by clause.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from ambrose.annexes.rotordynamics import standard
+from ambrose.annexes.rotordynamics.capacity import AxisCapacity
+from ambrose.annexes.rotordynamics.clearances import Reading
+from ambrose.annexes.rotordynamics.critical import Separation, criticals, separation
+from ambrose.annexes.rotordynamics.level_one import LevelOne
+from ambrose.annexes.rotordynamics.loop import ShaftLoop
+from ambrose.annexes.rotordynamics.response import Response
+from ambrose.annexes.rotordynamics.result import OWN, RECALLED, Item, ModeRow, Rub
+from ambrose.judge.nominal import check
+from ambrose.law.law import LawLike
+from ambrose.law.loop import running_law
+from ambrose.law.timing import Timing
+from ambrose.machine.criteria import SENSITIVITY, SENSITIVITY_RANGE
+from ambrose.machine.machine import Machine
+
+UM = 1e6
+_RESPONSE = "unbalance response"
+_STABILITY = "stability"
+_CLEAR = "clearances"
+_SAME_SPEED = 0.03  # two probes' peaks nearer to each other than this are one critical speed
+
+
+def unstable(where: str) -> Item:
+    """The one row of a loop that does not hold."""
+    return Item(
+        "stability",
+        "Loop stable at the running speeds and at trip",
+        standard.EDITION,
+        _STABILITY,
+        OWN,
+        None,
+        "-",
+        passed=False,
+        note=f"{where}; the rest of the analysis has no meaning on an unstable loop: design a "
+        "controller that holds it first",
+    )
+
+
+def unbalance(
+    response: Response,
+    reading: Reading,
+    speeds: tuple[float, float, float],
+    scale: tuple[float, float],
+) -> Iterator[Item]:
+    """Critical speeds with their margins, vibration and scale factor."""
+    lowest, highest, _ = speeds
+    for k, (worst, probe, case) in enumerate(critical_speeds(response, lowest, highest), 1):
+        peak = worst.critical
+        rpm = peak.speed / standard.RPM
+        factor = (
+            f"AF {peak.amplification:.3g}" if math.isfinite(peak.amplification) else "AF not known"
+        )
+        flank = "" if peak.both_flanks else ", of one flank"
+        if peak.damped:
+            yield Item(
+                f"critical_speed.{k}",
+                f"Critical speed at {rpm:.5g} rpm: critically damped",
+                standard.EDITION,
+                _RESPONSE,
+                RECALLED,
+                peak.amplification,
+                "AF",
+                "<",
+                standard.CRITICALLY_DAMPED,
+                True,
+                f"{factor}{flank}, probe {probe}, {case}; no margin is asked for",
+            )
+            continue
+        yield Item(
+            f"critical_speed.{k}",
+            f"Separation margin of the critical speed at {rpm:.5g} rpm",
+            standard.EDITION,
+            _RESPONSE,
+            RECALLED,
+            worst.margin,
+            "%",
+            ">=",
+            worst.required,
+            worst.passed,
+            f"{factor}{flank}, probe {probe}, {case}",
+        )
+    limit = standard.vibration_limit(highest / standard.RPM)
+    yield Item(
+        "vibration",
+        f"Largest probe reading from {lowest / standard.RPM:.5g} to "
+        f"{highest / standard.RPM:.5g} rpm",
+        standard.EDITION,
+        _RESPONSE,
+        RECALLED,
+        UM * reading.peak_to_peak,
+        "um p-p",
+        "<=",
+        limit,
+        UM * reading.peak_to_peak <= limit,
+        f"probe {reading.probe}, {reading.case}, at {reading.speed / standard.RPM:.5g} rpm; with "
+        "twice the residual unbalance",
+    )
+    yield Item(
+        "scale_factor",
+        "Scale factor for the clearance check",
+        standard.EDITION,
+        _CLEAR,
+        RECALLED,
+        scale[0],
+        "-",
+        note=f"uncapped {scale[1]:.4g}; capped at {standard.LARGEST_SCALE:g}, 1 at least",
+    )
+
+
+def critical_speeds(
+    response: Response, lowest: float, highest: float
+) -> list[tuple[Separation, str, str]]:
+    """Every critical speed that a probe or a major axis sees: its tightest reading with the probe
+    and the placement, by speed.
+    """
+    layout = response.layout
+    seen: list[tuple[Separation, str, str]] = []
+    for k, case in enumerate(response.cases):
+        curves = [(item.name, response.read(item, k)) for item in layout.readings]
+        # the major axis at each probe's plane, and at the journals of a rotor without probes
+        places = {item.position: f"plane of {item.name}" for item in layout.readings}
+        places = places or {j.position: f"journal {j.name}" for j in layout.journals}
+        curves += [
+            (f"{name}, major axis", response.major_axis(layout.nearest(position), k))
+            for position, name in places.items()
+        ]
+        for name, amplitude in curves:
+            for peak in criticals(response.fine, amplitude):
+                seen.append((separation(peak, lowest, highest), name, case.name))
+    seen.sort(key=lambda row: row[0].critical.speed)
+    groups: list[list[tuple[Separation, str, str]]] = []
+    for row in seen:
+        last = groups[-1][-1][0].critical.speed if groups else -math.inf
+        near = row[0].critical.speed - last <= _SAME_SPEED * row[0].critical.speed
+        if groups and near:
+            groups[-1].append(row)
+        else:
+            groups.append([row])
+    return [min(group, key=_tightness) for group in groups]
+
+
+def _tightness(row: tuple[Separation, str, str]) -> float:
+    """What a reading lacks or has to spare; critically damped ones come last."""
+    item = row[0]
+    return math.inf if item.critical.damped else item.margin - item.required
+
+
+def clearances(found: Sequence[Rub], response: Response) -> Iterator[Item]:
+    """The tightest clearance of each kind."""
+    for kind in ("touchdown", "seal", "clearance", "magnet"):
+        of_kind = [rub for rub in found if rub.kind == kind]
+        if not of_kind:
+            continue
+        worst = max(of_kind, key=lambda rub: rub.share / (rub.allowed / rub.diametral))
+        yield Item(
+            f"clearance.{kind}",
+            f"Motion over diametral clearance, tightest {kind}: {worst.name}",
+            standard.EDITION,
+            _CLEAR,
+            RECALLED,
+            100 * worst.share,
+            "% of diametral, p-p",
+            "<=",
+            100 * worst.allowed / worst.diametral,
+            all(rub.passed for rub in of_kind),
+            f"{UM * worst.motion:.3g} um p-p scaled at {worst.speed / standard.RPM:.5g} rpm, "
+            f"static offset {UM * worst.offset:.3g} um, of {UM * worst.diametral:.4g} um; "
+            f"{worst.case}",
+        )
+    if not found:
+        yield Item(
+            "clearance",
+            "Clearances",
+            standard.EDITION,
+            _CLEAR,
+            RECALLED,
+            None,
+            "-",
+            note="not covered: the machine file has no [[clearance]], no seal with a clearance and "
+            "no touchdown_gap",
+        )
+
+
+def level_one(one: LevelOne | None) -> Iterator[Item]:
+    """Log decrement at Q_A, border, screening."""
+    if one is None:
+        yield Item(
+            "level_one",
+            "Level I",
+            standard.EDITION,
+            _STABILITY,
+            RECALLED,
+            None,
+            "-",
+            note="not done, see the notes",
+        )
+        return
+    where = "overhung impellers" if len(one.stations) > 1 else "one place"
+    crossing = "" if math.isnan(one.crossing) else f"; {one.crossing / standard.RPM:.5g} rpm mode"
+    if one.anticipated is None:
+        yield Item(
+            "level_one.border",
+            "Level I: border Q0 of cross-coupling at mid-span",
+            standard.EDITION,
+            _STABILITY,
+            RECALLED,
+            one.border,
+            "N/m",
+            ">=",
+            note=f"no anticipated value: the machine file has no [[stage]]{crossing}",
+        )
+        return
+    yield Item(
+        "level_one.log_decrement",
+        "Level I: log decrement at the anticipated cross-coupling Q_A",
+        standard.EDITION,
+        _STABILITY,
+        RECALLED,
+        one.at_anticipated,
+        "-",
+        ">=",
+        standard.LEAST_LOG_DECREMENT,
+        one.at_anticipated >= standard.LEAST_LOG_DECREMENT,
+        f"Q_A {one.anticipated:.4g} N/m at {where}; least of {len(one.branches)} forward modes",
+    )
+    ratio = one.border / one.anticipated
+    reasons = one.screening.reasons if one.screening is not None else ()
+    yield Item(
+        "level_one.border",
+        "Level I: border over anticipated cross-coupling, Q0/Q_A",
+        standard.EDITION,
+        _STABILITY,
+        RECALLED,
+        ratio,
+        "-",
+        ">=",
+        standard.SCREEN_NEAR,
+        ratio >= standard.SCREEN_NEAR,
+        f"Q0 {one.border:.4g} N/m{crossing}; "
+        + ("Level I is enough" if not reasons else "Level II is asked for: " + "; ".join(reasons)),
+    )
+
+
+def level_two(table: Sequence[ModeRow], highest: float) -> Iterator[Item]:
+    """The least log decrement of the modes up to the running speed, and over the tolerances."""
+    counted = [row for row in table if row.mode.frequency <= highest]
+    if not counted:
+        yield Item(
+            "level_two.log_decrement",
+            "Level II: log decrement",
+            standard.EDITION,
+            _STABILITY,
+            RECALLED,
+            None,
+            "-",
+            passed=True,
+            note="no lateral mode that can ring below the speed",
+        )
+        return
+    worst = min(counted, key=lambda row: row.mode.log_decrement)
+    value = worst.mode.log_decrement
+    yield Item(
+        "level_two.log_decrement",
+        "Level II: least log decrement of the modes up to the running speed",
+        standard.EDITION,
+        _STABILITY,
+        RECALLED,
+        value,
+        "-",
+        ">=",
+        standard.LEAST_LOG_DECREMENT,
+        value >= standard.LEAST_LOG_DECREMENT,
+        f"mode at {worst.mode.frequency / standard.RPM:.5g} rpm; seals, stages and controller in",
+    )
+    known = [row for row in counted if row.least is not None]
+    if known:
+        least = min(known, key=lambda row: row.least or 0.0)
+        value = float(least.least or 0.0)
+        yield Item(
+            "level_two.log_decrement.tolerances",
+            "The same, least found over the tolerances",
+            "Ambrose",
+            "search over ends and steepest corners",
+            OWN,
+            value,
+            "-",
+            ">=",
+            standard.LEAST_LOG_DECREMENT,
+            value >= standard.LEAST_LOG_DECREMENT,
+            f"mode at {least.mode.frequency / standard.RPM:.5g} rpm: {least.member}; found, not "
+            "proved",
+        )
+
+
+def capacity(found: Sequence[AxisCapacity]) -> Iterator[Item]:
+    """The axis with the least margin, and the static load."""
+    if not found:
+        return
+    worst = min(found, key=lambda item: item.margin)
+    yield Item(
+        "capacity.unbalance",
+        "Control current left for unbalance over what it takes",
+        standard.EDITION,
+        "magnetic bearings, load capacity",
+        OWN,
+        worst.margin,
+        "-",
+        ">=",
+        1.0,
+        worst.margin >= 1.0,
+        f"axis {worst.axis}, {worst.worst}; beside {worst.static_current:.3g} A for the weight",
+    )
+
+
+def iso(
+    machine: Machine,
+    loop: ShaftLoop,
+    response: Response,
+    highest: float,
+    law: LawLike | None,
+    timing: Timing | None,
+) -> Iterator[Item]:
+    """ISO 14839 for magnetic bearings: sensitivity at the running speed, vibration in its zone."""
+    if law is None or not machine.bearings:
+        return
+    checks = check(loop.plant, running_law(law, loop.plant, timing))
+    axes = [f"sensitivity.output.{axis}" for axis in machine.axes]
+    found = [item for item in checks.checks if item.name in axes]
+    if found:
+        peak = max(found, key=lambda item: item.value)
+        yield Item(
+            "iso.sensitivity",
+            "Peak sensitivity at maximum continuous speed",
+            standard.ISO_3,
+            "zone A",
+            "checked",
+            peak.value,
+            "-",
+            "<=",
+            SENSITIVITY.limits[0].value,
+            peak.value <= SENSITIVITY.limits[0].value,
+            f"{peak.detail}; up to {SENSITIVITY_RANGE.limits[0].value / (2 * np.pi):.4g} Hz or "
+            "three times the speed",
+        )
+
+
+_UNCOVERED = (
+    ("ISO 14839-4:2012", "operation, monitoring and alarms", "not covered: monitoring on site"),
+    ("ISO 14839-5:2022", "touchdown bearings", "not covered here: see ambrose simulate"),
+    (
+        standard.EDITION,
+        "auxiliary bearing landing analysis",
+        "not covered: see ambrose simulate with a drop scenario",
+    ),
+    (standard.EDITION, "torsional analysis", "not covered: lateral motion only"),
+    (standard.EDITION, "verification by test (unbalanced rotor response)", "not covered: a test"),
+)
+
+
+def not_covered(machine: Machine) -> Iterator[Item]:
+    """Clauses that a reviewer looks for and will not find here."""
+    for edition, clause, note in _UNCOVERED:
+        if machine.bearings or "ISO" not in edition:
+            yield Item(
+                f"not_covered.{clause.split(',')[0].replace(' ', '_')}",
+                clause[0].upper() + clause[1:],
+                edition,
+                clause,
+                RECALLED,
+                None,
+                "-",
+                note=note,
+            )

@@ -1,0 +1,200 @@
+"""Stability, Level I: cross-coupled stiffness Q at mid-span (or at each overhung impeller), from 0
+to ten times the anticipated Q_A, and the border Q0 at which the loop loses its damping (recalled,
+see ``standard``).
+
+The machine is taken without seals and stages: Q stands for all of them. The standard follows the
+first forward mode. A rotor on magnets can lose another one first, so that every forward mode which
+can ring is followed from one Q to the next; the border is that of the first which crosses, found as
+a root. The loop as it runs is judged on both sides of it, so that a mode which nobody followed
+cannot hide.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+
+from ambrose.annexes.rotordynamics import standard
+from ambrose.annexes.rotordynamics.loop import ShaftLoop
+from ambrose.annexes.rotordynamics.placement import ShaftMode, shaft_modes
+from ambrose.core.checks import NumericalFailure
+
+_STEPS = 20  # of the sweep
+_BESIDE = 0.02  # of Q0: how far on either side the loop is judged
+_HALVINGS = 6  # of the bracket, where a mode that is not followed crosses first
+_LARGEST = 1e11  # [N/m]: how far a border is looked for without an anticipated value
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Branch:
+    """A forward mode over the sweep: the mode at Q = 0, its log_decrement (n,), frequency (n,)
+    [rad/s], log decrement at Q_A, and the Q [N/m] at which it loses its damping (inf: none).
+    """
+
+    mode: ShaftMode
+    log_decrement: np.ndarray
+    frequency: np.ndarray
+    at_anticipated: float
+    border: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LevelOne:
+    """A sweep over cross_coupling (n,) [N/m] in all.
+
+    anticipated Q_A and border Q0 [N/m] (inf: stable up to the end of the sweep); at_anticipated:
+    the least log decrement of the forward modes there. branches: by frequency, the first is what
+    the standard follows. binding: the index of the branch that loses its damping first, or else
+    has least of it at Q_A; None where a mode crosses that is no forward mode of the list.
+    crossing: frequency [rad/s] of the mode that crosses at the border (nan: none). stations: where
+    Q acts, in equal parts. screening: whether Level I is enough; None without an anticipated value.
+    """
+
+    cross_coupling: np.ndarray
+    anticipated: float | None
+    border: float
+    at_anticipated: float
+    branches: tuple[Branch, ...]
+    binding: int | None
+    crossing: float
+    stations: tuple[int, ...]
+    screening: standard.Screening | None
+
+
+def sweep(
+    loop: ShaftLoop,
+    stations: Sequence[int],
+    anticipated: float | None,
+    highest: float,
+    speed_ratio: float | None = None,
+    density: float | None = None,
+) -> LevelOne:
+    """The sweep of a loop (without seals and stages) at the maximum continuous speed.
+
+    anticipated Q_A [N/m], positive; None: unknown, then the sweep ends beyond the border and there
+    is no screening; highest [rad/s]: up to where modes are followed. speed_ratio,
+    density: for the screening, see ``standard.screen``. Raises NumericalFailure where there is no
+    forward mode, a mode cannot be followed, or the loop is unstable without Q.
+    """
+
+    def coupled(q: float) -> ShaftLoop:
+        moved = loop
+        for station in stations:
+            moved = moved.coupled(station, q / len(stations))
+        return moved
+
+    def abscissa(q: float) -> float:
+        return float(coupled(q).all_modes().real.max())
+
+    if abscissa(0.0) >= 0:
+        raise NumericalFailure(
+            "the loop is unstable without cross-coupling (no seals, no stages), so that Level I "
+            "has no border to find; give a controller that holds the bare rotor"
+        )
+    modes = [mode for mode in shaft_modes(loop, highest) if mode.forward]
+    if not modes:
+        raise NumericalFailure(
+            f"no forward mode that can ring lies below {highest:.4g} rad/s, so that Level I has no "
+            "mode to follow; the rotor is overdamped there"
+        )
+    if anticipated is None:
+        end = 1e4
+        while abscissa(end) < 0 and end < _LARGEST:
+            end *= 4
+    else:
+        end = standard.SWEEP * anticipated
+    grid = np.linspace(0.0, end, _STEPS + 1)
+    branches = tuple(_follow(coupled, mode, grid, anticipated or 0.0) for mode in modes)
+    borders = [branch.border for branch in branches]
+    border = min(borders)
+    first = int(np.argmin(borders))
+    binding: int | None = first
+    if math.isinf(border):
+        binding = int(np.argmin([branch.at_anticipated for branch in branches]))
+
+    # the judge: nothing crosses before the border
+    last = end if math.isinf(border) else border * (1 - _BESIDE)
+    if abscissa(last) >= 0:
+        binding = None
+        border = _crossing(coupled, abscissa, last)
+    elif not math.isinf(border) and abscissa(border * (1 + _BESIDE)) < 0:
+        raise NumericalFailure(
+            f"the mode that was followed loses its damping at {border:.4g} N/m, but the loop is "
+            "stable beyond; two modes were mixed up: take another anticipated Q_A"
+        )
+    crossing = math.nan
+    if not math.isinf(border):
+        poles = coupled(border * (1 + _BESIDE)).all_modes()
+        crossing = abs(float(poles[np.argmax(poles.real)].imag))
+    at_anticipated = min(branch.at_anticipated for branch in branches)
+    screening = None
+    if anticipated is not None:
+        screening = standard.screen(anticipated, border, at_anticipated, speed_ratio, density)
+    return LevelOne(
+        grid,
+        anticipated,
+        border,
+        at_anticipated,
+        branches,
+        binding,
+        crossing,
+        tuple(stations),
+        screening,
+    )
+
+
+def _crossing(
+    coupled: Callable[[float], ShaftLoop], abscissa: Callable[[float], float], unstable: float
+) -> float:
+    """The Q [N/m] below ``unstable`` at which the loop becomes so: a bracket by the judge's poles,
+    then the root of the pole that has crossed at its upper end.
+    """
+    low, high = 0.0, unstable
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if abscissa(middle) >= 0 else (middle, high)
+    poles = coupled(high).all_modes()
+    start = coupled(high).mode_near(complex(poles[np.argmax(poles.real)]))
+
+    def real_part(q: float) -> float:
+        return coupled(q).mode_near(*start)[0].real
+
+    if real_part(low) < 0 < real_part(high):
+        return float(brentq(real_part, low, high, xtol=1e-9 * unstable))
+    return low  # the pole was another one at the lower end: the bracket's safe end
+
+
+def _follow(
+    coupled: Callable[[float], ShaftLoop], mode: ShaftMode, grid: np.ndarray, anticipated: float
+) -> Branch:
+    """One mode over the sweep; coupled: Q -> loop."""
+    path = [(mode.pole, mode.states)]
+    for q in grid[1:]:
+        path.append(coupled(q).mode_near(*path[-1]))
+    poles = np.array([pole for pole, _ in path])
+    near = path[int(np.argmin(np.abs(grid - anticipated)))]
+    at = coupled(anticipated).mode_near(*near)[0]
+    border = math.inf
+    beyond = np.flatnonzero(poles.real >= 0)
+    if beyond.size:
+        k = int(beyond[0])
+        start = path[k - 1]
+        border = float(
+            brentq(
+                lambda q: coupled(q).mode_near(*start)[0].real,
+                grid[k - 1],
+                grid[k],
+                xtol=1e-9 * grid[-1],
+            )
+        )
+    return Branch(
+        mode,
+        -2 * np.pi * poles.real / np.abs(poles.imag),
+        np.abs(poles.imag),
+        float(-2 * np.pi * at.real / abs(at.imag)),
+        border,
+    )

@@ -1,0 +1,259 @@
+"""The page of a lateral analysis: the summary sheet first, then what each row rests on.
+
+write(lateral_page(lateral(machine, controller)), "lateral.html")
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ambrose.annexes.rotordynamics import figures, standard
+from ambrose.annexes.rotordynamics.placement import BACKWARD, mode_name
+from ambrose.annexes.rotordynamics.result import Item, Lateral
+from ambrose.machine.file.toml import machine_hash
+from ambrose.report import units
+from ambrose.report.figures.rotor_drawing import machine_drawing
+from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, Verdict, numbers
+
+_BASIS = (
+    "Basis: recalled - the standard's text was not at hand; formula and limit are those of open "
+    "code and tutorials that quote it. Checked - a source at hand quotes the limit. Own - no "
+    "clause: what is added here. p-p: peak to peak; 0-p: zero to peak."
+)
+_SUMMARY = (
+    "In the order of a data sheet. A row without a limit is for information; what is not covered "
+    "says so."
+)
+_RESPONSE = (
+    "Probe readings, peak to peak, with twice the residual unbalance placed for the mode named. "
+    "The rotor is assembled anew at every speed; between the {count} computed speeds amplitudes "
+    "are interpolated (a spline through half of them misses the others by {error} of the largest)."
+)
+_PLACED = (
+    "The bent shaft of each forward mode at maximum continuous speed, in the plane that turns with "
+    "it, and the unbalance that excites it."
+)
+_LEVEL_ONE = (
+    "Without seals and stages, cross-coupled stiffness at mid-span (or at the overhung impellers) "
+    "takes the damping of the forward modes. The border is judged on the loop as it runs."
+)
+_LEVEL_TWO = (
+    "Every lateral mode that can ring, with seals, stages and controller as it runs. The shares "
+    "add up to the log decrement: the mean power of each component in the mode, over the mode's "
+    "energy; negative ones destabilise."
+)
+_CAPACITY = (
+    "Force an axis can add to the weight it carries (0-p), and what the placed unbalance takes of "
+    "it, where it is largest and at trip."
+)
+
+
+def lateral_page(result: Lateral, *, date: str = "") -> Page:
+    """The report of a ``Lateral``; date: ISO (today if empty)."""
+    sections = [
+        Section("Summary sheet", _SUMMARY, (), (summary_table(result),)),
+    ]
+    if result.response is not None:
+        sections += _response_sections(result)
+    if result.level_one is not None:
+        picture = Figure(
+            "Log decrement over cross-coupling", figures.level_one_figure(result.level_one)
+        )
+        sections.append(Section("Stability, Level I", _LEVEL_ONE, (picture,)))
+    if result.modes:
+        sections.append(Section("Stability, Level II", _LEVEL_TWO, (), (modes_table(result),)))
+    if result.rubs:
+        sections.append(Section("Clearances", "", (), (clearance_table(result),)))
+    if result.capacities:
+        worst = min(result.capacities, key=lambda axis: axis.margin)
+        picture = Figure(
+            f"Capacity of axis {worst.axis}, the one with the least margin",
+            figures.capacity_figure(worst),
+        )
+        sections.append(Section("Load capacity", _CAPACITY, (picture,), (capacity_table(result),)))
+    if result.notes:
+        sections.append(Section("Notes", "\n\n".join(result.notes)))
+    lowest, highest, trip = (speed / standard.RPM for speed in result.speeds)
+    facts = (
+        ("Machine file", machine_hash(result.machine)),
+        ("Controller", f"{result.controller}; {result.timing}"),
+        ("Operating point", result.point),
+        ("Speeds", f"running {lowest:.5g} to {highest:.5g} rpm, trip {trip:.5g} rpm"),
+        ("Model", "finite-element rotor, all modes to 100 kHz; consistent mass"),
+    )
+    failed = [item for item in result.items if item.passed is False]
+    judged = [item for item in result.items if item.passed is not None]
+    words = (
+        f"all {len(judged)} rows with a limit hold"
+        if not failed
+        else f"{len(failed)} of {len(judged)} rows with a limit fail: "
+        + "; ".join(item.title for item in failed)
+    )
+    opening = Section(
+        "Rotor", "", (Figure("Rotor and its parts", machine_drawing(result.machine)),)
+    )
+    return Page(
+        "Lateral analysis",
+        result.machine,
+        (opening, *sections),
+        (),
+        facts,
+        date,
+        result=Verdict("Result", not failed, words),
+    )
+
+
+def summary_table(result: Lateral) -> Table:
+    """Clause, basis, value, limit and verdict of every row."""
+    return Table(
+        "Clause by clause",
+        ("Item", "Clause", "Value", "Limit", "Verdict"),
+        tuple(_summary_row(item) for item in result.items),
+        _BASIS,
+    )
+
+
+def _summary_row(item: Item) -> Row:
+    mark = "none" if item.passed is None else "pass" if item.passed else "fail"
+    word = "-" if item.passed is None else "holds" if item.passed else "fails"
+    unit = "" if item.unit == "-" else f" {item.unit}"
+    value = "-" if item.value is None else f"{_number(item.value)}{unit}"
+    limit = "-" if item.limit is None else f"{_relation(item.relation)} {_number(item.limit)}{unit}"
+    clause = Cell(f"{item.standard}", detail=f"{item.clause}; {item.basis}")
+    return (Cell(item.title, detail=item.note), clause, *numbers(value, limit), Cell(word, mark))
+
+
+def _relation(text: str) -> str:
+    return {"<=": "≤", ">=": "≥"}.get(text, text)
+
+
+def _number(value: float) -> str:
+    return units.number(value) if np.isfinite(value) else "not reached"
+
+
+def _response_sections(result: Lateral) -> list[Section]:
+    response = result.response
+    assert response is not None
+    limit = standard.vibration_limit(result.speeds[1] / standard.RPM)
+    text = _RESPONSE.format(count=len(response.speeds), error=f"{100 * response.widest:.2g} %")
+    pictures = tuple(
+        Figure(
+            f"Unbalance placed for the {case.name}",
+            figures.response_figure(response, result.speeds, k, limit),
+            case.why,
+        )
+        for k, case in enumerate(response.cases)
+    )
+    # a case is named after the mode that it was placed for
+    named = {mode_name(row.mode): row.mode for row in result.modes}
+    forward = [named[case.name.partition(",")[0]] for case in response.cases]
+    placed = Figure(
+        "Placement of the unbalance", figures.placement_figure(result.layout, response, forward)
+    )
+    rows: tuple[Row, ...] = tuple(
+        (
+            case.name,
+            *numbers(
+                f"{1e3 * result.layout.positions[w.station]:.4g} mm",
+                f"{1e6 * w.amount:.4g} g mm",
+                f"{np.degrees(w.angle):.0f} deg",
+                f"{w.carried:.4g} kg",
+            ),
+        )
+        for case in response.cases
+        for w in case.weights
+    )
+    table = Table(
+        "Unbalance, twice the residual amount",
+        ("Placed for", "Position", "Amount", "Angle", "Of the load"),
+        rows,
+    )
+    return [
+        Section("Placement of the unbalance", _PLACED, (placed,), (table,)),
+        Section("Unbalance response", text, pictures),
+    ]
+
+
+def modes_table(result: Lateral) -> Table:
+    """Frequency, log decrement, whirl and the largest shares of every mode."""
+    rows: list[Row] = []
+    for row in result.modes:
+        mode = row.mode
+        shares = sorted(row.shares, key=lambda share: -abs(share.log_decrement))[:4]
+        words = ", ".join(f"{share.component} {share.log_decrement:+.3g}" for share in shares)
+        least = "-" if row.least is None else f"{row.least:.3g}"
+        way = "forward" if mode.whirl > BACKWARD else "planar" if mode.forward else "backward"
+        rows.append(
+            (
+                Cell(f"{mode.frequency / standard.RPM:.5g} rpm", detail=words),
+                way,
+                *numbers(f"{mode.log_decrement:.3g}"),
+                Cell(least, "number", detail=row.member),
+            )
+        )
+    return Table(
+        "Modes, with the largest shares of their log decrement",
+        ("Mode", "Whirl", "Log decrement", "Least found over the tolerances"),
+        tuple(rows),
+    )
+
+
+def clearance_table(result: Lateral) -> Table:
+    """Scaled motion at every clearance."""
+    rows = tuple(
+        (
+            Cell(rub.name, detail=f"{1e3 * rub.position:.4g} mm; {rub.case}"),
+            *numbers(
+                f"{1e6 * rub.diametral:.4g}",
+                f"{1e6 * rub.motion:.3g}",
+                f"{1e6 * rub.offset:.3g}",
+                f"{rub.speed / standard.RPM:.5g}",
+                f"{100 * rub.share:.3g}",
+            ),
+            Cell("holds" if rub.passed else "fails", "pass" if rub.passed else "fail"),
+        )
+        for rub in result.rubs
+    )
+    columns = (
+        "Place",
+        "Diametral clearance [um]",
+        "Motion, scaled [um p-p]",
+        "Static offset [um]",
+        "At [rpm]",
+        "Taken [%]",
+        "Verdict",
+    )
+    capped, uncapped = result.scale
+    note = (
+        f"Scale factor {capped:.3g} (uncapped {units.number(uncapped)}); 75 % of the clearance may "
+        "be taken, unless the machine file says otherwise."
+    )
+    return Table("Motion at the close clearances, from rest to trip", columns, rows, note)
+
+
+def capacity_table(result: Lateral) -> Table:
+    """Static load, largest demand and margin of every axis."""
+    rows: list[Row] = []
+    for axis in result.capacities:
+        top = max(axis.demand, key=lambda item: item[2], default=("", 0.0, 0.0))
+        rows.append(
+            (
+                axis.axis,
+                *numbers(
+                    f"{axis.static_force:.4g}",
+                    f"{axis.static_current:.3g}",
+                    f"{axis.force[0]:.4g}",
+                    f"{top[2]:.3g}",
+                    f"{axis.margin:.3g}" if np.isfinite(axis.margin) else "-",
+                ),
+            )
+        )
+    columns = (
+        "Axis",
+        "Weight [N]",
+        "Its current [A]",
+        "Left at low speed [N 0-p]",
+        "Unbalance, largest [N 0-p]",
+        "Least margin [-]",
+    )
+    return Table("What each axis carries", columns, tuple(rows))

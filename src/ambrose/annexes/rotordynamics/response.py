@@ -1,0 +1,134 @@
+"""The whole shaft's response to sets of unbalance, with the rotor assembled anew at every speed.
+
+Between the speeds that were computed amplitudes are read from cubic splines through the complex
+values; speeds are added until these agree with what is computed between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from ambrose.annexes.rotordynamics.loop import ShaftLoop
+from ambrose.annexes.rotordynamics.placement import UnbalanceCase
+from ambrose.annexes.rotordynamics.stations import Layout, Reading
+from ambrose.judge.unbalance import orbit
+
+_FIRST = 41  # speeds to begin with
+_MOST = 260  # speeds in all
+_AGREES = 0.01  # of the largest amplitude of a case: how well a midpoint must be met
+_NARROW = 2e-4  # of the top speed: intervals below are not halved
+FINE = 4001  # points on which peaks are looked for
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Response:
+    """Complex amplitudes, zero to peak, over the speed.
+
+    speeds (w,) [rad/s]; motion (w, s, 2, k) [m] of the stations in x and y for k sets of
+    unbalance; current (w, a, k) [A] in the coils. widest: the largest disagreement found between a
+    spline and a computed midpoint, over the case's largest amplitude.
+    """
+
+    layout: Layout
+    cases: tuple[UnbalanceCase, ...]
+    speeds: np.ndarray
+    motion: np.ndarray
+    current: np.ndarray
+    widest: float
+    fine: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "fine", np.linspace(self.speeds[0], self.speeds[-1], FINE))
+
+    def at(self, values: np.ndarray, speeds: np.ndarray) -> np.ndarray:
+        """Complex values (w, ...) by cubic splines at other speeds (v,), (v, ...)."""
+        from scipy.interpolate import CubicSpline
+
+        return np.asarray(CubicSpline(self.speeds, values)(speeds))
+
+    def major_axis(self, station: int, case: int, speeds: np.ndarray | None = None) -> np.ndarray:
+        """Semi-major axis of the orbit at a station (v,) [m]."""
+        speeds = self.fine if speeds is None else speeds
+        xy = self.at(self.motion[:, station, :, case], speeds)
+        return np.asarray(orbit(xy[:, 0], xy[:, 1]))
+
+    def read(self, reading: Reading, case: int, speeds: np.ndarray | None = None) -> np.ndarray:
+        """What a probe reads, zero to peak (v,) [m]: along its direction, or the major axis."""
+        station = self.layout.nearest(reading.position)
+        if reading.direction is None:
+            return self.major_axis(station, case, speeds)
+        speeds = self.fine if speeds is None else speeds
+        xy = self.at(self.motion[:, station, :, case], speeds)
+        along = np.array([np.cos(reading.direction), np.sin(reading.direction)])
+        return np.asarray(np.abs(xy @ along))
+
+    def currents(self, case: int, speeds: np.ndarray | None = None) -> np.ndarray:
+        """Coil currents, zero to peak (v, a) [A]."""
+        speeds = self.fine if speeds is None else speeds
+        return np.asarray(np.abs(self.at(self.current[:, :, case], speeds)))
+
+
+def respond(
+    layout: Layout,
+    loop_at: Callable[[float], ShaftLoop],
+    cases: Sequence[UnbalanceCase],
+    lowest: float,
+    highest: float,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Response:
+    """The response from one speed to another [rad/s], each of whose loops is stable.
+
+    loop_at: speed -> loop. The first grid is halved where the linear interpolation between two
+    speeds misses what is computed between them by more than 1 % of the case's largest amplitude.
+    """
+    stations = len(layout.positions)
+    forces = np.column_stack([case.forces(stations) for case in cases])
+    known: dict[float, tuple[np.ndarray, np.ndarray]] = {}
+
+    def compute(speed: float) -> np.ndarray:
+        if speed not in known:
+            loop = loop_at(speed)
+            x = loop.states(1j * speed, forces * speed**2)
+            motion = (loop.read @ x).reshape(stations, 2, -1)
+            currents = loop.currents(1j * speed, x) if loop.law is not None else x[:0]
+            known[speed] = (motion, currents)
+            if len(known) % 50 == 0:
+                progress(f"unbalance response, {len(known)} speeds")
+        return known[speed][0]
+
+    speeds = np.linspace(lowest, highest, _FIRST)
+    scale = np.max([np.abs(compute(w)).max(axis=(0, 1)) for w in speeds], axis=0)
+    pending = list(pairwise(speeds))
+    while pending and len(known) < _MOST:
+        low, high = pending.pop(0)
+        middle = 0.5 * (low + high)
+        straight = 0.5 * (compute(low) + compute(high))
+        between = compute(middle)
+        scale = np.maximum(scale, np.abs(between).max(axis=(0, 1)))
+        off = (np.abs(between - straight).max(axis=(0, 1)) / scale).max()
+        if off > _AGREES and middle - low > _NARROW * highest:
+            pending += [(low, middle), (middle, high)]
+
+    grid = np.array(sorted(known))
+    motion = np.array([known[w][0] for w in grid])
+    current = np.array([known[w][1] for w in grid])
+    widest = _spline_error(grid, motion, scale)
+    return Response(layout, tuple(cases), grid, motion, current, widest)
+
+
+def _spline_error(grid: np.ndarray, motion: np.ndarray, scale: np.ndarray) -> float:
+    """How far a spline through every second speed misses the others, over each case's largest
+    amplitude: an upper estimate for that through all of them.
+    """
+    from scipy.interpolate import CubicSpline
+
+    if len(grid) < 9:
+        return float("nan")
+    kept = np.arange(0, len(grid), 2)
+    rest = np.arange(1, kept[-1], 2)
+    guessed = CubicSpline(grid[kept], motion[kept])(grid[rest])
+    return float((np.abs(guessed - motion[rest]) / scale).max())

@@ -1,0 +1,216 @@
+"""The lateral analysis as data: what ``lateral.json`` holds and the page is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ambrose.annexes.rotordynamics.capacity import AxisCapacity
+from ambrose.annexes.rotordynamics.level_one import LevelOne
+from ambrose.annexes.rotordynamics.level_two import Share
+from ambrose.annexes.rotordynamics.placement import ShaftMode
+from ambrose.annexes.rotordynamics.response import Response
+from ambrose.annexes.rotordynamics.stations import Layout
+from ambrose.core.presentation import Presented, data_frame
+from ambrose.machine.machine import Machine
+
+SCHEMA = 1
+RECALLED = "recalled"
+OWN = "own"
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """One row of the summary: a clause, what it asks for and what the machine has.
+
+    name: of the quantity, as in lateral.json; unit: "um p-p", "um 0-p", "%", "N/m" ...: amplitudes
+    say which. basis: "checked" (a source that quotes the clause was at hand), "recalled", or "own"
+    (no clause: what Ambrose adds). limit None and passed None: for information, or not covered.
+    """
+
+    name: str
+    title: str
+    standard: str
+    clause: str
+    basis: str
+    value: float | None
+    unit: str
+    relation: str = "<="
+    limit: float | None = None
+    passed: bool | None = None
+    note: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data; infinite values as text."""
+        row = {name: getattr(self, name) for name in self.__slots__}
+        return {
+            key: (str(value) if isinstance(value, float) and not np.isfinite(value) else value)
+            for key, value in row.items()
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModeRow:
+    """A mode of the machine as it runs, the shares of its log decrement, and the least value found
+    over the tolerances (None: none were looked at), with the member that has it.
+    """
+
+    mode: ShaftMode
+    shares: tuple[Share, ...]
+    least: float | None = None
+    member: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rub:
+    """Motion at a clearance: peak to peak, scaled, with its case and speed [rad/s].
+
+    motion [m] peak to peak, offset [m] by which the rotor hangs there at rest, allowed [m] for both
+    sides of both.
+    """
+
+    name: str
+    kind: str
+    position: float
+    diametral: float
+    motion: float
+    offset: float
+    allowed: float
+    speed: float
+    case: str
+
+    @property
+    def share(self) -> float:
+        """Of the diametral clearance that motion and offset take."""
+        return (self.motion + 2 * self.offset) / self.diametral
+
+    @property
+    def passed(self) -> bool:
+        return self.motion + 2 * self.offset <= self.allowed
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Lateral(Presented):
+    """A machine's lateral analysis.
+
+    speeds: lowest and highest running speed and trip speed [rad/s]. items: the summary's rows.
+    response None: the loop is unstable, and only ``items`` and modes are there.
+    """
+
+    _FACTS: ClassVar = ("machine=machine_name", "passed", "failed")
+
+    machine: Machine
+    controller: str
+    timing: str
+    point: str
+    speeds: tuple[float, float, float]
+    layout: Layout
+    items: tuple[Item, ...] = ()
+    modes: tuple[ModeRow, ...] = ()
+    rubs: tuple[Rub, ...] = ()
+    response: Response | None = None
+    level_one: LevelOne | None = None
+    capacities: tuple[AxisCapacity, ...] = ()
+    scale: tuple[float, float] = (1.0, 1.0)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def machine_name(self) -> str:
+        return self.machine.name
+
+    @property
+    def passed(self) -> bool:
+        """Whether no row with a limit fails."""
+        return not self.failed
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """Names of the rows that fail."""
+        return tuple(item.name for item in self.items if item.passed is False)
+
+    def to_dict(self) -> Mapping[str, Any]:  # type: ignore[override]
+        """``lateral.json``: schema 1. Speeds [rad/s], lengths [m]; amplitudes say 0-p or p-p."""
+        low, high, trip = self.speeds
+        data: dict[str, Any] = {
+            "schema": SCHEMA,
+            "machine": self.machine.name,
+            "controller": self.controller,
+            "timing": self.timing,
+            "operating_point": self.point,
+            "passed": self.passed,
+            "speeds_rad_per_s": {"lowest": low, "highest": high, "trip": trip},
+            "scale_factor": {"capped": self.scale[0], "uncapped": _plain(self.scale[1])},
+            "items": [item.to_dict() for item in self.items],
+            "modes": [
+                {
+                    "frequency_rad_per_s": row.mode.frequency,
+                    "log_decrement": row.mode.log_decrement,
+                    "whirl": row.mode.whirl,
+                    "shares": {s.component: s.log_decrement for s in row.shares},
+                    "least_over_tolerances_found": row.least,
+                    "at": row.member,
+                }
+                for row in self.modes
+            ],
+            "clearances": [
+                {
+                    "name": rub.name,
+                    "kind": rub.kind,
+                    "position_m": rub.position,
+                    "diametral_m": rub.diametral,
+                    "motion_m_pp": rub.motion,
+                    "offset_m": rub.offset,
+                    "allowed_m_pp": rub.allowed,
+                    "at_rad_per_s": rub.speed,
+                    "case": rub.case,
+                    "passed": rub.passed,
+                }
+                for rub in self.rubs
+            ],
+            "notes": list(self.notes),
+        }
+        if self.level_one is not None:
+            one = self.level_one
+            data["level_one"] = {
+                "anticipated_N_per_m": one.anticipated,
+                "border_N_per_m": _plain(one.border),
+                "log_decrement_at_anticipated": one.at_anticipated,
+                "cross_coupling_N_per_m": one.cross_coupling.tolist(),
+                "modes": [
+                    {
+                        "frequency_rad_per_s": branch.mode.frequency,
+                        "log_decrement": branch.log_decrement.tolist(),
+                    }
+                    for branch in one.branches
+                ],
+            }
+        if self.response is not None:
+            data["unbalance"] = [
+                {
+                    "case": case.name,
+                    "why": case.why,
+                    "weights": [
+                        {
+                            "position_m": float(self.layout.positions[w.station]),
+                            "amount_kg_m": w.amount,
+                            "angle_rad": w.angle,
+                            "carried_kg": w.carried,
+                        }
+                        for w in case.weights
+                    ],
+                }
+                for case in self.response.cases
+            ]
+        return data
+
+    def to_frame(self) -> Any:
+        """A pandas.DataFrame with a row for each item of the summary."""
+        rows = [item.to_dict() for item in self.items]
+        return data_frame({key: [row[key] for row in rows] for key in rows[0]} if rows else {})
+
+
+def _plain(value: float) -> float | str:
+    return value if np.isfinite(value) else str(value)

@@ -1,0 +1,229 @@
+"""The lateral analysis against closed forms: a rotor that hardly bends on two equal films is
+
+m x'' + c x' + k x = U W^2 e^{j W t},    with a cross-coupling Q in the middle: Q0 = c sqrt(k/m).
+"""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import ambrose as amb
+from ambrose.annexes.rotordynamics.critical import criticals
+from ambrose.annexes.rotordynamics.level_two import shares
+from ambrose.annexes.rotordynamics.loop import shaft_loop
+from ambrose.annexes.rotordynamics.placement import place, shaft_modes, span_middle
+from ambrose.annexes.rotordynamics.stations import lay_out
+from ambrose.core.checks import InvalidInput
+from ambrose.law.timing import timing_of
+from ambrose.machine.file.toml import loads_machine
+
+RPM = math.pi / 30
+# stiff as nothing on earth: the films bend first
+FILE = """
+[machine]
+schema = 1
+name = "two-films"
+[material.stiff]
+density = 7800.0
+youngs_modulus = "{modulus} GPa"
+[[shaft]]
+length = "1 m"
+outer_diameter = "100 mm"
+elements = 4
+material = "stiff"
+[[journal_bearing]]
+name = "DE"
+position = "{first} m"
+K_xx = ["{stiffness} N/m"]
+K_yy = ["{stiffness} N/m"]
+C_xx = ["{damping} N s/m"]
+C_yy = ["{damping} N s/m"]
+[[journal_bearing]]
+name = "NDE"
+position = "{second} m"
+K_xx = ["{stiffness} N/m"]
+K_yy = ["{stiffness} N/m"]
+C_xx = ["{damping} N s/m"]
+C_yy = ["{damping} N s/m"]
+[operation]
+speed_range = ["0 rpm", "6000 rpm"]
+[[operation.point]]
+label = "mcs"
+speed = "6000 rpm"
+{more}
+"""
+STAGE = """
+[[stage]]
+name = "impeller"
+position = "0.5 m"
+power = "400 kW"
+speed = "6000 rpm"
+diameter = "400 mm"
+width = "20 mm"
+density_ratio = 1.5
+"""
+K, C = 5e6, 2e3  # of each film
+
+
+def films(more="", modulus=2_100_000, first=0.0, second=1.0):
+    text = FILE.format(
+        modulus=modulus, first=first, second=second, stiffness=K, damping=C, more=more
+    )
+    return loads_machine(text, "films")
+
+
+def mass_of(machine):
+    (section,) = machine.shaft
+    return section.material.density * section.length * math.pi / 4 * section.outer_diameter**2
+
+
+def test_border_of_cross_coupling_is_c_sqrt_k_over_m():
+    machine = films(STAGE)
+    one = amb.lateral(machine, trip=6300 * RPM).level_one
+    expected = 2 * C * math.sqrt(2 * K / mass_of(machine))
+    assert one.border == pytest.approx(expected, rel=1e-4)
+    # 9.55 B P rho/(D H N) [kN/mm] with the printed constant
+    printed = 9.55 * 3 * 400e3 * 1.5 / (400 * 20 * 6000) * 1e6
+    assert one.anticipated == pytest.approx(printed, rel=1e-4)
+    assert one.branches[one.binding].border == one.border
+
+
+def test_critical_speed_amplitude_and_factor_of_one_mass():
+    machine = films()
+    result = amb.lateral(machine, trip=6300 * RPM)
+    m, k, c = mass_of(machine), 2 * K, 2 * C
+    response, case = result.response, result.response.cases[0]
+    (weight,) = case.weights
+    assert response.layout.positions[weight.station] == pytest.approx(0.5)
+    # U_a = 2 * 6350 W/N [g mm] of the whole rotor
+    assert weight.amount == pytest.approx(2 * 6350 * m / 6000 * 1e-6, rel=1e-6)
+
+    def amplitude(w):
+        return weight.amount * w**2 / np.hypot(k - m * w**2, c * w)
+
+    grid = np.linspace(response.fine[0], response.fine[-1], 40_001)
+    peak = grid[np.argmax(amplitude(grid))]
+    half = amplitude(peak) / math.sqrt(2)
+    flanks = [
+        brentq(lambda w: amplitude(w) - half, a, b) for a, b in ((0.3 * peak, peak), (peak, 660))
+    ]
+    curve = response.major_axis(response.layout.nearest(0.5), 0)
+    (found,) = criticals(response.fine, curve)
+    assert found.both_flanks
+    assert found.speed == pytest.approx(peak, rel=1e-3)
+    assert found.amplitude == pytest.approx(amplitude(peak), rel=1e-3)
+    assert found.amplification == pytest.approx(peak / (flanks[1] - flanks[0]), rel=1e-3)
+
+
+def test_shares_add_up_to_the_log_decrement():
+    machine = amb.load_machine("turboexpander")
+    controller = amb.design(machine, "pid")
+    layout = lay_out(machine)
+    timing = timing_of(machine, controller)
+    loop = shaft_loop(layout, machine.operation.nominal, controller, timing)
+    modes = shaft_modes(loop, 1600.0)
+    assert len(modes) > 2
+    for mode in modes:
+        found = shares(loop, mode)
+        assert sum(s.log_decrement for s in found) == pytest.approx(mode.log_decrement, rel=1e-9)
+    names = {s.component for s in found}
+    assert {"magnet A", "magnet B", "seal piston", "rotor's own damping"} <= names
+
+
+def test_motion_is_read_where_the_plant_has_a_port():
+    machine = amb.load_machine("turboexpander")
+    loop = shaft_loop(lay_out(machine), machine.operation.nominal, None, None)
+    system = loop.plant.system
+    for bearing in machine.bearings:
+        k = lay_out(machine).nearest(bearing.position)
+        along = np.array([math.cos(bearing.angle), math.sin(bearing.angle)])
+        row = system.C[system.outputs.index(f"q_{bearing.name}_zeta")]
+        column = system.B[:, system.inputs.index(f"f_{bearing.name}_zeta")]
+        np.testing.assert_allclose(along @ loop.read[2 * k : 2 * k + 2], row, atol=1e-12)
+        np.testing.assert_allclose(
+            loop.pull[:, 2 * k : 2 * k + 2] @ along, column, atol=1e-12 * abs(column).max()
+        )
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "signs"),
+    [(0.0, 1.0, {0.0}), (0.05, 0.95, {0.0})],
+)
+def test_bending_between_films_is_pulled_at_its_antinode(first, second, signs):
+    machine = films(modulus=21, first=first, second=second)
+    layout = lay_out(machine)
+    loop = shaft_loop(layout, machine.operation.nominal, None, None)
+    mode = next(m for m in shaft_modes(loop, 3000.0) if m.forward)
+    inside = [case for case in place(layout, mode, 628.0) if "one antinode" in case.why]
+    (weight,) = inside[0].weights
+    assert weight.station == span_middle(layout)
+    assert weight.carried == pytest.approx(mass_of(machine), rel=1e-6)
+    assert {w.angle for w in inside[0].weights} == signs
+
+
+def test_conical_motion_gets_two_weights_half_a_turn_apart():
+    machine = films()
+    layout = lay_out(machine)
+    loop = shaft_loop(layout, machine.operation.nominal, None, None)
+    conical = [m for m in shaft_modes(loop, 3000.0) if m.forward][1]
+    (case,) = place(layout, conical, 628.0)
+    assert sorted(w.angle for w in case.weights) == [0.0, math.pi]
+
+
+def test_an_unstable_loop_gets_no_curves():
+    machine = films(STAGE.replace("400 kW", "4 MW"))
+    result = amb.lateral(machine, trip=6300 * RPM)
+    assert not result.passed
+    assert result.response is None
+    assert "pole has real part" in result.items[0].note
+
+
+def test_clearance_is_held_against_scaled_motion():
+    row = '[[clearance]]\nname = "lab"\nposition = "0.5 m"\ndiametral = "{} mm"\n'
+    wide, tight = (amb.lateral(films(row.format(size)), trip=6300 * RPM) for size in (4.0, 0.01))
+    (rub,) = wide.rubs
+    assert rub.passed
+    assert rub.motion == pytest.approx(
+        2 * wide.scale[0] * wide.response.major_axis(wide.layout.nearest(0.5), 0).max()
+    )
+    assert 1 <= wide.scale[0] <= 6
+    assert not tight.rubs[0].passed
+    assert "clearance.clearance" in tight.failed
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (STAGE.replace("400 mm", "400 m"), "from 0.01 to 5 m"),
+        (STAGE.replace("0.5 m", "1.5 m"), "on the shaft"),
+        (STAGE.replace('"20 mm"', '"500 mm"'), "below the diameter"),
+        (STAGE.replace("1.5", "0.5"), "at least 1"),
+        ('[[clearance]]\nname = "a"\nposition = 0.5\ndiametral = 0.4\n', "metres"),
+    ],
+)
+def test_a_wrong_table_is_said_in_one_sentence(more, words):
+    with pytest.raises(InvalidInput, match=words):
+        films(more)
+
+
+def test_what_cannot_be_analysed_is_said():
+    machine = films()
+    with pytest.raises(InvalidInput, match="trip speed"):
+        amb.lateral(machine, trip=300.0)
+    with pytest.raises(InvalidInput, match="needs a controller"):
+        amb.lateral(amb.load_machine("turboexpander"))
+    rest = replace(machine, operation=amb.load_machine("seal-rig").operation)
+    with pytest.raises(InvalidInput, match="stands still"):
+        amb.lateral(rest)
+    with pytest.raises(InvalidInput, match="no magnetic bearings"):
+        amb.design(machine, "pid")
+
+
+def test_data_are_plain():
+    data = amb.lateral(films(STAGE), trip=6300 * RPM).to_dict()
+    assert data["schema"] == 1
+    assert json.loads(json.dumps(data))["level_one"]["border_N_per_m"] > 0
