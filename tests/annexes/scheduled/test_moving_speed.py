@@ -12,11 +12,14 @@ import pytest
 from ambrose.annexes.scheduled.moving.speed import check_speed, speed_spans
 from ambrose.core.checks import InvalidInput
 from ambrose.core.norms import hinf_norm
+from ambrose.core.sampling import c2d, delayed
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace, select
+from ambrose.core.varying.loop import sampled_closure
 from ambrose.judge.verdict import verify_controller
 from ambrose.law.loop import closed_loop
 from ambrose.law.pid import pid_controller
+from ambrose.law.timing import Timing
 from ambrose.machine.description import OperatingPoint, Requirements, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
@@ -54,6 +57,7 @@ def peak(machine: Machine, law: StateSpace, speed: float, k: float = 0.0) -> flo
     return hinf_norm(select(closed_loop(plant, law), inputs, outputs)).value
 
 
+@pytest.mark.campaign
 def test_the_proofs_are_just_above_steady_speeds_and_above_the_worst_corner(rig: Machine) -> None:
     law = pid_controller(PID, rig)
     (span,) = speed_spans(rig, law)
@@ -65,6 +69,28 @@ def test_the_proofs_are_just_above_steady_speeds_and_above_the_worst_corner(rig:
     assert rest < checks["moving.speed.rate"].value < 1.03 * rest
     assert rest < corner < checks["moving.speed.tolerances"].value < 1.03 * corner
     assert "1 tolerances, standing still" in checks["moving.speed.tolerances"].detail
+
+
+@pytest.mark.campaign
+def test_a_sampled_loop_is_proved_as_it_runs(rig: Machine) -> None:
+    """Against the loop from sample to sample put together here: hold, Tustin's map, a sample
+    late.
+    """
+    law, timing = pid_controller(PID, rig), Timing(1e-4, 1)
+    (span,) = speed_spans(rig, law)
+    found = check_speed(rig, span, law, timing, RATE, tolerances=False)
+    checks = {check.name: check for check in found.checks}
+    rest = 0.0
+    for speed in np.linspace(0.0, TOP, 5):
+        plant = assemble(rig, OperatingPoint(speed=speed, seal_pressure=PRESSURE))
+        part = c2d(select(plant.system, plant.named("u"), plant.named("y")), timing.sample_time)
+        K = delayed(c2d(law, timing.sample_time, "tustin"), 1)
+        A, B, C = sampled_closure(part.A, part.B, part.C, K)
+        loop = StateSpace(A, B, C, np.eye(len(C)), dt=timing.sample_time)
+        rest = max(rest, hinf_norm(loop).value)
+    assert checks["moving.speed.frozen"].value == pytest.approx(rest, rel=1e-3)
+    assert rest < checks["moving.speed.rate"].value < 1.05 * rest
+    assert "as it runs" in checks["moving.speed.rate"].detail
 
 
 def test_what_it_does_not_cover_is_refused(rig: Machine) -> None:

@@ -2,9 +2,12 @@
 run-up and run-down, and over the tolerances as well.
 
 The model is the rotor in its free modes, whose states mean the same at every speed, with as many
-bending modes as the full plant's sensitivities at steady speeds need; of a sampled loop the mean
-delay is in it, as a second-order all-pass. Between values of the speed its matrices are polynomials
-(core/varying/cells.py); tolerances stand still (core/varying/tolerances.py).
+bending modes as the full plant's sensitivities at steady speeds need. A sampled loop is proved as
+it runs (sampled_speed.py, core/varying/sampled.py), from the samples of d to those of y. Over
+tolerances, which stand still (core/varying/tolerances.py), it is proved with its mean delay, as a
+second-order all-pass, and raised by what that is better than the loop as it runs at steady speeds.
+Of a continuous loop the matrices are polynomials between values of the speed
+(core/varying/cells.py).
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from math import comb
 import numpy as np
 
 from ambrose.annexes.scheduled.moving.law import MovingLaw, moving_law
+from ambrose.annexes.scheduled.moving.sampled_speed import SampledFamily
 from ambrose.annexes.scheduled.moving.spans import REST, Tell
 from ambrose.core.checks import AmbroseError, InvalidInput, NumericalFailure, check_positive
 from ambrose.core.lft import GeneralizedPlant
@@ -24,6 +28,7 @@ from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, is_stable, select
 from ambrose.core.varying.cells import Cell, elevated
 from ambrose.core.varying.proof import Proof
+from ambrose.core.varying.sampled import proved_sampled
 from ambrose.core.varying.tolerances import proved_over_tolerances
 from ambrose.judge.checks import Checks
 from ambrose.judge.criteria import information, judge
@@ -271,8 +276,9 @@ def check_speed(
     """Output sensitivity while the speed changes within the span at up to ``rate`` [rad/s^2], and
     over the tolerances as well.
 
-    law: continuous; a schedule over speed or a fixed controller. Proofs are judged by the machine's
-    requirement; one that cannot be had has the value inf and says why. Raises InvalidInput.
+    law: a schedule over speed or a fixed controller, sampled by ``timing``. Proofs are judged by
+    the machine's requirement; one that cannot be had has the value inf and says why. Raises
+    InvalidInput.
     """
     check_positive(rate, "the rate of the speed", "give the fastest run-up in rad/s^2")
     wanted = demand("maximum singular value of a sensitivity", machine.requirements)
@@ -284,17 +290,16 @@ def check_speed(
     checks, stable = [], True
     try:
         moving = moving_law(law, plant)
-        if moving.dt is not None:
-            raise InvalidInput(
-                "the controller is sampled; give the continuous one that it was made of"
-            )
-        family, off, full = _chosen(plant, span, moving, lag)
+        if timing is None and moving.dt is not None:
+            raise InvalidInput("the controller is sampled; say at which rate it runs")
+        family: _Family | SampledFamily
+        family, off, peaks = _chosen(plant, span, moving, timing)
         words = f"the worst of {_FROZEN} speeds"
         checks.append(
             information(
                 "moving.speed.frozen",
                 "Largest output sensitivity at a steady speed, found",
-                full,
+                float(peaks.max()),
                 "-",
                 words,
             )
@@ -302,20 +307,32 @@ def check_speed(
         tell(f"proving the loop {span.label}")
         # the span is -1 .. 1: rad/s^2 into 1/s
         slope = rate / ((span.high - span.low) / 2)
-        proof = _proof(family, slope, tell)
+        if isinstance(family, SampledFamily):
+            proof = proved_sampled(family.loop(rate), span.low, span.high, rate, tell=tell)
+        else:
+            proof = _proof(family, slope, tell)
+        detail = _how(family, proof, off)
         checks.append(
-            judge(
-                "moving.speed.rate",
-                title,
-                proof.gamma * (1 + off),
-                "-",
-                wanted,
-                _how(family, proof, off),
-            )
+            judge("moving.speed.rate", title, proof.gamma * (1 + off), "-", wanted, detail)
         )
         varied = tolerances_around(plant) if tolerances else ()
         if varied:
             title += ", over the tolerances"
+            if moving.dt is not None:
+                raise InvalidInput(
+                    "the controller is sampled; give the continuous one that it was made of"
+                )
+            beside = ""
+            if timing is not None:
+                family, off, late = _chosen(plant, span, moving, None, lag)
+                better = float((peaks / late).max()) - 1
+                off = (1 + off) * max(1.0, 1 + better) - 1
+                beside = "; continuous, with the mean delay, at steady speeds " + (
+                    f"{-better:.1%} or more above the loop as it runs"
+                    if better < 0
+                    else f"up to {better:.1%} below the loop as it runs, by which it is raised"
+                )
+            assert family.modes is not None
             family = _Family(plant, span, moving, lag, family.modes, varied)
             tell(
                 f"proving the loop {span.label}, over {len(family.rows)} entries of the tolerances"
@@ -323,7 +340,7 @@ def check_speed(
             if not len(family.rows):
                 raise NumericalFailure("none of the tolerances is one that this proof covers")
             proof = _proof(family, slope, tell)
-            detail = f"{_how(family, proof, off)}; {_varied(family, varied)}"
+            detail = f"{_how(family, proof, off)}; {_varied(family, varied)}{beside}"
             checks.append(
                 judge(
                     "moving.speed.tolerances", title, proof.gamma * (1 + off), "-", wanted, detail
@@ -343,23 +360,40 @@ class _Unstable(NumericalFailure):
 
 
 def _chosen(
-    plant: Plant, span: SpeedSpan, law: MovingLaw, lag: float
-) -> tuple[_Family, float, float]:
+    plant: Plant, span: SpeedSpan, law: MovingLaw, timing: Timing | None, lag: float = 0.0
+) -> tuple[_Family | SampledFamily, float, np.ndarray]:
     """The smallest model within _SAME of the full plant at every steady speed, by how much it is
-    off, and its worst.
+    off, and the full plant's peaks. With a timing as it runs, else continuous and ``lag`` [s] late.
     """
     speeds = np.linspace(span.low, span.high, _FROZEN)
-    wanted = np.array([_full_peak(plant, span.at(v), law, lag) for v in speeds])
+
+    def family(modes: int | None) -> _Family | SampledFamily:
+        if timing is not None:
+            return SampledFamily(plant, span.at, law, timing, modes)
+        assert modes is not None
+        return _Family(plant, span, law, lag, modes, ())
+
+    if timing is None:
+        wanted = np.array([_full_peak(plant, span.at(v), law, lag) for v in speeds])
+    else:
+        full = family(None)
+        wanted = np.array([_peak(full.frozen(v), v) for v in speeds])
     for modes in _MODES:
-        family = _Family(plant, span, law, lag, modes, ())
-        loops = [family.frozen(v) for v in speeds]
+        chosen = family(modes)
+        loops = [chosen.frozen(v) for v in speeds]
         peaks = np.array([hinf_norm(loop).value if is_stable(loop) else np.inf for loop in loops])
         off = float(np.abs(peaks / wanted - 1).max())
         if off < _SAME:
-            return family, off, float(wanted.max())
+            return chosen, off, wanted
     raise NumericalFailure(
         f"the model with {modes} bending modes per plane is {off:.1%} off the full plant"
     )
+
+
+def _peak(loop: StateSpace, speed: float) -> float:
+    if not is_stable(loop):
+        raise _Unstable(f"the loop is unstable at a steady {speed / TWO_PI:.4g} Hz")
+    return hinf_norm(loop).value
 
 
 def _full_peak(plant: Plant, point: OperatingPoint, law: MovingLaw, lag: float) -> float:
@@ -372,9 +406,7 @@ def _full_peak(plant: Plant, point: OperatingPoint, law: MovingLaw, lag: float) 
     A = np.block([[G.A - G.B @ K.D @ G.C, G.B @ K.C], [-K.B @ G.C, K.A]])
     C = np.pad(G.C, ((0, 0), (0, K.n_states)))
     loop = StateSpace(A, np.vstack([-G.B @ K.D, -K.B]), C, np.eye(len(C)))
-    if not is_stable(loop):
-        raise _Unstable(f"the loop is unstable at a steady {point.speed / TWO_PI:.4g} Hz")
-    return hinf_norm(loop).value
+    return _peak(loop, point.speed)
 
 
 def _proof(family: _Family, slope: float, tell: Tell) -> Proof:
@@ -384,11 +416,14 @@ def _proof(family: _Family, slope: float, tell: Tell) -> Proof:
     return proved_over_tolerances(family.cells(), C, Z, slope, pole=pole, tell=tell)
 
 
-def _how(family: _Family, proof: Proof, off: float) -> str:
-    delay_words = f", {1e6 * family.lag:.4g} us late" if family.lag else ""
+def _how(family: _Family | SampledFamily, proof: Proof, off: float) -> str:
+    if isinstance(family, SampledFamily):
+        delay_words = f", as it runs ({family.timing})"
+    else:
+        delay_words = f", {1e6 * family.lag:.4g} us late" if family.lag else ""
     return (
-        f"model with {family.modes} bending modes per plane{delay_words}, raised by the {off:.2%} "
-        "by which it is off the full plant "
+        f"model with {family.modes} bending modes per plane{delay_words}, raised by the {off:.2%} by "
+        "which it is off the full plant "
         f"at steady speeds; the inequality holds by {proof.slack:.0e}, rounding "
         f"{proof.rounding:.0e}"
     )
