@@ -422,10 +422,9 @@ def _how(family: _Family | SampledFamily, proof: Proof, off: float) -> str:
     else:
         delay_words = f", {1e6 * family.lag:.4g} us late" if family.lag else ""
     return (
-        f"model with {family.modes} bending modes per plane{delay_words}, raised by the {off:.2%} by "
-        "which it is off the full plant "
-        f"at steady speeds; the inequality holds by {proof.slack:.0e}, rounding "
-        f"{proof.rounding:.0e}"
+        f"model with {family.modes} bending modes per plane{delay_words}, raised by the "
+        f"{off:.2%} by which it is off the full plant at steady speeds; the inequality holds by "
+        f"{proof.slack:.0e}, rounding {proof.rounding:.0e}"
     )
 
 
