@@ -1,0 +1,216 @@
+"""Synchronous unbalance control against brute force, on the rig, and its code against its twin.
+
+    python -m benchmarks.synchronous [--part borders|hold|code] [--machine flywheel ...]
+
+borders: the speed from which the plain notch (T = 1) is stable for small gains, by the sign of
+Re lambda(S), and by bisection on the poles of the sampled full plant with the block in it, put
+together here from the matrices of plant and controller alone. hold: the rig at a constant speed,
+with weight, noise and quantisation as the machine file has them, and without noise and
+quantisation: 1x of the largest control current before and after, and what of the unbalance is told.
+code: C beside the reference controller against its twin over a run-up with lost pulses.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import scipy.linalg as sla
+
+from ambrose import load_machine
+from ambrose.annexes.site.balancing.synchronous import unbalance_from_amplitudes
+from ambrose.code.block.fixed import build_block
+from ambrose.code.c.run import CompiledRun
+from ambrose.code.pipeline import machine_limits
+from ambrose.code.sampled import deploy
+from ambrose.code.synchronous import RunUnit, run_unit
+from ambrose.core.statespace import StateSpace, select
+from ambrose.core.synchronous import borders, convergence
+from ambrose.law.pid import pid_controller
+from ambrose.law.synchronous import conditions, synchronous_loop
+from ambrose.law.synchronous_block import key_phasor
+from ambrose.law.synchronous_table import running_law
+from ambrose.machine.machine import Machine
+from ambrose.model.assemble import assemble
+from ambrose.model.unbalance import residual_unbalance
+from ambrose.rig.disturbances import Unbalance
+from ambrose.rig.scenario import Scenario
+from ambrose.rig.synchronous import synchronous_program
+from ambrose.rig.virtual_rig import run
+from ambrose.synthesis.synchronous_design import design_synchronous
+
+MACHINES = (
+    "turboexpander",
+    "flywheel",
+    "overhung-blower",
+    "turbomolecular-pump",
+    "process-compressor",
+)
+_SMALL = 0.02  # 1/s: the gain of the brute-force search
+_HOLD, _FROM = 3.5, 2.5  # s: a run on the rig, and from when on its end counts
+
+
+def controlled(name: str) -> tuple[Machine, StateSpace]:
+    """A bundled machine with the reference controller of its file."""
+    machine = load_machine(name)
+    return machine, pid_controller(machine.reference, machine)
+
+
+def growth(machine: Machine, K: StateSpace, speed: float, dt: float, eps: float = _SMALL) -> float:
+    """ln|z|/dt [1/s] of the outermost pole of the sampled full plant with the plain notch, T = 1."""
+    point = replace(machine.operation.design, speed=speed, label="")
+    plant = assemble(machine, point)
+    G = select(plant.system, plant.named("u"), plant.named("y"))
+    n, states = len(machine.axes), G.n_states
+
+    # zero-order hold: exp of [[A, B], [0, 0]] dt
+    held = sla.expm(np.block([[G.A, G.B], [np.zeros((n, states + n))]]) * dt)
+    A, B = held[:states, :states], held[:states, states:]
+
+    # Tustin: x+ = (1 - A dt/2)^-1 ((1 + A dt/2) x + B dt e), output at (x + x+)/2
+    half = np.eye(K.n_states) - K.A * dt / 2
+    Ak = np.linalg.solve(half, np.eye(K.n_states) + K.A * dt / 2)
+    Bk = np.linalg.solve(half, K.B * dt)
+    Ck = K.C @ (np.eye(K.n_states) + Ak) / 2
+    Dk = K.D + K.C @ Bk / 2
+
+    # states x, x_k, the currents on their way v, and w = exp(j W k dt) a as Re w, Im w
+    sizes = (states, K.n_states, n, n, n)
+    ends = np.cumsum((0, *sizes))
+    x, k, v, re, im = (slice(a, b) for a, b in itertools.pairwise(ends))
+    M, one = np.zeros((ends[-1], ends[-1])), np.eye(n)
+    y = np.zeros((n, ends[-1]))
+    y[:, x], y[:, v] = G.C, G.D
+    e = y.copy()  # what is measured less what the block adds, c = Re w
+    e[:, re] -= one
+    M[x, x], M[x, v] = A, B
+    M[k] = -Bk @ e
+    M[k, k] += Ak
+    M[v] = -Dk @ e
+    M[v, k] += Ck
+
+    # w+ = exp(j W dt) (w + eps dt e)
+    learnt = eps * dt * e
+    learnt[:, re] += one
+    turn = np.zeros_like(learnt)
+    turn[:, im] = one
+    c, s = np.cos(speed * dt), np.sin(speed * dt)
+    M[re], M[im] = c * learnt - s * turn, s * learnt + c * turn
+    return float(np.log(np.abs(np.linalg.eigvals(M)).max()) / dt)
+
+
+def border_of(name: str) -> tuple[float, float] | None:
+    """The last border [rad/s] of the plain notch: by Re lambda(S), and by brute force near it;
+    None where the sampled loop is unstable without a block.
+    """
+    machine, K = controlled(name)
+    loop = synchronous_loop(machine, K)
+    at, one = conditions(machine)[0], np.eye(len(machine.axes))
+    top, dt = machine.operation.design.speed, loop.timing.sample_time
+    assert loop.timing.delay_samples == 1
+
+    def value(w: float) -> float:
+        return float(convergence(one, loop.response("current-free", w, at)))
+
+    border = borders(value, np.linspace(0.02, 1, 25) * top)[-1].value
+    low, high = 0.9 * border, 1.1 * border
+    if growth(machine, K, border, dt, 0.0) > _SMALL:
+        return None
+    assert growth(machine, K, low, dt) > 0 > growth(machine, K, high, dt)
+    while high - low > 1e-3 * border:
+        middle = (low + high) / 2
+        if growth(machine, K, middle, dt) > 0:
+            low = middle
+        else:
+            high = middle
+    return border, (low + high) / 2
+
+
+def hold(name: str, share: float = 0.85, *, quiet: bool = False) -> tuple[float, float, float]:
+    """On the rig at a share of the design speed: the largest 1x control current of an axis after
+    over before [dB], the smallest one after over the same [dB], and the share of the unbalance that
+    is told from the amplitudes.
+
+    quiet: without noise and quantisation.
+    """
+    machine, law = controlled(name)
+    if quiet:
+        silent = [replace(sensor, noise=0.0, resolution=0.0) for sensor in machine.sensors]
+        machine = replace(machine, sensors=type(machine.sensors)(silent))
+    loop, speed = synchronous_loop(machine, law), share * machine.operation.design.speed
+    design = design_synchronous(machine, law, band=(0.95 * speed, 1.05 * speed))
+    blocks = running_law(design.blocks, loop)
+    first, last = machine.bearings[0].name, machine.bearings[-1].name
+    residual = residual_unbalance(machine)
+    assert residual is not None
+    size = float(residual.moment)  # what the balance grade leaves, in the first bearing's plane
+    weights = (Unbalance(first, size), Unbalance(last, 0.7 * size, phase=1.0))
+    sampled = loop.controller(loop.plant(speed, conditions(machine)[0]))
+    scenario = Scenario("hold", _HOLD, unbalances=weights, speed=speed)
+    program = synchronous_program(machine, sampled, blocks, scenario)
+    trace = run(machine, program, scenario, every=5)
+    time = trace.record.time
+
+    def tones(start: float, end: float) -> np.ndarray:
+        turns = int((end - start) * speed / (2 * np.pi))
+        inside = (time >= start) & (time < start + turns * 2 * np.pi / speed)
+        wave = np.exp(-1j * speed * time[inside])
+        return np.array(
+            [abs(2 * np.mean(trace.record[f"u_{a}"][inside] * wave)) for a in machine.axes]
+        )
+
+    turn = 2 * np.pi / speed
+    before, after = tones(0.5 * turn, 4.5 * turn).max(), tones(_FROM, _HOLD).max()
+    beside = max(tones(_FROM, _HOLD).min(), 1e-12)
+    late = np.mean([a[0] for k, _, a, _ in program.history if k * sampled.dt > _FROM], axis=0)
+    found = unbalance_from_amplitudes(loop, conditions(machine)[0], [speed], late[None])
+    true = np.array([size, 0.7 * size * np.exp(1j)])
+    told = 1 - float(np.linalg.norm(found.moments - true) / np.linalg.norm(true))
+    return 20 * np.log10(after / before), 20 * np.log10(beside / before), told
+
+
+def code_beside(name: str, count: int = 4000) -> float:
+    """The largest difference of currents of C and twin over a run-up, of the largest current."""
+    machine, law = controlled(name)
+    loop, top = synchronous_loop(machine, law), machine.operation.design.speed
+    dt = loop.timing.sample_time
+    design = design_synchronous(machine, law, band=(0.8 * top, 0.9 * top))
+    base = build_block(deploy(law, dt, dt, force=True), "unit", *machine_limits(machine))
+    unit = RunUnit(base, running_law(design.blocks, loop))
+    end = count * dt
+    pulses = key_phasor([0.0, end], [0.78 * top, 0.92 * top], dt, count)
+    pulses[count // 2 : int(0.6 * count)] = -1.0
+    theta = np.cumsum(np.linspace(0.78, 0.92, count) * top) * dt
+    size = 0.1 * float(np.min(base.error_limit))
+    errors = size * np.cos(theta[:, None] + np.arange(len(machine.axes)))
+    twin, code = run_unit(unit, pulses, errors), CompiledRun(unit).run(pulses, errors)
+    return float(np.abs(twin.currents - code.currents).max() / np.abs(twin.currents).max())
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--part", choices=("borders", "hold", "code"), default="borders")
+    parser.add_argument("--machine", nargs="*", default=MACHINES)
+    options = parser.parse_args()
+    for name in options.machine:
+        if options.part == "borders":
+            found = border_of(name)
+            if found is None:
+                print(f"{name}: the sampled loop is unstable without a block")
+                continue
+            proof, brute = found
+            off = 100 * abs(proof / brute - 1)
+            print(f"{name}: {proof:.1f} rad/s, brute force {brute:.1f}, {off:.2f} % apart")
+        elif options.part == "hold":
+            for quiet in (False, True):
+                change, beside, told = hold(name, quiet=quiet)
+                words = "without noise" if quiet else "as the file has it"
+                print(f"{name}, {words}: {change:.1f} dB, {beside:.1f} dB, {told:.1%} told")
+        else:
+            print(f"{name}: {code_beside(name):.1e}")
+
+
+if __name__ == "__main__":
+    main()
