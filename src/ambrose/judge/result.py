@@ -217,10 +217,16 @@ class Synthesis(Presented, Law):
         return beyond or unmet or (self.method == "tuned" and self.gamma > 1)
 
     @property
+    def lost(self) -> tuple[str, ...]:
+        """The operating points of the machine that it does not hold, by label."""
+        envelope = self.certificate.envelope
+        return tuple(label for label, abscissa in envelope.items() if not abscissa < 0)
+
+    @property
     def verdict(self) -> str:
         """The status in words: at which operating points, and with an early end."""
         envelope = self.certificate.envelope
-        lost = [label for label, abscissa in envelope.items() if not abscissa < 0]
+        lost = self.lost
         # nothing else was claimed
         only_stable = self.status is Status.VERIFIED and (self.missed or self.method == "pid")
         words = "certified as stable" if only_stable else str(self.status)

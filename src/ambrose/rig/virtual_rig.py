@@ -44,7 +44,7 @@ from ambrose.rig.engine.inputs import Drive, Plan, plan, stretch
 from ambrose.rig.engine.outcome import classify_outcome, watch
 from ambrose.rig.engine.propagator import Propagator, propagator, steps_within
 from ambrose.rig.engine.record import Recorder
-from ambrose.rig.engine.state import Rig, build, compiled
+from ambrose.rig.engine.state import Rig, build, compiled, kept
 from ambrose.rig.scenario import LEVITATED, Scenario
 from ambrose.rig.trace import Trace
 from ambrose.rig.waveforms import waveforms
@@ -101,6 +101,8 @@ def run(
     InvalidInput, and NumericalFailure where there is no levitated state to start from.
     """
     law, other = law_of(controller), None if second is None else law_of(second)
+    if progress is not None and not kept():
+        progress("compiling the virtual rig: once per computer, up to a minute")
     scenario = scenario.on(machine)
     dt_control = sample_time(law, machine, scenario.sample_time)
     task = plan(

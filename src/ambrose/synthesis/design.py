@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -12,9 +13,10 @@ from ambrose.core.presentation import to_plain
 from ambrose.judge.as_it_runs import certify_as_it_runs
 from ambrose.judge.certificate import certify_envelope
 from ambrose.judge.envelope import envelope_of
-from ambrose.judge.result import Provenance, Synthesis
+from ambrose.judge.result import Provenance, Status, Synthesis
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import require_magnets
+from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
 from ambrose.options import choose, settings
 from ambrose.registry import registered
@@ -80,14 +82,34 @@ def design(
             raise NumericalFailure(f"{error}; {why}") from error
         raise
     modes = getattr(chosen, "bending_modes", None) or 0
+    modes = int(result.certificate.margins.get("bending_modes", modes))
     if isinstance(chosen, Lowered) and chosen.loss is not None and timing is not None:
         progress("lowering the order")
         result = reduce_order(plant, result, chosen.loss, timing, modes, progress)
     result = certify_as_it_runs(plant, result, timing)
     result = certify_envelope(envelope_of(plant), result, timing)
-    modes = int(result.certificate.margins.get("bending_modes", modes))
-    result = explained(plant, result, timing, modes)
+    envelope = getattr(chosen, "envelope", None)
+    result = explained(plant, result, timing, modes, envelope=envelope)
     return replace(result, provenance=provenance(plant, chosen))
+
+
+def another_point(plant: Plant, method: Method) -> str:
+    """Which operating point's design holds all points of the machine, or that none does.
+
+    For a method of one point, whose controller leaves a light mode where that point has it.
+    """
+    machine = plant.machine
+    for point in machine.operation.envelope:
+        if point == plant.point:
+            continue
+        with suppress(NumericalFailure):
+            made = design(assemble(machine, point), method)
+            if made.status is Status.VERIFIED and not made.lost:
+                return f'designed for "{point.label}" it holds all points: --point "{point.label}"'
+    return (
+        "no point's design by this method holds all: their light modes are not at one frequency; "
+        "method tuned designs for all points"
+    )
 
 
 def provenance(plant: Plant, method: Method) -> Provenance:

@@ -35,17 +35,23 @@ _TWO_PI = 2 * np.pi
 
 
 def explained(
-    plant: Plant, result: Synthesis, timing: Timing | None, bending_modes: int
+    plant: Plant,
+    result: Synthesis,
+    timing: Timing | None,
+    bending_modes: int,
+    *,
+    envelope: bool | None = None,
 ) -> Synthesis:
     """The synthesis; a note says why where it does not hold an operating point, and where its S_o
     is above the file's limit or only a continuous controller would. Of a tuned one that holds them
-    all: which checks of ``verify`` fail at the points, however tuning went.
+    all: which checks of ``verify`` fail at the points, however tuning went. envelope: whether the
+    method designed for all points (None: it has no such choice).
     """
     result = replace(
         result,
         notes=(*result.notes, *_above_limit(plant, result), *_unsampled(plant, result, timing)),
     )
-    lost = [label for label, abscissa in result.certificate.envelope.items() if not abscissa < 0]
+    lost = result.lost
     if result.status != "unstable" and not lost:
         missed = result.method == "tuned" and result.gamma > 1
         why = why_none(plant, timing) if missed else ""
@@ -62,6 +68,11 @@ def explained(
     except AmbroseError:
         return result  # what cannot be computed explains nothing
     where = "" if place is plant else f"at {place.point.label}: "
+    if where and envelope is False:
+        reason += (
+            f"; it was designed for {plant.point.label} alone: --envelope designs for all, which "
+            "takes minutes with several bending modes"
+        )
     return replace(result, notes=(*result.notes, f"{where}{reason}"))
 
 

@@ -14,16 +14,17 @@ of neglected dynamics) makes mu continuous.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import check_positive, invalid, named_failure
-from ambrose.core.lft import Block, FullBlock
+from ambrose.core.lft import Block, FullBlock, RealBlock
 from ambrose.core.mu.lower import lower_bound
 from ambrose.core.mu.peak import MuPeak, mu_peak
+from ambrose.core.mu.single_real import real_eigenvalue_bound
 from ambrose.core.mu.structure import Structure, check_matrix, structure_of
 from ambrose.core.mu.upper import upper_bound
 from ambrose.core.presentation import Presented, to_plain
@@ -113,10 +114,11 @@ def mu_bounds(
     The upper bound is re-verified with the final scalings by one eigenvalue computation, rounding
     error included; the lower bound by the singular values of I - M delta. The upper bound is within
     ``tolerance`` of the best with these scalings; with real blocks alone, where mu jumps and the
-    scalings may grow without bound, it holds but may be looser. A matrix that rounding makes
-    singular on the way costs itself some tightness and the others of the batch nothing. Raises
-    InvalidInput when the blocks do not fit M, or M is not finite. Fan, Tits & Doyle 1991 (upper
-    bound); Packard, Fan & Doyle 1988 and Young & Doyle 1990 (lower bound).
+    scalings may grow without bound, it holds but may be looser; of one real block on a real matrix
+    it is the largest real eigenvalue, below what the scalings returned prove. A matrix that
+    rounding makes singular on the way costs itself some tightness and the others of the batch
+    nothing. Raises InvalidInput when the blocks do not fit M, or M is not finite. Fan, Tits & Doyle
+    1991 (upper bound); Packard, Fan & Doyle 1988 and Young & Doyle 1990 (lower bound).
     """
     structure = structure_of(blocks)
     array = check_matrix(M, structure)
@@ -135,6 +137,8 @@ def mu_bounds(
     up = upper_bound(
         unit, structure, g_scaling=g_scaling, tolerance=tolerance, max_iterations=max_iterations
     )
+    if g_scaling and len(blocks) == 1 and isinstance(blocks[0], RealBlock):
+        up = replace(up, value=_with_real_eigenvalues(unit, up.value))
     value, delta = (
         np.zeros(len(flat)),
         np.full((len(flat), structure.n_w, structure.n_z), np.nan, complex),
@@ -154,6 +158,14 @@ def mu_bounds(
         (delta / scale[:, None, None]).reshape(*batch, *delta.shape[1:]),
         tuple(blocks),
     )
+
+
+def _with_real_eigenvalues(M: np.ndarray, bound: np.ndarray) -> np.ndarray:
+    """The bounds (b,), lower where a matrix is real and its real eigenvalues say more."""
+    real = np.flatnonzero((M.imag == 0).all(axis=(1, 2)))
+    tight = bound.copy()
+    tight[real] = [min(bound[k], real_eigenvalue_bound(M[k].real)) for k in real]
+    return tight
 
 
 def _square_roots(

@@ -24,7 +24,7 @@ _DOWN = -np.pi / 2  # where a weightless rotor rests
 def slope(rig: Rig, drive: Drive, z: np.ndarray, u: np.ndarray) -> np.ndarray:
     """dz/dt (n,) with the amplifiers told u (a,), at the start of the drive."""
     dz = np.zeros_like(z)
-    compiled()[1](rig.constants, drive, np.asarray(u, dtype=float), z, rig.work(), dz)
+    compiled()[1](rig.constants, drive, 0, np.asarray(u, dtype=float), z, rig.work(), dz)
     return dz
 
 

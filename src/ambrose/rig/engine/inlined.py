@@ -77,7 +77,7 @@ def _call(context: Any, address: Any, first: Any, errors: Any, told: Any, curren
 by_address: Any = _call  # whose first argument, the compiler's context, is numba's own
 
 
-@compiled
+@njit(inline="always")
 def coordinates(rig: Any) -> int:
     """How many displacements the state has: of the rotor's modes in both planes and of the
     supports.

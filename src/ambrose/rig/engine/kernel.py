@@ -11,12 +11,11 @@ inputs.py.
 
 from __future__ import annotations
 
-import shutil
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numba import njit
 
+from ambrose.rig.engine.cache import compile_kept
 from ambrose.rig.engine.exponential import propagate, settled
 from ambrose.rig.engine.inlined import (
     OPTIONS,
@@ -52,8 +51,6 @@ _PARTS = 32
 _STOPPED = 1 - 1e-12  # of a stop: from where on it is reached
 # of a depth and the rounding of the damping's onset: by how much a step may change that depth
 _BEND = 0.25
-
-_ROOM = 16 << 20  # bytes free where compiled code is kept, or it is compiled anew in every run
 
 
 @compiled
@@ -420,15 +417,13 @@ def _regime(rig: Any, work: Any, z: Any, depth: Any) -> int:
 
 
 @compiled
-def _followed(rig: Any, work: Any, regime: int, z: Any) -> bool:
-    """Whether the step to z resolves what it passes: one regime, and where damping sets in depths
-    that change by little.
-    """
-    same = _regime(rig, work, z, work.depth[1]) == regime
-    for b in range(rig.touchdown.shape[0]):
+def _smooth(work: Any, onset: Any) -> bool:
+    """Whether a step changes depths by little where damping sets in; onset: touchdown (b, 7)."""
+    smooth = True
+    for b in range(onset.shape[0]):
         old, new = work.depth[0, b], work.depth[1, b]
-        same = same and abs(new - old) <= _BEND * (min(old, new) + rig.touchdown[b, 6])
-    return same
+        smooth = smooth and abs(new - old) <= _BEND * (min(old, new) + onset[b, 6])
+    return smooth
 
 
 @compiled
@@ -469,34 +464,37 @@ def _integrate(rig: Any, work: Any, drive: Any, k: int, steps: int, z: Any) -> N
     stop, or that is too long for the damping's onset: such a step is done again in parts, and parts
     like it once more, so that what changes there does so within nanoseconds of where it should.
     """
-    total = work.slopes[1]
+    # level 0: steps, 1: parts of a step, 2: pieces of a part. One place calls each stage: a second
+    # one would be compiled again, for all stages are inlined.
     regime = _regime(rig, work, z, work.depth[0])
-    for step in range(steps):
-        tau, width = step / steps, 1.0 / steps
-        _step(rig, work, drive, k, tau, width, z)
-        if _followed(rig, work, regime, total):
-            _accept(work, z)
+    step, part, piece, level = 0, 0, 0, 0
+    width = 1.0 / steps
+    while step < steps:
+        start, share = step / steps, width
+        if level == 1:
+            start, share = start + part * width / _PARTS, width / _PARTS
+        elif level == 2:
+            start += (part + piece / _PARTS) * width / _PARTS
+            share = width / _PARTS**2
+        _step(rig, work, drive, k, start, share, z)
+        now = _regime(rig, work, work.slopes[1], work.depth[1])
+        if level < 2 and not (now == regime and _smooth(work, rig.touchdown)):
+            level += 1
             continue
 
-        # once more in parts, and parts that change the regime in pieces; these are taken as they
-        # come
-        for part in range(_PARTS):
-            _step(rig, work, drive, k, tau + part * width / _PARTS, width / _PARTS, z)
-            if _followed(rig, work, regime, total):
-                _accept(work, z)
+        # pieces are taken as they come, and their last one says what regime follows
+        _accept(work, z)
+        if level == 2:
+            piece += 1
+            if piece < _PARTS:
                 continue
-            for piece in range(_PARTS):
-                _step(
-                    rig,
-                    work,
-                    drive,
-                    k,
-                    tau + (part + piece / _PARTS) * width / _PARTS,
-                    width / _PARTS**2,
-                    z,
-                )
-                _accept(work, z)
-            regime = _regime(rig, work, z, work.depth[0])
+            piece, level, regime = 0, 1, now
+        if level == 1:
+            part += 1
+            if part < _PARTS:
+                continue
+            part, level = 0, 0
+        step += 1
 
 
 @compiled
@@ -594,17 +592,16 @@ def entry_points(fingerprint: int) -> tuple[Any, Any]:
                 return k
         return seen.shape[0]
 
-    def slope(rig: Any, drive: Any, u: Any, z: Any, work: Any, dz: Any) -> None:
-        """dz/dt with the amplifiers told u (a,), at the start of the stretch."""
+    def slope(rig: Any, drive: Any, k: int, u: Any, z: Any, work: Any, dz: Any) -> None:
+        """dz/dt with the amplifiers told u (a,), at the start of sample k.
+
+        k is given: a literal 0 would be a type of its own, and all stages compiled once more for
+        it.
+        """
         assert fingerprint
         for a in range(u.shape[0]):
             work.command[a] = u[a]
-        _derivative(rig, work, drive, 0, 0.0, z, dz)
+        _derivative(rig, work, drive, k, 0.0, z, dz)
 
-    try:
-        kept = njit(cache=True, **OPTIONS)(advance), njit(cache=True, **OPTIONS)(slope)
-        if shutil.disk_usage(kept[0].stats.cache_path).free > _ROOM:
-            return kept
-    except (RuntimeError, OSError):  # no folder to write to
-        pass
-    return njit(**OPTIONS)(advance), njit(**OPTIONS)(slope)
+    advanced, sloped = compile_kept((advance, slope), **OPTIONS)
+    return advanced, sloped

@@ -330,10 +330,17 @@ def _seal_lags(machine: Machine, point: OperatingPoint) -> np.ndarray:
     return result
 
 
+def kept() -> bool:
+    """Whether an earlier run has left them compiled."""
+    from ambrose.rig.engine.cache import is_kept
+
+    return all(map(is_kept, compiled()))
+
+
 @cache
 def compiled() -> tuple[Any, Any]:
-    """The compiled functions ``advance`` and ``slope`` of kernel.py; half a minute on a machine
-    that never ran them.
+    """The compiled functions ``advance`` and ``slope`` of kernel.py; on a computer that never ran
+    them their first call takes some forty seconds of a processor.
     """
     from ambrose.rig.engine import exponential, inlined, sampled
     from ambrose.rig.engine import kernel as rig_kernel

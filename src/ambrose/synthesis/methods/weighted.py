@@ -25,18 +25,20 @@ SCALING_ORDER = 1  # d(s) I of first order for mu: 20 -> 24 states on the seal r
 class Weighted(Lowered):
     """A method that minimises a norm of the loop with the machine's weights.
 
-    bending_modes: how many the design model keeps per plane (None: none). match_reference: scale
-    the control weight until the direct gains below 200 Hz match the reference controller's, so that
-    controllers are comparable (P5); None: where the machine has a reference controller and a
-    constant control weight. Where a rate is known the design model has its delay, and poles beyond
-    half of it are residualised.
+    bending_modes: how many the design model keeps per plane (None: as many as the full plant shows
+    to matter, ``synthesis.design_modes``). match_reference: scale the control weight until the
+    direct gains below 200 Hz match the reference controller's, so that controllers are comparable
+    (P5); None: where the machine has a reference controller and a constant control weight, and the
+    gains can be matched by a controller that holds the full plant as the loop runs. Where a rate is
+    known the design model has its delay, and poles beyond half of it are residualised.
     """
 
     uncertain: ClassVar[bool]  # whether it is designed over the machine's tolerances
 
     bending_modes: int | None = option(
         None,
-        "Bending modes per plane in the design model; default: none.",
+        "Bending modes per plane in the design model; default: those without which a design does "
+        "not hold the full plant.",
         check=count("0 designs for the rigid rotor"),
     )
     match_reference: bool | None = option(
@@ -78,21 +80,51 @@ class Weighted(Lowered):
         return 0.0 if timing is None else timing.lag
 
     def design(self, plant: Plant, progress: Progress) -> Synthesis:
-        from ambrose.judge.as_it_runs import without_fast_poles
+        from ambrose.law.weights import machine_weights
+        from ambrose.machine.criteria import SENSITIVITY, demand
+        from ambrose.synthesis.design_modes import modes_that_matter
+
+        machine = plant.machine
+        weights = machine_weights(machine)
+        if self.bending_modes is None:
+            modes = modes_that_matter(plant, weights, self.timing(), progress)
+            return replace(self, bending_modes=modes).design(plant, progress)
+        matched = self._matched(machine)
+        result, peak = self._designed(plant, weights, matched, progress)
+        quantity = "maximum singular value of a sensitivity"
+        limit = demand(quantity, machine.requirements).limit or SENSITIVITY.limits[0].value
+        if not matched or self.match_reference or peak <= limit:
+            return result
+
+        # comparable gains were nobody's wish: the file's own weights, where they do better
+        progress("the reference's direct gains do not hold it: the file's own control weight")
+        own, reached = self._designed(plant, weights, False, progress)
+        if not reached < peak or (reached > limit and peak < float("inf")):
+            return result
+        words = "unstable" if peak == float("inf") else f"at sigma_max(S_o) {peak:.3g}"
+        note = f"with the reference's direct gains it would be {words}: the file's control weight"
+        return replace(own, notes=(*own.notes, note))
+
+    def _designed(
+        self, plant: Plant, weights: Weights, matched: bool, progress: Progress
+    ) -> tuple[Synthesis, float]:
+        """The controller with so many modes in its model, judged on the full plant; its
+        sigma_max(S_o) there as the loop runs, inf where it is unstable.
+        """
+        from ambrose.judge.as_it_runs import sampled_margins, without_fast_poles
         from ambrose.judge.certificate import certify_on_full_plant
         from ambrose.law.design_problem import design_plant
         from ambrose.law.pid import pid_controller
-        from ambrose.law.weights import machine_weights
         from ambrose.model.reduce import reduce
         from ambrose.synthesis.weight_tuning import direct_gain_mismatch
 
-        machine = plant.machine
-        timing = self.timing()
-        weights = machine_weights(machine)
+        machine, timing = plant.machine, self.timing()
         model, uncertain = self.design_model(plant)
         reference = pid_controller(machine.reference, machine) if machine.reference else None
         margins = _left_out(machine, progress) if self.uncertain else {}
-        if self._matched(machine):
+        if self.bending_modes:
+            margins["bending_modes"] = float(self.bending_modes)
+        if matched:
             result, weights = _as_strong(
                 model, weights, reference, self.minimise, uncertain, progress
             )
@@ -104,7 +136,10 @@ class Weighted(Lowered):
             result = without_fast_poles(result, timing, nominal)
         if reference is not None:  # of the controller that is returned: polishing moves it
             margins["direct_gain_mismatch"] = direct_gain_mismatch(result.controller, reference)[0]
-        return certify_on_full_plant(plant, replace(result, weights=weights), margins)
+        result = certify_on_full_plant(plant, replace(result, weights=weights), margins)
+        found = sampled_margins(plant, result, timing)
+        full = result.certificate.margins["full_sensitivity_peak"]
+        return result, float(found.get("sampled_sensitivity_peak", full))
 
     def _matched(self, machine: Machine) -> bool:
         if self.match_reference is not None:
