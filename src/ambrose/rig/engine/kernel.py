@@ -467,7 +467,8 @@ def _integrate(rig: Any, work: Any, drive: Any, k: int, steps: int, z: Any) -> N
     # level 0: steps, 1: parts of a step, 2: pieces of a part. One place calls each stage: a second
     # one would be compiled again, for all stages are inlined.
     regime = _regime(rig, work, z, work.depth[0])
-    step, part, piece, level = 0, 0, 0, 0
+    step, level = 0, 0
+    part, piece = 0, 0
     width = 1.0 / steps
     while step < steps:
         start, share = step / steps, width
@@ -488,7 +489,8 @@ def _integrate(rig: Any, work: Any, drive: Any, k: int, steps: int, z: Any) -> N
             piece += 1
             if piece < _PARTS:
                 continue
-            piece, level, regime = 0, 1, now
+            piece, level = 0, 1
+            regime = now
         if level == 1:
             part += 1
             if part < _PARTS:
