@@ -9,8 +9,9 @@ import pytest
 
 import ambrose as amb
 from ambrose.core.checks import NumericalFailure
-from ambrose.law.pid import pid_controller
+from ambrose.law.pid import common_sections, pid_controller
 from ambrose.law.timing import Timing
+from ambrose.machine.controller import Channel, PidSettings
 from ambrose.machine.rotor_model import ShaftSection
 from ambrose.synthesis.explanation import explained, stiffness_margin, why_none, why_unstable
 from ambrose.synthesis.pid import pid_synthesis
@@ -56,6 +57,12 @@ def test_a_mode_beyond_the_design_model_is_named_with_its_option(slender):
         and "add a [[controller.notch]] there" in own.notes[-1]
         and "\n" not in own.notes[-1]
     )
+
+    # a file of chains has no notches of its own
+    chain = Channel(slender.axes, slender.controller.gain[0], common_sections(slender.controller))
+    chained = replace(slender, controller=PidSettings((), channels=(chain,)))
+    again = amb.design(amb.assemble(chained), "pid")
+    assert "a section of kind notch to its [[controller.channel]]" in again.notes[-1]
 
 
 def test_a_gain_below_the_negative_stiffness_is_said(slender):

@@ -16,7 +16,7 @@ from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.core.lft import FullBlock, GeneralizedPlant
 from ambrose.core.statespace import StateSpace
-from ambrose.core.time_limit import TimeLimit
+from ambrose.core.time_limit import REMEDY, TimeLimit
 from ambrose.model.assemble import assemble
 from ambrose.synthesis import design
 from ambrose.synthesis.fixed_order import polish
@@ -51,10 +51,7 @@ def test_computing_counts(skipped):
     skipped["computed"] += 9e3
     assert clock.left == pytest.approx(1e3, abs=10)
     skipped["computed"] += 1e3
-    assert (
-        clock.left <= 0
-        and clock.reached == "the time limit of 10000 s was reached; raise time_limit"
-    )
+    assert clock.left <= 0 and clock.reached == f"the time limit of 10000 s was reached; {REMEDY}"
 
 
 def test_computing_of_other_threads_does_not_count():
@@ -113,7 +110,7 @@ def test_mu_on_a_busy_machine_returns_what_it_returns_on_an_idle_one(skipped):
 def stopped(result):
     return replace(
         result,
-        stopped_early="after iteration 1, the time limit of 120 s was reached; raise time_limit",
+        stopped_early="after iteration 1, the time limit of 120 s was reached; take fewer states",
     )
 
 

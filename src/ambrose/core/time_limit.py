@@ -12,6 +12,10 @@ from ambrose.core.checks import check_positive
 _PATIENCE = 5.0  # times the limit: the guard by the clock on the wall
 
 
+# the methods of ``design`` and the command line have a limit of their own, and no option for it
+REMEDY = "take fewer states, modes or points (in Python a function's time_limit gives it more)"
+
+
 @dataclass(frozen=True, slots=True)
 class TimeLimit:
     """``seconds`` of computing by the thread that made this object, and five times as many on the
@@ -49,6 +53,6 @@ class TimeLimit:
         if time.thread_time() - self._computed < self.seconds:
             return (
                 f"{_PATIENCE:g} times the time limit of {self.seconds:g} s passed, on a busy "
-                "machine; raise time_limit"
+                f"machine; {REMEDY}"
             )
-        return f"the time limit of {self.seconds:g} s was reached; raise time_limit"
+        return f"the time limit of {self.seconds:g} s was reached; {REMEDY}"

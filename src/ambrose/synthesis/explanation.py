@@ -184,9 +184,15 @@ def why_unstable(
             break
         what = f"the {_ORDINALS[kept - 1]} bending mode ({modes[kept - 1]:.4g} Hz)"
         if method == "pid":
+            own = plant.machine.reference
+            notch = (
+                "a section of kind notch to its [[controller.channel]]"
+                if own is not None and own.channels
+                else "a [[controller.notch]]"
+            )
             return (
-                f"{what} is driven unstable by the [controller]; add a [[controller.notch]] there, "
-                "or use method tuned"
+                f"{what} is driven unstable by the [controller]; add {notch} there, or use method "
+                "tuned"
             )
         if kept > bending_modes:
             return (

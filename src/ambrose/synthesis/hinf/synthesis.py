@@ -39,7 +39,7 @@ from ambrose.core.hinf.scaling import (
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, is_stable, select
-from ambrose.core.time_limit import TimeLimit
+from ambrose.core.time_limit import REMEDY, TimeLimit
 from ambrose.judge.certificate import generalized_certificate
 from ambrose.judge.result import Certificate, Status, Synthesis
 
@@ -171,7 +171,7 @@ class _Job:
         if self.clock.left <= 0:
             raise _TimeOut(
                 f"no verified controller within the time limit of {self.clock.seconds:g} s{best}; "
-                "raise time_limit"
+                f"{REMEDY}"
             )
 
 

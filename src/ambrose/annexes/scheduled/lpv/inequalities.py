@@ -107,7 +107,8 @@ def smallest_gamma(
         what = f"gamma cannot be minimised over the {len(family.plants)} grid points"
         if minimum.status == "time limit":
             raise NumericalFailure(
-                f"{what} within {time_limit:.3g} s; raise time_limit or take fewer grid points"
+                f"{what} within {time_limit:.3g} s; take fewer grid points (in Python a function's "
+                "time_limit gives it more)"
             )
         raise NumericalFailure(
             f"{what} (the solver ended {minimum.status} with a residual of "
