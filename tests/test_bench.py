@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import pytest
 from benchmarks import history
 from benchmarks.__main__ import main, modules, rows_of
+from benchmarks.box_attack import attack
 
 
 def row(name):
@@ -74,3 +75,11 @@ def test_every_module_runs(name):
     assert rows and [item["failed"] for item in rows if "failed" in item] == []
     for item in rows:
         assert item["ours"] > 0 and {"name", "peer", "peer_name", "error"} <= set(item)
+
+
+@pytest.mark.campaign
+def test_no_member_of_a_box_lies_above_what_verify_says():
+    """The attack of benchmarks/box_attack.py, with few members: corners, samples, exact peaks."""
+    row = attack("turbomolecular-pump", members=40)
+    assert row["above"] == 0 and row["nominal"] < row["worst"] <= row["box"] * (1 + 1e-5)
+    assert row["members"] == 1 + 4 + 40
