@@ -8,7 +8,8 @@ CONSTRAINTS ?= constraints.txt
 export OPENBLAS_NUM_THREADS ?= 1
 
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check
-PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile
+# files in their own order: sorted by the number of their tests, long ones would come last
+PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 .PHONY: help demo test campaigns studies test-oldest lint bench docs coverage snapshot wheel clean
 .DEFAULT_GOAL := demo

@@ -253,6 +253,7 @@ def test_a_process_pool_gives_the_same_and_survives_a_killed_worker(tmp_path):
     assert rows_in(tmp_path / "pool") == rows_in(tmp_path / "here")
 
 
+@pytest.mark.campaign
 def test_dask_gives_the_same_and_survives_a_killed_worker(tmp_path):
     """Three workers of a real local cluster; one is killed while it computes."""
     distributed = pytest.importorskip("distributed")
@@ -484,6 +485,7 @@ def test_a_plain_script_needs_no_guard(tmp_path, engine):
     assert ended.stdout.split() == ["0", "0", "12"], ended.stderr
 
 
+@pytest.mark.campaign
 def test_a_script_in_the_standard_input_computes_too(tmp_path):
     text = _SCRIPT.replace("HEAD", repr(HEAD)).replace("VARY", repr(VARY))
     command = [sys.executable, "-", str(tmp_path / "out"), "processes"]

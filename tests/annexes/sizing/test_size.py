@@ -39,6 +39,7 @@ def sizing():
     return amb.size(rig(), (0.4, 1.0), (1.0, 1.3), FAST)
 
 
+@pytest.mark.campaign
 def test_what_is_taken_meets_all_and_verification_agrees():
     knee = sizing().knee
     assert knee is not None and knee.met and knee.ratio == max(knee.ratios.values())
