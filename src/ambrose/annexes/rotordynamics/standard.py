@@ -1,10 +1,9 @@
 """Formulas of API 617, 9th edition, part 1 (lateral analysis), with the letters of the standard.
 
 The text of the standard was not at hand. What stands here was recalled, and compared with the open
-code of ROSS 3.1 (ross/stability_level_1.py, ross/unbalance_response.py) and with API's tutorial
-684-1, which quote it; every row of a report that rests on it says "recalled". Units are those of
-the standard where its constants carry them: W [kg], N [rpm], amounts [g mm], amplitudes [um] peak
-to peak.
+code of ROSS 3.1 and with API tutorial 684-1, which quote it; every row of a report that rests on
+it says "recalled". Units are those of the standard where its constants carry them: W [kg],
+N [rpm], amounts [g mm], amplitudes [um] peak to peak.
 """
 
 from __future__ import annotations
