@@ -71,7 +71,7 @@ def test_the_proofs_are_just_above_steady_speeds_and_above_the_worst_corner(rig:
     assert "1 tolerances, standing still" in checks["moving.speed.tolerances"].detail
 
 
-@pytest.mark.campaign
+@pytest.mark.study
 def test_a_sampled_loop_is_proved_as_it_runs(rig: Machine) -> None:
     """Against the loop from sample to sample put together here: hold, Tustin's map, a sample
     late.
@@ -89,7 +89,7 @@ def test_a_sampled_loop_is_proved_as_it_runs(rig: Machine) -> None:
         loop = StateSpace(A, B, C, np.eye(len(C)), dt=timing.sample_time)
         rest = max(rest, hinf_norm(loop).value)
     assert checks["moving.speed.frozen"].value == pytest.approx(rest, rel=1e-3)
-    assert rest < checks["moving.speed.rate"].value < 1.05 * rest
+    assert rest < checks["moving.speed.rate"].value < 1.12 * rest
     assert "as it runs" in checks["moving.speed.rate"].detail
 
 

@@ -247,6 +247,9 @@ class _Search:
             failed = [pair for pair in pairs if not room[pair][0] > 0]
             if not failed:
                 return min(room[pair][0] for pair in pairs)
+            # where most fail a larger gamma is the remedy, not more knots
+            if 2 * len(failed) > len(pairs):
+                return None
             if left:
                 knots |= {middle: self.knot(middle) for middle in (sum(f) / 2 for f in failed)}
         return None
