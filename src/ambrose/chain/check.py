@@ -27,13 +27,12 @@ from ambrose.machine.description import MagneticBearing
 from ambrose.machine.machine import Machine
 from ambrose.machine.seals import Seal
 from ambrose.model.assemble import assemble, attached_rotor
-from ambrose.model.basis import bending_modes_of
+from ambrose.model.basis import bending_modes_of, judged_bending
 from ambrose.model.effects.rotor import (
     STANDARD_GRAVITY,
     MassProperties,
     Rotor,
     finite_element_rotor,
-    free_bending_frequencies,
     free_modes,
     mass_properties,
     mesh_error,
@@ -44,7 +43,6 @@ from ambrose.model.ports import measured_ports, sensor_turn
 from ambrose.model.reduce import free_mode_reduction
 from ambrose.model.static_load import magnet_coefficients, operating_magnets, static_sag
 from ambrose.synthesis.explanation import below_stiffness, stiffness_margin
-from ambrose.synthesis.fixed_order.aims import highest_verified
 from ambrose.synthesis.fixed_order.job import bending_modes_for
 
 HERTZ = 2 * math.pi
@@ -225,6 +223,7 @@ def insight(plant: Plant) -> dict[str, Any]:
         "unstable_pole_rad_s": pole,
         "delay_s": delay,
         "least_sensitivity": least,
+        "bending_rad_s": bending.tolist(),
         "mesh_error": errors.tolist(),
         "doubts": [
             *_sizes(machine, properties),
@@ -241,10 +240,7 @@ def insight(plant: Plant) -> dict[str, Any]:
 
 def _judged_modes(machine: Machine, rotor: Rotor) -> int:
     """How many bending modes lie where the sensitivity is judged; the first three in any case."""
-    available = bending_modes_of(rotor)
-    frequencies = free_bending_frequencies(rotor, available)
-    inside = int((frequencies <= highest_verified(machine)).sum())
-    return min(max(inside, _SHOWN), available)
+    return min(max(len(judged_bending(machine)), _SHOWN), bending_modes_of(rotor))
 
 
 def _mesh(bending: np.ndarray, errors: np.ndarray) -> Iterator[str]:

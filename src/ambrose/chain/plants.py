@@ -11,7 +11,6 @@ from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.rotor import (
     finite_element_rotor,
-    free_bending_frequencies,
     mass_properties,
 )
 from ambrose.model.reduce import reduce_from
@@ -34,7 +33,6 @@ def facts(machine: Machine) -> dict[str, Any]:
         "centre_m": properties.centre,
         "diametral_inertia_kg_m2": properties.diametral_inertia,
         "polar_inertia_kg_m2": properties.polar_inertia,
-        "bending_rad_s": free_bending_frequencies(rotor, 3).tolist(),
         "unstable_poles_rad_s": [[float(p.real), float(p.imag)] for p in values if p.real > 0],
         "rotor_states": plant.rotor.n_states,
         "plant_states": plant.system.n_states,

@@ -139,6 +139,8 @@ def verify(
         for _, checks in result.labelled:
             print_checks(checks, everything)
         say(f"The loop that was judged is {result.timing}.")
+        for words in result.over_speed:
+            say(f"Beyond the machine's own speed: {words}.")
         for words in result.not_varied:
             say(f"Not varied around {words}.")
         for proof in moving_proofs() if not result.moving else ():

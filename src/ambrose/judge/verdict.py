@@ -27,7 +27,7 @@ from ambrose.law.weights import machine_weights
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
-from ambrose.model.plant import Plant
+from ambrose.model.plant import Plant, beyond_top_speed
 from ambrose.model.uncertainty import not_varied, tolerances_around
 
 
@@ -104,6 +104,11 @@ def verify_controller(
         ranges,
         moving,
         blocks,
+        over_speed=tuple(
+            f"{plant.point.label}: {words}"
+            for plant in within
+            if (words := beyond_top_speed(plant.machine, plant.point.speed))
+        ),
     )
 
 

@@ -35,7 +35,8 @@ class Verification(Presented):
     points that could not be verified, such as those outside a controller's schedule; a verification
     that leaves a point out is not passed. timing: what loop was judged, "continuous" or "sampled at
     10000 Hz, ...". not_varied: tolerances of the machine file that do not hold around a point, with
-    the reason (the file's ``around``, or a nominal value of zero).
+    the reason (the file's ``around``, or a nominal value of zero). over_speed: the points beyond
+    the machine's own top speed, in words.
     """
 
     _DATA: ClassVar = (
@@ -48,6 +49,7 @@ class Verification(Presented):
         "left_out",
         "timing",
         "not_varied",
+        "over_speed",
     )
 
     points: tuple[Checks, ...]
@@ -58,6 +60,7 @@ class Verification(Presented):
     ranges: tuple[Checks, ...] = ()
     moving: tuple[Checks, ...] = ()
     synchronous: tuple[Checks, ...] = ()
+    over_speed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_types(type(self).__post_init__, (self,), {})

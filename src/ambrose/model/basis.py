@@ -21,11 +21,13 @@ from ambrose.model.effects.rotor import (
     FreeModes,
     Rotor,
     displacement_row,
+    finite_element_rotor,
     free_modes,
     plane_rows,
     residual_modes,
     to_plane,
 )
+from ambrose.model.plant import highest_verified
 from ambrose.model.ports import Port, ports, sensor_ports
 
 _HIGHEST = 2e5 * np.pi  # [rad/s] up to which every bending mode is kept
@@ -40,6 +42,13 @@ def bending_modes_of(rotor: Rotor) -> int:
         return available
     below = free_modes(rotor, min(available, FINE_MESH_MODES)).frequencies[4::2] <= _HIGHEST
     return min(max(int(below.sum()), LEAST_MODES), len(below))
+
+
+def judged_bending(machine: Machine) -> np.ndarray:
+    """The bending frequencies (k,) [rad/s] at which the sensitivity is judged."""
+    rotor = finite_element_rotor(machine)
+    frequencies = free_modes(rotor, bending_modes_of(rotor)).frequencies[4::2]
+    return frequencies[frequencies <= highest_verified(machine)]
 
 
 def modes_of(machine: Machine, rotor: Rotor, bending_modes: int | None) -> FreeModes:

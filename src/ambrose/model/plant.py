@@ -8,9 +8,12 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+
 from ambrose.core.arguments import check_types
 from ambrose.core.presentation import Presented
 from ambrose.core.statespace import StateSpace
+from ambrose.machine.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.model.effects.rotor import Rotor, finite_element_rotor
@@ -97,6 +100,27 @@ class Plant(Presented):
             "offsets": {tolerance.parameter: delta for tolerance, delta in self.offsets},
             "system": self.system.to_dict(),
         }
+
+
+def highest_verified(machine: Machine) -> float:
+    """The frequency [rad/s] up to which ISO 14839-3 has the sensitivity judged."""
+    return max(SENSITIVITY_RANGE.limits[0].value, SPEED_RANGE_FACTOR * top_speed(machine))
+
+
+def beyond_top_speed(machine: Machine, speed: float) -> str:
+    """How far a speed [rad/s] is above the machine's own, in words; "" where it is not, or where
+    the machine states none.
+
+    Its own is the upper end of speed_range, else the highest of its operating points and ranges.
+    """
+    operation = machine.operation
+    stated = operation.speed_range[1] > 0
+    top = operation.speed_range[1] if stated else top_speed(machine)
+    if not 0 < top * (1 + 1e-9) < speed:
+        return ""
+    rpm = 30 / np.pi
+    what = "of speed_range" if stated else "of the fastest operating point"
+    return f"{speed * rpm:,.6g} rpm is {100 * speed / top:.4g} % of the {top * rpm:,.6g} rpm {what}"
 
 
 def top_speed(machine: Machine) -> float:

@@ -21,17 +21,20 @@ from ambrose.law.timing import DEFAULT, Timing, timing_of
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
+from ambrose.model.basis import judged_bending
 from ambrose.model.effects.rotor import mass_properties
-from ambrose.model.plant import Plant
+from ambrose.model.plant import Plant, beyond_top_speed
 from ambrose.model.reduce import reduce
 from ambrose.registry import registered, resolve
 from ambrose.rig import linear, virtual_rig
 from ambrose.rig.engine.controller import sample_time
+from ambrose.rig.engine.state import RIG_MODES
 from ambrose.rig.run_up import Step, spin_up
 from ambrose.rig.scenario import Scenario, load_scenario
 from ambrose.rig.synchronous import beside_law, blocks_of
 from ambrose.rig.trace import Trace
 
+ALL_MODES = 10**6  # of the linear loop
 RUN_UP = "spin-up-steps"  # P3: 20 to 300 Hz in 1 s, a step of force or set point every 50 ms
 
 
@@ -106,7 +109,7 @@ def simulate_scenario(
             progress("assembling the plant")
             plant = assemble(described, where or described.operation.nominal)
         progress(f"simulating {events.name}")
-        return simulate_linear(plant, law, events, timing)
+        return _warned(simulate_linear(plant, law, events, timing), described, events, plant.point)
     if timing is not None:
         rig.setdefault("computing_delay", timing.delay_samples)
         events = (
@@ -127,7 +130,8 @@ def simulate_scenario(
         trace = virtual_rig.run(described, beside, events, point=start, progress=progress, **rig)
         return replace(trace, text=f"{trace.text}; {beside.words()}")
     if fallback is None:
-        return virtual_rig.run(described, law, events, point=start, progress=progress, **rig)
+        trace = virtual_rig.run(described, law, events, point=start, progress=progress, **rig)
+        return _warned(trace, described, events, start, rig.get("bending_modes"))
     sample = sample_time(law, described, events.sample_time)
     schedule, other = check_pair(law, fallback)
     stuck = math.inf if stuck_after is None else stuck_after
@@ -138,7 +142,32 @@ def simulate_scenario(
         at = start or described.operation.nominal
         program = _companion()(program, described, events, other, at, estimate, pressure_rate)
     trace = virtual_rig.run(described, program, events, point=start, progress=progress, **rig)
-    return replace(trace, text=f"{trace.text}; {program.words()}")
+    trace = replace(trace, text=f"{trace.text}; {program.words()}")
+    return _warned(trace, described, events, start, rig.get("bending_modes"))
+
+
+def _warned(
+    trace: Trace,
+    machine: Machine,
+    events: Scenario,
+    point: OperatingPoint | None,
+    bending_modes: int | None = ALL_MODES,
+) -> Trace:
+    """The trace, its text with what a reader should know: a speed beyond the machine's own; the
+    lowest bending mode that the rig lacks though the sensitivity is judged there (bending_modes as
+    for ``virtual_rig.run``).
+    """
+    at = point or machine.operation.nominal
+    fastest = max(events.speed_knots[1], default=at.speed)
+    words = [beyond] if (beyond := beyond_top_speed(machine, fastest)) else []
+    count = RIG_MODES if bending_modes is None else bending_modes
+    judged = judged_bending(machine)
+    if len(judged) > count:
+        mode = f"bending mode {count + 1} ({judged[count] / (2 * math.pi):.4g} Hz)"
+        words.append(
+            f"{mode} is judged but not on the rig; --bending-modes {len(judged)} takes them in"
+        )
+    return replace(trace, text="; ".join([trace.text, *words])) if words else trace
 
 
 def _companion() -> Any:

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from ambrose.core.checks import AmbroseError
+from ambrose.core.frequency import frequency_response
 from ambrose.core.scheduled import ScheduledSystem
-from ambrose.core.statespace import StateSpace
+from ambrose.core.statespace import StateSpace, select
 from ambrose.judge.checks import Check
 from ambrose.judge.envelope import envelope_of
 from ambrose.judge.result import Synthesis
@@ -22,7 +23,7 @@ from ambrose.law.timing import DEFAULT, Timing
 from ambrose.machine.criteria import SENSITIVITY, demand
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
-from ambrose.model.basis import bending_modes_of
+from ambrose.model.basis import bending_modes_of, judged_bending
 from ambrose.model.effects.rotor import free_modes
 from ambrose.model.plant import Plant
 from ambrose.model.reduce import reduce_from
@@ -49,7 +50,12 @@ def explained(
     """
     result = replace(
         result,
-        notes=(*result.notes, *_above_limit(plant, result), *_unsampled(plant, result, timing)),
+        notes=(
+            *result.notes,
+            *_above_limit(plant, result),
+            *_not_modelled(plant, result, timing, bending_modes),
+            *_unsampled(plant, result, timing),
+        ),
     )
     lost = result.lost
     if result.status != "unstable" and not lost:
@@ -89,6 +95,34 @@ def _above_limit(plant: Plant, result: Synthesis) -> list[str]:
         f"sigma_max(S_o) of {peak:.3g} is above the machine's limit of {limit:g}; verify tells "
         "all that is missed"
     ]
+
+
+def _not_modelled(
+    plant: Plant, result: Synthesis, timing: Timing | None, bending_modes: int
+) -> list[str]:
+    """The bending modes at which the sensitivity is judged and that the design model leaves out; at
+    which of them it is largest, where that is above all else or above the limit.
+    """
+    judged = judged_bending(plant.machine)
+    if result.method == "pid" or result.status == "unstable" or len(judged) <= bending_modes:
+        return []
+    hertz = ", ".join(f"{w / _TWO_PI:.4g}" for w in judged[bending_modes:])
+    which = f"{bending_modes + 1}" + (
+        f" to {len(judged)}" if len(judged) > bending_modes + 1 else ""
+    )
+    note = f"not in the design model though judged: bending mode {which} ({hertz} Hz)"
+
+    # sigma_max(S_o) of the full plant around each of them
+    runs = law_of(result.law).at(plant.point)
+    loop = closed_loop(plant, runs if timing is None else timing.in_loop(runs))
+    S = select(loop, [f"d_{a}" for a in plant.axes], [f"y_{a}" for a in plant.axes])
+    near = judged[bending_modes:, None] * np.linspace(0.98, 1.02, 21)
+    peaks = frequency_response(S, near.ravel()).max_singular_value().reshape(near.shape).max(axis=1)
+    worst = int(peaks.argmax())
+    limit = demand(_PEAK, plant.machine.requirements).limit or SENSITIVITY.limits[0].value
+    if peaks[worst] > limit:
+        note += f"; sigma_max(S_o) is {peaks[worst]:.3g} at mode {bending_modes + 1 + worst}"
+    return [f"{note}; --bending-modes {len(judged)} takes them in"]
 
 
 def _with_unmet(plant: Plant, result: Synthesis, timing: Timing | None) -> Synthesis:

@@ -42,7 +42,7 @@ from ambrose.model.effects.support import foundation
 from ambrose.model.ports import ports, sensor_ports
 from ambrose.model.static_load import operating_magnets
 
-_MODES = 3  # bending modes per plane, as many as identification models
+RIG_MODES = 3  # bending modes per plane, as many as identification models
 _NO_BIAS_LAG = 5000.0  # rad/s at which the bias current follows an ideal amplifier
 
 
@@ -191,7 +191,7 @@ def build(
     point = machine.operation.nominal if point is None else point
     rotor = finite_element_rotor(machine)
     available = bending_modes_of(rotor)
-    bending_modes = min(_MODES, available) if bending_modes is None else bending_modes
+    bending_modes = min(RIG_MODES, available) if bending_modes is None else bending_modes
     if not 0 <= bending_modes <= available:
         raise invalid(
             "bending_modes",

@@ -18,13 +18,11 @@ from ambrose.core.statespace import StateSpace
 from ambrose.machine.criteria import (
     CLEARANCE,
     SENSITIVITY,
-    SENSITIVITY_RANGE,
-    SPEED_RANGE_FACTOR,
     demand,
 )
 from ambrose.machine.machine import Machine
 from ambrose.model.effects.rotor import finite_element_rotor, free_modes
-from ambrose.model.plant import top_speed
+from ambrose.model.plant import highest_verified, top_speed
 from ambrose.model.unbalance import residual_unbalance
 
 # assumed: sigma_max(S_o) below 2 rad/s falls to 0.01; with a settling time t_s below 1/t_s
@@ -138,8 +136,3 @@ def aims_of(machine: Machine, start: StateSpace) -> Aims:
         if coil.max_voltage is None or coil.inductance is None
         else (coil.max_voltage, coil.inductance),
     )
-
-
-def highest_verified(machine: Machine) -> float:
-    """The frequency [rad/s] up to which ISO 14839-3 has the sensitivity judged."""
-    return max(SENSITIVITY_RANGE.limits[0].value, SPEED_RANGE_FACTOR * top_speed(machine))

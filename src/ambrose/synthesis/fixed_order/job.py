@@ -22,9 +22,9 @@ from ambrose.machine.limits import STATES
 from ambrose.machine.machine import Machine
 from ambrose.model.basis import bending_modes_of
 from ambrose.model.effects.rotor import free_modes
-from ambrose.model.plant import Plant
+from ambrose.model.plant import Plant, highest_verified
 from ambrose.model.reduce import reduce, reduce_from
-from ambrose.synthesis.fixed_order.aims import Aims, aims_of, highest_verified
+from ambrose.synthesis.fixed_order.aims import Aims, aims_of
 from ambrose.synthesis.fixed_order.bank import BANKS, first_bank
 from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, warped
 from ambrose.synthesis.fixed_order.structure import Groups, axis_groups
