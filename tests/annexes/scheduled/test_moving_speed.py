@@ -90,7 +90,6 @@ def test_a_sampled_loop_is_proved_as_it_runs(rig: Machine) -> None:
         rest = max(rest, hinf_norm(loop).value)
     assert checks["moving.speed.frozen"].value == pytest.approx(rest, rel=1e-3)
     assert rest < checks["moving.speed.rate"].value < 1.12 * rest
-    assert "as it runs" in checks["moving.speed.rate"].detail
 
 
 def test_what_it_does_not_cover_is_refused(rig: Machine) -> None:

@@ -308,10 +308,17 @@ def check_speed(
         # the span is -1 .. 1: rad/s^2 into 1/s
         slope = rate / ((span.high - span.low) / 2)
         if isinstance(family, SampledFamily):
-            proof = proved_sampled(family.loop(rate), span.low, span.high, rate, tell=tell)
+            try:
+                proof = proved_sampled(family.loop(rate), span.low, span.high, rate, tell=tell)
+                beside = ""
+            except NumericalFailure:
+                if moving.dt is not None:
+                    raise
+                family, off, beside = _late(plant, span, moving, lag, peaks)
+                proof = _proof(family, slope, tell)
         else:
-            proof = _proof(family, slope, tell)
-        detail = _how(family, proof, off)
+            proof, beside = _proof(family, slope, tell), ""
+        detail = _how(family, proof, off) + beside
         checks.append(
             judge("moving.speed.rate", title, proof.gamma * (1 + off), "-", wanted, detail)
         )
@@ -324,14 +331,7 @@ def check_speed(
                 )
             beside = ""
             if timing is not None:
-                family, off, late = _chosen(plant, span, moving, None, lag)
-                better = float((peaks / late).max()) - 1
-                off = (1 + off) * max(1.0, 1 + better) - 1
-                beside = "; continuous, with the mean delay, at steady speeds " + (
-                    f"{-better:.1%} or more above the loop as it runs"
-                    if better < 0
-                    else f"up to {better:.1%} below the loop as it runs, by which it is raised"
-                )
+                family, off, beside = _late(plant, span, moving, lag, peaks)
             assert family.modes is not None
             family = _Family(plant, span, moving, lag, family.modes, varied)
             tell(
@@ -388,6 +388,22 @@ def _chosen(
     raise NumericalFailure(
         f"the model with {modes} bending modes per plane is {off:.1%} off the full plant"
     )
+
+
+def _late(
+    plant: Plant, span: SpeedSpan, law: MovingLaw, lag: float, peaks: np.ndarray
+) -> tuple[_Family | SampledFamily, float, str]:
+    """The continuous model with the mean delay, by how much it is raised, and words for that; peaks
+    of the loop as it runs.
+    """
+    family, off, late = _chosen(plant, span, law, None, lag)
+    better = float((peaks / late).max()) - 1
+    words = "; continuous, with the mean delay, at steady speeds " + (
+        f"{-better:.1%} or more above the loop as it runs"
+        if better < 0
+        else f"up to {better:.1%} below the loop as it runs, by which it is raised"
+    )
+    return family, (1 + off) * max(1.0, 1 + better) - 1, words
 
 
 def _peak(loop: StateSpace, speed: float) -> float:
