@@ -16,6 +16,7 @@ from ambrose.rig.engine.inlined import (
     compiled,
     coordinates,
     magnet_force,
+    merged,
     seal_force,
     state_force,
     turning_force,
@@ -173,7 +174,7 @@ def _combine(out: Any, first: int, y: Any, matrix: Any, F: Any) -> None:
         y[i] = value
 
 
-@compiled
+@merged
 def _enter(rig: Any, work: Any, drive: Any, P: Any, k: int, tau: float, z: Any) -> None:
     """P.known: states in use, commands within their limits, 1, unbalance, driven forces'
     derivatives over the step.
@@ -206,7 +207,7 @@ def _enter(rig: Any, work: Any, drive: Any, P: Any, k: int, tau: float, z: Any) 
         at += 4
 
 
-@compiled
+@merged
 def propagate(rig: Any, work: Any, drive: Any, P: Any, k: int, z: Any) -> None:
     """Control sample k in the propagator's steps; three evaluations of F each."""
     n, outputs = P.states.shape[0], P.y.shape[0]

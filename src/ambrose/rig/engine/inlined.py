@@ -42,6 +42,13 @@ def compiled(function: Callable[..., Any]) -> Any:
     return njit(**_INNER, **OPTIONS)(inspect.unwrap(function))
 
 
+def merged(function: Callable[..., Any]) -> Any:
+    """A stage that becomes part of its caller before types are inferred: what is compiled on its
+    own is optimised on its own, and once more in every caller.
+    """
+    return njit(inline="always", **OPTIONS)(function)
+
+
 magnet_force = compiled(magnet.force)
 amplifier_derivative = compiled(amplifier.derivative)
 stops = compiled(amplifier.stops)

@@ -29,6 +29,7 @@ from ambrose.rig.engine.inlined import (
     effective_current,
     indicated,
     magnet_force,
+    merged,
     runout,
     seal_force,
     seal_lag,
@@ -353,7 +354,7 @@ def _sense(rig: Any, drive: Any, k: int, tau: float, speed: float, z: Any, dz: A
             dz[start + a] = sensor_lag(_signal(rig, z, a, angle), z[start + a], rig.sensor[a])
 
 
-@compiled
+@merged
 def _derivative(rig: Any, work: Any, drive: Any, k: int, tau: float, z: Any, dz: Any) -> None:
     """dz/dt at the fraction tau of control sample k: the machine, stage by stage."""
     speed = drive.speed[k] + tau * (drive.speed[k + 1] - drive.speed[k])
@@ -426,7 +427,7 @@ def _smooth(work: Any, onset: Any) -> bool:
     return smooth
 
 
-@compiled
+@merged
 def _step(rig: Any, work: Any, drive: Any, k: int, tau: float, width: float, z: Any) -> None:
     """One step of the classical fourth-order Runge-Kutta method from the fraction tau of sample k
     on, a fraction ``width`` long, into work.slopes[1].
@@ -456,7 +457,7 @@ def _step(rig: Any, work: Any, drive: Any, k: int, tau: float, width: float, z: 
         )
 
 
-@compiled
+@merged
 def _integrate(rig: Any, work: Any, drive: Any, k: int, steps: int, z: Any) -> None:
     """One control sample in ``steps`` steps.
 
@@ -499,7 +500,7 @@ def _integrate(rig: Any, work: Any, drive: Any, k: int, steps: int, z: Any) -> N
         step += 1
 
 
-@compiled
+@merged
 def _accept(work: Any, z: Any) -> None:
     """The step's end becomes the state."""
     for i in range(z.shape[0]):
