@@ -135,7 +135,7 @@ def test_channels_of_tilting_and_translating_are_taken(place, tmp_path):
         frequency_response(amb.read_controller(tmp_path / "k.json").controller, omega).values,
         frequency_response(c2d(law.controller, DT, "tustin"), omega).values,
         rtol=1e-9,
-        atol=1e-6,
+        atol=5e-5,  # 1e-10 of the gain, 4.6e5 A/m: channels that do not act on each other
     )
 
 
@@ -211,7 +211,7 @@ def test_it_runs_in_verify_simulate_identify_and_export(place):
 
 @pytest.mark.parametrize("method", ["tustin", "zoh", "backward-euler", "matched"])
 def test_a_continuous_controller_is_sampled(place, tmp_path, method):
-    words = ("--sampling", method, "--rate-hz", 20000, "-o", tmp_path / "k.json")
+    words = ("--sampling", method, "--rate-hz", 40000, "-o", tmp_path / "k.json")
     if method == "matched":  # the rig's own controller mixes its axes
         (tmp_path / "pid.csv").write_text("channel,b,a\nA_zeta,3 600,1 900\n")
         source = tmp_path / "pid.csv"
@@ -219,7 +219,7 @@ def test_a_continuous_controller_is_sampled(place, tmp_path, method):
         source = place / "pid.json"
     done = call("convert", "controller", source, *words)
     assert done.exit_code == 0, done.output
-    expected = c2d(amb.read_controller(source).controller, DT, method)
+    expected = c2d(amb.read_controller(source).controller, 1 / 40000, method)
     omega = np.geomspace(1, 2e4, 20)
     found = amb.read_controller(tmp_path / "k.json").controller
     np.testing.assert_allclose(

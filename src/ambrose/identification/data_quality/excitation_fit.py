@@ -53,6 +53,7 @@ KNOWN: Mapping[str, float] = {
 _LEAST = 0.005  # of a response, by which converters and logger may be off whatever is told
 _FITS = 0.1  # relative error of a model that tells: one that is further off has other faults
 _SURE = 1.5  # times a 95 % interval: 99.7 %, of several axes and two quantities at once
+_FAR = 3.0  # times that of a size: a structure that the model lacks is in no interval
 _SMALL, _GREAT = 0.03, 0.2  # of the size: no matter, and no number can be trusted
 _ROUNDS = 8
 _FEWEST, _TRIED = 20, 150  # lines that must tell, and that are asked for
@@ -100,7 +101,7 @@ def excitation_findings(
     for r, axis in enumerate(plant.axes):
         names = f"e_{axis}"
         size = 1 / (1 + fit.delta[r])
-        if abs(fit.delta[r]) > _SMALL + _SURE * fit.delta_half[r]:
+        if abs(fit.delta[r]) > _SMALL + _FAR * fit.delta_half[r]:
             sizes.append((names, size, fit.delta_half[r] * size**2))
         if _off(*late[r], dt):
             times.append((names, late[r][0] / dt, late[r][1] / dt))
