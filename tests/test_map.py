@@ -61,6 +61,7 @@ def test_where_stability_ends_over_pressure(rate):
     assert (np.sign(found.abscissa) == np.sign([abscissa(p) for p in found.values])).all()
 
 
+@pytest.mark.campaign
 def test_sampled_poles_are_shown_as_continuous_ones():
     """At 10 kHz the slow poles of the sampled loop lie within some percent of those of the late
     continuous one.
@@ -101,7 +102,9 @@ def test_unbalance_over_the_tolerances_holds_the_nominal_and_its_own_members():
     )
 
 
-@pytest.mark.parametrize("name", ["seal-rig", "three-bearing-train"])
+@pytest.mark.parametrize(
+    "name", ["seal-rig", pytest.param("three-bearing-train", marks=pytest.mark.campaign)]
+)
 def test_command_and_page(name, tmp_path):
     assert (
         call("synthesize", name, "--method", "pid", "-o", tmp_path / "pid.json", "--json").exit_code

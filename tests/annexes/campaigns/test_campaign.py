@@ -151,6 +151,7 @@ def test_what_a_kill_leaves_is_gone_on_with_bit_for_bit(tmp_path):
     assert computed(plan(), cut).computed == 0
 
 
+@pytest.mark.campaign
 def test_every_task_has_its_row():
     head = {"machine": "seal-rig", "controller": "pid"}
     rows = {
@@ -228,6 +229,7 @@ def test_indices_of_a_whole_grid_are_exact():
     assert not main_effects(x, np.ones(12)).any()
 
 
+@pytest.mark.campaign
 def test_a_process_pool_gives_the_same_and_survives_a_killed_worker(tmp_path):
     import multiprocessing
 
@@ -446,6 +448,7 @@ class Dying(ThreadPoolExecutor):
         return broken
 
 
+@pytest.mark.campaign
 def test_a_worker_that_dies_says_nothing_of_its_case(tmp_path):
     wanted = plan({"task": "verify"}, {"point.speed": {"from": "0 Hz", "to": "100 Hz", "count": 9}})
     deadly = {list(wanted.drawn())[8].key}

@@ -85,6 +85,7 @@ def test_the_proof_is_just_above_rest_for_a_slow_change_and_above_that_for_any(
     assert "full plant" in found["moving.sensitivity.rate"].detail
 
 
+@pytest.mark.campaign
 def test_verify_has_it_where_a_rate_is_known(rig) -> None:
     law = pid_controller(PID, rig)
     assert verify_controller(rig, law, tolerances=False).moving == ()
