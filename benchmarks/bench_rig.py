@@ -188,7 +188,7 @@ def _scipy(
     def derivative(_: float, state: np.ndarray) -> np.ndarray:
         if not with_ours:
             return plain(state, now)
-        slope(rig.constants, drive, now, state, work, dz)
+        slope(rig.constants, drive, 0, now, state, work, dz)
         return dz.copy()  # RK23 keeps what it got: the same array would change under it
 
     atol = np.full(rig.states, 1e-12)

@@ -73,7 +73,7 @@ def at_rest(rig: Machine, law: ScheduledSystem, pairs: list[tuple[float, float]]
     return max(found)
 
 
-@pytest.mark.campaign
+@pytest.mark.study
 def test_the_proof_is_just_above_rest_and_an_error_costs(rig: Machine) -> None:
     law = schedule(rig, 0.15)
     exact, off = proved(rig, law), proved(rig, law, 5e3)

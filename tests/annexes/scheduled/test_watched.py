@@ -149,7 +149,7 @@ def test_on_the_rig_a_reading_that_is_off_is_trimmed_and_one_that_is_far_off_is_
             assert "reading and estimate differ" in program.words()
 
 
-@pytest.mark.campaign
+@pytest.mark.study
 @pytest.mark.skipif(not has_compiler(), reason="no C compiler")
 def test_the_code_with_a_monitor_beside_it_is_its_twin_with_one():
     scenario = events(0.55, pressure_sensors=(PressureSensor(offset=0.15 * NOMINAL),))

@@ -65,7 +65,7 @@ def call(*arguments):
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
-@pytest.mark.campaign
+@pytest.mark.study
 def test_rows_that_the_file_lacks_are_found(tmp_path):
     for bias in (4.0, 5.0):
         write_record(record(bias), tmp_path / f"{bias:g}.h5")

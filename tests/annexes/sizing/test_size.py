@@ -84,7 +84,7 @@ def largest_control(machine, synthesis, omega):
     return np.linalg.norm(k @ np.linalg.inv(np.eye(4) + g @ k), 2, axis=(1, 2)).max()
 
 
-@pytest.mark.campaign
+@pytest.mark.study
 def test_more_robustness_costs_more_gain():
     found = price(rig(), "seal.center.k", (0.2, 2.0), "gain", FAST)
     assert found.found[0].value < found.found[1].value

@@ -28,6 +28,7 @@ def test_the_heaviest_control_weight_with_mu_at_most_one():
     )
 
 
+@pytest.mark.study
 def test_the_least_gain_that_meets_every_requirement():
     """Another processor may end in another minimum, some per cent away."""
     found = amb.least(amb.load_machine("seal-rig"), "gain", Tuned(rate=10_000))

@@ -171,6 +171,7 @@ def test_points_beyond_its_pressures_are_left_out_of_a_verification(rig, made):
     assert [checks.label for checks in verification.points] == ["nominal pressure", "zero pressure"]
 
 
+@pytest.mark.study
 def test_a_bounded_rate_is_told(rig):
     grid = [0.0, 2.04e5, 4.08e5]
     bounded = design_schedule(rig, grid, PRESSURE, rate=20e5)

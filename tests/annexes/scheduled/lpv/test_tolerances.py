@@ -129,7 +129,7 @@ def test_tolerances_are_refused_where_they_say_nothing(plant):
         design(bare, "lpv", tolerances=True, speeds=(20 * HZ, 300 * HZ))
 
 
-@pytest.mark.campaign
+@pytest.mark.study
 def test_turboexpander_over_speed_and_its_tolerances(plant):
     """Nominal LPV has unstable corners at 300 Hz; with the tolerances inside none, and S_o stays
     below the limit of 3.

@@ -172,7 +172,7 @@ def test_pieces_of_a_record_give_the_same_as_the_whole():
         )
 
 
-@pytest.mark.campaign
+@pytest.mark.study
 def test_noise_widens_the_interval_as_it_scatters_the_estimate():
     """40 records of the loop with white noise: the noise part holds at least 36, and is no more
     than 6 times too wide.
