@@ -315,6 +315,7 @@ def check_speed(
                 if moving.dt is not None:
                     raise
                 family, off, beside = _late(plant, span, moving, lag, peaks)
+                assert isinstance(family, _Family)
                 proof = _proof(family, slope, tell)
         else:
             proof, beside = _proof(family, slope, tell), ""
