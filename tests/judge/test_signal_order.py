@@ -113,7 +113,7 @@ def test_a_generalized_plant(plant, controllers):
     same(first.to_dict(), second.to_dict())
 
 
-@pytest.mark.campaign
+@pytest.mark.study
 def test_linear_simulation_and_the_virtual_rig(rig, plant, controllers):
     scenario = Scenario("push", 0.02, pulses=(Pulse("e_A_zeta", 0.05, 0.0, 0.005),))
     first, second = (linear.run(closed_loop(plant, K), scenario) for K in controllers)

@@ -151,7 +151,7 @@ def test_what_a_kill_leaves_is_gone_on_with_bit_for_bit(tmp_path):
     assert computed(plan(), cut).computed == 0
 
 
-@pytest.mark.campaign
+@pytest.mark.study
 def test_every_task_has_its_row():
     head = {"machine": "seal-rig", "controller": "pid"}
     rows = {

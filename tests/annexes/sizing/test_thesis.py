@@ -12,6 +12,7 @@ from ambrose.synthesis.weight_tuning import direct_gain_mismatch
 pytestmark = [pytest.mark.literature, pytest.mark.campaign]
 
 
+@pytest.mark.study
 def test_the_heaviest_control_weight_with_mu_at_most_one():
     machine = amb.load_machine("seal-rig")
     found = amb.least(machine, "weight")
