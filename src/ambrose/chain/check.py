@@ -301,6 +301,7 @@ def _gaps(bearing: MagneticBearing) -> Iterator[str]:
     if (
         gap is not None
         and bearing.geometry is None
+        and bearing.magnet is None
         and bearing.force_per_current
         and bearing.negative_stiffness
     ):

@@ -36,6 +36,7 @@ from ambrose.machine.kinds import (
     Words,
 )
 from ambrose.machine.limits import LARGEST_OF_A_POINT
+from ambrose.machine.magnet import Magnet
 from ambrose.machine.part import Part
 from ambrose.machine.rotor_model import BendingMode, Disc, ShaftSection
 from ambrose.machine.seals import Seal
@@ -120,7 +121,8 @@ class BiasPoint(Part):
 class MagneticBearing(Part):
     """A radial magnetic bearing with two axes; f = k_i i + k_s x on each, k_s > 0 destabilising.
 
-    Either force_per_current and negative_stiffness are given, or ``geometry``; ``measured`` holds
+    Either force_per_current and negative_stiffness are given, or ``geometry`` or ``magnet``;
+    ``measured`` holds
     coefficients at other bias currents. The plant has those at the static load, computed where they
     are of the magnet without it (``coefficients_at``). gap, touchdown_gap, max_current (amplitude
     of the control current) and max_force are limits used in verification.
@@ -139,6 +141,9 @@ class MagneticBearing(Part):
         "negative stiffness k_s at bias_current, positive where it destabilises",
     ] = None
     geometry: Annotated[MagnetGeometry | None, "the magnet's geometry"] = None
+    magnet: Annotated[Magnet | None, "the magnet as a magnetic network, in place of geometry"] = (
+        None
+    )
     measured: Annotated[tuple[BiasPoint, ...], "coefficients at other bias currents"] = ()
     gap: Annotated[Length | None, "radial air gap, a limit in verification"] = None
     touchdown_gap: Annotated[Length | None, "radial gap of the touchdown bearing"] = None

@@ -227,7 +227,7 @@ def _begun(bearing: MagneticBearing, bias: float) -> MagneticBearing:
         rows.append(
             BiasPoint(bearing.bias_current, bearing.force_per_current, bearing.negative_stiffness)
         )
-    if not rows or (bearing.geometry is not None and not bearing.measured):
+    if not rows or ((bearing.geometry or bearing.magnet) is not None and not bearing.measured):
         return bearing  # its geometry tells
 
     # between the rows the file interpolates; beyond, one is added

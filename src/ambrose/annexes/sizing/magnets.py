@@ -210,6 +210,7 @@ def _bearing(bearing: MagneticBearing, p: tuple[float, ...], size: Size) -> Magn
         bias_current=bias,
         coefficients_at="no-load",
         measured=(),
+        magnet=None,
         geometry=bearing.geometry
         and replace(bearing.geometry, pole_area=area * bearing.geometry.pole_area),
         force_per_current=here.force_per_current,

@@ -19,6 +19,7 @@ from ambrose.machine.messages import complaint, number, shown, suggestion
 from ambrose.machine.parameters import bending_modes_of_mesh
 from ambrose.machine.rotor_model import ShaftSection
 from ambrose.machine.stator import SENSORS_ON, CasingMode, Support
+from ambrose.machine.validation.magnet import magnet_findings
 from ambrose.machine.validation.signs import not_positive
 
 # gap between shaft sections that counts as rounding, as a fraction of the rotor's length
@@ -193,6 +194,18 @@ def _bearing(where: str, bearing: MagneticBearing) -> Iterator[str]:
             "the rotor must land before it meets the magnet",
         )
     yield from _iron_and_touchdown(where, bearing)
+    if bearing.magnet is not None:
+        yield from magnet_findings(f"{where}, [bearing.magnet]", bearing.magnet)
+        if bearing.geometry is not None:
+            yield f"{where}: [bearing.geometry] and [bearing.magnet] are given; keep one of the two"
+        if bearing.touchdown_gap and bearing.touchdown_gap > bearing.magnet.gap > 0:
+            yield complaint(
+                where,
+                "touchdown_gap",
+                number(bearing.touchdown_gap, "m"),
+                f"at most the gap of [bearing.magnet], {bearing.magnet.gap:g} m",
+                "the rotor must land before it meets the magnet",
+            )
     if bearing.geometry is None:
         return
     inside, geometry = f"{where}, [bearing.geometry]", bearing.geometry
@@ -264,10 +277,10 @@ def _coefficients(where: str, bearing: MagneticBearing) -> Iterator[str]:
             f"{where}: {missing[0]} is missing; give both force_per_current and "
             "negative_stiffness, or neither"
         )
-    elif missing and bearing.geometry is None and not bearing.measured:
+    elif missing and not (bearing.geometry or bearing.magnet or bearing.measured):
         yield (
             f"{where}: there are no coefficients; give force_per_current and negative_stiffness, "
-            "or [bearing.geometry]"
+            "or [bearing.geometry] or [bearing.magnet]"
         )
     yield from _signs(where, bearing)
     currents = [row.bias_current for row in bearing.measured]

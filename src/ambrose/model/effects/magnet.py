@@ -22,8 +22,8 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.machine.description import BiasPoint, MagnetGeometry, MagneticBearing, MagnetIron, Pair
-
-VACUUM_PERMEABILITY = 4e-7 * np.pi  # mu_0 [V s/(A m)]; the measured value differs by 1e-10
+from ambrose.model.magnetics.of_bearing import coefficients_of
+from ambrose.model.magnetics.vacuum import VACUUM_PERMEABILITY
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +56,8 @@ def linearised(bearing: MagneticBearing, bias_current: float | None = None) -> M
             if stated is None or not _same(row.bias_current, stated.bias_current)
         ]
         return _interpolated(bearing.name, [*rows, *([stated] if stated else [])], bias)
+    if bearing.magnet is not None:
+        return network_coefficients(bearing, bias)[0]
     if bearing.geometry is not None:
         return _from_geometry(bearing.geometry, bearing.iron, bias)
     if stated is not None:
@@ -91,6 +93,17 @@ def from_geometry(bearing: MagneticBearing, bias: float) -> bool:
     return not bearing.measured and (stated is None or not _same(bias, stated.bias_current))
 
 
+def network_coefficients(bearing: MagneticBearing, bias: float) -> tuple[MagnetCoefficients, float]:
+    """The coefficients of a [bearing.magnet] at a bias current [A], and the bias current [A] of the
+    opposing pair that has them: of a heteropolar magnet the same, of a homopolar one k_s s_0/k_i.
+
+    Raises InvalidInput where a permanent magnet is stated with another bias current than that pair.
+    """
+    assert bearing.magnet is not None
+    k_i, k_s, pair = coefficients_of(bearing.magnet, bias, bearing.name)
+    return MagnetCoefficients(k_i, k_s), pair
+
+
 def force_constant(geometry: MagnetGeometry) -> float:
     """k = mu_0 N^2 A/4 [N m2/A2] of an opposing pair: f = k ((i_1/s_1)^2 - (i_2/s_2)^2) cos(a)
     (Schweitzer & Maslen 2009).
@@ -109,6 +122,8 @@ def parameters(bearing: MagneticBearing, bias_current: float | None = None) -> t
     """
     bias = bearing.bias_current if bias_current is None else bias_current
     at = linearised(bearing, bias)
+    if bearing.magnet is not None and from_geometry(bearing, bias):
+        bias = network_coefficients(bearing, bias)[1]
     limit, path = _iron(bearing.iron)
     fitted: list[float] = []
     for axis, k_i, k_s, offset in zip(
