@@ -49,9 +49,9 @@ from ambrose.rig.scenario import LEVITATED, Scenario
 from ambrose.rig.trace import Trace
 from ambrose.rig.waveforms import waveforms
 
-_STRETCH = 4000  # control samples computed at once
+STRETCH = 4000  # control samples computed at once
 _SCHEDULED_STRETCH = {SPEED: 50, PRESSURE: 10}  # while what a controller is scheduled over changes
-_MEMORY = 256  # samples from which a second controller learns where to take over
+MEMORY = 256  # samples from which a second controller learns where to take over
 _REPORT_EVERY = 2.0  # [s] between two progress messages
 
 
@@ -123,12 +123,12 @@ def run(
     program = _program(law, other, computing_delay)
     recorder = Recorder(task, every, seed, path)
     begun = time.perf_counter()
-    laws = _Laws(law, other, machine, task.dt, computing_delay)
+    laws = Laws(law, other, machine, task.dt, computing_delay)
     conditions = _conditions(task)
     steps = steps_per_sample(
         dt, task.dt, fastest_pole(task.rig, [drive for _, drive in conditions])
     )
-    motion = _begin(task, laws, conditions[0][1], steps_within(task.rig, task.dt, dt))
+    motion = begin_motion(task, laws, conditions[0][1], steps_within(task.rig, task.dt, dt))
     pole = max(
         (_rightmost(task.rig, drive, laws, time >= task.switch) for time, drive in conditions),
         key=lambda p: p.real,
@@ -156,7 +156,7 @@ def run(
 
 
 @dataclass(slots=True)
-class _Motion:
+class Motion:
     """The state between two stretches: machine z, controller x, its output that acts next; near:
     where the magnets are taken as linear; steps of the propagator in a sample; when it overflowed
     [s].
@@ -173,10 +173,10 @@ class _Motion:
 
     def follow(self, task: Plan, drive: Drive, number: int) -> None:
         """The propagator for a stretch from sample number on: that of the middle of its
-        ``_STRETCH`` samples since the start, so that neither shorter stretches nor an earlier end
+        ``STRETCH`` samples since the start, so that neither shorter stretches nor an earlier end
         make a difference.
         """
-        middle = (number // _STRETCH) * _STRETCH + _STRETCH // 2
+        middle = (number // STRETCH) * STRETCH + STRETCH // 2
         if self.middle is None or self.middle[0] != middle:
             quiet = replace(task, scenario=task.scenario.quiet, noise=np.random.default_rng(0))
             self.middle = middle, stretch(quiet, middle, 1)
@@ -186,7 +186,7 @@ class _Motion:
 
 
 @dataclass(frozen=True, slots=True)
-class _Laws:
+class Laws:
     """The controllers of a run, as they are deployed."""
 
     first: Law
@@ -239,7 +239,7 @@ def _conditions(task: Plan) -> list[tuple[int, Drive]]:
     return [(number, stretch(quiet, number, 1)) for number in sorted(numbers)]
 
 
-def _begin(task: Plan, laws: _Laws, drive: Drive, substeps: int) -> _Motion:
+def begin_motion(task: Plan, laws: Laws, drive: Drive, substeps: int) -> Motion:
     """The state at the start; the compiled code has then been called once, and so is there."""
     law = laws.at(drive, 0, False)
     lifted = task.scenario.initial == LEVITATED
@@ -249,13 +249,13 @@ def _begin(task: Plan, laws: _Laws, drive: Drive, substeps: int) -> _Motion:
     near = (
         z.copy() if lifted else state_at_rest(task.rig, np.zeros(task.rig.coordinates), last_output)
     )
-    trial = _Motion(z.copy(), x.copy(), last_output.copy(), near)
+    trial = Motion(z.copy(), x.copy(), last_output.copy(), near)
     trial.follow(task, drive, 0)
-    _advance(task.rig, law, drive, 1, trial, 1)
-    return _Motion(z, x, last_output, near, substeps)
+    advance_motion(task.rig, law, drive, 1, trial, 1)
+    return Motion(z, x, last_output, near, substeps)
 
 
-def _rightmost(rig: Rig, drive: Drive, laws: _Laws, switched: bool) -> complex:
+def _rightmost(rig: Rig, drive: Drive, laws: Laws, switched: bool) -> complex:
     """The rightmost pole [rad/s] of the linear loop around the centred rotor."""
     law = laws.at(drive, 0, switched)
     try:
@@ -274,8 +274,8 @@ def _rightmost(rig: Rig, drive: Drive, laws: _Laws, switched: bool) -> complex:
 
 def _stretches(
     task: Plan,
-    laws: _Laws,
-    motion: _Motion,
+    laws: Laws,
+    motion: Motion,
     steps: int,
     progress: Callable[[str], None] | None,
     program: ControlProgram | None,
@@ -287,7 +287,7 @@ def _stretches(
         None if program is not None else laws.stretch(task.scenario),
         bool(task.scenario.pressure_sensors),
     )
-    length = laws_stretch or _STRETCH
+    length = laws_stretch or STRETCH
     switch = task.switch
     reported = time.perf_counter()
     recent: list[tuple[np.ndarray, np.ndarray]] = []
@@ -307,26 +307,26 @@ def _stretches(
         if law is None or laws_stretch is not None or number == switch:
             law = laws.at(drive, count // 2, number >= switch, sensor)
         if number == switch:
-            motion.x = take_over(law, *_remembered(recent, motion.held, law.delay))
-        log, errors = _advance(task.rig, law, drive, steps, motion, count, running)
+            motion.x = take_over(law, *remembered(recent, motion.held, law.delay))
+        log, errors = advance_motion(task.rig, law, drive, steps, motion, count, running)
         yield number, drive, log
         if len(log) < count or motion.overflow is not None:
             motion.overflow = (number + len(log)) * task.dt
             return
         a = len(task.rig.axes)
-        recent = [*recent[-(_MEMORY // count) - 1 :], (errors, log[:, a : 2 * a].T)]
+        recent = [*recent[-(MEMORY // count) - 1 :], (errors, log[:, a : 2 * a].T)]
         number += count
         if progress is not None and time.perf_counter() - reported > _REPORT_EVERY:
             reported = time.perf_counter()
             progress(f"simulated {number * task.dt:.3g} s of {task.scenario.duration:g} s")
 
 
-def _advance(
+def advance_motion(
     rig: Rig,
     law: SampledLaw,
     drive: Drive,
     steps: int,
-    motion: _Motion,
+    motion: Motion,
     count: int,
     running: RunningProgram | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -386,7 +386,7 @@ def _program(law: Law, second: Law | None, computing_delay: int) -> ControlProgr
     return program
 
 
-def _remembered(
+def remembered(
     recent: list[tuple[np.ndarray, np.ndarray]], last_output: np.ndarray, delay: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """The last errors (a, k) and the outputs (a, k) computed from them; what acts was computed
@@ -394,4 +394,4 @@ def _remembered(
     """
     errors, acting = (np.concatenate([pair[i] for pair in recent], axis=1) for i in (0, 1))
     outputs = np.column_stack([acting[:, delay:], last_output]) if delay else acting
-    return errors[:, -_MEMORY:], outputs[:, -_MEMORY:]
+    return errors[:, -MEMORY:], outputs[:, -MEMORY:]
