@@ -246,6 +246,7 @@ def export(
     to: Target | str,
     machine: Machine | str | None = None,
     fallback: Any = None,
+    replaces: Any = None,
     **options: Any,
 ) -> Delivery:
     """The controller as files for a target, verified as it will run.
@@ -254,12 +255,14 @@ def export(
     with its options, ``amb.C(arithmetic="float")``; or the name of one, "c", its options then by
     name. machine: the one it is for; None: the bundled machine that it was made for. fallback: the
     fixed controller that takes over from one scheduled over pressure where the reading cannot be
-    trusted (C only). Raises InvalidInput, and UnstableSystem where the sampled loop does not hold
-    the machine.
+    trusted (C only). replaces: the controller that runs now (C only); parameters.json then says
+    what changes in the tables of its code. Raises InvalidInput, and UnstableSystem where the
+    sampled loop does not hold the machine.
     """
     from ambrose.code.pipeline import export as exported
 
     other = None if fallback is None else controller_of(fallback)
+    running = None if replaces is None else controller_of(replaces)
     description = None if machine is None else machine_of(machine)
     return exported(
         controller_of(controller),
@@ -267,6 +270,7 @@ def export(
         to=to,
         machine=description,
         fallback=other,
+        replaces=running,
         **options,
     )
 

@@ -14,7 +14,7 @@ from ambrose.terminal import AS_JSON, GroupedCommand, load, progress_shown, say,
 
 _WORD = "--to"
 _GROUPS = {
-    "": ("target", "output", "machine", "name", "arithmetic", "rate", "force"),
+    "": ("target", "output", "machine", "replaces", "name", "arithmetic", "rate", "force"),
     "Scheduled controllers": (
         "speed_limit",
         "speed_rate",
@@ -56,6 +56,11 @@ _GROUPS = {
     type=click.Path(path_type=Path),
     help="Fixed controller for when a schedule's pressure cannot be trusted.",
 )
+@click.option(
+    "--replaces",
+    type=click.Path(path_type=Path),
+    help="The controller that runs now: what changes in the tables of its code, and the way back.",
+)
 @AS_JSON
 def export(
     controller: Path,
@@ -63,6 +68,7 @@ def export(
     output: Path,
     machine: str | None,
     fallback: Path | None,
+    replaces: Path | None,
     as_json: bool,
     **asked: Any,
 ) -> None:
@@ -77,6 +83,7 @@ def export(
     chosen = chosen_from(TARGETS, target, asked, _WORD)
     other = None if fallback is None else read_controller(fallback)
     file, known = read_controller(controller), None if machine is None else load(machine)
+    running = None if replaces is None else read_controller(replaces)
     with progress_shown(as_json) as progress:
         delivery = write_for_target(
             file,
@@ -84,6 +91,7 @@ def export(
             to=chosen,
             machine=known,
             fallback=other,
+            replaces=running,
             progress=progress,
         )
     content = delivery.to_dict()
@@ -94,6 +102,8 @@ def export(
             say(f"forced although {problem}", err=True)
         for limit in content["unmet_limits"]:
             say(f"the loop as it runs misses a limit: {limit}", err=True)
+        if delivery.not_alike:
+            say(f"no parameters.json: {delivery.not_alike}", err=True)
         for path in content["files"]:
             say(path)
     sys.exit(0 if content["verified"] and not content["unmet_limits"] else 1)

@@ -20,6 +20,7 @@ from ambrose.code.block.fixed import ControlBlock, build_block
 from ambrose.code.block.scheduled import ScheduledBlock, build_scheduled_block, check_told_limits
 from ambrose.code.block.supervised import supervise
 from ambrose.code.c.code import check_precision
+from ambrose.code.difference import Difference, parameter_difference
 from ambrose.code.fmu.archive import check_compiler
 from ambrose.code.provenance import provenance_lines
 from ambrose.code.sampled import (
@@ -31,7 +32,7 @@ from ambrose.code.sampled import (
     unmet_limits,
 )
 from ambrose.code.targets import TARGETS, C, Fmu, Target
-from ambrose.core.checks import UnstableSystem, invalid, same_clock
+from ambrose.core.checks import InvalidInput, UnstableSystem, invalid, same_clock
 from ambrose.core.presentation import Presented
 from ambrose.core.statespace import StateSpace, rename
 from ambrose.judge.checks import Checks
@@ -52,7 +53,9 @@ from ambrose.options import choose
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Delivery(Presented):
     """What was written for a target, and what it was verified on; fallback: the same of the
-    controller that takes over; synchronous: of the blocks beside it.
+    controller that takes over; synchronous: of the blocks beside it. difference: what leads from
+    the code of a replaced controller to this one (None: none was named); not_alike: why there is
+    none although one was.
     """
 
     target: str
@@ -61,6 +64,8 @@ class Delivery(Presented):
     paths: tuple[Path, ...]
     fallback: Deployment | None = None
     synchronous: tuple[Checks, ...] = ()
+    difference: Difference | None = None
+    not_alike: str = ""
 
     def facts(self) -> Mapping[str, Any]:
         """Target, verdict, size, rate and files."""
@@ -110,6 +115,7 @@ class Delivery(Presented):
             "verified": self.verified,
             "problems": problems,
             "unmet_limits": list(self.unmet_limits),
+            **({"not_alike": self.not_alike} if self.not_alike else {}),
         }
 
 
@@ -124,6 +130,7 @@ def export(
     to: Target | str,
     machine: Machine | None = None,
     fallback: LawLike | None = None,
+    replaces: LawLike | None = None,
     progress: Progress = lambda stage: None,
     **options: Any,
 ) -> Delivery:
@@ -136,8 +143,10 @@ def export(
     one, its options then by name: ``C`` (C99), ``Mat`` (MATLAB, Octave), ``Fmu`` (FMI 2.0 and 3.0),
     ``St`` (IEC 61131-3), "c", "mat", "fmu" and "st". machine: None: the bundled one that the
     controller was made for, if it is unchanged. fallback: the fixed controller that takes over from
-    one scheduled over pressure where the reading cannot be trusted (C only). Raises InvalidInput,
-    and UnstableSystem for a controller that is refused (``deploy``).
+    one scheduled over pressure where the reading cannot be trusted (C only). replaces: the fixed
+    controller that runs now (C only): beside the whole unit parameters.json, what changes in the
+    tables of its code, and parameters-back.json, the way back, where both have one structure.
+    Raises InvalidInput, and UnstableSystem for a controller that is refused (``deploy``).
     """
     target = choose(TARGETS, "the target", to, options)
     synthesis = _synthesis(controller, machine)
@@ -145,6 +154,7 @@ def export(
     machine = bundled_machine(synthesis) if machine is None else machine
     around = blocks_beside(synthesis, machine, target)
     other = _fallback(fallback, synthesis, target, machine)
+    running = _replaced(replaces, synthesis, target, machine, alone=not around)
     limits = _limits(synthesis, machine, target)
     check_place(directory)  # all this before the verification, which takes seconds
     if isinstance(target, Fmu) and not target.sources_only:
@@ -180,9 +190,25 @@ def export(
             files = target.files_beside(unit, lines)
         else:
             files = target.files(synthesis, deployment, block, lines)
+        difference, not_alike = None, ""
+        if running is not None:
+            # its loop is not judged again: it runs
+            as_it_is = replace(
+                target, rate=1 / block.sample_time, delay_samples=block.delay, force=True
+            )
+            described = machine if isinstance(target, C) and target.form == "cascade" else None
+            runs, old = _deploy(running, described, as_it_is, limits, progress)
+            before = as_it_is.files(running, runs, old, ())
+            own = f"{target.name}.c"
+            try:
+                difference = parameter_difference(str(before[own]), str(files[own]))
+            except InvalidInput as error:
+                not_alike = str(error)
+            else:
+                files = {**files, **difference.files()}
         progress("writing")
         paths = tuple(write_files(directory, files, held=True))
-        return Delivery(target.to, deployment, block, paths, beside, judged)
+        return Delivery(target.to, deployment, block, paths, beside, judged, difference, not_alike)
 
 
 def _fallback(
@@ -228,6 +254,39 @@ def _fallback(
         remedy = f"design it with --rate-hz {own.rate:g}, or say at which rate both run"
         raise invalid("the fallback", str(given), f"the schedule's: {own}", remedy)
     return found
+
+
+def _replaced(
+    replaces: LawLike | None,
+    synthesis: Synthesis,
+    target: Target,
+    machine: Machine | None,
+    *,
+    alone: bool,
+) -> Synthesis | None:
+    """The controller that is replaced, its signals in the other's order; None: none is named.
+    Raises InvalidInput.
+    """
+    if replaces is None:
+        return None
+    found = _synthesis(replaces, machine)
+    if not isinstance(target, C):
+        raise invalid(
+            "a controller to replace",
+            f"given for the target {target.to!r}",
+            "left out",
+            "write C, whose tables can be compared",
+        )
+    if not alone or found.scheduled is not None or synthesis.scheduled is not None:
+        raise invalid(
+            "a controller to replace",
+            "given with synchronous blocks or a schedule",
+            "left out",
+            "such a unit is replaced as a whole",
+        )
+    axes = [name.removeprefix("err_") for name in synthesis.controller.inputs]
+    name = found.provenance.machine or "this machine"
+    return replace(found, controller=match_axes(found.controller, axes, name))
 
 
 def _synthesis(controller: LawLike, machine: Machine | None) -> Synthesis:
