@@ -248,8 +248,8 @@ def steps_of(value, step):
 def march(
     E, P0, P1, Bv, g0, Cx, Ci, Cy, mag, cross, K, e, seen, gains, conv, delay, wave, w, x, held
 ):
-    """Samples of y, u and i (k, a): ``mag`` (a, 7) c, gap, bias, saturation, k_i, k_s (the slopes
-    within E) and 1 where it bends; wave: speed, angle at first, substep.
+    """Samples of y, u and i (k, a): ``mag`` (a, 8) c, gap, bias, saturation, k_i, k_s (the slopes
+    within E), 1 where it bends, centre; wave: speed, angle at first, substep.
     """
     a, k = len(mag), e.shape[0]
     Ak, Bk, Ck, Dk = K
@@ -294,10 +294,10 @@ def bent(F, w, Cx, Ci, mag, cross):
     for j in range(len(mag)):
         both = i[j] + cross * i[j ^ 1]
         if mag[j, 6] > 0:
-            F[j] = pull(both, x[j], mag[j, 0], mag[j, 1], mag[j, 2], mag[j, 3])
+            F[j] = pull(both, x[j] - mag[j, 7], mag[j, 0], mag[j, 1], mag[j, 2], mag[j, 3])
             F[j] -= mag[j, 4] * i[j] + mag[j, 5] * x[j]
         else:
-            F[j] = mag[j, 4] * (both - i[j])
+            F[j] = mag[j, 4] * (both - i[j]) - mag[j, 5] * mag[j, 7]
 
 
 @dataclass
@@ -308,7 +308,8 @@ class Rig:
     the bias. anti_alias: corner of a second-order Butterworth filter before the converters [rad/s].
     gains (a,): indicated over true. runout: (order, amplitude [m], phase) of every track; hum [m]
     at 50 and 150 Hz; noise [m]; steps of the converters of y [m] and u [A]. unbalance: {place from
-    the left end: complex [kg m]}. cross: part of the other axis' current.
+    the left end: complex [kg m]}. cross: part of the other axis' current. offset, centre (a,) [m]:
+    of the sensors, of the magnets.
     """
 
     numbers: dict
@@ -327,6 +328,8 @@ class Rig:
     delay: int = 1
     unbalance: dict = field(default_factory=dict)
     cross: float = 0.0
+    offset: object = 0.0
+    centre: object = 0.0
     substeps: int = 4
 
     def __post_init__(self):
@@ -409,7 +412,7 @@ class Rig:
         self.A, self.Bf, self.Bv, self.g, self.Cx, self.Ci, self.Cy = A, Bf, Bv, g, Cx, Ci, Cy
 
     def _magnets(self):
-        """c, gap, bias, saturation, k_i, k_s and whether it bends (a, 7): a horseshoe that has the
+        """c, gap, bias, saturation, k_i, k_s and whether it bends, centre (a, 8): a horseshoe that has the
         file's slopes, at its load or without.
         """
         rows, k = [], 0
@@ -447,7 +450,8 @@ class Rig:
                     [c, gap, bias, self.saturation * bias / gap, by_i, by_x, float(not self.linear)]
                 )
                 k += 1
-        self.mag = np.array(rows)
+        middle = np.broadcast_to(np.asarray(self.centre, float), len(rows))
+        self.mag = np.column_stack([rows, middle])
 
     def _amplifier(self, order):
         a, m = len(self.axes), self.numbers["amplifier"]
@@ -506,12 +510,13 @@ class Rig:
         n, s, a = len(self.A), len(Ak), len(self.axes)
         gains = np.broadcast_to(np.asarray(self.gains, float), a)[:, None]
         seen, push = gains * self.Cy, self.Bf[:, :a]
-        w, x = np.zeros(n), np.zeros(s)
+        w, x, shift = np.zeros(n), np.zeros(s), np.broadcast_to(np.asarray(self.offset, float), a)
         for _ in range(30):
-            # A w + B f(w) + B_v u + g = 0 and x = A_k x - B_k y with u = C_k x - D_k y, y = gains C w
+            # A w + B f(w) + B_v u + g = 0 and x = A_k x - B_k y with u = C_k x - D_k y, y = gains C w + offset
             F = np.zeros(a)
             bent(F, w, self.Cx, self.Ci, self.mag, self.cross)
-            u = Ck @ x - Dk @ (seen @ w)
+            y = seen @ w + shift
+            u = Ck @ x - Dk @ y
             off = np.append(
                 self.A @ w + push @ F + self.Bv @ u + self.g, (Ak - np.eye(s)) @ x - Bk @ (seen @ w)
             )
@@ -530,7 +535,7 @@ class Rig:
                 and np.abs(self.Ci @ step[:n]).max() < 1e-11
             ):
                 break
-        u = Ck @ x - Dk @ (seen @ w)
+        u = Ck @ x - Dk @ (seen @ w + shift)
         return w, x, np.tile(u, (max(self.delay, 1), 1))
 
     def _bend(self, w):
@@ -538,18 +543,18 @@ class Rig:
         i, x = self.Ci @ w, self.Cx @ w
         a = len(i)
         by_i, by_x = np.zeros(a), np.zeros(a)
-        for k, (c, gap, bias, sat, ki, ks, bends) in enumerate(self.mag):
+        for k, (c, gap, bias, sat, ki, ks, bends, middle) in enumerate(self.mag):
             di, dx = 1e-4 * bias, 1e-4 * gap
-            both = i[k] + self.cross * i[k ^ 1]
+            both, x_k = i[k] + self.cross * i[k ^ 1], x[k] - middle
             by_i[k], by_x[k] = ki, ks
             if bends:
                 far = (
-                    pull(both + di, x[k], c, gap, bias, sat),
-                    pull(both, x[k] + dx, c, gap, bias, sat),
+                    pull(both + di, x_k, c, gap, bias, sat),
+                    pull(both, x_k + dx, c, gap, bias, sat),
                 )
                 near = (
-                    pull(both - di, x[k], c, gap, bias, sat),
-                    pull(both, x[k] - dx, c, gap, bias, sat),
+                    pull(both - di, x_k, c, gap, bias, sat),
+                    pull(both, x_k - dx, c, gap, bias, sat),
                 )
                 by_i[k], by_x[k] = (far[0] - near[0]) / 2 / di, (far[1] - near[1]) / 2 / dx
         swap = np.eye(a) + self.cross * np.kron(np.eye(a // 2), [[0, 1], [1, 0]])
@@ -565,11 +570,11 @@ class Rig:
         e = np.zeros((a, round(e * self.rate))) if np.isscalar(e) else np.asarray(e, float)
         before, k = round(settle * self.rate), e.shape[1]
         time = np.arange(before + k) / self.rate
-        seen = self.noise * rng.standard_normal((before + k, a))
+        seen = self.noise * rng.standard_normal((before + k, a)) + np.asarray(self.offset)
         for f in (50.0, 150.0):
             seen += self.hum * np.cos(PI2 * f * time[:, None] + PI2 * rng.random(a))
         directions = [b["angle"] + way for b in self.numbers["bearings"] for way in (0, np.pi / 2)]
-        turn = PI2 * rng.random()
+        turn = -self.speed * before / self.rate  # the key mark passes at the first sample
         for order, amplitude, phase in self.runout if self.speed else ():
             spin = self.speed * time[:, None] + turn - np.array(directions)
             seen += amplitude * np.cos(order * spin + phase)
@@ -578,13 +583,7 @@ class Rig:
         y, u, i = self._run(law, driven, seen, state, turn)[:, before:]
         if not np.isfinite(y).all() or np.abs(y).max() > self.mag[:, 1].min():
             raise ArithmeticError("the rotor touched")
-        return {
-            "y": y.T.copy(),
-            "u": u.T.copy(),
-            "e": e,
-            "i": i.T.copy(),
-            "angle": (turn + self.speed * before / self.rate) % PI2,
-        }
+        return {"y": y.T.copy(), "u": u.T.copy(), "e": e, "i": i.T.copy()}
 
     def slopes(self, law):
         """k_i, k_s (a,) where the rotor stands."""
