@@ -8,6 +8,7 @@ are missing.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,8 @@ _REMEMBERED = 200  # samples of the law's impulse response
 _MARGINAL = 1 + 1e-9
 _AT_LIMIT = 0.999
 _FOLLOWS = 0.01  # residual of u below which its delay counts as seen
+# samples of a piece whose spectrum is taken; and standard deviations of what chance makes coherent
+_PIECE, _SURE = 1024, 4.0
 # over the median jump of the residual, and over the rms of the signal
 _BURST, _VISIBLE = 60.0, 3e-4
 
@@ -228,6 +231,48 @@ def _jumps(left: np.ndarray, signal: np.ndarray) -> list[int]:
     large = np.flatnonzero(step > max(_BURST * quiet, _VISIBLE * float(np.std(signal)))) + 1
     large = large[large > 2 * LAGS]  # a record may begin with anything
     return [int(at) for j, at in enumerate(large) if j == 0 or at - large[j - 1] > 50]
+
+
+def of_another_law(record: Record, match: ControllerMatch) -> np.ndarray:
+    """The part of the residual that another law makes (a,), over the rms of u; 0 where it may be
+    chance or the record is short.
+
+    With u = -K' y of another law the residual is (K - K') y: all of it follows y, and all of it u.
+    Noise of the recorder in y is in the residual and in y, and not in u; that in u not in y; steps
+    of converters are in neither. Of such parts the two coherences add up to one at most: counted at
+    every line is what they are beyond it.
+    """
+    a, k = match.left.shape
+    starts = np.arange(0, k - _PIECE + 1, _PIECE // 2)
+    pieces = len(starts)
+    if pieces < 4 * a:
+        return np.zeros(a)
+    window = np.hanning(_PIECE)
+
+    def spectra(rows: np.ndarray) -> np.ndarray:
+        # (lines, pieces, rows), each piece without its mean
+        cut = np.array([rows[:, begin : begin + _PIECE] for begin in starts])
+        cut = (cut - cut.mean(axis=2, keepdims=True)) * window
+        return np.fft.rfft(cut, axis=2)[:, :, 1:].transpose(2, 0, 1)
+
+    rest, u = spectra(match.left), spectra(signal_stack(record, "u", match.axes))
+    power = np.mean(np.abs(rest) ** 2, axis=1)
+    shared = -power
+    for through in (u, spectra(signal_stack(record, "y", match.axes))):
+        # multiple coherence: the projection on a signals, less what chance makes of n pieces,
+        # g = 1 - (1 - g_n) n / (n - a)
+        Q = np.linalg.qr(through)[0]
+        told = np.mean(np.abs(Q @ (Q.conj().transpose(0, 2, 1) @ rest)) ** 2, axis=1)
+        shared = shared + power - (power - told) * pieces / (pieces - a)
+    chance = np.sqrt(np.sum(power**2, axis=0) * 4 * a) / pieces * _SURE
+    left = np.maximum(shared.sum(axis=0) - chance, 0.0)
+    size = np.mean(np.abs(u) ** 2, axis=1).sum(axis=0)
+    return np.asarray(np.sqrt(left / np.maximum(size, 1e-300)))
+
+
+def signal_stack(record: Record, kind: str, axes: Sequence[str]) -> np.ndarray:
+    """The rows (a, k) of one kind of signal."""
+    return np.stack([record[f"{kind}_{axis}"] for axis in axes])
 
 
 def resolution_residual(machine: Machine, record: Record, law: StateSpace) -> np.ndarray:

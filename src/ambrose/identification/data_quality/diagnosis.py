@@ -33,6 +33,7 @@ from ambrose.identification.data_quality.controller import (
     LAGS,
     ControllerMatch,
     controller_match,
+    of_another_law,
     resolution_residual,
 )
 from ambrose.identification.data_quality.excitation_fit import DOUBTS, excitation_findings
@@ -57,10 +58,12 @@ _COARSE = 1.5  # times what the steps of a coarse converter make of the controll
 # findings after which the loop is not the one that is modelled; modes per plane that it has
 _OF_LAW = (Code.OTHER_CONTROLLER, Code.CONTROLLER_GAIN, Code.OTHER_DELAY, Code.CHANNEL_SKEW)
 _MODES = (1, 6)
+_NEAR = 15  # lines over which a noise is alike
 _BESIDE = 1.5  # neighbouring lines of a Hann window that err together
 _LIKELIER = 12.0  # of a logarithm of likelihoods
 # residual of the controller that is no matter, and that of another controller
 _MINOR, _OTHER = 0.02, 0.2
+_SAME = 0.005  # of u: what another law may make of it; half a percent of gain, one of a stiffness
 
 
 def diagnose_records(
@@ -369,17 +372,25 @@ def _following(record: Record, match: ControllerMatch) -> float | None:
         return _turning(record, match)
     rest = responses[1]
     size, doubt = (np.sum(np.abs(one.values["u"]) ** 2, axis=2) for one in responses)
-    noise = np.maximum(rest.noise["u"], 1e-300)
+    # smoothed, or the lines that stand out would be those that noise itself makes stand out
+    noise, level = np.maximum(_smoothed(rest.noise["u"]), 1e-300), _smoothed(size)
     found = np.zeros(len(match.axes))
     for i in range(len(match.axes)):
         # the lines where noise matters least, each by its own noise: the mean of doubt/noise is 1
         # where nothing follows, and its scatter tells by how much more it may be by chance
-        clear = np.argsort(size[:, i] / noise[:, i])[-max(len(size) // 4, 1) :]
+        clear = np.argsort(level[:, i] / noise[:, i])[-max(len(size) // 4, 1) :]
         ratio = doubt[clear, i] / noise[clear, i]
         chance = 3 * float(np.std(ratio)) * np.sqrt(_BESIDE / len(clear))
         if ratio.mean() - 1 > chance:
             found[i] = np.sqrt(np.sum(ratio - 1) / np.sum(size[clear, i] / noise[clear, i]))
     return float(found.max())
+
+
+def _smoothed(lines: np.ndarray) -> np.ndarray:
+    """The means (w, a) over ``_NEAR`` neighbouring lines, fewer at both ends."""
+    window = np.ones(min(_NEAR, len(lines)))
+    count = np.convolve(np.ones(len(lines)), window, "same")
+    return np.array([np.convolve(row, window, "same") / count for row in lines.T]).T
 
 
 def _turning(record: Record, match: ControllerMatch) -> float | None:
@@ -441,15 +452,20 @@ def _controller_findings(
     where = f"record {number}"
     jumps = _jump_findings(record, match, where)
     worst = int(np.argmax(match.least))
-    if match.least[worst] <= _MINOR or jumps:
-        findings = [*jumps, *_size(match, where)]
-        return findings + _timing(match, delay, where)
+    if jumps:
+        return [*jumps, *_size(match, where), *_timing(match, delay, where)]
+    size = _size(match, where)
+    if match.least[worst] <= _MINOR:
+        findings = size + _timing(match, delay, where)
+        return findings or _another_law(record, match, where)
     if (match.least <= _MINOR + _COARSE * resolution_residual(machine, record, law)).all():
-        return _size(match, where)
+        return size or _another_law(record, match, where)
 
     # noise between the controller and the recorder follows no excitation
     following = _following(record, match)
     if following is not None and following <= _MINOR:
+        if not size and (found := _another_law(record, match, where)):
+            return found
         if measured is None:
             return _late_turning(record, law, delay, where)
         return _late(measured, law, delay, where)
@@ -460,6 +476,19 @@ def _controller_findings(
         if following is None
         else min(float(match.least[worst]), following)
     )
+    return [_other_controller(match, where, residual)]
+
+
+def _another_law(record: Record, match: ControllerMatch, where: str) -> list[Finding]:
+    """What is left of u and follows y and u alike, as no noise and no converter's step does."""
+    if match.least.max() <= _SAME:
+        return []
+    residual = float(of_another_law(record, match).max())
+    return [_other_controller(match, where, residual)] if residual > _SAME else []
+
+
+def _other_controller(match: ControllerMatch, where: str, residual: float) -> Finding:
+    worst = int(np.argmax(match.least))
     gains = ", ".join(f"{gain:.3g}" for gain in match.gain)
     severity = ERROR if residual > _OTHER else WARNING
     what = f"{where}: the controller that was given is not the one that ran"
@@ -472,7 +501,7 @@ def _controller_findings(
         "give the controller of this record, and record every sample of it; one percent of gain is "
         "two in the stiffness"
     )
-    return [Finding(Code.OTHER_CONTROLLER, severity, what, evidence, remedy)]
+    return Finding(Code.OTHER_CONTROLLER, severity, what, evidence, remedy)
 
 
 def _samples(count: int) -> str:
