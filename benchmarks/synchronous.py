@@ -34,6 +34,7 @@ from ambrose.law.synchronous_block import key_phasor
 from ambrose.law.synchronous_table import running_law
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
+from ambrose.model.plant import Plant
 from ambrose.model.unbalance import residual_unbalance
 from ambrose.rig.disturbances import Unbalance
 from ambrose.rig.scenario import Scenario
@@ -59,11 +60,19 @@ def controlled(name: str) -> tuple[Machine, StateSpace]:
 
 
 def growth(machine: Machine, K: StateSpace, speed: float, dt: float, eps: float = _SMALL) -> float:
-    """ln|z|/dt [1/s] of the outermost pole of the sampled full plant with the plain notch, T = 1."""
+    """``growth_of`` the full plant at a speed with the plain notch, T = 1."""
     point = replace(machine.operation.design, speed=speed, label="")
-    plant = assemble(machine, point)
+    return growth_of(assemble(machine, point), K, speed, dt, np.eye(len(machine.axes)), eps)
+
+
+def growth_of(
+    plant: Plant, K: StateSpace, speed: float, dt: float, T: np.ndarray, eps: float
+) -> float:
+    """ln|z|/dt [1/s] of the outermost pole of a sampled full plant under a continuous controller,
+    one sample late, with the block of T (a, a) complex and eps [1/s] at a speed [rad/s].
+    """
     G = select(plant.system, plant.named("u"), plant.named("y"))
-    n, states = len(machine.axes), G.n_states
+    n, states = len(T), G.n_states
 
     # zero-order hold: exp of [[A, B], [0, 0]] dt
     held = sla.expm(np.block([[G.A, G.B], [np.zeros((n, states + n))]]) * dt)
@@ -91,11 +100,11 @@ def growth(machine: Machine, K: StateSpace, speed: float, dt: float, eps: float 
     M[v] = -Dk @ e
     M[v, k] += Ck
 
-    # w+ = exp(j W dt) (w + eps dt e)
-    learnt = eps * dt * e
+    # w+ = exp(j W dt) (w + eps dt T e)
+    learnt = eps * dt * np.real(T) @ e
     learnt[:, re] += one
-    turn = np.zeros_like(learnt)
-    turn[:, im] = one
+    turn = eps * dt * np.imag(T) @ e
+    turn[:, im] += one
     c, s = np.cos(speed * dt), np.sin(speed * dt)
     M[re], M[im] = c * learnt - s * turn, s * learnt + c * turn
     return float(np.log(np.abs(np.linalg.eigvals(M)).max()) / dt)

@@ -81,6 +81,7 @@ def identified(place):
     return done, out, page
 
 
+@pytest.mark.campaign
 def test_the_chain_from_a_record_to_a_controller(identified, tmp_path):
     done, out, page = identified
     # 1: the magnets' curvature may show in the residuals
@@ -127,6 +128,7 @@ def test_the_chain_from_a_record_to_a_controller(identified, tmp_path):
     assert made.exit_code == 0 and json.loads(made.stdout)["status"] == "verified"
 
 
+@pytest.mark.campaign
 def test_json_and_repeats(place, tmp_path):
     done = call(
         "identify",
@@ -500,6 +502,7 @@ def test_a_loop_is_not_modelled_without_its_controller(place, tmp_path):
     assert done.exit_code == 2 and "--controller is missing" in done.stderr
 
 
+@pytest.mark.campaign
 def test_interruption_leaves_no_file(place, tmp_path):
     out = tmp_path / "m.toml"
     # a shell's background job ignores the signal, and so would what it starts

@@ -79,6 +79,7 @@ def heavy(name):
     return pytest.param(name, marks=marks)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("name", [heavy(name) for name in FLEET])
 def test_every_machine_is_checked_and_held_and_lifted_by_its_own_controller(name, tmp_path):
     """Status 0 throughout: certified at every operating point, and free of the touchdown bearings

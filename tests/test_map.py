@@ -34,6 +34,7 @@ def law(name):
     return amb.design(name, "pid")
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("rate", [None, 1e4])
 def test_where_stability_ends_over_pressure(rate):
     """Just below the end the loop is stable, just above it is not: eigenvalues of loops assembled
@@ -82,6 +83,7 @@ def test_sampled_poles_are_shown_as_continuous_ones():
     assert len(low[0]) and np.allclose(low[0].imag, low[1].imag, rtol=0.05)
 
 
+@pytest.mark.campaign
 def test_unbalance_over_the_tolerances_holds_the_nominal_and_its_own_members():
     machine = amb.load_machine("three-bearing-train")
     found = explore(machine, law("three-bearing-train"), parts=["pulses", "unbalance"], bound=True)

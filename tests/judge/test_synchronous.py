@@ -149,6 +149,7 @@ def test_the_modes_drive_to_zero_what_they_promise(loop):
     assert damped.c == pytest.approx(D @ damped.y)
 
 
+@pytest.mark.campaign
 def test_what_is_converged_is_where_the_resonator_ends(loop, designed):
     """The phasors of ``converged`` against the sampled loop with the resonator, run in time until
     it has settled.

@@ -47,6 +47,7 @@ def test_what_cannot_run_them_is_refused(controlled):
         amb.simulate(machine, controller, HOLD, linear=True)
 
 
+@pytest.mark.campaign
 def test_a_block_is_asked_for_in_python_as_on_the_command_line(controlled):
     machine, _ = controlled
     with pytest.raises(InvalidInput, match="synchronous_band is given"):

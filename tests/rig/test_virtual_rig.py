@@ -86,6 +86,7 @@ def test_levitated_start_is_an_equilibrium():
         assert np.ptp(values, axis=1).max() <= 1e-9 * np.abs(values).max() + 1e-15
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("name", ["power-loss", "amplifier-failure"])
 def test_failures_end_in_the_touchdown_bearings(name):
     trace = virtual_rig.run(RIG, PID, load_scenario(name))

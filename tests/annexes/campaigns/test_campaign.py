@@ -114,6 +114,7 @@ def test_wrong_plans_are_refused(head, vary, words):
         plan(head, vary)
 
 
+@pytest.mark.campaign
 def test_the_array_agrees_with_every_case_alone():
     """Oracle: the plant perturbed in its matrices, and its sensitivity at the frequency found and
     around it.
@@ -139,6 +140,7 @@ def test_the_array_agrees_with_every_case_alone():
         assert checks_of(item).stable == row.values["stable"]
 
 
+@pytest.mark.campaign
 def test_what_a_kill_leaves_is_gone_on_with_bit_for_bit(tmp_path):
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     assert computed(plan(), whole).computed == 12
@@ -193,6 +195,7 @@ def test_failures_are_rows_with_their_reason(tmp_path):
     assert len(found.worst_first) == 1
 
 
+@pytest.mark.campaign
 def test_results_as_dataset_and_table(tmp_path):
     xr = pytest.importorskip("xarray")
     pytest.importorskip("h5netcdf")
@@ -314,6 +317,7 @@ def test_the_command(tmp_path):
     assert Path(tmp_path / "plan" / "table.csv").exists()
 
 
+@pytest.mark.campaign
 @pytest.mark.skipif(os.name == "nt", reason="an interrupt is sent as a signal")
 def test_ctrl_c_keeps_what_is_done_and_the_front_door_goes_on(tmp_path):
     document = {
@@ -399,6 +403,7 @@ def test_what_no_case_can_use_is_refused_before_any_is_computed(
     assert not (tmp_path / ROWS).exists()
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     "content",
     [
@@ -474,6 +479,7 @@ print(found.missing, found.failed, len(found.keys))
 """
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("engine", ["processes", pytest.param("dask", marks=pytest.mark.campaign)])
 def test_a_plain_script_needs_no_guard(tmp_path, engine):
     """Without ``if __name__ == "__main__"``: every case was recorded as failed, its worker having

@@ -65,6 +65,7 @@ def record(speed=0.0, kind="e", noise=2e-8):
     )
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("speed", [0.0, 2 * np.pi * 120])
 @pytest.mark.parametrize("kind", ["e", "r"])
 def test_the_measured_sensitivity_is_the_true_one(speed, kind):
@@ -85,6 +86,7 @@ def test_the_measured_sensitivity_is_the_true_one(speed, kind):
     np.testing.assert_allclose(loop.loops, 1 / np.einsum("wii->wi", loop.S) - 1)
 
 
+@pytest.mark.campaign
 def test_zones_judge_the_outer_end_of_the_interval():
     loop = accept(machine(), law(), record()).points[0]
     value, high = loop.checks.checks[0].value, loop.peaks[0][1]
@@ -99,6 +101,7 @@ def test_zones_judge_the_outer_end_of_the_interval():
     assert bare.checks.checks[0].zone == "A" and bare.checks.checks[0].passed
 
 
+@pytest.mark.campaign
 def test_another_controller_than_the_file_says_is_noticed():
     louder = replace(
         law(),
@@ -118,6 +121,7 @@ def test_another_controller_than_the_file_says_is_noticed():
     assert not other.passed and other.value == pytest.approx(0.2, abs=0.05)
 
 
+@pytest.mark.campaign
 def test_another_delay_than_was_told_fails_and_can_be_told():
     """One sample more turns the currents by less than the tenth that is allowed in size: the delay
     is judged by itself.
@@ -144,6 +148,7 @@ def test_another_delay_than_was_told_fails_and_can_be_told():
     assert right["controller.delay"].passed and right["controller.difference"].value < 0.01
 
 
+@pytest.mark.campaign
 def test_operating_points_are_told_apart():
     both = accept(machine(), law(), [record(), record(2 * np.pi * 120)])
     assert [loop.point.speed for loop in both.points] == [0.0, 2 * np.pi * 120]
@@ -191,6 +196,7 @@ def test_what_cannot_be_accepted_is_refused():
             accept(machine(), law(), item)
 
 
+@pytest.mark.campaign
 def test_the_command_writes_the_page_to_sign(tmp_path):
     files = {name: str(tmp_path / name) for name in ("law.json", "run.h5", "page.html", "m.toml")}
     amb.write_controller(files["law.json"], law(), machine())

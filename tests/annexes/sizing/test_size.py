@@ -50,6 +50,7 @@ def test_what_is_taken_meets_all_and_verification_agrees():
     )
 
 
+@pytest.mark.campaign
 def test_a_size_smaller_fails_for_its_weight():
     small = {trial.size: trial for trial in sizing().trials}[Size(0.4, 1.0)]
     assert not small.met and small.binding.startswith("static load") and small.synthesis is None

@@ -88,6 +88,7 @@ def record():
     return pulses, errors, 0.1 * rng.standard_normal((N, 4)), flags
 
 
+@pytest.mark.campaign
 @compiled
 @pytest.mark.parametrize("currents", [False, True])
 def test_code_is_its_twin_to_1e12_over_a_run_up_with_faults(currents):

@@ -57,6 +57,7 @@ def errors(result, loads):
     return result.values / np.array(truth) - 1
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("speed", [0.0, 314.0])
 def test_values_are_those_of_small_motion_and_loads_are_found(speed):
     """No current is recorded: the quadratic terms alone tell the loads, within a tenth."""

@@ -226,6 +226,7 @@ def test_a_knock_under_pressure_is_found_in_its_record():
     assert not result.passed
 
 
+@pytest.mark.campaign
 def test_an_unstable_start_gives_way_to_the_next_and_no_convergence_is_an_error():
     known = update_machine(machine(), found().result)
     far = {"seal.center.k": 9e6}

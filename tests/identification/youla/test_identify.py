@@ -275,6 +275,7 @@ def test_pulse_response_without_a_model_agrees_with_s_and_with_no_other():
         finite_response(np.vstack([alpha[:3], alpha[:1]]), eps, 50)
 
 
+@pytest.mark.campaign
 def test_nonlinear_rig_under_its_weight():
     """The machine file's coefficients are those under the weight: they are found, not those of a
     magnet without load.

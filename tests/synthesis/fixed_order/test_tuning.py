@@ -337,6 +337,7 @@ def test_planes_need_bearings_at_one_angle():
     assert axis_groups(MACHINE, "axis") == ((0,), (1,), (2,), (3,))
 
 
+@pytest.mark.campaign
 def test_what_is_said_of_it_is_what_verification_finds(tuned):
     """The ratios to the limits, by the checks of the full plants at every operating point, as the
     loop runs.
