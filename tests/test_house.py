@@ -5,6 +5,7 @@ layers: `lint-imports`.)
 import ast
 import inspect
 import re
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -16,6 +17,12 @@ import ambrose
 SOURCE = Path(ambrose.__file__).parent
 PACKAGES = sorted(path.parent for path in SOURCE.rglob("__init__.py"))
 MODULES = sorted(SOURCE.rglob("*.py"))
+
+
+@cache
+def tree_of(path):
+    """The parsed module, read once for all that look at it."""
+    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def name_of(path):
@@ -92,7 +99,7 @@ def test_nothing_is_exempt_from_the_format():
 
 def wide_assignments(path):
     """Lines of ``a, b, c = x, y, z``: three names or more in one assignment of as many values."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tree = tree_of(path)
     return [
         node.lineno
         for node in ast.walk(tree)
@@ -207,7 +214,7 @@ def places(finder, exempt):
         f"{name_of(path)}:{line}"
         for path in MODULES
         if not name_of(path).startswith(exempt)
-        for line in finder(ast.parse(path.read_text(encoding="utf-8")))
+        for line in finder(tree_of(path))
     ]
 
 
