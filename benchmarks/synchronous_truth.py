@@ -1,0 +1,349 @@
+"""What the design of a synchronous block promises, tried from outside: members, attack, run-up.
+
+    python -m benchmarks.synchronous_truth --part members|attack|runup [--machine NAME ...]
+                                           [--count N]
+
+members: the designed T at random members of the tolerances, at every pressure: convergence for
+small gains at twelve speeds of each band (eigenvalues of T S, from the plant's ports), and exact
+poles with the designed eps at one random speed each, of the loop that ``synchronous.growth`` puts
+together from the matrices of plant and controller.
+attack: random tables T of three knots with random phases, gains and coupling, in random bands. For
+each the proof over the band and the tolerances, then exact poles with a small eps at random speeds
+and members. ``refuted``: proved, and a pole outside although the loop is stable without the block.
+runup: the virtual rig through the designed bands, with and without the block: largest 1x control
+current, orbit and magnetic force while the block is on, and the largest sensitivity of an axis with
+and without it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from ambrose import design
+from ambrose.core.checks import InvalidInput
+from ambrose.core.statespace import StateSpace
+from ambrose.core.synchronous import best_inverse
+from ambrose.judge.synchronous_sensitivity import sensitivity_peak
+from ambrose.law.synchronous import Condition, SynchronousLoop, conditions, synchronous_loop
+from ambrose.law.synchronous_block import BlockState
+from ambrose.law.synchronous_pencils import loop_pencils, prove_interval
+from ambrose.law.synchronous_table import BlockTable, block_table, running_law
+from ambrose.machine.machine import Machine
+from ambrose.model.assemble import assemble
+from ambrose.model.plant import Plant
+from ambrose.model.static_load import magnet_coefficients
+from ambrose.model.uncertainty import perturbed, tolerances_around
+from ambrose.model.unbalance import residual_unbalance
+from ambrose.rig.disturbances import Unbalance
+from ambrose.rig.scenario import Scenario
+from ambrose.rig.synchronous import synchronous_program
+from ambrose.rig.virtual_rig import run
+from ambrose.synthesis.synchronous_design import check_base_loop, design_synchronous
+from benchmarks.box_attack import ports
+from benchmarks.synchronous import MACHINES, controlled, growth_of
+
+_SPEEDS = 12  # of each band, at which all members are tried for small gains
+_PROBES = 4  # speeds and members against one proof
+_SMALL = 0.02  # 1/s: eps of the attack
+_ROUNDING = 1e-9  # 1/s: beyond which a pole that a block moved counts as outside
+
+
+@cache
+def held(name: str) -> tuple[Machine, StateSpace]:
+    """A bundled machine with the reference controller of its file, or with a tuned one where that
+    does not hold it as it runs.
+    """
+    machine, law = controlled(name)
+    loop = synchronous_loop(machine, law)
+    top = machine.operation.design.speed
+    try:
+        check_base_loop(loop, conditions(machine), 0.1 * top, top)
+    except InvalidInput:
+        return machine, design(machine, "tuned").controller
+    return machine, law
+
+
+@dataclass(frozen=True, slots=True)
+class Members:
+    """tried (small gains, exact poles), lost: members that do not converge; unstable: members that
+    the controller does not hold without a block; angle [deg]: the smallest convergence angle.
+    """
+
+    tried: tuple[int, int]
+    lost: tuple[int, int]
+    unstable: int
+    angle: float
+
+
+def plant_at(machine: Machine, speed: float, condition: Condition) -> Plant:
+    """The full plant at a speed [rad/s] and a pressure, its tolerances at zero."""
+    design = machine.operation.design
+    return assemble(
+        machine, replace(design, speed=speed, seal_pressure=condition.pressure, label="")
+    )
+
+
+def sensitivity_of(
+    loop: SynchronousLoop, plant: Plant, speed: float, delta: np.ndarray
+) -> np.ndarray:
+    """S (m, a, a) at the speed of members delta (m, parameters) in [-1, 1]: (I + G K)^-1, with hold
+    and delay, without aliases.
+    """
+    found, T = ports(plant), loop.timing.sample_time
+    M = found.at(np.array([1j * speed]))[0]
+    n = len(found.owner)
+    moved = delta[:, found.owner]
+
+    # y = M22 u + M21 D (I - M11 D)^-1 M12 u
+    inner = np.eye(n) - M[None, :n, :n] * moved[:, None, :]
+    through = np.linalg.solve(inner, np.broadcast_to(M[:n, n:], (len(delta), n, M.shape[1] - n)))
+    G = M[None, n:, n:] + (M[None, n:, :n] * moved[:, None, :]) @ through
+
+    # hold and delay at the speed, and the sampled controller there
+    s = 1j * speed
+    late = (1 - np.exp(-s * T)) / (s * T) * np.exp(-s * T * loop.timing.delay_samples)
+    law = loop.controller(plant)
+    z = np.exp(s * T)
+    K = law.C @ np.linalg.solve(z * np.eye(len(law.A)) - law.A, law.B.astype(complex)) + law.D
+    return np.asarray(np.linalg.inv(np.eye(len(K)) + late * G @ K))
+
+
+def angles(T: np.ndarray, S: np.ndarray) -> np.ndarray:
+    """90 degrees less the largest phase of an eigenvalue of T S (m, a, a): (m,) [deg]."""
+    phase = np.abs(np.angle(np.linalg.eigvals(T @ S)))
+    return np.asarray(90.0 - np.degrees(phase.max(axis=-1)))
+
+
+def draws(rng: np.random.Generator, count: int, width: int) -> np.ndarray:
+    """Members (m, width): half of them corners of the box."""
+    inside = rng.uniform(-1, 1, (count, width))
+    corner = rng.random(count) < 0.5
+    return np.where(corner[:, None], np.sign(inside), inside)
+
+
+def members_of(name: str, count: int) -> Members:
+    """``members`` of the module's text, on one machine."""
+    machine, law = held(name)
+    loop = synchronous_loop(machine, law)
+    found = design_synchronous(machine, law)
+    rng = np.random.default_rng(7)
+    tried, lost, unstable, least = [0, 0], [0, 0], 0, 90.0
+    for block in found.blocks:
+        table = block_table(block, machine)
+        low, high = block.band
+        for condition in conditions(machine):
+            width = len(tolerances_around(plant_at(machine, low, condition)))
+            delta = draws(rng, count, width)
+            for speed in np.linspace(low, high, _SPEEDS):
+                plant = plant_at(machine, float(speed), condition)
+                S = sensitivity_of(loop, plant, float(speed), delta)
+                spare = angles(table.at(float(speed)), S)
+                least = min(least, float(spare.min()))
+                tried[0] += len(spare)
+                lost[0] += int((spare <= 0).sum())
+            for row in delta:
+                speed = float(rng.uniform(low, high))
+                outcome = poles_of(
+                    machine, law, loop, speed, condition, row, table.at(speed), block.gain
+                )
+                tried[1] += 1
+                unstable += outcome is None
+                lost[1] += outcome is not None and outcome > 0
+    return Members((tried[0], tried[1]), (lost[0], lost[1]), unstable, least)
+
+
+def poles_of(
+    machine: Machine,
+    law: StateSpace,
+    loop: SynchronousLoop,
+    speed: float,
+    condition: Condition,
+    row: np.ndarray,
+    T: np.ndarray,
+    eps: float,
+) -> float | None:
+    """The outermost pole's growth [1/s] of one member with the block, less rounding; None where the
+    member is unstable without one.
+    """
+    plant = plant_at(machine, speed, condition)
+    around = tolerances_around(plant)
+    if around:
+        values = {item.parameter: float(v) for item, v in zip(around, row, strict=True)}
+        plant = perturbed(plant, values, around)
+    dt = loop.timing.sample_time
+    if growth_of(plant, law, speed, dt, T, 0.0) > _ROUNDING:
+        return None
+    return growth_of(plant, law, speed, dt, T, eps) - _ROUNDING
+
+
+def attack_on(name: str, count: int) -> tuple[int, int, int]:
+    """Tables tried, proved over band and box, and refuted by exact poles."""
+    machine, law = held(name)
+    loop = synchronous_loop(machine, law)
+    rng = np.random.default_rng(11)
+    top, at = machine.operation.design.speed, conditions(machine)
+    proved = refuted = 0
+    for band in bands(rng, top, 8):
+        condition = at[int(rng.integers(len(at)))]
+        around = tolerances_around(plant_at(machine, band[0], condition))
+        pencils = loop_pencils(loop, condition, *band, around)
+        for table in tables(rng, loop, condition, band, -(-count // 8)):
+            if not prove_interval(pencils, table.at, table.speeds.tolist(), *band).proved:
+                continue
+            proved += 1
+            for _ in range(_PROBES):
+                speed = float(rng.uniform(*band))
+                row = draws(rng, 1, len(around))[0]
+                T = table.at(speed)
+                outcome = poles_of(machine, law, loop, speed, condition, row, T, _SMALL)
+                if outcome is not None and outcome > 0:
+                    refuted += 1
+                    print(f"{name}: refuted at {speed:.4g} rad/s, {condition.label}, {row}")
+    return 8 * (-(-count // 8)), proved, refuted
+
+
+def bands(rng: np.random.Generator, top: float, count: int) -> list[tuple[float, float]]:
+    """Random bands of 2 to 20 % of the top speed."""
+    middle, width = rng.uniform(0.25, 0.9, count) * top, rng.uniform(0.02, 0.2, count) * top
+    return [(float(m - w / 2), float(m + w / 2)) for m, w in zip(middle, width, strict=True)]
+
+
+def tables(
+    rng: np.random.Generator,
+    loop: SynchronousLoop,
+    condition: Condition,
+    band: tuple[float, float],
+    count: int,
+) -> Iterator[BlockTable]:
+    """Tables around S^-1, turned by up to 100 degrees and coupled by up to its own size, a knot
+    each at the ends and in the middle.
+    """
+    knots = np.linspace(*band, 3)
+    best = np.array(
+        [best_inverse(loop.response("current-free", float(w), condition)[None]) for w in knots]
+    )
+    n = best.shape[-1]
+    for _ in range(count):
+        turn = np.exp(1j * np.radians(rng.uniform(-100, 100)))
+        far = 10 ** rng.uniform(-3, 0)
+        mixed = rng.standard_normal((3, n, n)) + 1j * rng.standard_normal((3, n, n))
+        yield BlockTable(knots, turn * best @ (np.eye(n) + far / np.sqrt(2 * n) * mixed))
+
+
+@dataclass(frozen=True, slots=True)
+class RunUp:
+    """Largest 1x while the block is on, after over before [dB], and S of an axis."""
+
+    current: float
+    force: float
+    orbit: float
+    share_on: float
+    sensitivity: tuple[float, float]
+
+
+def run_up(name: str) -> tuple[str, RunUp]:
+    """``runup`` of the module's text, through the widest band of the design."""
+    machine, law = held(name)
+    loop = synchronous_loop(machine, law)
+    found = design_synchronous(machine, law)
+    block = max(found.blocks, key=lambda item: item.band[1] - item.band[0])
+    low, high = block.band
+    residual = residual_unbalance(machine)
+    assert residual is not None
+    first, last = machine.bearings[0].name, machine.bearings[-1].name
+    size = float(residual.moment)
+    weights = (Unbalance(first, size), Unbalance(last, 0.7 * size, phase=1.0))
+    # slow against the block: what it lags behind is the change in a time constant
+    ramp = max(1.0, 80 * block.time_constant)
+    hold = max(0.3, 5 * block.time_constant)
+    # held at the lower edge until it has converged, then up
+    start = low + block.hysteresis
+    scenario = Scenario(
+        "run-up", hold + ramp, unbalances=weights, speed=start, to_speed=high, ramp=hold + ramp
+    )
+    sampled = loop.controller(loop.plant(low, conditions(machine)[0]))
+    wanted = []
+    for switched_off in (((0.0, scenario.duration),), ()):
+        blocks = running_law((block,), loop)
+        program = synchronous_program(machine, sampled, blocks, scenario, switched_off=switched_off)
+        trace = run(machine, program, scenario, every=5)
+        wanted.append((trace, program))
+    figures = [one_x(machine, trace.record, start, high, hold) for trace, _ in wanted]
+    on = np.mean([states[0] == BlockState.ON for _, states, _, _ in wanted[1][1].history])
+    change = [20 * np.log10(b / a) for a, b in zip(*figures, strict=True)]
+    peaks = []
+    for T, eps in ((None, 0.0), (True, block.gain)):
+        worst = 0.0
+        for w in np.linspace(low, high, 3):
+            chosen = block_table(block, machine).at(float(w)) if T else None
+            for condition in conditions(machine):
+                peak = sensitivity_peak(loop, block.mode, float(w), condition, chosen, eps)[0]
+                worst = max(worst, peak)
+        peaks.append(worst)
+    words = f"{low:.4g} to {high:.4g} rad/s in {ramp:.3g} s"
+    return words, RunUp(change[0], change[1], change[2], float(on), (peaks[0], peaks[1]))
+
+
+def one_x(
+    machine: Machine, record: object, start: float, end: float, after: float
+) -> tuple[float, float, float]:
+    """Largest 1x of current [A], magnetic force [N] and orbit [m], in windows of eight turns."""
+    time = record.time  # type: ignore[attr-defined]
+    speed = start + (end - start) * time / time[-1]
+    wave = np.exp(-1j * np.concatenate([[0.0], np.cumsum(speed[:-1] * np.diff(time))]))
+    k_i, k_s = magnet_coefficients(machine, machine.operation.design)
+    worst = [0.0, 0.0, 0.0]
+    begin = int(np.searchsorted(time, after))
+    while True:
+        width = int(8 * 2 * np.pi / speed[begin] / (time[1] - time[0]))
+        if begin + width >= len(time):
+            return worst[0], worst[1], worst[2]
+        part = slice(begin, begin + width)
+
+        def tone(kind: str, part: slice = part) -> np.ndarray:
+            return np.array(
+                [2 * np.mean(record[f"{kind}_{a}"][part] * wave[part]) for a in machine.axes]  # type: ignore[index]
+            )
+
+        u, i, q = tone("u"), tone("i"), tone("q")
+        worst[0] = max(worst[0], float(np.abs(u).max()))
+        worst[1] = max(worst[1], float(np.abs(k_i * i + k_s * q).max()))
+        worst[2] = max(worst[2], float(np.abs(q).max()))
+        begin += width
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--part", choices=("members", "attack", "runup"), default="members")
+    parser.add_argument("--machine", nargs="*", default=MACHINES)
+    parser.add_argument("--count", type=int, default=500)
+    options = parser.parse_args()
+    for name in options.machine:
+        if options.part == "members":
+            m = members_of(name, options.count)
+            print(
+                f"{name}: small gains {m.lost[0]} of {m.tried[0]} lost, smallest angle "
+                f"{m.angle:.1f} deg; exact poles {m.lost[1]} of {m.tried[1]} lost, "
+                f"{m.unstable} unstable without a block",
+                flush=True,
+            )
+        elif options.part == "attack":
+            tried, proved, refuted = attack_on(name, options.count)
+            print(f"{name}: {tried} tables, {proved} proved, {refuted} refuted", flush=True)
+        else:
+            words, r = run_up(name)
+            print(
+                f"{name}, {words}: 1x current {r.current:.1f} dB, force {r.force:.1f} dB, orbit "
+                f"{r.orbit:.1f} dB, on {r.share_on:.0%}; S {r.sensitivity[0]:.3g} without, "
+                f"{r.sensitivity[1]:.3g} with",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
