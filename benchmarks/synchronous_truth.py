@@ -37,8 +37,8 @@ from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
 from ambrose.model.static_load import magnet_coefficients
-from ambrose.model.uncertainty import perturbed, tolerances_around
 from ambrose.model.unbalance import residual_unbalance
+from ambrose.model.uncertainty import perturbed, tolerances_around
 from ambrose.rig.disturbances import Unbalance
 from ambrose.rig.scenario import Scenario
 from ambrose.rig.synchronous import synchronous_program
