@@ -577,7 +577,7 @@ class Rig:
         turn = -self.speed * before / self.rate  # the key mark passes at the first sample
         for order, amplitude, phase in self.runout if self.speed else ():
             spin = self.speed * time[:, None] + turn - np.array(directions)
-            seen += amplitude * np.cos(order * spin + phase)
+            seen += np.asarray(self.gains) * amplitude * np.cos(order * spin + phase)
         state = [part.copy() for part in self.equilibrium(law)]
         driven = np.vstack([np.zeros((before, a)), e.T])
         y, u, i = self._run(law, driven, seen, state, turn)[:, before:]
