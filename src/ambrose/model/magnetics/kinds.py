@@ -144,13 +144,16 @@ def homopolar(part: Magnet) -> DrivenMagnet:
                 columns.append(np.zeros(p + 1))
     if permanent:
         assert part.magnet_area is not None and part.magnet_length is not None
-        inside = {
-            "remanence": float(part.remanence or 0.0),
-            "permeability": part.magnet_permeability,
-        }
-        branches.append(
-            Branch(_S + 1, _S, part.magnet_area, part.magnet_length, "permanent magnet", **inside)
+        source = Branch(
+            _S + 1,
+            _S,
+            part.magnet_area,
+            part.magnet_length,
+            "permanent magnet",
+            remanence=float(part.remanence or 0.0),
+            permeability=part.magnet_permeability,
         )
+        branches.append(source)
         columns.append(np.zeros(p + 1))
         if part.leakage > 0:
             area = part.leakage * part.magnet_area
