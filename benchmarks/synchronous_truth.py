@@ -292,7 +292,7 @@ def run_up(name: str) -> tuple[str, RunUp]:
 def one_x(
     machine: Machine, record: object, start: float, end: float, after: float
 ) -> tuple[float, float, float]:
-    """Largest 1x of current [A], magnetic force [N] and orbit [m], in windows of eight turns."""
+    """Largest 1x of current [A], magnetic force [N] and orbit [m], in windows of sixty turns."""
     time = record.time  # type: ignore[attr-defined]
     speed = start + (end - start) * time / time[-1]
     wave = np.exp(-1j * np.concatenate([[0.0], np.cumsum(speed[:-1] * np.diff(time))]))
@@ -300,7 +300,7 @@ def one_x(
     worst = [0.0, 0.0, 0.0]
     begin = int(np.searchsorted(time, after))
     while True:
-        width = int(8 * 2 * np.pi / speed[begin] / (time[1] - time[0]))
+        width = int(60 * 2 * np.pi / speed[begin] / (time[1] - time[0]))
         if begin + width >= len(time):
             return worst[0], worst[1], worst[2]
         part = slice(begin, begin + width)

@@ -11,7 +11,9 @@ constant.
    is not as good.
 4. Herm(T S) > 0 is tried over every band that is left, between the speeds as well; the part in
    which it cannot be shown is left out, too, and named.
-5. eps: a third of what the exact sampled poles allow, no more than a twentieth of the lowest speed,
+5. The ends of a band at which the sensitivity with the block on passes its limit at any eps are
+   left out.
+6. eps: a third of what the exact sampled poles allow, no more than a twentieth of the lowest speed,
    and as small as it takes for the sensitivity with the block on to keep its limit.
 """
 
@@ -62,7 +64,8 @@ _SHARE = 1 / 3  # of the largest stable eps
 _TURNS = 1 / 20  # eps over the lowest speed of a band, at most
 _GAIN_SPEEDS = 3  # of each band, at which eps is bounded
 _NARROW = 0.02  # of the whole band: a part that is narrower is left out
-_BISECTIONS = 5  # of eps for the sensitivity
+_BISECTIONS = 5  # of eps, and of a band's end, for the sensitivity
+_TINY = 1e-5  # of the speed: an eps as small as any
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -174,6 +177,15 @@ def design_synchronous(
         why = "; ".join(str(item) for item in left_out)
         raise InvalidInput(
             f"no band is left in which {mode} may be on: {why}; choose another mode or band"
+        )
+    progress("the sensitivity beside the speed")
+    tables, trimmed = _within_sensitivity(loop, mode, tables, at)
+    left_out = sorted([*left_out, *trimmed], key=lambda item: item.low)
+    if not tables:
+        why = "; ".join(str(item) for item in left_out)
+        raise InvalidInput(
+            f"no band is left in which {mode} may be on: {why}; lower the sensitivity without a "
+            "block first, or choose another band"
         )
     progress("the largest eps")
     limit = min(_gain_limit(loop, mode, where, table, at) for where, table in tables)
@@ -374,6 +386,66 @@ def _gain_limit(
     return float(limit)
 
 
+def _allowed(loop: SynchronousLoop, mode: str, speed: float, condition: Condition) -> float:
+    """The sensitivity of an axis that a block has to keep: its limit, or what it is without, and
+    5 %.
+    """
+    limit = demand("sensitivity of an axis", loop.machine.requirements).limit or 3.0
+    return max(limit, 1.05 * sensitivity_peak(loop, mode, speed, condition, None, 0.0)[0])
+
+
+def _within_sensitivity(
+    loop: SynchronousLoop,
+    mode: str,
+    tables: Sequence[tuple[tuple[float, float], BlockTable]],
+    at: Sequence[Condition],
+) -> tuple[list[tuple[tuple[float, float], BlockTable]], list[Forbidden]]:
+    """The bands without the ends at which the sensitivity beside the speed passes its limit at any
+    eps, and those ends.
+
+    |S| beside the speed grows by 1/sin(angle), however small eps is: judged with an eps of 1e-5 of
+    the speed at the ends and in the middle; an end that fails is moved inwards by bisection.
+    """
+
+    def holds(speed: float, table: BlockTable) -> bool:
+        return all(
+            sensitivity_peak(loop, mode, speed, condition, table.at(speed), _TINY * speed)[0]
+            <= _allowed(loop, mode, speed, condition)
+            for condition in at
+        )
+
+    kept: list[tuple[tuple[float, float], BlockTable]] = []
+    left_out: list[Forbidden] = []
+
+    def leave_out(low: float, high: float, worst: float) -> None:
+        limit = orbit_limit(loop.machine, worst)
+        reason = "the sensitivity beside the speed passes its limit at any eps"
+        where = "with the T of the design"
+        left_out.append(Forbidden(low, high, worst, np.nan, np.nan, limit, where, reason=reason))
+
+    for (low, high), table in tables:
+        middle = (low + high) / 2
+        if not holds(middle, table):
+            leave_out(low, high, middle)
+            continue
+        ends = []
+        for end in (low, high):
+            good, bad = middle, end
+            if holds(end, table):
+                good = end
+            else:
+                for _ in range(_BISECTIONS):
+                    trial = (good + bad) / 2
+                    if holds(trial, table):
+                        good = trial
+                    else:
+                        bad = trial
+                leave_out(min(end, good), max(end, good), end)
+            ends.append(good)
+        kept.append(((ends[0], ends[1]), table))
+    return kept, left_out
+
+
 def _sensitive_gain(
     loop: SynchronousLoop,
     mode: str,
@@ -384,12 +456,8 @@ def _sensitive_gain(
     """eps lowered until the sensitivity at the ends of the bands keeps its limit, or what it is
     without, and 5 %.
     """
-    limit = demand("sensitivity of an axis", loop.machine.requirements).limit or 3.0
     places = [(w, table, condition) for where, table in tables for w in where for condition in at]
-    allowed = {
-        (w, condition): max(limit, 1.05 * sensitivity_peak(loop, mode, w, condition, None, 0.0)[0])
-        for w, _, condition in places
-    }
+    allowed = {(w, condition): _allowed(loop, mode, w, condition) for w, _, condition in places}
 
     def holds(trial: float) -> bool:
         return all(
@@ -400,11 +468,6 @@ def _sensitive_gain(
 
     if holds(gain):
         return gain, []
-    if not holds(gain * 1e-3):  # |S| beside the speed grows by 1/sin(angle), however small eps is
-        return gain, [
-            "the sensitivity beside the speed passes its limit at any eps, for the angle is "
-            "small; see verify"
-        ]
     low, high = 0.0, gain
     trial = gain / 4
     for _ in range(_BISECTIONS):
