@@ -103,10 +103,8 @@ def test_a_target_that_is_replaced_goes_on_from_where_it_is():
     assert live.advance(5000).speed == pytest.approx(start)
 
 
-def test_knock_is_its_impulse():
-    """Momentum balance: the impulse is the rotor's mass times the change of its speed, which one
-    millisecond leaves the controller hardly time to take back.
-    """
+def test_a_knock_pushes_where_it_points():
+    """Along y, although the bearing's axes are tilted by 45 degrees."""
     live = LiveRig(RIG, PID)
     calm = live.advance(100).log[-1]
     live.knock("A", 0.0, 0.004)

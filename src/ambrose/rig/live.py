@@ -98,9 +98,8 @@ class LiveRig:
         begin = machine.operation.nominal if point is None else point
         if scenario is None:
             scenario = Scenario("live", _FOREVER, speed=begin.speed, initial=initial)
-        known = {"duration": _FOREVER, "speed": begin.speed, "switch_at": None}
-        known["speed"] = begin.speed if scenario.speed is None else scenario.speed
-        scenario = replace(scenario, **known).on(machine)
+        speed = begin.speed if scenario.speed is None else scenario.speed
+        scenario = replace(scenario, duration=_FOREVER, speed=speed, switch_at=None).on(machine)
         timing = timing_of(machine, law, rate, delay_samples) or DEFAULT
         wanted = timing.sample_time if rate is not None else scenario.sample_time
         dt = sample_time(law, machine, wanted or timing.sample_time)
@@ -240,7 +239,8 @@ class LiveRig:
         return np.hypot(places[:, 0::2], places[:, 1::2])
 
     def _contact(self, log: np.ndarray) -> tuple[bool, ...]:
-        return tuple((self._distance(log) > self.clearances).any(axis=0).tolist())
+        beyond = self._distance(log) > self.clearances
+        return tuple(bool(column.any()) for column in beyond.T)
 
     def _beyond(self, log: np.ndarray) -> str | None:
         for bearing, far in zip(self.machine.bearings, self._distance(log).T, strict=True):
@@ -263,7 +263,7 @@ class LiveRig:
         ports = self.ports[2 * s : 2 * s + 2]
         length = max(round(_KNOCK / self.dt), 1) * self.dt
         pulses = [
-            Pulse(f"f_{port}", check_finite(part, "the impulse") / length, self._now, length)
+            Pulse(f"f_{port}", float(check_finite(part, "the impulse")) / length, self._now, length)
             for port, part in zip(ports, parts, strict=True)
         ]
         self._do(pulses=(*self._task.scenario.pulses, *pulses))
@@ -436,8 +436,9 @@ class LiveRig:
         """
         scenario, now = self._task.scenario, self._now
         kinds = (scenario.pulses, scenario.speed_changes, scenario.pressures, scenario.sequences)
-        ramps = [*scenario.speed_changes[-1:], *scenario.pressures[-1:]]
-        moving = any(change.time + change.ramp > now for change in ramps)
+        ends = [change.time + change.ramp for change in scenario.speed_changes[-1:]]
+        ends += [change.time + change.ramp for change in scenario.pressures[-1:]]
+        moving = any(end > now for end in ends)
         exciting = any(item.duration is None for item in scenario.sequences)
         if sum(map(len, kinds)) <= _EVENTS or moving or exciting:
             return
