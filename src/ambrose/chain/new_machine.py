@@ -36,7 +36,6 @@ from ambrose.machine.rotor_model import Disc, RotorModel, ShaftSection
 from ambrose.machine.stator import Sensor
 from ambrose.machine.units import DIMENSIONS, read_quantity
 from ambrose.model.assemble import assemble
-from ambrose.model.effects.magnet import VACUUM_PERMEABILITY
 from ambrose.model.effects.rotor import (
     STANDARD_GRAVITY,
     finite_element_rotor,
@@ -44,6 +43,7 @@ from ambrose.model.effects.rotor import (
     mass_properties,
     plane_rows,
 )
+from ambrose.model.magnetics.vacuum import VACUUM_PERMEABILITY
 from ambrose.model.static_load import magnet_coefficients
 from ambrose.synthesis.first_pid import holding_pid, in_hertz, rounded
 

@@ -21,6 +21,7 @@ from ambrose.machine.machine import Machine
 from ambrose.model.effects import magnet
 from ambrose.model.effects.loaded_magnet import LoadedMagnet
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
+from ambrose.model.magnetics.vacuum import VACUUM_PERMEABILITY
 from ambrose.model.plant import top_speed
 from ambrose.model.static_load import operating_magnets, static_sag
 
@@ -184,7 +185,7 @@ def drives(machine: Machine, size: Size, turns: Sequence[float] = TURNS) -> tupl
         if machine.amplifier.inductance is not None:
             L = size.area * machine.amplifier.inductance
         elif of is not None:
-            L = magnet.VACUUM_PERMEABILITY * of.turns**2 * of.pole_area / (2 * of.gap)
+            L = VACUUM_PERMEABILITY * of.turns**2 * of.pole_area / (2 * of.gap)
         else:
             L = k_i**2 / (2 * k_s) if k_s > 0 else 0.0
         found.append((rate * L * _most(bearing), _most(bearing), bearing.bias_current, L))
