@@ -42,6 +42,7 @@ from ambrose.machine.file.toml import (
 )
 from ambrose.machine.file.update import save_machine
 from ambrose.machine.machine import Machine
+from ambrose.machine.magnet import Magnet
 from ambrose.machine.rotor_model import BendingMode, Disc, Material, ShaftSection
 from ambrose.machine.seals import (
     FREQUENCY_DEPENDENCE,
@@ -80,6 +81,24 @@ def test_every_value_of_the_small_machine():
         "magnetic_offset": (20e-6, 0.0),
     }
     rig["coefficients_at"] = "static-load"
+    rig["magnet"] = Magnet(
+        kind="homopolar",
+        turns=60.0,
+        pole_area=500e-6,
+        gap=0.5e-3,
+        poles=6,
+        leakage=0.08,
+        iron_path=0.08,
+        iron_permeability=2500.0,
+        iron_flux_density=2.0,
+        journal_radius=0.04,
+        back_iron_area=600e-6,
+        bias="permanent-magnet",
+        remanence=1.1,
+        magnet_permeability=1.06,
+        magnet_length=0.012,
+        magnet_area=900e-6,
+    )
     table = SealTable(
         (("pressure", (0.0, 1e5, 2e5)), ("frequency", (0.0, 200 * hz))),
         (("k", ((0.0, 0.0), (1e6, 1.1e6), (2e6, 2.2e6))),),
@@ -318,6 +337,8 @@ def test_small_machine_has_every_key_of_every_table():
     written = set(keys_in(tomllib.loads(SMALL), machine_file()))
     alternatives = {
         *(
+            "bearing.magnet.polarity",
+            "bearing.magnet.bias_turns",
             "shaft.start",
             "amplifier.natural_frequency",
             "amplifier.damping",
@@ -505,6 +526,19 @@ def shafts(draw):
 
 
 @st.composite
+def magnets(draw):
+    sizes = {key: draw(positive) for key in ("turns", "pole_area", "gap", "leakage")}
+    if draw(st.booleans()):
+        poles = draw(st.sampled_from([None, 8, 12, 16]))
+        polarity = draw(st.sampled_from(["NSNS", "NNSS"]))
+        return Magnet("heteropolar", **sizes, poles=poles, polarity=polarity)
+    if draw(st.booleans()):
+        return Magnet("homopolar", **sizes, bias_turns=draw(positive))
+    permanent = {key: draw(positive) for key in ("remanence", "magnet_length", "magnet_area")}
+    return Magnet("homopolar", **sizes, bias="permanent-magnet", **permanent)
+
+
+@st.composite
 def bearings(draw, name, place):
     geometry = d.MagnetGeometry(
         draw(positive), draw(positive), draw(positive), draw(physical(0, 1.5))
@@ -513,7 +547,10 @@ def bearings(draw, name, place):
         d.BiasPoint(i, draw(pair), draw(pair))
         for i in draw(st.lists(positive, max_size=3, unique=True))
     )
+    magnet = draw(maybe(magnets()))
     given = draw(st.booleans())
+    if magnet is not None and not given:
+        return d.MagneticBearing(name, draw(place), draw(positive), draw(angle), magnet=magnet)
     return d.MagneticBearing(
         name,
         draw(place),

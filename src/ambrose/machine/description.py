@@ -141,9 +141,6 @@ class MagneticBearing(Part):
         "negative stiffness k_s at bias_current, positive where it destabilises",
     ] = None
     geometry: Annotated[MagnetGeometry | None, "the magnet's geometry"] = None
-    magnet: Annotated[Magnet | None, "the magnet as a magnetic network, in place of geometry"] = (
-        None
-    )
     measured: Annotated[tuple[BiasPoint, ...], "coefficients at other bias currents"] = ()
     gap: Annotated[Length | None, "radial air gap, a limit in verification"] = None
     touchdown_gap: Annotated[Length | None, "radial gap of the touchdown bearing"] = None
@@ -165,6 +162,9 @@ class MagneticBearing(Part):
         "or while it carries the "
         "rotor's weight (as identified)",
     ] = "no-load"
+    magnet: Annotated[Magnet | None, "the magnet as a magnetic network, in place of geometry"] = (
+        None
+    )
 
 
 @dataclass(frozen=True, slots=True, repr=False)
