@@ -24,6 +24,7 @@ _GROUPS = {
         "pressure_error",
         "stuck_after",
     ),
+    "On its processor": ("try_on", "clock", "flash", "ram"),
     **groups_from(TARGETS, "With every target", _WORD),
 }
 
@@ -104,6 +105,8 @@ def export(
             say(f"the loop as it runs misses a limit: {limit}", err=True)
         if delivery.not_alike:
             say(f"no parameters.json: {delivery.not_alike}", err=True)
+        if delivery.trial is not None:
+            say(f"{delivery.trial.processor.name}: {delivery.trial.text}", err=True)
         for path in content["files"]:
             say(path)
     sys.exit(0 if content["verified"] and not content["unmet_limits"] else 1)

@@ -21,7 +21,9 @@ from ambrose.code.block.scheduled import ScheduledBlock, build_scheduled_block, 
 from ambrose.code.block.supervised import supervise
 from ambrose.code.c.code import check_precision
 from ambrose.code.difference import Difference, parameter_difference
+from ambrose.code.delivered import check_processor, try_target
 from ambrose.code.fmu.archive import check_compiler
+from ambrose.code.processor.trial import Trial
 from ambrose.code.provenance import provenance_lines
 from ambrose.code.sampled import (
     Deployment,
@@ -31,6 +33,7 @@ from ambrose.code.sampled import (
     deploy_scheduled,
     unmet_limits,
 )
+from ambrose.code.synchronous import RunUnit
 from ambrose.code.targets import TARGETS, C, Fmu, Target
 from ambrose.core.checks import InvalidInput, UnstableSystem, invalid, same_clock
 from ambrose.core.presentation import Presented
@@ -53,9 +56,9 @@ from ambrose.options import choose
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Delivery(Presented):
     """What was written for a target, and what it was verified on; fallback: the same of the
-    controller that takes over; synchronous: of the blocks beside it. difference: what leads from
-    the code of a replaced controller to this one (None: none was named); not_alike: why there is
-    none although one was.
+    controller that takes over; synchronous: of the blocks beside it; trial: on its processor.
+    difference: what leads from the code of a replaced controller to this one (None: none was
+    named); not_alike: why there is none although one was.
     """
 
     target: str
@@ -66,6 +69,7 @@ class Delivery(Presented):
     synchronous: tuple[Checks, ...] = ()
     difference: Difference | None = None
     not_alike: str = ""
+    trial: Trial | None = None
 
     def facts(self) -> Mapping[str, Any]:
         """Target, verdict, size, rate and files."""
@@ -77,7 +81,8 @@ class Delivery(Presented):
             "files": [path.name for path in self.paths],
         }
         found = {"problems": list(self.problems), "unmet_limits": list(self.unmet_limits)}
-        return facts | {name: items for name, items in found.items() if items}
+        tried = {} if self.trial is None else {"trial": dict(self.trial.facts())}
+        return facts | tried | {name: items for name, items in found.items() if items}
 
     @property
     def verified(self) -> bool:
@@ -102,6 +107,7 @@ class Delivery(Presented):
             *unmet_limits(self.deployment),
             *missed_beside(self.synchronous),
             *_of_fallback(unmet_limits(self.fallback) if self.fallback else ()),
+            *(self.trial.problems if self.trial else ()),
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -116,6 +122,7 @@ class Delivery(Presented):
             "problems": problems,
             "unmet_limits": list(self.unmet_limits),
             **({"not_alike": self.not_alike} if self.not_alike else {}),
+            **({} if self.trial is None else {"trial": self.trial.to_dict()}),
         }
 
 
@@ -159,6 +166,8 @@ def export(
     check_place(directory)  # all this before the verification, which takes seconds
     if isinstance(target, Fmu) and not target.sources_only:
         check_compiler()
+    if isinstance(target, C):
+        check_processor(target, lambda: _unverified(synthesis, machine, target, limits))
     with claimed(directory, "folder"):
         deployment, block = _deploy(synthesis, machine, target, limits, progress, other is not None)
         lines, beside = provenance_lines(synthesis, deployment), None
@@ -182,12 +191,13 @@ def export(
             block = supervise(block, cast(ControlBlock, waiting), watch)
             lines = [*lines, "Fallback:", *provenance_lines(other, fixed)]
         judged: tuple[Checks, ...] = ()
+        law: ControlBlock | ScheduledBlock | RunUnit = block
         if around and machine is not None and isinstance(target, C):
-            law = (
+            runs = (
                 synthesis if isinstance(deployment, ScheduledDeployment) else deployment.controller
             )
-            unit, judged = judge_beside(around, machine, law, block, progress, force=target.force)
-            files = target.files_beside(unit, lines)
+            law, judged = judge_beside(around, machine, runs, block, progress, force=target.force)
+            files = target.files_beside(law, lines)
         else:
             files = target.files(synthesis, deployment, block, lines)
         difference, not_alike = None, ""
@@ -209,6 +219,25 @@ def export(
         progress("writing")
         paths = tuple(write_files(directory, files, held=True))
         return Delivery(target.to, deployment, block, paths, beside, judged, difference, not_alike)
+        trial = None
+        if isinstance(target, C) and target.try_on is not None:
+            trial = try_target(target, law, files, progress)
+            files = {**files, f"{block.name}_{target.try_on}.md": trial.report()}
+        progress("writing")
+        paths = tuple(write_files(directory, files, held=True))
+        return Delivery(target.to, deployment, block, paths, beside, judged, trial)
+
+
+def _unverified(
+    synthesis: Synthesis,
+    machine: Machine | None,
+    target: Target,
+    limits: tuple[ArrayLike, ArrayLike],
+) -> ControlBlock | ScheduledBlock:
+    """The controller's block before any verification: how large its code is."""
+    timing = timing_of(machine, synthesis, target.rate, target.delay_samples) or DEFAULT
+    early = replace(target, rate=timing.rate, delay_samples=timing.delay_samples, force=True)
+    return _deploy(synthesis, None, early, limits, lambda stage: None)[1]
 
 
 def _fallback(

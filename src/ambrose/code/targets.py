@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     Block = ControlBlock | ScheduledBlock
 
 Files = Mapping[str, "str | bytes"]
+# as code.processor.machines describes them
+PROCESSORS = ("cortex-m7", "cortex-m4", "cortex-r5", "aarch64", "riscv64", "ppc64")
 _WORDS = ("double", "float", "fixed32", "fixed16")
 
 
@@ -138,7 +140,9 @@ class C(Target):
 
     arithmetic: of the code. form: "modal", or of filters "cascade", section by section. With a
     fallback pressure_rate, pressure_error [Pa] and stuck_after [s] are rate, band and stuck of
-    ``law.supervision.Limits``.
+    ``law.supervision.Limits``. try_on: a processor that the code is compiled for and run on, in an
+    emulator, beside this computer (None: not); clock [Hz]: of it; flash, ram [bytes]: code, or
+    memory and stack, beyond them are refused.
     """
 
     to: ClassVar[str] = "c"
@@ -160,6 +164,32 @@ class C(Target):
         None,
         "With --fallback: how long the very same reading may come; default: not watched.",
         metavar="SECONDS",
+    )
+    try_on: str | None = option(
+        None,
+        "Compile it for this processor too, run it there in QEMU, and compare bit by bit.",
+        choices=PROCESSORS,
+    )
+    clock: float | None = option(
+        None,
+        'With --try-on: the processor\'s clock, such as "480 MHz".',
+        dimension="frequency",
+        metavar="FREQUENCY",
+        check=positive("give it in Hz"),
+    )
+    flash: float | None = option(
+        None,
+        'With --try-on: what there is for code and tables, such as "512 kB".',
+        dimension="storage",
+        metavar="SIZE",
+        check=positive("give it in bytes"),
+    )
+    ram: float | None = option(
+        None,
+        'With --try-on: what there is for states and stack, such as "64 kB".',
+        dimension="storage",
+        metavar="SIZE",
+        check=positive("give it in bytes"),
     )
 
     def files(

@@ -31,6 +31,7 @@ from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.code.block.supervised import SupervisedBlock
 from ambrose.code.block.vectors import Vectors, as_csv, make_scheduled_vectors, make_vectors
 from ambrose.code.block.word_length import BITS, MANTISSA, floating_error, gain_error, word_lengths
+from ambrose.code.c.identity import identity_facts, with_identity
 from ambrose.code.c.literals import diagonals, integer_table, literal, real_table
 from ambrose.code.c.supervised import supervision_facts
 from ambrose.code.rendering import render
@@ -42,6 +43,7 @@ Arithmetic = Literal["double", "float", "fixed32", "fixed16"]
 Precision = Literal["double", "float"]
 _WORDS = {"fixed32": 32, "fixed16": 16}
 _SINGLE_TOLERANCE = 1e-4  # of the current limit, of a scheduled block
+LARGEST = {"double": "DBL_MAX", "float": "FLT_MAX"}
 _DOUBLE_TOLERANCE = 1e-12  # of the current asked for
 
 
@@ -98,11 +100,22 @@ def generate(
         "_test.c": ("selftest.c.j2", _replay(run, tolerance, arithmetic)),
         "_report.md": (f"{kind}_report.md.j2", report),
     }
-    files = {
+    template, values = texts.pop(".c")
+    source = render(template, {**facts, **values})
+    known = identity_facts(block.name, source, code_types(arithmetic))
+    files = {f"{block.name}.c": with_identity(source, known)}
+    facts |= known
+    files |= {
         f"{block.name}{end}": render(template, {**facts, **values})
         for end, (template, values) in texts.items()
     }
     return {**files, f"{block.name}_vectors.csv": as_csv(block, run)}
+
+
+def code_types(arithmetic: str) -> dict[str, str]:
+    """{type in the text: numpy's} of tables."""
+    words = {"double": "f8", "float": "f4", "fixed32": "i4", "fixed16": "i2"}
+    return {"real": words[arithmetic], "word": words[arithmetic], "uchar": "u1", "int32_t": "i4"}
 
 
 def scheduled_tolerance(block: ScheduledBlock, run: Vectors, arithmetic: str) -> np.ndarray:
@@ -193,6 +206,7 @@ def _facts(
         "type": types.get(arithmetic, f"int{word}_t"),
         "state_type": types.get(arithmetic, f"int{2 * word}_t"),
         "zero": "0" if word else literal(0.0, arithmetic),
+        "largest": LARGEST.get(arithmetic, ""),
         "delay_text": _delay_text(block.delay),
         "cost": scheduled_cost(block, arithmetic)
         if isinstance(block, ScheduledBlock)

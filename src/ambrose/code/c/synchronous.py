@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 
 from ambrose.code.block.names import as_comment
-from ambrose.code.c.code import check_precision
+from ambrose.code.c.code import LARGEST, check_precision, code_types
 from ambrose.code.c.compiler import COMPILERS, build_library, find_compiler, load_library
+from ambrose.code.c.identity import identity_facts, with_identity
 from ambrose.code.c.literals import literal, real_table
 from ambrose.code.rendering import render
 from ambrose.core.checks import InvalidInput, invalid
@@ -97,9 +98,14 @@ def generate_synchronous(
         "sixth": number(1 / 6),
         "zero": number(0.0),
         "one": number(1.0),
+        "fixed": False,
+        "largest": LARGEST[arithmetic],
         "far": number(_FAR),
     }
-    return {f"{name}{end}": render(f"synchronous{end}.j2", facts) for end in (".h", ".c")}
+    source = render("synchronous.c.j2", facts)
+    known = identity_facts(name, source, code_types(arithmetic))
+    header = render("synchronous.h.j2", {**facts, **known})
+    return {f"{name}.h": header, f"{name}.c": with_identity(source, known)}
 
 
 def write_synchronous(

@@ -1,0 +1,1 @@
+"""The code on its own processor: cross-compiled, run by an emulator, compared with this computer."""
