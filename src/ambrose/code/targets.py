@@ -25,7 +25,15 @@ if TYPE_CHECKING:
 
 Files = Mapping[str, "str | bytes"]
 # as code.processor.machines describes them
-PROCESSORS = ("cortex-m7", "cortex-m4", "cortex-r5", "aarch64", "riscv64", "ppc64")
+PROCESSORS = (
+    "cortex-m7",
+    "cortex-m4",
+    "cortex-r5",
+    "cortex-r5-big-endian",
+    "aarch64",
+    "riscv64",
+    "ppc64",
+)
 _WORDS = ("double", "float", "fixed32", "fixed16")
 
 

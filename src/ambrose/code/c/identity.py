@@ -1,8 +1,8 @@
 """What running code can be asked for: which code it is, and whether its tables are still those that
 were written.
 
-The checksum is CRC-32 (IEEE 802.3: polynomial 0xEDB88320 reflected, start and end inverted) over the
-numbers of the tables in the order of the text, least significant octet first whatever the
+The checksum is CRC-32 (IEEE 802.3: polynomial 0xEDB88320 reflected, start and end inverted) over
+the numbers of the tables in the order of the text, least significant octet first whatever the
 processor's byte order. The tables are read back out of the text, so that none can be forgotten.
 """
 

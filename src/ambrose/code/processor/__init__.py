@@ -1,1 +1,1 @@
-"""The code on its own processor: cross-compiled, run by an emulator, compared with this computer."""
+"""Code on its own processor: cross-compiled, run by an emulator, compared with this computer."""

@@ -87,7 +87,7 @@ def build(unit: Unit, processor: Processor, folder: Path, contraction: bool = Fa
         objects.append(made)
     link = [*_FREE[2:], "-Wl,-Map=program.map", "-Wl,--build-id=none"] if free else []
     link += ["-T", "memory.ld"] if processor.kind in _PLACES else []
-    last = ["-lgcc"] if free else []
+    last = [processor.library] if free and processor.library else []
     _run([processor.compiler, *flags, *link, *objects, *last, "-o", "program"], folder)
     if not free:
         return Program(folder / "program", Footprint(0, 0, 0, 0, ()), {}, 0)

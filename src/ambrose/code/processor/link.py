@@ -50,7 +50,7 @@ class Link:
             self._log = program.path.with_name("instructions.log")
             logged = ["-singlestep", "-d", "exec,nochain", "-D", str(self._log)]
             command[1:1] = logged
-        self._errors = tempfile.TemporaryFile()
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the link
         self._process = subprocess.Popen(
             command,
             cwd=program.path.parent,

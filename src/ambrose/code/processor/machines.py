@@ -30,7 +30,8 @@ class Processor:
     processor, package: Debian's that holds it. emulator: its command, {program} for the program,
     emulator_package. kind: which start-up code it needs, "cortex-m", "cortex-r", "linux" or "host".
     order: byte order, "<" or ">". double: how it computes in double precision. exception_frame
-    [bytes]: what an interrupt puts on the stack by itself.
+    [bytes]: what an interrupt puts on the stack by itself. library: the compiler's
+    own, as the linker is told.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Processor:
     order: str = "<"
     double: str = "in hardware"
     exception_frame: int = 0
+    library: str = "-lgcc"
 
     def tool(self, name: str) -> str:
         """A program of the compiler's family, such as ``size``."""
@@ -132,6 +134,18 @@ _LISTED = (
         ),
         emulator_package="qemu-system-arm",
         kind="cortex-r",
+    ),
+    Processor(
+        name="cortex-r5-big-endian",
+        title="Arm Cortex-R5F, most significant byte first",
+        compiler="arm-none-eabi-gcc",
+        flags=("-mcpu=cortex-r5", "-mthumb", "-mfpu=vfpv3-d16", "-mfloat-abi=hard", "-mbig-endian"),
+        package="gcc-arm-none-eabi",
+        emulator=("qemu-armeb", "-cpu", "cortex-r5f", "{program}"),
+        emulator_package="qemu-user",
+        kind="linux",
+        order=">",
+        library="",
     ),
     Processor(
         name="aarch64",

@@ -20,10 +20,11 @@ _CONTACT_BIT, _OFF_BIT = 4, 64
 
 
 def stimulus(unit: Unit, count: int, seed: int = SEED) -> np.ndarray:
-    """Samples (count,) as ``Unit.given`` has them, the same for a seed everywhere: coloured noise of
-    a third of the limit; a stretch near it, in which currents are limited; readings beyond it,
-    flagged as lost, and not a number; what the step is told passes through its range and beyond, is
-    lost, jumps; pulses of a run-up, contact, and blocks switched off.
+    """Samples (count,) as ``Unit.given`` has them, the same for a seed everywhere.
+
+    Coloured noise of a third of the limit; a stretch near it, in which currents are limited;
+    readings beyond it, flagged as lost, and not a number; what the step is told passes through its
+    range and beyond, is lost, jumps; pulses of a run-up, contact, and blocks switched off.
     """
     rng = np.random.default_rng(seed)
     base = unit.base

@@ -1,0 +1,250 @@
+"""The exported code on other processors, in QEMU: bit for bit as here, and what is refused."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sys
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from ambrose.cli import main
+from ambrose.code.c.code import generate
+from ambrose.code.processor import machines
+from ambrose.code.processor.build import build
+from ambrose.code.processor.link import Link
+from ambrose.code.processor.machines import PROCESSORS
+from ambrose.code.processor.stimulus import stimulus
+from ambrose.code.processor.trial import check_room, try_unit
+from ambrose.code.processor.unit import unit_of
+from ambrose.code.targets import PROCESSORS as OFFERED
+from ambrose.code.targets import C
+from ambrose.core.checks import InvalidInput
+from ambrose.judge.controller_file import write_controller
+from example_blocks import rig_block, small_block, small_controller
+
+sys.path.append(str(Path(__file__).parents[1] / "c"))
+from test_run import base_of
+from test_run import unit_of as beside_of
+
+
+def missing(name):
+    """Why nothing can be tried on a processor here; "" where it can."""
+    processor = PROCESSORS[name]
+    needed = ("cc", processor.compiler, processor.emulator[0])
+    absent = [program for program in needed if not shutil.which(program)]
+    return f"not here: {', '.join(absent)}" if absent else ""
+
+
+def needs(*names):
+    reasons = [missing(name) for name in names if missing(name)]
+    return pytest.mark.skipif(bool(reasons), reason="; ".join(reasons))
+
+
+M7, BIG = "cortex-m7", "cortex-r5-big-endian"
+LAWS = {
+    "fixed": rig_block,
+    "cascade": lambda: base_of("cascade"),
+    "scheduled": lambda: base_of("scheduled"),
+    "supervised": lambda: base_of("supervised"),
+    "synchronous": lambda: beside_of("fixed"),
+    "synchronous beside a fallback": lambda: beside_of("supervised"),
+}
+FIXED_POINT = ("fixed", "cascade")
+
+
+def every():
+    """Law, number type and processor; what is no slow one is not among the campaigns."""
+    for law in LAWS:
+        for arithmetic in ("double", "float", *(("fixed32",) if law in FIXED_POINT else ())):
+            for name in PROCESSORS:
+                quick = (law, arithmetic, name) in {
+                    ("fixed", "float", M7),
+                    ("fixed", "double", BIG),
+                }
+                rare = name not in {M7, BIG, "cortex-m4"} or (name == BIG and arithmetic == "float")
+                marks = [needs(name)]
+                marks += [] if quick else [pytest.mark.study if rare else pytest.mark.campaign]
+                yield pytest.param(law, arithmetic, name, marks=marks)
+
+
+@pytest.mark.parametrize(("law", "arithmetic", "name"), list(every()))
+def test_the_currents_are_those_of_this_computer_to_the_last_bit(law, arithmetic, name):
+    unit = unit_of(LAWS[law](), arithmetic)
+    rows = stimulus(unit, 600)
+    trial = try_unit(unit, PROCESSORS[name], clock=480e6, samples=rows, contraction=False)
+    assert trial.problems == ()
+    assert trial.equal
+    assert trial.self_test
+    assert trial.found == trial.meant
+    assert trial.apart.max() == 0
+    # the compiler's sum of frames covers what was written, but for calls into its own library
+    assert trial.written <= trial.footprint.stack or trial.footprint.outside
+    assert 100 < trial.instructions.min() <= trial.instructions.max() < 60_000
+
+
+@cache
+def counted(name, arithmetic):
+    unit = unit_of(small_block(), arithmetic)
+    return try_unit(unit, PROCESSORS[name], samples=stimulus(unit, 64), contraction=False)
+
+
+@needs("cortex-m4")
+def test_double_precision_in_software_costs_more_than_single_in_hardware():
+    double, single = (counted("cortex-m4", kind).instructions.max() for kind in ("double", "float"))
+    assert double > 5 * single
+    assert counted("cortex-m4", "double").footprint.library > 500
+    assert counted("cortex-m4", "float").footprint.library == 0
+
+
+@needs(M7)
+def test_a_changed_table_or_another_law_is_seen(tmp_path):
+    """The trial can fail: one digit of one number, in what runs there alone."""
+    unit = unit_of(small_block(), "float")
+    source = unit.files["small.c"]
+    place = source.index("from_error")
+    changed = source[:place] + re.sub(r"\d(?=\.\d{3})", "9", source[place:], count=1)
+    assert changed != source
+    other = replace(unit, files={**unit.files, "small.c": changed})
+    rows = stimulus(unit, 40)
+    answers = []
+    for which, label in ((unit, "as written"), (other, "changed")):
+        program = build(which, PROCESSORS[M7], tmp_path / label)
+        with Link(which, PROCESSORS[M7], program) as link:
+            passed = link.self_test()
+            link.begin()
+            answers.append((passed, link.steps(rows)["current"], link.checksum()[:2]))
+    assert answers[0][0]
+    assert not answers[1][0]
+    assert answers[0][2][0] == answers[0][2][1]
+    assert answers[1][2][0] != answers[1][2][1]
+    assert not np.array_equal(answers[0][1], answers[1][1])
+
+
+def crc(content):
+    """CRC-32 of IEEE 802.3, bit by bit."""
+    value = 0xFFFFFFFF
+    for octet in content:
+        value ^= octet
+        for _ in range(8):
+            value = value >> 1 ^ (0xEDB88320 if value & 1 else 0)
+    return value ^ 0xFFFFFFFF
+
+
+def test_the_checksum_is_that_of_the_block_s_numbers():
+    assert crc(b"123456789") == 0xCBF43926  # the check value of the standard
+    block = small_block()
+    files = generate(block)
+    meant = int(re.search(r"SMALL_CHECKSUM 0x([0-9A-F]{8})u", files["small.h"])[1], 16)
+    numbers = [block.error_limit, block.current_limit]
+    bands = [k for k in range(-3, 4) if np.diag(block.increment, k).any()]
+    for k in bands:
+        padded = np.zeros(block.n_states)
+        padded[max(0, -k) : block.n_states - max(0, k)] = np.diag(block.increment, k)
+        numbers.append(padded)
+    numbers += [block.B.T, block.C.T]
+    numbers += [block.unwind[: block.winding].T, block.from_error.T, block.from_output.T]
+    assert crc(b"".join(np.ascontiguousarray(x, "<f8").tobytes() for x in numbers)) == meant
+
+
+def test_the_identity_follows_the_numbers_and_nothing_else():
+    one, same, other = (
+        re.search(r'IDENTITY "(\S+ [0-9a-f]{16} ambrose \S+)"', generate(*given)["small.h"])[1]
+        for given in (
+            (small_block(),),
+            (small_block(), "double", ["another header"]),
+            (small_block(system=small_controller() * 1.01),),
+        )
+    )
+    assert one == same != other
+
+
+def test_the_processors_of_the_command_are_those_described():
+    assert OFFERED == tuple(PROCESSORS)
+
+
+@pytest.fixture
+def fake(tmp_path, monkeypatch):
+    """A path on which alone these programs are: shell scripts."""
+
+    def made(**programs):
+        folder = tmp_path / "bin"
+        folder.mkdir()
+        for name, script in programs.items():
+            (folder / name.replace("_", "-")).write_text(f"#!/bin/sh\n{script}\n")
+            (folder / name.replace("_", "-")).chmod(0o755)
+        monkeypatch.setenv("PATH", str(folder))
+        machines.mantissa.cache_clear()
+
+    yield made
+    machines.mantissa.cache_clear()
+
+
+COMPILER, QEMU = "arm_none_eabi_gcc", "qemu_system_arm"
+SHORT = "echo '#define __DBL_MANT_DIG__ 24'"
+
+
+@pytest.mark.parametrize(
+    ("programs", "arithmetic", "said"),
+    [
+        ({}, "float", "cortex-m7 needs arm-none-eabi-gcc, which is not on this computer; install"),
+        ({COMPILER: SHORT}, "float", "cortex-m7 needs qemu-system-arm, which is not on this"),
+        ({COMPILER: SHORT, QEMU: ""}, "double", "cortex-m7 has no double precision: arm-none"),
+        ({COMPILER: "exit 1", QEMU: ""}, "float", "arm-none-eabi-gcc does not answer"),
+        ({COMPILER: SHORT, QEMU: ""}, "float", "a trial compares with this computer, which has"),
+    ],
+)
+def test_what_is_not_there_is_refused_before_anything_is_computed(
+    fake, tmp_path, programs, arithmetic, said
+):
+    path = write_controller(tmp_path / "small.json", small_controller())
+    fake(**programs)
+    words = ["export", path, "--to", "c", "-o", tmp_path / "code", "--try-on", M7]
+    words += ["--arithmetic", arithmetic, "--error-limit", "1e-3", "--current-limit", "2"]
+    result = CliRunner().invoke(main, [str(word) for word in words])
+    assert result.exit_code == 2
+    assert said in result.stderr
+    assert result.stderr.count("\n") == 1
+    assert not (tmp_path / "code").exists()
+
+
+@needs(M7)
+@pytest.mark.parametrize(
+    ("room", "what"), [({"flash": 500.0}, "flash"), ({"memory": 100.0}, "memory")]
+)
+def test_code_that_is_larger_than_what_there_is_is_refused(room, what):
+    with pytest.raises(InvalidInput, match=rf"needs \d+ bytes of {what} on cortex-m7, but only"):
+        check_room(unit_of(small_block(), "float"), PROCESSORS[M7], **room)
+
+
+def test_what_goes_with_a_processor_is_refused_without_one(tmp_path):
+    path = write_controller(tmp_path / "small.json", small_controller())
+    words = ["export", str(path), "--to", "c", "-o", str(tmp_path / "code"), "--clock", "480MHz"]
+    words += ["--error-limit", "1e-3", "--current-limit", "2"]
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 2
+    assert "name a processor" in result.stderr
+    with pytest.raises(InvalidInput, match="try_on"):
+        C(try_on="cortex-m9")
+
+
+@needs(M7)
+@pytest.mark.campaign
+def test_the_command_tries_what_it_writes(tmp_path):
+    path = write_controller(tmp_path / "small.json", small_controller())
+    words = ["export", path, "--to", "c", "-o", tmp_path / "code", "--name", "small", "--force"]
+    words += ["--error-limit", "1e-3", "--current-limit", "2", "--try-on", M7]
+    words += ["--clock", "480MHz", "--flash", "64 kB", "--ram", "8 kB"]
+    result = CliRunner().invoke(main, [str(word) for word in words])
+    assert result.exit_code == 1  # forced
+    assert re.search(
+        r"cortex-m7: currents equal to the last bit; uses [\d.]+ % of 100 us at 480", result.stderr
+    )
+    page = (tmp_path / "code" / "small_cortex-m7.md").read_text()
+    assert "| self-test on the target | passed |" in page
+    assert "with contraction of multiply and add" in page
