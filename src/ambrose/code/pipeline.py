@@ -20,8 +20,8 @@ from ambrose.code.block.fixed import ControlBlock, build_block
 from ambrose.code.block.scheduled import ScheduledBlock, build_scheduled_block, check_told_limits
 from ambrose.code.block.supervised import supervise
 from ambrose.code.c.code import check_precision
-from ambrose.code.difference import Difference, parameter_difference
 from ambrose.code.delivered import check_processor, try_target
+from ambrose.code.difference import Difference, parameter_difference
 from ambrose.code.fmu.archive import check_compiler
 from ambrose.code.processor.trial import Trial
 from ambrose.code.provenance import provenance_lines
@@ -216,16 +216,15 @@ def export(
                 not_alike = str(error)
             else:
                 files = {**files, **difference.files()}
-        progress("writing")
-        paths = tuple(write_files(directory, files, held=True))
-        return Delivery(target.to, deployment, block, paths, beside, judged, difference, not_alike)
         trial = None
         if isinstance(target, C) and target.try_on is not None:
             trial = try_target(target, law, files, progress)
             files = {**files, f"{block.name}_{target.try_on}.md": trial.report()}
         progress("writing")
         paths = tuple(write_files(directory, files, held=True))
-        return Delivery(target.to, deployment, block, paths, beside, judged, trial)
+        return Delivery(
+            target.to, deployment, block, paths, beside, judged, difference, not_alike, trial
+        )
 
 
 def _unverified(
