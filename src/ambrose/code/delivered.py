@@ -5,9 +5,7 @@ was written.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import cast
 
-from ambrose.code.c.code import Arithmetic
 from ambrose.code.processor.machines import PROCESSORS
 from ambrose.code.processor.trial import Trial, check_room, check_trial, try_unit
 from ambrose.code.processor.unit import Law, unit_of
@@ -27,7 +25,7 @@ def check_processor(target: C, block: Callable[[], Law]) -> None:
                     name, getattr(target, name), "left out", "it goes with try_on: name a processor"
                 )
         return
-    processor, arithmetic = PROCESSORS[target.try_on], cast(Arithmetic, target.arithmetic)
+    processor, arithmetic = PROCESSORS[target.try_on], target.arithmetic
     check_trial(processor, arithmetic)
     if target.flash is not None or target.ram is not None:
         check_room(unit_of(block(), arithmetic), processor, target.flash, target.ram)
@@ -37,6 +35,6 @@ def try_target(target: C, law: Law, files: Files, progress: Callable[[str], None
     """The files of a law, run on the target's processor. Raises InvalidInput."""
     processor = PROCESSORS[target.try_on or ""]
     texts = {name: text for name, text in files.items() if isinstance(text, str)}
-    unit = unit_of(law, cast(Arithmetic, target.arithmetic), texts)
+    unit = unit_of(law, target.arithmetic, texts)
     check_room(unit, processor, target.flash, target.ram)
     return try_unit(unit, processor, clock=target.clock, progress=progress)

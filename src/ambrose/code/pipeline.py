@@ -207,8 +207,8 @@ def export(
                 target, rate=1 / block.sample_time, delay_samples=block.delay, force=True
             )
             described = machine if isinstance(target, C) and target.form == "cascade" else None
-            runs, old = _deploy(running, described, as_it_is, limits, progress)
-            before = as_it_is.files(running, runs, old, ())
+            as_deployed, old = _deploy(running, described, as_it_is, limits, progress)
+            before = as_it_is.files(running, as_deployed, old, ())
             own = f"{target.name}.c"
             try:
                 difference = parameter_difference(str(before[own]), str(files[own]))

@@ -67,7 +67,7 @@ def every():
                     ("fixed", "float", M7),
                     ("fixed", "double", BIG),
                 }
-                rare = name not in {M7, BIG} or (name == BIG and arithmetic == "float")
+                rare = name != M7
                 marks = [needs(name)]
                 marks += [] if quick else [pytest.mark.study if rare else pytest.mark.campaign]
                 yield pytest.param(law, arithmetic, name, marks=marks)

@@ -128,7 +128,8 @@ class Link:
         if self._log is None:
             return []
         begin, end = (self._program.symbols[name] for name in ("counting", "counted"))
-        found, count, within = [], 0, False
+        found = []
+        count, within = 0, False
         for at in _traced(self._log):
             if at == begin:
                 count, within = 0, True

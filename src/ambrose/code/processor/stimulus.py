@@ -14,8 +14,13 @@ from ambrose.code.synchronous import RunUnit
 SEED = 20240229
 _CORNER = 0.02  # of the error's bandwidth: the share of a new value in every sample
 # shares of the run in which something is wrong
-_LIMITED, _WILD, _LOST, _NONE = (0.2, 0.3), (0.4, 0.42), (0.45, 0.5), (0.55, 0.57)
-_CONTACT, _OFF, _NO_PULSE = (0.6, 0.62), (0.7, 0.75), (0.8, 0.84)
+_LIMITED = (0.2, 0.3)
+_WILD = (0.4, 0.42)
+_LOST = (0.45, 0.5)
+_NONE = (0.55, 0.57)
+_CONTACT = (0.6, 0.62)
+_OFF = (0.7, 0.75)
+_NO_PULSE = (0.8, 0.84)
 _CONTACT_BIT, _OFF_BIT = 4, 64
 
 

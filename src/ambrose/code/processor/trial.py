@@ -138,7 +138,8 @@ class Trial(Presented):
 
     def report(self) -> str:
         """The page of it in Markdown, for the delivery."""
-        unit, processor, print_ = self.unit, self.processor, self.footprint
+        unit, processor = self.unit, self.processor
+        print_ = self.footprint
         limit = float(unit.base.current_limit.max())
         contracted = None
         if self.contracted is not None:
