@@ -105,7 +105,7 @@ def test_unbalance_over_the_tolerances_holds_the_nominal_and_its_own_members():
 
 
 @pytest.mark.parametrize(
-    "name", ["seal-rig", pytest.param("three-bearing-train", marks=pytest.mark.campaign)]
+    "name", ["seal-rig", pytest.param("three-bearing-train", marks=pytest.mark.study)]
 )
 def test_command_and_page(name, tmp_path):
     assert (

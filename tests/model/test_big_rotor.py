@@ -71,7 +71,7 @@ def test_what_is_left_out_does_not_show(name, factor, of_poles, of_responses):
 
 @pytest.mark.campaign
 @pytest.mark.parametrize(
-    "name", ["seal-rig", pytest.param("turboexpander", marks=pytest.mark.campaign)]
+    "name", ["seal-rig", pytest.param("turboexpander", marks=pytest.mark.study)]
 )
 def test_check_design_and_verification_say_what_every_mode_says(name, monkeypatch):
     """Every figure at the operating points to 1e-6 (measured: 4e-10, 9e-9 on the seal rig with 101
