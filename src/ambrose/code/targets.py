@@ -187,16 +187,14 @@ class C(Target):
     )
     flash: float | None = option(
         None,
-        'With --try-on: what there is for code and tables, such as "512 kB".',
-        dimension="storage",
-        metavar="SIZE",
+        "With --try-on: bytes that there are for code and tables.",
+        metavar="BYTES",
         check=positive("give it in bytes"),
     )
     ram: float | None = option(
         None,
-        'With --try-on: what there is for states and stack, such as "64 kB".',
-        dimension="storage",
-        metavar="SIZE",
+        "With --try-on: bytes that there are for states and stack.",
+        metavar="BYTES",
         check=positive("give it in bytes"),
     )
 

@@ -92,7 +92,6 @@ DIMENSIONS: dict[str, Dimension] = dict(
             "rad/s=1,rpm=1/30 pi,Hz=2 pi,kHz=2000 pi,deg/s=1/180 pi,krpm=100/3 pi",
         ),
         _dimension("frequency", "Hz", "15 kHz", "Hz=1,kHz=1e3,MHz=1e6"),
-        _dimension("storage", "B", "512 kB", "B=1,kB=1024,MB=1048576"),
         _dimension("time", "s", "0.2 ms", "s=1,ms=1e-3,us=1e-6"),
         _dimension("current", "A", "4.5 A", "A=1,mA=1e-3"),
         _dimension("voltage", "V", "150 V", "V=1,mV=1e-3,kV=1e3"),

@@ -242,7 +242,7 @@ def test_the_command_tries_what_it_writes(tmp_path):
     path = write_controller(tmp_path / "small.json", small_controller())
     words = ["export", path, "--to", "c", "-o", tmp_path / "code", "--name", "small", "--force"]
     words += ["--error-limit", "1e-3", "--current-limit", "2", "--try-on", M7]
-    words += ["--clock", "480MHz", "--flash", "64 kB", "--ram", "8 kB"]
+    words += ["--clock", "480MHz", "--flash", "65536", "--ram", "8192"]
     result = CliRunner().invoke(main, [str(word) for word in words])
     assert result.exit_code == 1  # forced
     assert re.search(
