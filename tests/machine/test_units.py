@@ -1,16 +1,19 @@
 """Quantities: against pint and the decimal definition of the units."""
 
+import contextlib
 import math
 import subprocess
 import sys
 from fractions import Fraction
 
+import numpy as np
 import pint
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from ambrose.machine.units import DIMENSIONS, canonical_unit, read_quantity, rewrite_quantity
+from ambrose.record.record import si_values
 
 REGISTRY = pint.UnitRegistry()
 EVERYDAY = [(name, unit) for name, dimension in DIMENSIONS.items() for unit in dimension.units]
@@ -197,3 +200,18 @@ def test_a_number_is_rewritten_in_every_unit_to_the_last_bit(dimension, value, s
 )
 def test_a_number_is_rewritten_with_few_digits(old, value, name, text):
     assert rewrite_quantity(old, value, DIMENSIONS[name]) == text
+
+
+def test_a_unit_is_what_it_says_wherever_no_prefix_tells():
+    """A channel of an unknown prefix is read by its unit: what two dimensions can read must mean
+    the same in both, per cent above all (a byte is dimensionless to pint, and 8 bits).
+    """
+    apart = {"Hz", "kHz", "MHz"}  # revolutions or samples: the prefix tells
+    for unit in {unit for _, unit in EVERYDAY} - apart:
+        values = set()
+        for dimension in DIMENSIONS.values():
+            with contextlib.suppress(ValueError):
+                values.add(read_quantity(f"1 {unit}", dimension))
+        assert max(values) == pytest.approx(min(values), rel=1e-12), unit
+    assert si_values("load", "%", np.array([50.0]))[0] == pytest.approx([0.5], rel=1e-15)
+    assert si_values("load", "%", np.array([50.0]))[1] == "-"

@@ -4,6 +4,7 @@ import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -283,3 +284,13 @@ def with_sensor(**changes) -> Machine:
 
 def with_amplifier(**changes) -> Machine:
     return replace(SMALL, amplifier=replace(SMALL.amplifier, **changes))
+
+
+def test_coefficients_as_an_array_are_those_as_a_pair():
+    machine = load_machine("seal-rig")
+    first, *others = machine.bearings
+    pair: Any = np.array(first.force_per_current)
+    given = replace(machine, bearings=(replace(first, force_per_current=pair), *others))
+    assert given == machine and hash(given.bearings[0]) == hash(first)
+    with pytest.raises(InvalidInput, match="force_per_current"):
+        replace(machine, bearings=(replace(first, force_per_current=-pair), *others))

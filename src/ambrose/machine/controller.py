@@ -145,6 +145,7 @@ class PidSettings(Part):
     ] = None
 
     def __post_init__(self) -> None:
+        Part.__post_init__(self)
         rate = self.sample_rate
         if self.sample_time is None and isinstance(rate, int | float) and 0 < rate < inf:
             object.__setattr__(self, "sample_time", 1 / rate)

@@ -20,6 +20,13 @@ class Part(Presented):
 
     __slots__ = ()
 
+    def __post_init__(self) -> None:
+        """Arrays, which have no truth value and no hash, become the tuples that a file gives."""
+        for item in fields(self):  # type: ignore[arg-type]  # every Part is a dataclass
+            value = getattr(self, item.name)
+            if isinstance(value, np.ndarray):
+                object.__setattr__(self, item.name, _tuples(value.tolist()))
+
     def facts(self) -> Mapping[str, Any]:
         return {key: _named(value) for key, value in self.to_dict().items()}
 
@@ -58,6 +65,10 @@ def to_plain_values(value: Any, *, defaults: bool = False) -> Any:
     if isinstance(value, (tuple, list)):
         return [to_plain_values(element, defaults=defaults) for element in value]
     return value if isinstance(value, str) else float(value) + 0.0  # no negative zero
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value
 
 
 def _named(value: Any) -> Any:

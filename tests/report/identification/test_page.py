@@ -19,6 +19,7 @@ from ambrose.identification.seal.result import SealFit, line
 from ambrose.identification.validation.agreement import compare
 from ambrose.identification.youla import identify as youla
 from ambrose.law.loop import closed_loop, match_controller
+from ambrose.machine.parameters import TIMING, quantities
 from ambrose.model.assemble import assemble
 from ambrose.model.reduce import free_mode_reduction
 from ambrose.record.record import Record
@@ -170,6 +171,10 @@ def test_names_and_digits(done):
     assert short("seal.center.k_yx") == "seal center k_yx"
     assert short("coupling.coupling.stiffness.eta") == "coupling k η"
     assert short("amplifier.natural_frequency") == "amplifier ω₀"
+    assert short("rotor.bending_1.frequency") == "bending 1 ω"
+    assert short("rotor.bending_2.damping") == "bending 2 D"
+    assert short("journal_bearing.de.K_xy") == "journal bearing de K_xy"
+    assert short("stage.first.cross_coupling") == "stage first cross coupling"
     assert (
         fixed(142.0644, 0.287) == "142.06"
         and fixed(1.5, 0.4) == "1.5"
@@ -178,6 +183,18 @@ def test_names_and_digits(done):
     assert fixed(0.0, 1.0) == "0" and fixed(5.0, float("nan")) == "5"
     table = parameters_table(checked.result)
     assert table.cells[0][1].text.endswith("N/A") and "…" in table.cells[0][3].text
+
+
+def test_every_kind_of_unknown_has_a_label_of_its_own():
+    """Whatever can be named can be drawn, and no two are called the same."""
+    paths = [*TIMING]
+    for table, known in quantities().items():
+        owner = {"amplifier": table, "rotor": "rotor.bending_1"}.get(table, f"{table}.one")
+        for quantity, (_, components) in known.items():
+            mark = "_" if table == "seal" else "."
+            names = (quantity, *(f"{quantity}{mark}{component}" for component in components))
+            paths += [f"{owner}.{name}" for name in names]
+    assert len({short(path) for path in paths}) == len(paths)
 
 
 def seal_fit(pressures):

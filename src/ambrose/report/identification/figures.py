@@ -36,6 +36,7 @@ _DIVERGING = (
     (0.75, "#92c5de"),
     (1.0, "#2166ac"),
 )
+_MODE = {"frequency": "ω", "damping": "D"}
 _SYMBOLS = {"force_per_current": "Kᵢ", "negative_stiffness": "Kₛ", "stiffness": "k", "damping": "d"}
 _AMPLIFIER = {
     "natural_frequency": "ω₀",
@@ -46,26 +47,35 @@ _AMPLIFIER = {
 
 
 def short(path: str) -> str:
-    """A parameter as it is called among people: "Kᵢ A ζ", "seal center k", "amplifier ω₀"."""
+    """A parameter as it is called among people: "Kᵢ A ζ", "seal center k", "bending 1 ω"."""
     if path in TIMING:
         return f"delay of the {path.partition('.')[0]}"
     parameter = parse_parameter(path)
     component = units.axis_name(parameter.component) if parameter.component else ""
     if parameter.table == "bearing":
-        return " ".join(
-            part for part in (_SYMBOLS[parameter.quantity], parameter.name, component) if part
-        )
+        return _joined(_SYMBOLS[parameter.quantity], parameter.name, component)
     if parameter.table == "seal":
         return (
             f"{_once('seal', parameter.name)} "
             f"{parameter.quantity}{'_' + parameter.component if parameter.component else ''}"
         )
-    if parameter.table == "coupling":
-        symbol = _SYMBOLS[parameter.quantity]
-        return " ".join(
-            part for part in (_once("coupling", parameter.name), symbol, component) if part
-        )
-    return f"amplifier {_AMPLIFIER[parameter.quantity]}"
+    if parameter.table == "amplifier":
+        return f"amplifier {_AMPLIFIER[parameter.quantity]}"
+    if parameter.table == "rotor":
+        return _joined(_words(parameter.name), _MODE[parameter.quantity])
+
+    # a coupling, or a part of any other registered effect
+    symbol = _SYMBOLS.get(parameter.quantity, parameter.quantity)
+    kind = _once(_words(parameter.table), parameter.name)
+    return _joined(kind, symbol if "_" in symbol[1:2] else _words(symbol), component)
+
+
+def _joined(*parts: str) -> str:
+    return " ".join(part for part in parts if part)
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
 
 
 def _once(kind: str, name: str) -> str:
