@@ -3,7 +3,10 @@ capacity, clause by clause.
 """
 
 ANNEX = {
-    "design command": {"lateral": "command:lateral_command"},
-    "public": {"lateral": "analysis"},
+    "design command": {
+        "lateral": "command:lateral_command",
+        "compare": "command:compare_command",
+    },
+    "public": {"lateral": "analysis", "compare": "comparison"},
     "page": {"Lateral": "page:lateral_page"},
 }

@@ -151,6 +151,7 @@ def lateral(
         capacities=capacity,
         scale=scale,
         notes=(*early, *notes),
+        critical_speeds=tuple(rows.critical_speeds(response, lowest, highest)),
     )
 
 

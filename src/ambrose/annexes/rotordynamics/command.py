@@ -1,10 +1,10 @@
-"""`ambrose lateral`."""
+"""`ambrose lateral` and `ambrose compare`."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -23,6 +23,9 @@ from ambrose.terminal import (
     say,
     say_json,
 )
+
+if TYPE_CHECKING:
+    from ambrose.annexes.rotordynamics.comparison import Comparison
 
 
 @click.command("lateral")
@@ -54,6 +57,12 @@ from ambrose.terminal import (
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), help="The report as a page (*.html)."
 )
+@click.option(
+    "--beside",
+    type=click.Path(path_type=Path),
+    help="Another analysis (its lateral.json: before and after), or a table of measured values or "
+    "of another code (*.csv), side by side with this one.",
+)
 @click.option("--data", type=click.Path(path_type=Path), help="The report as data (lateral.json).")
 @AS_JSON
 def lateral_command(
@@ -66,6 +75,7 @@ def lateral_command(
     rate_hz: float | None,
     delay_samples: int | None,
     output: Path | None,
+    beside: Path | None,
     data: Path | None,
     as_json: bool,
 ) -> None:
@@ -77,10 +87,12 @@ def lateral_command(
     a row with a limit fails.
     """
     from ambrose.annexes.rotordynamics.analysis import lateral
+    from ambrose.annexes.rotordynamics.comparison import compare, read_theirs
     from ambrose.annexes.rotordynamics.standard import RPM
 
     description = load(machine, magnets=False)
     law = None if controller is None else load_controller(controller, description)
+    other = None if beside is None else read_theirs(beside)
     claim(page=output, data=data)
     with progress_shown(as_json) as progress:
         result = lateral(
@@ -94,11 +106,13 @@ def lateral_command(
             delay_samples=delay_samples,
             progress=progress,
         )
-        failure = kept_page(result, output, progress=progress)
+        comparison = None if other is None else compare(result, other)
+        failure = kept_page(result, output, progress=progress, comparison=comparison)
         if data is not None:
             failure = kept(lambda path: _write(result, path), data) or failure
     if as_json:
-        say_json(dict(result.to_dict()))
+        sides = {} if comparison is None else {"beside": comparison.to_dict()}
+        say_json(dict(result.to_dict()) | sides)
     else:
         rows = [
             (
@@ -111,11 +125,50 @@ def lateral_command(
             if item.value is not None or item.passed is not None
         ]
         print_table(f"{description.name}: lateral analysis", ("item", "value", "limit", ""), rows)
+        if comparison is not None:
+            print_comparison(comparison)
         for note in result.notes:
             say(note)
     if failure is not None:
         raise failure
     sys.exit(0 if result.passed else 1)
+
+
+@click.command("compare")
+@click.argument("mine", type=click.Path(path_type=Path))
+@click.argument("theirs", type=click.Path(path_type=Path))
+@click.option("--within", type=float, help="The largest difference that is accepted [%].")
+@AS_JSON
+def compare_command(mine: Path, theirs: Path, within: float | None, as_json: bool) -> None:
+    """A lateral analysis beside another code's results, or measured ones.
+
+    MINE is the lateral.json of `ambrose lateral --data`; THEIRS a table (*.csv) with the columns
+    kind (critical, mode or response), speed [rpm], amplitude [um p-p], amplification [-],
+    log_decrement [-] or damping_ratio [%], whirl, probe, case, label, or another lateral.json.
+    Exit status 1: with --within, a row differs by more or has no partner.
+    """
+    from ambrose.annexes.rotordynamics.comparison import compare
+
+    result = compare(mine, theirs, within=within)
+    if as_json:
+        say_json(result.to_dict())
+    else:
+        print_comparison(result)
+    sys.exit(1 if result.passed is False else 0)
+
+
+def print_comparison(result: Comparison) -> None:
+    """The pairs as a table, and how far they are apart."""
+    from ambrose.annexes.rotordynamics.page import comparison_texts
+
+    print_table(
+        f"{result.machine} beside {result.theirs_name}",
+        ("where", "quantity", "theirs", "ours", "ours less theirs", ""),
+        [comparison_texts(pair) for pair in result.pairs],
+    )
+    say(f"largest difference {result.largest_percent:.3g} %")
+    if result.unpaired:
+        say(f"{len(result.unpaired)} rows without a partner")
 
 
 def _write(result: Any, path: Path) -> None:

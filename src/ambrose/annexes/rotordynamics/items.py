@@ -124,17 +124,9 @@ def critical_speeds(
     """Every critical speed that a probe or a major axis sees: its tightest reading with the probe
     and the placement, by speed.
     """
-    layout = response.layout
     seen: list[tuple[Separation, str, str]] = []
     for k, case in enumerate(response.cases):
-        curves = [(item.name, response.read(item, k)) for item in layout.readings]
-        # the major axis at each probe's plane, and at the journals of a rotor without probes
-        places = {item.position: f"plane of {item.name}" for item in layout.readings}
-        places = places or {j.position: f"journal {j.name}" for j in layout.journals}
-        curves += [
-            (f"{name}, major axis", response.major_axis(layout.nearest(position), k))
-            for position, name in places.items()
-        ]
+        curves = response.curves(k)
         for name, amplitude in curves:
             for peak in criticals(response.fine, amplitude):
                 seen.append((separation(peak, lowest, highest), name, case.name))

@@ -8,8 +8,10 @@ from __future__ import annotations
 import numpy as np
 
 from ambrose.annexes.rotordynamics import figures, standard
+from ambrose.annexes.rotordynamics.comparison import Comparison, Pair
 from ambrose.annexes.rotordynamics.placement import BACKWARD, mode_name
 from ambrose.annexes.rotordynamics.result import Item, Lateral
+from ambrose.core.presentation import with_unit
 from ambrose.machine.file.toml import machine_hash
 from ambrose.report import units
 from ambrose.report.figures.rotor_drawing import machine_drawing
@@ -46,10 +48,16 @@ _CAPACITY = (
     "Force an axis can add to the weight it carries (0-p), and what the placed unbalance takes of "
     "it, where it is largest and at trip."
 )
+_BESIDE = (
+    "Critical speeds and modes are paired so that all pairs together lie as near as they can. "
+    "Amplitudes compare where both sides have the same unbalance."
+)
 
 
-def lateral_page(result: Lateral, *, date: str = "") -> Page:
-    """The report of a ``Lateral``; date: ISO (today if empty)."""
+def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date: str = "") -> Page:
+    """The report of a ``Lateral``; comparison: beside what it is shown; date: ISO (today if
+    empty).
+    """
     sections = [
         Section("Summary sheet", _SUMMARY, (), (summary_table(result),)),
     ]
@@ -71,6 +79,8 @@ def lateral_page(result: Lateral, *, date: str = "") -> Page:
             figures.capacity_figure(worst),
         )
         sections.append(Section("Load capacity", _CAPACITY, (picture,), (capacity_table(result),)))
+    if comparison is not None:
+        sections.append(Section("Side by side", _BESIDE, (), (comparison_table(comparison),)))
     if result.notes:
         sections.append(Section("Notes", "\n\n".join(result.notes)))
     lowest, highest, trip = (speed / standard.RPM for speed in result.speeds)
@@ -100,6 +110,31 @@ def lateral_page(result: Lateral, *, date: str = "") -> Page:
         facts,
         date,
         result=Verdict("Result", not failed, words),
+    )
+
+
+def comparison_table(comparison: Comparison) -> Table:
+    """Theirs and ours row by row."""
+    rows: list[Row] = []
+    for pair in comparison.pairs:
+        where, quantity, *values, note = comparison_texts(pair)
+        rows.append((Cell(where, detail=note), quantity, *numbers(*values)))
+    columns = ("Where", "Quantity", comparison.theirs_name, "This analysis", "This less other")
+    return Table(f"This analysis beside {comparison.theirs_name}", columns, tuple(rows))
+
+
+def comparison_texts(pair: Pair) -> tuple[str, ...]:
+    """Where, quantity, theirs, ours, difference and note of a pair."""
+    unit = pair.unit
+    percent = "" if pair.percent is None else f" ({pair.percent:+.3g} %)"
+    difference = pair.difference
+    return (
+        pair.where,
+        pair.quantity,
+        with_unit(pair.theirs, unit, 5),
+        "-" if pair.ours is None else with_unit(pair.ours, unit, 5),
+        "-" if difference is None else f"{with_unit(difference, unit, 3)}{percent}",
+        pair.note,
     )
 
 

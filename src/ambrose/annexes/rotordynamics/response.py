@@ -66,6 +66,20 @@ class Response:
         along = np.array([np.cos(reading.direction), np.sin(reading.direction)])
         return np.asarray(np.abs(xy @ along))
 
+    def curves(self, case: int, speeds: np.ndarray | None = None) -> list[tuple[str, np.ndarray]]:
+        """(name, amplitude zero to peak (v,) [m]) of every probe, and of the major axis at each
+        probe's plane, or at the journals of a rotor without probes.
+        """
+        layout = self.layout
+        found = [(item.name, self.read(item, case, speeds)) for item in layout.readings]
+        places = {item.position: f"plane of {item.name}" for item in layout.readings}
+        places = places or {j.position: f"journal {j.name}" for j in layout.journals}
+        found += [
+            (f"{name}, major axis", self.major_axis(layout.nearest(position), case, speeds))
+            for position, name in places.items()
+        ]
+        return found
+
     def currents(self, case: int, speeds: np.ndarray | None = None) -> np.ndarray:
         """Coil currents, zero to peak (v, a) [A]."""
         speeds = self.fine if speeds is None else speeds

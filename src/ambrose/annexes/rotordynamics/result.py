@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ambrose.annexes.rotordynamics.capacity import AxisCapacity
+from ambrose.annexes.rotordynamics.critical import Critical, Separation, criticals
 from ambrose.annexes.rotordynamics.level_one import LevelOne
 from ambrose.annexes.rotordynamics.level_two import Share
 from ambrose.annexes.rotordynamics.placement import ShaftMode
@@ -97,7 +98,8 @@ class Lateral(Presented):
     """A machine's lateral analysis.
 
     speeds: lowest and highest running speed and trip speed [rad/s]. items: the summary's rows.
-    response None: the loop is unstable, and only ``items`` and modes are there.
+    critical_speeds: the tightest reading of each, with its probe and the placement. response
+    None: the loop is unstable, and only ``items`` and modes are there.
     """
 
     _FACTS: ClassVar = ("machine=machine_name", "passed", "failed")
@@ -116,6 +118,7 @@ class Lateral(Presented):
     capacities: tuple[AxisCapacity, ...] = ()
     scale: tuple[float, float] = (1.0, 1.0)
     notes: tuple[str, ...] = ()
+    critical_speeds: tuple[tuple[Separation, str, str], ...] = ()
 
     @property
     def machine_name(self) -> str:
@@ -204,12 +207,49 @@ class Lateral(Presented):
                 }
                 for case in self.response.cases
             ]
+            data["critical_speeds"] = [
+                _peak(item.critical)
+                | {
+                    "margin_percent": item.margin,
+                    "required_percent": item.required,
+                    "reading": probe,
+                    "case": case,
+                }
+                for item, probe, case in self.critical_speeds
+            ]
+            data["response"] = _curves(self.response)
         return data
 
     def to_frame(self) -> Any:
         """A pandas.DataFrame with a row for each item of the summary."""
         rows = [item.to_dict() for item in self.items]
         return data_frame({key: [row[key] for row in rows] for key in rows[0]} if rows else {})
+
+
+def _curves(response: Response) -> dict[str, Any]:
+    """Amplitudes of all readings at the computed speeds, and their peaks by interpolation."""
+    rows = []
+    for k, case in enumerate(response.cases):
+        coarse = response.curves(k, response.speeds)
+        for (name, amplitude), (_, fine) in zip(coarse, response.curves(k), strict=True):
+            rows.append(
+                {
+                    "reading": name,
+                    "case": case.name,
+                    "amplitude_m_pp": (2 * amplitude).tolist(),
+                    "peaks": [_peak(peak) for peak in criticals(response.fine, fine)],
+                }
+            )
+    return {"speeds_rad_per_s": response.speeds.tolist(), "curves": rows}
+
+
+def _peak(peak: Critical) -> dict[str, Any]:
+    """A critical speed as data; the amplification factor is text where no flank shows it."""
+    return {
+        "speed_rad_per_s": peak.speed,
+        "amplitude_m_pp": 2 * peak.amplitude,
+        "amplification_factor": _plain(peak.amplification),
+    }
 
 
 def _plain(value: float) -> float | str:

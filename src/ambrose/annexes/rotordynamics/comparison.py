@@ -1,0 +1,385 @@
+"""``ambrose.compare``: a lateral analysis beside another code's table, beside measured values, or
+beside an earlier analysis of the same rotor.
+
+Every critical speed and every mode of theirs gets the one of ours that is nearest in the logarithm
+of the speed, so that all pairs together lie as near as they can (each of ours is taken once), and
+none further away than ``NEAR``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ambrose.annexes.rotordynamics.placement import BACKWARD
+from ambrose.annexes.rotordynamics.result import SCHEMA, Lateral
+from ambrose.annexes.rotordynamics.standard import RPM
+from ambrose.annexes.rotordynamics.their_table import TheirRow, read_table
+from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.presentation import Presented, data_frame
+from ambrose.machine.ordinary_file import read_text
+
+NEAR = 0.25  # of the speed: a partner further away is none
+_SAME_PEAK = 0.03  # peaks of two placements nearer to each other than this are one
+_FAR = 1e6
+_BYTES = 20_000_000
+UM = 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """One quantity of both sides, in ``unit``; ours None: nothing of ours is near.
+
+    where: the row it belongs to, in words. note: what a reader needs to know beside it.
+    """
+
+    where: str
+    quantity: str
+    theirs: float
+    ours: float | None
+    unit: str
+    note: str = ""
+
+    @property
+    def difference(self) -> float | None:
+        """Ours less theirs, in ``unit``."""
+        return None if self.ours is None else self.ours - self.theirs
+
+    @property
+    def percent(self) -> float | None:
+        """Ours less theirs, of theirs [%]; None without a partner and where theirs is 0."""
+        if self.difference is None or not self.theirs:
+            return None
+        return 100 * self.difference / abs(self.theirs)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data."""
+        row = {name: getattr(self, name) for name in self.__slots__}
+        return row | {"difference": self.difference, "difference_percent": self.percent}
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Comparison(Presented):
+    """Two sets of results side by side.
+
+    machine: whose they are; theirs_name: what the other side is called. pairs: row by row.
+    within [%]: the largest difference that is accepted (None: no verdict).
+    """
+
+    _FACTS: ClassVar = ("machine", "theirs=theirs_name", "pairs", "largest_percent", "passed")
+
+    machine: str
+    theirs_name: str
+    pairs: tuple[Pair, ...]
+    within: float | None = None
+
+    @property
+    def unpaired(self) -> tuple[Pair, ...]:
+        """Rows of theirs to which nothing of ours is near."""
+        return tuple(pair for pair in self.pairs if pair.ours is None)
+
+    @property
+    def largest_percent(self) -> float:
+        """The largest difference [%] of all pairs."""
+        return max((abs(p.percent) for p in self.pairs if p.percent is not None), default=0.0)
+
+    @property
+    def passed(self) -> bool | None:
+        """Whether every row has a partner within ``within``; None without one."""
+        if self.within is None:
+            return None
+        return not self.unpaired and self.largest_percent <= self.within
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, ready for JSON."""
+        return {
+            "machine": self.machine,
+            "theirs": self.theirs_name,
+            "within_percent": self.within,
+            "passed": self.passed,
+            "largest_difference_percent": self.largest_percent,
+            "rows": [pair.to_dict() for pair in self.pairs],
+        }
+
+    def to_frame(self) -> Any:
+        """A pandas.DataFrame with a row per pair."""
+        rows = [pair.to_dict() for pair in self.pairs]
+        return data_frame({key: [row[key] for row in rows] for key in rows[0]} if rows else {})
+
+
+@dataclass(frozen=True, slots=True)
+class Theirs:
+    """The other side, read: its name, its rows, and the summary's rows of an analysis of ours."""
+
+    name: str
+    rows: tuple[TheirRow, ...]
+    items: tuple[Mapping[str, Any], ...] = ()
+
+
+def compare(
+    mine: Lateral | Mapping[str, Any] | str | Path,
+    theirs: Theirs | Lateral | Mapping[str, Any] | str | Path,
+    *,
+    within: float | None = None,
+) -> Comparison:
+    """Critical speeds, amplitudes and log decrements of both sides, with the differences.
+
+    mine: a ``Lateral``, its data, or the path of a lateral.json. theirs: the same, or the path of
+    a table (*.csv) of another code or of measurements, whose columns stand in
+    ``ambrose.annexes.rotordynamics.their_table``. within [%]: the largest difference accepted.
+    Amplitudes are comparable where both sides have the same unbalance. Raises InvalidInput for a
+    file that is neither, for unknown columns and units.
+    """
+    if within is not None and not (math.isfinite(within) and within > 0):
+        raise invalid("within", f"{within:g} %", "above 0 %", "leave it out for no verdict")
+    ours = _data(mine, "mine")
+    other = theirs if isinstance(theirs, Theirs) else read_theirs(theirs)
+    pairs = (*_beside_table(ours, other.rows), *_items(ours, other.items))
+    return Comparison(ours["machine"], other.name, pairs, within)
+
+
+def read_theirs(source: Lateral | Mapping[str, Any] | str | Path) -> Theirs:
+    """The other side of a comparison, as ``compare`` takes it. Raises InvalidInput."""
+    if isinstance(source, str | Path) and Path(source).suffix.lower() != ".json":
+        path = Path(source)
+        return Theirs(path.name, read_table(read_text(path, "table of results", _BYTES), path.name))
+    other = _data(source, "theirs")
+    name = f"{other['machine']}, controller {other['controller']}"
+    if isinstance(source, str | Path):
+        name = Path(source).name
+    return Theirs(
+        name,
+        tuple(_as_table(other)),
+        tuple(other["items"]),
+    )
+
+
+def _data(source: Lateral | Mapping[str, Any] | str | Path, side: str) -> Mapping[str, Any]:
+    """The data of an analysis whose loop was stable."""
+    name = side
+    data: Any = source
+    if isinstance(source, Lateral):
+        data = source.to_dict()
+    elif isinstance(source, str | Path):
+        name = Path(source).name
+        text = read_text(Path(source), "lateral analysis", _BYTES)
+        try:
+            data = json.loads(text)
+        except ValueError as error:
+            raise InvalidInput(
+                f"{name} is no JSON ({error}); give the lateral.json that ambrose lateral --data "
+                "writes"
+            ) from None
+    if not isinstance(data, Mapping) or not {"schema", "machine", "items", "modes"} <= set(data):
+        raise InvalidInput(
+            f"{name} is no lateral analysis; give the lateral.json that ambrose lateral --data "
+            "writes"
+        )
+    if data["schema"] != SCHEMA:
+        raise InvalidInput(
+            f"{name} has schema {data['schema']}, but this version reads {SCHEMA}; run ambrose "
+            "lateral again"
+        )
+    if "response" not in data:
+        raise InvalidInput(
+            f"{name} has no unbalance response, as its loop is unstable or as an earlier version "
+            "wrote it; run ambrose lateral again, with a controller that holds the rotor"
+        )
+    return data
+
+
+# ----------------------------------------------------------------------------- pairs
+
+
+def _beside_table(ours: Mapping[str, Any], table: Sequence[TheirRow]) -> list[Pair]:
+    """Row by row of the table: critical speeds, then modes, then amplitudes."""
+    pairs: list[Pair] = []
+    counted = [row for row in table if row.kind == "critical"]
+    groups: dict[tuple[str, str], list[TheirRow]] = {}
+    for row in counted:
+        groups.setdefault((row.probe, row.case), []).append(row)
+    for (probe, case), rows in groups.items():
+        peaks = _peaks(ours, probe, case)
+        chosen = _assign(rows, [(peak["speed_rad_per_s"], "") for peak in peaks])
+        for row, k in zip(rows, chosen, strict=True):
+            pairs += _critical_pairs(row, None if k is None else peaks[k])
+    rows = [row for row in table if row.kind == "mode"]
+    modes = [(m["frequency_rad_per_s"], _whirl(m["whirl"])) for m in ours["modes"]]
+    for row, k in zip(rows, _assign(rows, modes), strict=True):
+        pairs += _mode_pairs(row, None if k is None else ours["modes"][k])
+    for row in table:
+        if row.kind == "response":
+            pairs.append(_amplitude_pair(ours, row))
+    return pairs
+
+
+def _whirl(value: float) -> str:
+    if abs(value) <= BACKWARD:
+        return "planar"
+    return "forward" if value > 0 else "backward"
+
+
+def _assign(rows: Sequence[TheirRow], ours: Sequence[tuple[float, str]]) -> list[int | None]:
+    """For each row the index of its partner of ours (speed, whirl), or None.
+
+    Least sum of |ln(theirs/ours)| over all pairs (Kuhn's assignment). A pair that is too far away,
+    or that whirls the other way, costs more than any sum of near ones.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    chosen: list[int | None] = [None] * len(rows)
+    if not rows or not ours:
+        return chosen
+    cost = np.full((len(rows), len(ours)), _FAR)
+    for i, row in enumerate(rows):
+        for j, (speed, whirl) in enumerate(ours):
+            apart = abs(math.log(row.speed / speed))
+            other = {row.whirl, whirl} == {"forward", "backward"}
+            if apart <= math.log1p(NEAR) and not other:
+                cost[i, j] = apart
+    for i, j in zip(*linear_sum_assignment(cost), strict=True):
+        if cost[i, j] < _FAR:
+            chosen[i] = int(j)
+    return chosen
+
+
+def _peaks(ours: Mapping[str, Any], probe: str, case: str) -> list[Mapping[str, Any]]:
+    """Our critical speeds: of a probe where one is named (the largest of all placements, or those
+    of one), else each where its margin is least.
+    """
+    if not probe and not case:
+        return list(ours["critical_speeds"])
+    found: list[Mapping[str, Any]] = []
+    for curve in _curves(ours, probe, case):
+        for peak in curve["peaks"]:
+            same = next((k for k, other in enumerate(found) if _same(peak, other)), None)
+            if same is None:
+                found.append(peak)
+            elif peak["amplitude_m_pp"] > found[same]["amplitude_m_pp"]:
+                found[same] = peak
+    return found
+
+
+def _same(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    speeds = one["speed_rad_per_s"], other["speed_rad_per_s"]
+    return bool(abs(speeds[0] - speeds[1]) <= _SAME_PEAK * max(speeds))
+
+
+def _curves(ours: Mapping[str, Any], probe: str, case: str) -> list[Mapping[str, Any]]:
+    """Our response curves of a probe and a placement, "" for all. Raises InvalidInput."""
+    curves = ours["response"]["curves"]
+    for key, word in (("reading", probe), ("case", case)):
+        names = sorted({curve[key] for curve in curves})
+        if word and word not in names:
+            called = "probe" if key == "reading" else "case"
+            raise InvalidInput(
+                f'the {called} "{word}" of the table is not in the analysis; it has '
+                f"{', '.join(names)}"
+            )
+        curves = [curve for curve in curves if not word or curve[key] == word]
+    return list(curves)
+
+
+def _critical_pairs(row: TheirRow, peak: Mapping[str, Any] | None) -> list[Pair]:
+    where = row.label or _worded(row, "critical speed")
+    note = "" if peak is not None else _nobody("critical speed")
+    found = [Pair(where, "speed", row.speed / RPM, _in_rpm(peak, "speed_rad_per_s"), "rpm", note)]
+    if peak is None:
+        return found
+    if row.amplitude is not None:
+        ours = UM * peak["amplitude_m_pp"]
+        found.append(Pair(where, "amplitude", UM * row.amplitude, ours, "um p-p"))
+    if row.amplification is not None:
+        factor = peak["amplification_factor"]
+        known = None if isinstance(factor, str) else float(factor)
+        said = "" if known is not None else "ours has no half power inside the curve"
+        found.append(Pair(where, "amplification factor", row.amplification, known, "-", said))
+    return found
+
+
+def _mode_pairs(row: TheirRow, mode: Mapping[str, Any] | None) -> list[Pair]:
+    where = row.label or _worded(row, "mode")
+    note = "" if mode is not None else _nobody("mode")
+    speed = Pair(
+        where, "frequency", row.speed / RPM, _in_rpm(mode, "frequency_rad_per_s"), "rpm", note
+    )
+    if mode is None or row.log_decrement is None:
+        return [speed]
+    return [speed, Pair(where, "log decrement", row.log_decrement, mode["log_decrement"], "-")]
+
+
+def _amplitude_pair(ours: Mapping[str, Any], row: TheirRow) -> Pair:
+    """The largest of our curves at that speed."""
+    from scipy.interpolate import CubicSpline
+
+    where = row.label or _worded(row, "response")
+    speeds = np.asarray(ours["response"]["speeds_rad_per_s"])
+    theirs = UM * float(row.amplitude or 0.0)
+    if not speeds[0] <= row.speed <= speeds[-1]:
+        note = f"our curves run from {speeds[0] / RPM:.5g} to {speeds[-1] / RPM:.5g} rpm"
+        return Pair(where, "amplitude", theirs, None, "um p-p", note)
+    values = [
+        float(CubicSpline(speeds, curve["amplitude_m_pp"])(row.speed))
+        for curve in _curves(ours, row.probe, row.case)
+    ]
+    return Pair(where, "amplitude", theirs, UM * max(values), "um p-p")
+
+
+def _worded(row: TheirRow, what: str) -> str:
+    more = [word for word in (row.whirl, row.probe and f"probe {row.probe}", row.case) if word]
+    return ", ".join([f"{what} at {row.speed / RPM:.5g} rpm", *more])
+
+
+def _nobody(what: str) -> str:
+    return f"no {what} of ours within {100 * NEAR:g} %"
+
+
+def _in_rpm(row: Mapping[str, Any] | None, key: str) -> float | None:
+    return None if row is None else float(row[key]) / RPM
+
+
+# ------------------------------------------------------- an earlier analysis as theirs
+
+
+def _as_table(other: Mapping[str, Any]) -> list[TheirRow]:
+    """Critical speeds and modes of an analysis as rows of a table."""
+    rows = [
+        TheirRow(
+            "critical",
+            peak["speed_rad_per_s"],
+            peak["amplitude_m_pp"],
+            None if isinstance(peak["amplification_factor"], str) else peak["amplification_factor"],
+        )
+        for peak in other["critical_speeds"]
+    ]
+    rows += [
+        TheirRow(
+            "mode",
+            mode["frequency_rad_per_s"],
+            log_decrement=mode["log_decrement"],
+            whirl=_whirl(mode["whirl"]),
+        )
+        for mode in other["modes"]
+    ]
+    return rows
+
+
+def _items(ours: Mapping[str, Any], items: Sequence[Mapping[str, Any]]) -> list[Pair]:
+    """Rows of the summary that both have with a value; critical speeds are paired by speed."""
+    mine = {item["name"]: item for item in ours["items"]}
+    pairs = []
+    for item in items:
+        partner = mine.get(item["name"])
+        numbers = isinstance(item["value"], int | float)
+        if partner is None or not numbers or item["name"].startswith("critical_speed."):
+            continue
+        value = partner["value"]
+        if isinstance(value, int | float) and item["unit"] == partner["unit"]:
+            pairs.append(Pair(item["title"], "value", item["value"], value, item["unit"]))
+    return pairs

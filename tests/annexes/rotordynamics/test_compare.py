@@ -1,0 +1,159 @@
+"""A lateral analysis beside another's results: here the closed forms of one mass on two films,
+
+m x'' + c x' + k x = U W^2 e^{j W t},    damped natural frequency and log decrement of m, c, k.
+"""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.optimize import minimize_scalar
+from tests.annexes.rotordynamics.test_lateral import RPM, C, K, films, mass_of
+
+import ambrose as amb
+from ambrose.annexes.rotordynamics.comparison import _assign
+from ambrose.annexes.rotordynamics.page import lateral_page
+from ambrose.annexes.rotordynamics.their_table import TheirRow, read_table
+from ambrose.cli import main
+from ambrose.core.checks import InvalidInput
+
+
+@pytest.fixture(scope="module")
+def analysis():
+    return amb.lateral(films(), trip=6300 * RPM)
+
+
+def closed_form(result):
+    """Peak speed and amplitude 0-p, speed and log decrement of the mode, amplitude 0-p at 5000."""
+    m, k, c = mass_of(result.machine), 2 * K, 2 * C
+    amount = 2 * 6350 * m / 6000 * 1e-6
+
+    def amplitude(w):
+        return amount * w**2 / np.hypot(k - m * w**2, c * w)
+
+    peak = minimize_scalar(
+        lambda w: -amplitude(w), bounds=(100, 600), method="bounded", options={"xatol": 1e-9}
+    ).x
+    sigma = c / (2 * m)
+    damped = math.sqrt(k / m - sigma**2)
+    return peak, amplitude(peak), damped, 2 * math.pi * sigma / damped, amplitude(5000 * RPM)
+
+
+def table_of(result):
+    peak, amplitude, damped, decrement, at = closed_form(result)
+    rows = [
+        "kind;speed [Hz];amplitude [mil 0-p];damping ratio [%];whirl;case",
+        f"critical;{peak / (2 * math.pi):.10g};{amplitude / 25.4e-6:.10g};;".replace(".", ","),
+        f"mode;{damped / (2 * math.pi)};;"
+        f"{100 * decrement / math.hypot(2 * math.pi, decrement)};forward",
+        f"response;{5000 / 60};{at / 25.4e-6};;;{result.response.cases[0].name}",
+        "mode;2;;;backward",
+    ]
+    return "# by hand\n" + "\n".join(rows) + "\n"
+
+
+def test_closed_forms_lie_beside_ours(analysis, tmp_path):
+    path = tmp_path / "theirs.csv"
+    path.write_text(table_of(analysis))
+    found = amb.compare(analysis, path, within=0.1)
+    assert [(p.quantity, p.unit) for p in found.pairs if p.ours is not None] == [
+        ("speed", "rpm"),
+        ("amplitude", "um p-p"),
+        ("frequency", "rpm"),
+        ("log decrement", "-"),
+        ("amplitude", "um p-p"),
+    ]
+    # an infinitely stiff rotor against one that hardly bends: 0.1 %
+    assert 0 < found.largest_percent < 0.1
+    (alone,) = found.unpaired
+    assert "within 25 %" in alone.note
+    assert found.passed is False  # a row without a partner
+    assert amb.compare(analysis, path).passed is None
+    assert len(found.to_frame()) == 6
+
+
+def test_a_tenth_more_is_a_tenth_more(analysis, tmp_path):
+    peak, amplitude, *_ = closed_form(analysis)
+    path = tmp_path / "t.csv"
+    path.write_text(f"kind,speed [rad/s],amplitude [m p-p]\ncritical,{peak},{1.8 * amplitude}\n")
+    speed, height = amb.compare(analysis, path).pairs
+    assert speed.percent == pytest.approx(0, abs=0.1)
+    assert height.percent == pytest.approx(100 / 0.9 - 100, abs=0.2)
+    assert height.difference == pytest.approx(0.2e6 * amplitude, rel=0.02)
+
+
+def test_pairs_are_the_nearest_together():
+    rows = [TheirRow("mode", 105.0), TheirRow("mode", 112.0), TheirRow("mode", 112.0)]
+    # greedy would give 105 to 110 and leave 112 with 100
+    assert _assign(rows[:2], [(100.0, ""), (110.0, "")]) == [0, 1]
+    assert sorted(map(str, _assign(rows, [(110.0, ""), (111.0, "")]))) == ["0", "1", "None"]
+    whirling = [TheirRow("mode", 100.0, whirl="backward")]
+    assert _assign(whirling, [(100.0, "forward"), (120.0, "backward")]) == [1]
+    assert _assign(whirling, [(100.0, "planar")]) == [0]
+
+
+def test_before_and_after_on_one_page(analysis, tmp_path):
+    before = amb.lateral(films(first=0.1, second=0.9), trip=6300 * RPM)
+    found = amb.compare(analysis, before)
+    named = {(p.quantity, p.where) for p in found.pairs}
+    assert ("value", "Scale factor for the clearance check") in named
+    page = lateral_page(analysis, comparison=found)
+    (section,) = [s for s in page.sections if s.title == "Side by side"]
+    assert len(section.tables[0].rows) == len(found.pairs)
+    assert amb.compare(analysis, analysis).largest_percent == 0
+
+    files = tmp_path / "lateral.json", tmp_path / "before.json"
+    for path, result in zip(files, (analysis, before), strict=True):
+        path.write_text(json.dumps(dict(result.to_dict())))
+    done = CliRunner().invoke(main, ["compare", *map(str, files), "--json", "--within", "0.01"])
+    assert done.exit_code == 1
+    assert json.loads(done.stdout)["rows"] == json.loads(json.dumps(found.to_dict()["rows"]))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("kind;speed [rpm]\n", "a row per result"),
+        ("kind;spead [rpm]\nmode;1\n", 'did you mean "speed"'),
+        ("speed [rpm]\n5\n", '"kind" is missing'),
+        ("kind;speed\nmode;5\n", "no unit"),
+        ("kind;speed [mm]\nmode;5\n", "rpm"),
+        ("kind;speed [rpm];amplitude [um]\ncritical;5;1\n", "peak to peak or zero to peak"),
+        ("kind;speed [rpm];speed [Hz]\nmode;5;5\n", "twice"),
+        ("kind;speed [rpm]\nmodes;5\n", "critical, mode, response"),
+        ("kind;speed [rpm]\nmode;fast\n", "must be a number"),
+        ("kind;speed [rpm]\nmode;-5\n", "above 0"),
+        ("kind;speed [rpm]\nresponse;5\n", "needs an amplitude"),
+        ("kind;speed [rpm];zeta [-]\nmode;5;5\n", "below 1"),
+        ("kind;speed [rpm]\nmode;5;6\n", "check the separator"),
+        ("kind;speed [rpm];whirl\nmode;5;left\n", "planar"),
+        ("kind;speed [rpm];log_decrement [s]\nmode;5;1\n", "must be"),
+    ],
+)
+def test_a_wrong_table_is_refused_in_one_sentence(text, words):
+    with pytest.raises(InvalidInput, match=words) as error:
+        read_table(text, "theirs.csv")
+    assert "theirs.csv" in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_what_is_no_analysis_is_refused(analysis, tmp_path):
+    path = tmp_path / "mine.json"
+    for content, words in (
+        ("{", "no JSON"),
+        ("[]", "no lateral analysis"),
+        (json.dumps(dict(analysis.to_dict()) | {"schema": 99}), "schema 99"),
+    ):
+        path.write_text(content)
+        with pytest.raises(InvalidInput, match=words):
+            amb.compare(path, analysis)
+    with pytest.raises(InvalidInput, match="unstable"):
+        amb.compare({"schema": 1, "machine": "", "items": [], "modes": []}, analysis)
+    with pytest.raises(InvalidInput, match="above 0 %"):
+        amb.compare(analysis, analysis, within=0.0)
+    table = tmp_path / "t.csv"
+    table.write_text("kind;speed [rpm];probe\ncritical;4000;VE9\n")
+    with pytest.raises(InvalidInput, match='"VE9"'):
+        amb.compare(analysis, table)
