@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+import subprocess
 import sys
 from dataclasses import replace
 from functools import cache
@@ -22,6 +23,7 @@ from ambrose.code.processor.machines import PROCESSORS
 from ambrose.code.processor.stimulus import stimulus
 from ambrose.code.processor.trial import check_room, try_unit
 from ambrose.code.processor.unit import unit_of
+from ambrose.code.processor.unwound import Unwalked, listed, written_below
 from ambrose.code.targets import PROCESSORS as OFFERED
 from ambrose.code.targets import C
 from ambrose.core.checks import InvalidInput
@@ -83,8 +85,9 @@ def test_the_currents_are_those_of_this_computer_to_the_last_bit(law, arithmetic
     assert trial.self_test
     assert trial.found == trial.meant
     assert trial.apart.max() == 0
-    # the compiler's sum of frames covers what was written, but for calls into its own library
-    assert trial.written <= trial.footprint.stack or trial.footprint.outside
+    # what is stated covers what was written, and no function on a path is unknown
+    assert trial.footprint.outside == ()
+    assert 8 <= trial.written <= trial.footprint.stack
     assert 100 < trial.instructions.min() <= trial.instructions.max() < 60_000
 
 
@@ -100,6 +103,61 @@ def test_double_precision_in_software_costs_more_than_single_in_hardware():
     assert double > 5 * single
     assert counted("cortex-m4", "double").footprint.library > 500
     assert counted("cortex-m4", "float").footprint.library == 0
+
+
+@needs("cortex-m4")
+def test_the_stack_is_the_same_by_frames_by_instructions_and_by_what_is_written(tmp_path):
+    """Calls into the compiler's library among them: three ways that share nothing."""
+    unit, m4 = unit_of(small_block(), "double"), PROCESSORS["cortex-m4"]
+    program = build(unit, m4, tmp_path)
+    with Link(unit, m4, program) as link:
+        written = link.steps(stimulus(unit, 64))["stack"].max()
+    listing = [m4.tool("objdump"), "-d", "--no-show-raw-insn", program.path]
+    code = listed(subprocess.run(listing, capture_output=True, text=True, check=True).stdout)
+    assert program.footprint.library > 0
+    assert program.footprint.outside == ()
+    assert program.footprint.stack == written == written_below(code, program.symbols[unit.step])
+
+
+def lines(text):
+    """A listing of two bytes per instruction, from address 16 on."""
+    return listed("\n".join(f"{16 + 2 * i:x}:\t{line}" for i, line in enumerate(text.split("; "))))
+
+
+@pytest.mark.parametrize(
+    ("text", "deep"),
+    [
+        ("bx lr", 0),
+        ("push\t{r4, r5, lr}; vpush\t{d8-d9}; sub\tsp, #8; add\tsp, #8; pop\t{pc}", 36),
+        # a conditional branch around a push: the deeper path
+        ("cbz\tr0, 14 <f>; push\t{r4}; pop\t{r4}; bx\tlr", 4),
+        # a call below what is pushed, of a function that pushes 12
+        ("push\t{r4, lr}; bl\t16 <g>; pop\t{r4, pc}; push\t{r4-r6}; pop\t{r4-r6}; bx\tlr", 20),
+        # a jump into another function: below what is left
+        ("push\t{r4}; pop\t{r4}; b.w\t16 <g>; str.w\tlr, [sp, #-8]!; ldr.w\tpc, [sp], #8", 8),
+        # a conditional return does not end the path
+        ("push\t{r4, lr}; popeq\t{r4, pc}; push\t{r5}; pop\t{r5}; pop\t{r4, pc}", 12),
+    ],
+)
+def test_what_instructions_push(text, deep):
+    assert written_below(lines(text), 16) == deep
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "bx\tr3",
+        "blx\tr3",
+        "mov\tsp, r7; bx\tlr",
+        "tbb\t[pc, r0]",
+        "bl\t10 <f>; bx\tlr",
+        "push\t{r4}; b.n\t10 <f>",
+        "nop",
+    ],
+)
+def test_what_cannot_be_followed_is_no_bound(text):
+    with pytest.raises(Unwalked):
+        written_below(lines(text), 16)
 
 
 @needs(M7)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from ambrose.code.processor.machines import COUNT_SHIFT, Processor
 from ambrose.code.processor.unit import Unit
+from ambrose.code.processor.unwound import Unwalked, listed, written_below
 from ambrose.code.rendering import render
 from ambrose.core.checks import InvalidInput
 
@@ -20,7 +22,7 @@ _FREE = ("-ffreestanding", "-fno-tree-loop-distribute-patterns", "-nostdlib", "-
 _PLACES = {"cortex-m": ("0x00000000", "0x20000000"), "cortex-r": ("0x00000000", "0x00800000")}
 _NODE = re.compile(r'node: \{ title: "([^"]+)" label: "([^"]*)"')
 _EDGE = re.compile(r'edge: \{ sourcename: "([^"]+)" targetname: "([^"]+)"')
-_BYTES = re.compile(r"(\d+) bytes \((static|dynamic[^)]*)\)")
+_BYTES = re.compile(r"(\d+) bytes \((static|dynamic,bounded)\)")
 _MAPPED = re.compile(r"^ \.(?:text|rodata)\S*\s+0x[0-9a-f]+\s+0x([0-9a-f]+)\s+(\S+)", re.M)
 
 
@@ -29,9 +31,10 @@ class Footprint:
     """What the code takes, without the driver.
 
     flash [bytes]: code, tables and what of the compiler's own library is linked for it; library
-    [bytes]: of it the last. memory [bytes]: the block and all that is static. stack [bytes]: the
-    deepest path of the step by the compiler's frames; outside: the functions on it that the
-    compiler does not know the frame of.
+    [bytes]: of it the last. memory [bytes]: the block and all that is static. stack [bytes]: what
+    the step may write below its caller's stack pointer, along its deepest path: the compiler's
+    frames, and of its library the instructions; outside: the functions on a path of which neither
+    is known, so that stack is no bound. Arguments that are passed on the stack are the caller's.
     """
 
     flash: int
@@ -43,14 +46,11 @@ class Footprint:
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """A linked program in a folder, its footprint, the addresses of its functions, and how much of
-    the watched stack lies above what is watched.
-    """
+    """A linked program in a folder, its footprint, and the addresses of its functions."""
 
     path: Path
     footprint: Footprint
     symbols: dict[str, int]
-    above: int
 
 
 def build(unit: Unit, processor: Processor, folder: Path, contraction: bool = False) -> Program:
@@ -90,12 +90,14 @@ def build(unit: Unit, processor: Processor, folder: Path, contraction: bool = Fa
     last = [processor.library] if free and processor.library else []
     _run([processor.compiler, *flags, *link, *objects, *last, "-o", "program"], folder)
     if not free:
-        return Program(folder / "program", Footprint(0, 0, 0, 0, ()), {}, 0)
+        return Program(folder / "program", Footprint(0, 0, 0, 0, ()), {})
     symbols = _symbols(processor, folder)
-    return Program(folder / "program", _footprint(unit, processor, folder), symbols, _above(folder))
+    return Program(folder / "program", _footprint(unit, processor, folder, symbols), symbols)
 
 
-def _footprint(unit: Unit, processor: Processor, folder: Path) -> Footprint:
+def _footprint(
+    unit: Unit, processor: Processor, folder: Path, symbols: Mapping[str, int]
+) -> Footprint:
     sizes = _run(
         [processor.tool("size"), *(f"{n.removesuffix('.c')}.o" for n in unit.sources)], folder
     )
@@ -105,7 +107,7 @@ def _footprint(unit: Unit, processor: Processor, folder: Path) -> Footprint:
     joined = re.sub(r"^( \.\S+)\n\s+", r"\1 ", mapped, flags=re.M)  # long names stand alone
     library = sum(int(size, 16) for size, source in _MAPPED.findall(joined) if "libgcc.a" in source)
     block = int(_symbol_size(processor, folder, "running"))
-    stack, outside = _deepest(folder, unit)
+    stack, outside = _deepest(folder, unit, _library(processor, folder, symbols))
     return Footprint(text + data + library, library, data + bss + block, stack, outside)
 
 
@@ -120,13 +122,6 @@ def _symbol_size(processor: Processor, folder: Path, name: str) -> int:
         if len(parts) == 4 and parts[3] == name:
             return int(parts[1], 16)
     return 0
-
-
-def _above(folder: Path) -> int:
-    """Of the function that watches the stack: bytes of its frame above what it watches."""
-    nodes, _ = _graph([folder / "driver.ci"])
-    frame = next((size for name, size in nodes.items() if name.endswith("watched")), None)
-    return 0 if frame is None else frame - WATCHED
 
 
 def _graph(paths: Sequence[Path]) -> tuple[dict[str, int | None], dict[str, set[str]]]:
@@ -144,19 +139,51 @@ def _graph(paths: Sequence[Path]) -> tuple[dict[str, int | None], dict[str, set[
     return frames, calls
 
 
-def _deepest(folder: Path, unit: Unit) -> tuple[int, tuple[str, ...]]:
-    """Of the step: the sum of frames along its deepest path, and what on any path is unknown."""
-    frames, calls = _graph([folder / f"{name.removesuffix('.c')}.ci" for name in unit.sources])
+def _deepest(
+    folder: Path, unit: Unit, library: Callable[[str], int | None]
+) -> tuple[int, tuple[str, ...]]:
+    """Of the step: the sum of frames along its deepest path, and what on any path is unknown.
+
+    library: what a function of the compiler's own takes with all that it calls (None: unknown).
+    """
+    names = [*unit.sources, "memory.c"]
+    frames, calls = _graph([folder / f"{name.removesuffix('.c')}.ci" for name in names])
     outside: set[str] = set()
 
     def depth(name: str, above: tuple[str, ...]) -> int:
         frame = frames.get(name)
         if frame is None:
+            frame = library(name)
+        if frame is None or name in above:  # unknown, or as deep as it calls itself
             outside.add(name)
-        within = [depth(one, (*above, name)) for one in calls.get(name, ()) if one not in above]
-        return (frame or 0) + max(within, default=0)
+            return 0
+        return frame + max((depth(one, (*above, name)) for one in calls.get(name, ())), default=0)
 
     return depth(unit.step, ()), tuple(sorted(outside))
+
+
+def _library(
+    processor: Processor, folder: Path, symbols: Mapping[str, int]
+) -> Callable[[str], int | None]:
+    """What a function of the compiler's library takes of stack [bytes], by its instructions."""
+    if not processor.compiler.startswith("arm-none-eabi"):
+        return lambda name: None
+
+    @cache
+    def instructions() -> dict[int, tuple[str, str]]:
+        return listed(
+            _run([processor.tool("objdump"), "-d", "--no-show-raw-insn", "program"], folder)
+        )
+
+    def below(name: str) -> int | None:
+        if name not in symbols:
+            return None
+        try:
+            return written_below(instructions(), symbols[name] & ~1)  # bit 0: Thumb
+        except Unwalked:
+            return None
+
+    return below
 
 
 def _run(command: Sequence[str], folder: Path) -> str:

@@ -30,8 +30,8 @@ class Trial(Presented):
 
     equal: whether every current and status is that of this computer, to the last bit; apart (p,)
     [A]: the largest differences. contracted (p,) [A]: the same with contraction of multiply and add
-    (None: not tried). instructions (k,): of the steps that were counted. stack [bytes]: as the
-    compiler sums it; written [bytes]: how deep it was written; clock [Hz] (None: not told);
+    (None: not tried). instructions (k,): of the steps that were counted. written [bytes]: how deep
+    the stack was written, which ``footprint.stack`` must cover; clock [Hz] (None: not told);
     sample_time [s]. found, meant: checksums of the tables.
     """
 
@@ -60,7 +60,7 @@ class Trial(Presented):
 
     @property
     def stack(self) -> int:
-        """Bytes of stack that a step needs, by the compiler or as found, whichever is more."""
+        """Bytes of stack that a step needs, as accounted for or found, whichever is more."""
         return max(self.footprint.stack, self.written)
 
     @property
@@ -74,6 +74,11 @@ class Trial(Presented):
             found.append(
                 f"{name} gives other currents than this computer, apart by up to "
                 f"{self.apart.max():.3g} A"
+            )
+        if self.written > self.footprint.stack:
+            found.append(
+                f"on {name} a step wrote {self.written} bytes of stack, more than the "
+                f"{self.footprint.stack} that the compiler accounts for"
             )
         if self.load is not None and self.load > 1:
             found.append(
@@ -146,6 +151,7 @@ class Trial(Presented):
             most = float(self.contracted.max())
             contracted = f"apart by up to {most:.2g} A, {most / limit:.1g} of the largest current"
         outside = f", without {', '.join(print_.outside)}" if print_.outside else ""
+        bound = "least" if print_.outside else "most"
         below = "at least " if self.written >= WATCHED else ""
         frame = processor.exception_frame
         frame_text = f"; an interrupt adds {frame} bytes of its own" if frame else ""
@@ -172,8 +178,8 @@ class Trial(Presented):
             "mean": round(float(self.instructions.mean())),
             "most": int(self.instructions.max()),
             "load": self.load_text,
-            "stack": f"{print_.stack} bytes by the compiler{outside}; {below}{self.written} bytes "
-            f"found written{frame_text}",
+            "stack": f"{print_.stack} bytes at {bound}{outside}; {below}{self.written} bytes found "
+            f"written{frame_text}",
             "flash": f"{print_.flash} bytes{library}",
             "memory": f"{print_.memory} bytes",
             "counted": counter[processor.kind],
@@ -268,7 +274,7 @@ def try_unit(
         apart=_apart(unit, found, meant),
         contracted=fused,
         instructions=instructions,
-        written=int(found["stack"].max()) + program.above,
+        written=int(found["stack"].max()),
         footprint=program.footprint,
         found=sums[0],
         meant=sums[1],
