@@ -62,6 +62,8 @@ def test_figures_are_what_they_were(group):
         else:  # a controller of a gamma iteration moves within its tolerance
             scale = np.abs(np.ravel(value)).max()
             close = (2e-3 if "hinf" in group else 1e-5) * scale
+            if name == "mesh_error":  # a relative difference of two frequencies: their rounding
+                close += 1e-9
             difference = np.abs(np.sort(np.ravel(now[name])) - np.sort(np.ravel(value))).max()
             assert difference <= close, (name, value, now[name])
 

@@ -15,7 +15,7 @@ from ambrose.terminal import AS_JSON, MACHINE, load, load_controller, print_tabl
 
 @click.command()
 @MACHINE
-@click.argument("records", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("records", nargs=-1, type=click.Path(path_type=Path))
 @click.option(
     "--plane",
     "planes",
@@ -38,6 +38,17 @@ from ambrose.terminal import AS_JSON, MACHINE, load, load_controller, print_tabl
     "--controller", type=click.Path(path_type=Path), help="The controller that ran (*.json)."
 )
 @click.option(
+    "--amplitudes",
+    type=click.Path(path_type=Path),
+    help="In place of records: the amplitudes that converged current-free blocks hold (*.csv with "
+    "speed_rpm, axis, amplitude_um, angle_deg).",
+)
+@click.option(
+    "--since",
+    type=click.Path(path_type=Path),
+    help="With --amplitudes: an earlier such table; what has come since is told and balanced.",
+)
+@click.option(
     "--settle",
     type=float,
     default=0.3,
@@ -51,6 +62,8 @@ def balance(
     planes: tuple[str, ...],
     trials: tuple[tuple[str, str], ...],
     controller: Path | None,
+    amplitudes: Path | None,
+    since: Path | None,
     settle: float,
     as_json: bool,
 ) -> None:
@@ -61,18 +74,33 @@ def balance(
     roll tells the run-out. With as many trial runs as planes, at the same speed, the influence
     coefficients are measured; without, they are the model's. Degrees count in the direction of spin
     from the key mark, which points along x when the signal key rises. Exit status 1: done, but the
-    planes are hardly told apart, run-out is unknown, or the correction may not lower the vibration.
+    planes are hardly told apart, run-out is unknown, or the correction may not lower the vibration;
+    with --since: the unbalance has changed.
     """
+    from ambrose.annexes.site.balancing.amplitude_table import read_amplitudes
     from ambrose.annexes.site.balancing.correction import balance as balanced
+    from ambrose.annexes.site.balancing.synchronous import balance_amplitudes, grown
     from ambrose.annexes.site.balancing_page import balancing_tables, in_words
 
+    _check_sources(records, trials, controller, amplitudes, since)
     description = load(machine)
     radii = {
         name: _read(text, "--plane", "length", f"{name}=80 mm") for name, text in map(_pair, planes)
     }
     weights = [(Path(record), _weights(text, radii)) for record, text in trials]
     law = load_controller(controller, description) if controller else None
-    result = balanced(description, records, radii, trials=weights, controller=law, settle=settle)
+    if amplitudes is not None:
+        axes = description.axes
+        earlier = None if since is None else read_amplitudes(since, axes)
+        result = balance_amplitudes(
+            description, read_amplitudes(amplitudes, axes), radii, before=earlier
+        )
+        passed = result.passed if since is None else not grown(result)
+    else:
+        result = balanced(
+            description, records, radii, trials=weights, controller=law, settle=settle
+        )
+        passed = result.passed
     if as_json:
         say_json(result.to_dict())
     else:
@@ -81,7 +109,34 @@ def balance(
             print_table(table.title, table.columns, rows)
         for line in in_words(result):
             say(line)
-    sys.exit(0 if result.passed else 1)
+    sys.exit(0 if passed else 1)
+
+
+def _check_sources(
+    records: tuple[Path, ...],
+    trials: tuple[tuple[str, str], ...],
+    controller: Path | None,
+    amplitudes: Path | None,
+    since: Path | None,
+) -> None:
+    """Raises InvalidInput unless there are records, or amplitudes with nothing that goes with
+    records.
+    """
+    from ambrose.core.checks import InvalidInput, invalid
+
+    if amplitudes is None:
+        if since is not None:
+            raise invalid("--since", since, "given with --amplitudes", "give the table of now")
+        if not records:
+            raise InvalidInput("no record is given; name one, or a table with --amplitudes")
+        return
+    beside = {"a record": records, "--trial": trials, "--controller": controller}
+    for name, value in beside.items():
+        if value:
+            raise InvalidInput(
+                f"{name} is given beside --amplitudes; a table of amplitudes needs neither records "
+                "nor the controller, leave it out"
+            )
 
 
 def _pair(text: str) -> tuple[str, str]:

@@ -82,7 +82,7 @@ def in_words(result: Balancing) -> list[str]:
             f"Balance quality (ISO 21940-11) now G{1e3 * now:.3g}, then G{1e3 * then:.3g} or "
             f"better; to be {allowed}"
         )
-    if result.runout_found:
+    if result.runout_found and result.runout.any():
         told = ", ".join(
             f"{1e6 * abs(r):.3g} µm at {np.degrees(np.angle(r)):.0f}°" for r in result.runout
         )

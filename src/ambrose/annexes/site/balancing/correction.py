@@ -20,6 +20,7 @@ import numpy as np
 
 from ambrose.annexes.site.balancing.influence import NONE, Influence, influence, source_of_currents
 from ambrose.annexes.site.balancing.vectors import revolution
+from ambrose.annexes.site.balancing.weighted_fit import ILL, LEAST, circle_of_95, weighted_fit
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.presentation import Presented
 from ambrose.identification.data_quality.diagnosis import screened
@@ -40,8 +41,6 @@ from ambrose.record.record import Record
 
 _SAME_SPEED = 0.01  # relative difference below which two records are of one speed
 _APART = 1.3  # least ratio of speeds that tells run-out from unbalance
-_ILL = 30.0  # condition of the matrix above which planes are hardly told apart
-_LEAST = 0.01  # relative error of a model's coefficients at the least; assumed
 _REFINEMENTS = 6
 # of records without excitation: what is turning is checked by ``revolution``
 _SETTLED = (Code.MOVING_POINT, Code.FAR_FROM_START, Code.NO_RESPONSE, Code.DUPLICATE_RECORD)
@@ -124,7 +123,7 @@ class Balancing(Presented):
         vibration falls with 95 %.
         """
         known = self.runout_found or bool(self.runout.any())
-        return self.condition <= _ILL and self.remaining < 1 and known and self.trusted
+        return self.condition <= ILL and self.remaining < 1 and known and self.trusted
 
     def grade(self, moments: np.ndarray) -> float | None:
         """Balance quality G [m/s] at the balancing speed of planes with these moments (p,) [kg m]
@@ -295,7 +294,7 @@ def balance(
             change = (moved.unbalance - first.unbalance) / COVERAGE
             spread += np.outer(change, change.conj())
     covariance = first.covariance + spread
-    if first.condition > _ILL:
+    if first.condition > ILL:
         notes.append(
             f"the unknowns are hardly told apart (condition {first.condition:.3g}): add a record "
             "at another speed, or use "
@@ -420,7 +419,7 @@ def _estimate(
         )
 
     # the error of measured coefficients is in their noise; a model's is never taken as nothing
-    least = 0.0 if measured else _LEAST
+    least = 0.0 if measured else LEAST
 
     # trial runs that do not span the planes are rows of their own, beside the model's A_s
     beside = (
@@ -467,7 +466,7 @@ def _estimate(
             [_noise(run, own, back, U) for run, (own, back) in zip(runs, extra, strict=True)]
             + [r.noise for r in beside]
         )
-        error, x, C, condition = _weighted(X, target, noise, size, freedom, least)
+        error, x, C, condition = weighted_fit(X, target, noise, size, freedom, least)
         U = x[:p]
         size = np.hypot(np.sqrt(np.mean(np.abs(A @ U) ** 2, axis=1)), by_currents)
     if free:
@@ -475,11 +474,7 @@ def _estimate(
 
     # the variance was told by the misfit where that is the larger, else by the blocks' scatter
     blocks = min(len(run.at.blocks) for run in runs)
-    told = freedom if error > least else (blocks - 1) * a
-    from scipy.special import fdtri
-
-    # |error|^2 / variance of a circular complex error: F(2, 2 nu), nu complex degrees of freedom
-    factor = float(np.sqrt(fdtri(2, 2 * max(told, 1), 0.95)))
+    factor = circle_of_95(freedom if error > least else (blocks - 1) * a)
     with_error = [*(noise + (error * size[:, None]) ** 2)][: len(runs)]
     return _Estimate(
         U,
@@ -508,49 +503,6 @@ def _noise(run: _Run, own: Sequence[_Run], back: np.ndarray | None, U: np.ndarra
     c = back @ U
     trials = sum(abs(share) ** 2 * trial.noise for share, trial in zip(c, own, strict=True))
     return np.asarray(abs(1 + c.sum()) ** 2 * run.noise + trials)
-
-
-def _weighted(
-    X: np.ndarray, d: np.ndarray, noise: np.ndarray, size: np.ndarray, freedom: int, least: float
-) -> tuple[float, np.ndarray, np.ndarray, float]:
-    """Relative error of the coefficients, solution, its covariance and the condition of the matrix
-    with columns of unit length.
-
-    X (s, a, c), d and noise (s, a), size (s,): what the relative error, at the least ``least``, is
-    of.
-    """
-    from scipy.optimize import brentq
-
-    # records without noise would weigh without limit
-    floor = 1e-24 * float(np.max(np.abs(d) ** 2)) + 1e-40
-
-    def solved(error: float) -> tuple[float, np.ndarray, np.ndarray]:
-        # rows over their standard deviation, sqrt(noise + (error size)^2)
-        w = 1 / np.sqrt(noise + (error * size[:, None]) ** 2 + floor)
-        M, right = (X * w[:, :, None]).reshape(-1, X.shape[2]), (d * w).ravel()
-        x = np.linalg.lstsq(M, right)[0]
-        return float(np.sum(np.abs(M @ x - right) ** 2)), x, M
-
-    # Paule & Mandel: the common error at which the weighted misfit equals its expectation, the
-    # freedom; where 10 is not enough, no root is sought
-    error = least
-    if freedom and solved(least)[0] > freedom:
-        error = (
-            brentq(lambda e: solved(e)[0] - freedom, least, 10.0, xtol=1e-6)
-            if solved(10.0)[0] < freedom
-            else 10.0
-        )
-    _, x, M = solved(error)
-
-    # columns of unit length: the condition tells planes apart, not units
-    length = np.linalg.norm(M, axis=0)
-    s = np.linalg.svd(M / length, compute_uv=False)
-    if s[-1] < 1e-9 * s[0]:
-        raise InvalidInput(
-            "the planes cannot be told apart by these sensors and speeds; use fewer planes, or "
-            "another speed"
-        )
-    return float(error), x, np.linalg.inv(M.conj().T @ M), float(s[0] / s[-1])
 
 
 def _moved(
