@@ -112,6 +112,17 @@ def test_a_peak_far_narrower_than_any_grid():
     assert proved_below(system, [ComplexBlock("c")], 0.51 / zeta)
 
 
+def test_a_direct_term_that_leaves_one_way_only():
+    """1 + 0.1 d/(s + 1 - 0.01 d), |d| <= 1: 1 + 0.1/0.99 at s = 0, d = 1. At infinity nothing comes
+    back from d, so that the scalings of the direct term alone are without bound.
+    """
+    system = StateSpace([[-1.0]], [[1.0, 0.0]], [[0.01], [1e-6]], [[0.0, 1e5], [0.0, 1.0]])
+    blocks = [RealBlock("d"), FullBlock("gain", 1, 1)]
+    found = proved_level(system, blocks, 1.0, skew=np.array([False, True]), room=1e-3)
+    worst = 1 + 0.1 / 0.99
+    assert worst < found.level < 1.003 * worst
+
+
 def test_refusals(monkeypatch):
     with pytest.raises(UnstableSystem, match="real part"):
         chords(StateSpace([[1.0]], [[1.0]], [[1.0]], [[0.0]]))
