@@ -248,8 +248,8 @@ class _Task:
 
     def attempt(self, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Try the intervals; what remains of them, (low, high)."""
-        # Scalings with room in the middle of each interval, at the lower end of the one that ends at
-        # infinity: those of D itself may be without bound, where D is zero but for the gain's rows.
+        # Scalings with room in the middle of each interval, at the lower end of the one that ends
+        # at infinity: those of D itself may be without bound, where it is zero but for the gain.
         end = np.isinf(high)
         middle = 0.5 * (low + np.where(end, low, high))
         scalings, holds = _scalings(
