@@ -85,6 +85,7 @@ _HOME = {
     "with_performance_block": "law.design_problem",
     "performance_weight": "law.weights",
     **dict.fromkeys(("CompiledBlock", "read_law"), "code.c.compiled"),
+    "simulate_on_target": "code.in_loop",
     # what the annexes of this installation add, such as ``accept``, ``campaign``, ``size``
     **{name: place.removeprefix("ambrose.") for name, place in registered("public").items()},
 }

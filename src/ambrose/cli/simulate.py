@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 
+from ambrose.code.targets import PROCESSORS, WORDS, C
 from ambrose.terminal import (
     AS_JSON,
     DELAY,
@@ -27,6 +28,9 @@ from ambrose.terminal import (
     say_json,
 )
 
+if TYPE_CHECKING:
+    from ambrose.code.in_loop import InLoop
+
 _GROUPS = {
     "": ("path", "scenario", "point", "output", "report"),
     "The run": ("linear", "rate_hz", "delay_samples", "bending_modes", "seed", "second"),
@@ -37,6 +41,7 @@ _GROUPS = {
         "stuck_after",
         "estimate",
     ),
+    "The code on its processor": ("on_target", "arithmetic"),
 }
 
 
@@ -83,6 +88,17 @@ _GROUPS = {
     type=int,
     help="Bending modes per plane of the rig; default: 3, as identify models.",
 )
+@click.option(
+    "--on-target",
+    type=click.Choice(PROCESSORS),
+    help="The controller's C code, compiled for this processor, runs in QEMU as the controller; "
+    "beside it once more on this computer.",
+)
+@click.option(
+    "--arithmetic",
+    type=click.Choice(WORDS),
+    help="With --on-target: numbers of the code; default: double.",
+)
 @click.option("--seed", type=int, help="Of the sensors' noise on the rig; default: 0.")
 @click.option(
     "--point", default=None, help="Label of an operating point, or its beginning; default: nominal."
@@ -109,6 +125,8 @@ def simulate(
     pressure_error: str | None,
     stuck_after: float | None,
     estimate: str | None,
+    on_target: str | None,
+    arithmetic: str | None,
     bending_modes: int | None,
     seed: int | None,
     point: str | None,
@@ -133,6 +151,7 @@ def simulate(
         ("--seed", seed),
         ("--second", second),
         ("--fallback", fallback),
+        ("--on-target", on_target),
     ):
         if linear and value is not None:
             remedy = (
@@ -151,6 +170,12 @@ def simulate(
             raise invalid(
                 option, is_given, "given with --fallback", "name the controller that takes over"
             )
+    for option, there in (("--second", second), ("--fallback", fallback)):
+        if on_target is not None and there is not None:
+            remedy = "the binary is one controller's; leave one of the two out"
+            raise invalid(option, there, "left out with --on-target", remedy)
+    if arithmetic is not None and on_target is None:
+        raise invalid("--arithmetic", arithmetic, "given with --on-target", "name a processor")
     description = load(machine)
     controller = load_controller(path, description)
     check_suffix(output)
@@ -174,18 +199,33 @@ def simulate(
             "seed": seed or 0,
             "path": output if growing else None,
         }
+    looped: InLoop | None = None
     with progress_shown(as_json) as progress:
-        trace = simulate_scenario(
-            description,
-            controller,
-            scenario,
-            point=point,
-            linear=linear,
-            rate=rate_hz,
-            delay_samples=delay_samples,
-            progress=progress,
-            **options,
-        )
+        if on_target is not None:
+            from ambrose.code.in_loop import simulate_on_target
+
+            code = C(
+                try_on=on_target,
+                arithmetic=cast("Any", arithmetic or "double"),
+                rate=rate_hz,
+                delay_samples=delay_samples,
+            )
+            looped = simulate_on_target(
+                description, controller, scenario, code, point=point, progress=progress, **options
+            )
+            trace = looped.trace
+        else:
+            trace = simulate_scenario(
+                description,
+                controller,
+                scenario,
+                point=point,
+                linear=linear,
+                rate=rate_hz,
+                delay_samples=delay_samples,
+                progress=progress,
+                **options,
+            )
     timing = timing_of(description, controller, rate_hz, delay_samples) or (
         None if linear else DEFAULT
     )
@@ -199,12 +239,15 @@ def simulate(
         "stable": trace.stable,
         "timing": None if timing is None else str(timing),
         "report": str(report) if report else None,
-    }
+    } | ({} if looped is None else {"on_target": looped.to_dict()})
     if as_json:
         say_json(summary)
     else:
         say(f"{output}: {trace.text}")
         say(f"Controller: {timing or 'continuous'}")
+        if looped is not None:
+            say(looped.text)
     if failure is not None:
         raise failure
-    sys.exit(0 if trace.outcome == "completed" and trace.stable else 1)
+    held = trace.outcome == "completed" and trace.stable
+    sys.exit(0 if held and (looped is None or looped.equal) else 1)

@@ -227,6 +227,20 @@ def export(
         )
 
 
+def unverified_block(
+    controller: LawLike, machine: Machine, target: C
+) -> ControlBlock | ScheduledBlock:
+    """The block that ``export`` would write, before its loop is verified. Raises InvalidInput."""
+    synthesis = _synthesis(controller, machine)
+    _check_target(synthesis, target)
+    if blocks_beside(synthesis, machine, target):
+        raise InvalidInput(
+            "the target's binary runs in the loop without synchronous blocks; leave them out of "
+            "the controller's file"
+        )
+    return _unverified(synthesis, machine, target, _limits(synthesis, machine, target))
+
+
 def _unverified(
     synthesis: Synthesis,
     machine: Machine | None,

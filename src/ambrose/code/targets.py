@@ -34,7 +34,7 @@ PROCESSORS = (
     "riscv64",
     "ppc64",
 )
-_WORDS = ("double", "float", "fixed32", "fixed16")
+WORDS = ("double", "float", "fixed32", "fixed16")
 
 
 def _identifier(value: Any, name: str) -> None:
@@ -155,7 +155,7 @@ class C(Target):
 
     to: ClassVar[str] = "c"
 
-    arithmetic: Arithmetic = option("double", "Numbers of the code.", choices=_WORDS)
+    arithmetic: Arithmetic = option("double", "Numbers of the code.", choices=WORDS)
     form: str = option(
         "modal",
         "Realisation in C: modal, or of a filter bank its sections one by one.",
@@ -249,7 +249,7 @@ class Fmu(Target):
 
     to: ClassVar[str] = "fmu"
 
-    arithmetic: Arithmetic = option("double", "Numbers of the code.", choices=_WORDS)
+    arithmetic: Arithmetic = option("double", "Numbers of the code.", choices=WORDS)
     sources_only: bool = option(False, "An FMU without a binary: no C compiler is needed here.")
 
     def files(
@@ -270,7 +270,7 @@ class St(Target):
 
     to: ClassVar[str] = "st"
 
-    arithmetic: Precision = option("double", "Numbers of the code.", choices=_WORDS[:2])
+    arithmetic: Precision = option("double", "Numbers of the code.", choices=WORDS[:2])
 
     def files(
         self,

@@ -61,7 +61,7 @@ class _Running(ctypes.Structure):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Words:
+class Words:
     """The code's numbers: dtype of signals and states, and what one count is: error (m,) [m],
     current (p,) [A], state [-].
     """
@@ -74,7 +74,7 @@ class _Words:
     whole: bool
 
     @classmethod
-    def of(cls, block: ControlBlock | ScheduledBlock, arithmetic: Arithmetic) -> _Words:
+    def of(cls, block: ControlBlock | ScheduledBlock, arithmetic: Arithmetic) -> Words:
         if arithmetic in {"double", "float"}:
             real = np.float64 if arithmetic == "double" else np.float32
             return cls(
@@ -142,7 +142,7 @@ class _Compiled(Generic[B]):
         self.block: B = block
         self.arithmetic = arithmetic
         files = generate(block, arithmetic)
-        self._words = _Words.of(block, arithmetic)
+        self._words = Words.of(block, arithmetic)
         self._library = _load(block.name, {**files, "call.c": self._words.call(block)}, compiler)
         size = self._library[f"{block.name}_size"]
         size.restype = ctypes.c_size_t

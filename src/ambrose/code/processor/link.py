@@ -108,12 +108,15 @@ class Link:
             text += self._read(1)
         return found, meant, text[:-1].decode("ascii", "replace")
 
-    def steps(self, samples: np.ndarray) -> np.ndarray:
-        """Answers (k,) to samples (k,), as ``Unit.given`` and ``answered`` have them."""
+    def steps(self, samples: np.ndarray, *, watching: bool = True) -> np.ndarray:
+        """Answers (k,) to samples (k,), as ``Unit.given`` and ``answered`` have them; watching: how
+        deep the stack is written (slow).
+        """
         found = []
+        what = _STEPS if watching and self._log is None else _STEPS_ALONE
         for i in range(0, len(samples), _AT_ONCE):
             part = samples[i : i + _AT_ONCE].astype(self.given)
-            self._say(_STEPS if self._log is None else _STEPS_ALONE, len(part))
+            self._say(what, len(part))
             self._write(part.tobytes())
             found.append(self._read(len(part) * self.answered.itemsize))
         return np.frombuffer(b"".join(found), self.answered)
