@@ -8,6 +8,7 @@ import pytest
 from benchmarks import history
 from benchmarks.__main__ import main, modules, rows_of
 from benchmarks.box_attack import attack
+from benchmarks.current_loop import main as current_loop
 
 
 def row(name):
@@ -83,3 +84,10 @@ def test_no_member_of_a_box_lies_above_what_verify_says():
     row = attack("turbomolecular-pump", members=40)
     assert row["above"] == 0 and row["nominal"] < row["worst"] <= row["box"] * (1 + 1e-5)
     assert row["members"] == 1 + 4 + 40
+
+
+def test_the_circuit_of_the_amplifier_slows_the_unstable_pole(capsys):
+    (row,) = current_loop(["--machine", "turboexpander"])
+    assert 0.9 * row.pole[0] < row.pole[1] < 0.99 * row.pole[0]
+    assert row.damping[1] > row.damping[0]
+    assert "| turboexpander | 5.33 |" in capsys.readouterr().out

@@ -342,6 +342,7 @@ def test_small_machine_has_every_key_of_every_table():
             "shaft.start",
             "amplifier.natural_frequency",
             "amplifier.damping",
+            "amplifier.resistance",
             "seal.c",
             "seal.k",
             "seal.table.axes",
@@ -505,6 +506,9 @@ def maybe(strategy):
 
 def ascending(n):
     return st.lists(positive, min_size=n, max_size=n, unique=True).map(sorted).map(tuple)
+
+
+COIL = {"current-loop": ("inductance", "resistance")}
 
 
 @st.composite
@@ -734,7 +738,11 @@ def machines(draw):
             Sensor(name, draw(place), draw(pair), draw(maybe(positive))) for name in ("A", "B-2_")
         ),
         amplifier=d.Amplifier(
-            order, **{key: draw(positive) for key in d.AMPLIFIER_PARAMETERS[order]}
+            order,
+            **{
+                key: draw(positive)
+                for key in (*d.AMPLIFIER_PARAMETERS[order], *COIL.get(order, ()))
+            },
         ),
         discs=tuple(
             Disc(f"disc{i}", draw(place), draw(positive), 1.5 * i, 1.0 * i)

@@ -103,11 +103,15 @@ def worst_forces(response: LoopResponse, residual: Unbalance, plant: Plant) -> n
     return (np.linalg.norm(per_force, axis=2) * residual.force(response.omega)[:, None]).T
 
 
-def worst_voltages(response: LoopResponse, residual: Unbalance, inductance: float) -> np.ndarray:
-    """Largest voltage w L i of every axis' coil (a, w) [V]: what the virtual rig limits; resistance
-    and motion are left out.
+def worst_voltages(
+    response: LoopResponse, residual: Unbalance, inductance: float, resistance: float = 0.0
+) -> np.ndarray:
+    """Largest voltage |R + j w L| i of every axis' coil (a, w) [V]: what the virtual rig limits.
+
+    What motion induces is left out. inductance [H]; resistance [Ohm], of a "current-loop" alone.
     """
-    return worst_currents(response, residual) * (inductance * response.omega)
+    impedance = np.hypot(resistance, inductance * response.omega)
+    return np.asarray(worst_currents(response, residual) * impedance)
 
 
 def unbalance_checks(
@@ -195,8 +199,11 @@ def _voltage(
     most, inductance = amplifier.max_voltage, amplifier.inductance
     if most is None or inductance is None:
         return []
+    # the bias current takes its share of the voltage in the coil's resistance
+    resistance = amplifier.resistance or 0.0
+    most -= resistance * max(bearing.bias_current for bearing in plant.machine.bearings)
     (peaks,) = peaks_of(
-        [lambda r: worst_voltages(r, residual, inductance)], response, evaluator, within
+        [lambda r: worst_voltages(r, residual, inductance, resistance)], response, evaluator, within
     )
     k = int(np.argmax([peak.value for peak in peaks]))
     wanted, detail = (

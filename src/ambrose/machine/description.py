@@ -53,6 +53,7 @@ AMPLIFIER_PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "first": ("bandwidth",),
     "twice-first": ("bandwidth", "eddy_bandwidth"),
     "second": ("natural_frequency", "damping"),
+    "current-loop": ("bandwidth",),
 }
 
 
@@ -173,13 +174,16 @@ class Amplifier(Part):
 
     order "first": bandwidth/(s + bandwidth); "twice-first": that times eddy_bandwidth/(s +
     eddy_bandwidth); "second": natural_frequency^2/(s^2 + damping s + natural_frequency^2); "none":
-    ideal.
+    ideal. "current-loop": bandwidth/(s + bandwidth) of a coil with resistance and inductance under
+    a PI controller, into which the rotor's motion induces a voltage.
     """
 
     order: Annotated[str, Choice(tuple(AMPLIFIER_PARAMETERS)), "the model's form"] = field(
         default="none", metadata={"required": True}
     )
-    bandwidth: Annotated[Rate | None, 'corner frequency, for "first" and "twice-first"'] = None
+    bandwidth: Annotated[
+        Rate | None, 'corner frequency, for "first", "twice-first" and "current-loop"'
+    ] = None
     eddy_bandwidth: Annotated[Rate | None, 'second corner frequency, for "twice-first"'] = None
     natural_frequency: Annotated[Rate | None, 'natural frequency, for "second"'] = None
     damping: Annotated[
@@ -191,7 +195,12 @@ class Amplifier(Part):
         "largest voltage at the coil, which limits the slope of the current; for the virtual rig",
     ] = None
     inductance: Annotated[
-        float | None, Quantity("inductance"), "inductance of a coil; for the virtual rig"
+        float | None,
+        Quantity("inductance"),
+        'inductance of a coil; for the virtual rig and "current-loop"',
+    ] = None
+    resistance: Annotated[
+        float | None, Quantity("resistance"), 'resistance of a coil, for "current-loop"'
     ] = None
 
 

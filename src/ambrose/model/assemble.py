@@ -260,7 +260,9 @@ def wire(
     system = connect(
         [
             rename(rotor, rotor_inputs(machine)),
-            amplifier.linearised(machine.amplifier, machine.axes),
+            amplifier.linearised(
+                machine.amplifier, machine.axes, magnet_coefficients(machine, point)[0]
+            ),
             magnets(machine, point),
             sensor.linearised(machine.sensor_pairs, machine.axes),
         ],

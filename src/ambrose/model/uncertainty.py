@@ -31,11 +31,12 @@ from ambrose.model.assemble import (
     seal_coefficients,
     seal_model,
 )
+from ambrose.model.effects import amplifier as amplifiers
 from ambrose.model.effects import seal_rational, sensor
 from ambrose.model.effects.rotor import free_modes
 from ambrose.model.effects.seal_rational import has_states
 from ambrose.model.plant import Plant
-from ambrose.model.static_load import operating_magnets
+from ambrose.model.static_load import magnet_coefficients, operating_magnets
 
 NEXT = "next"
 
@@ -96,7 +97,8 @@ def uncertain(plant: Plant, tolerances: Sequence[Tolerance] | None = None) -> Ge
         group.append(RealBlock(label, len(places)))
     w = [f"w_{name[2:]}" for name, _ in rows]
     z = [name for name, _ in rows]
-    drive = open_amplifier(machine.amplifier, machine.axes)
+    k_i = magnet_coefficients(machine, plant.point)[0]
+    drive = open_amplifier(machine.amplifier, machine.axes, k_i)
 
     # inputs that no parameter acts on get empty sums
     idle = [
@@ -341,12 +343,19 @@ def _bearing_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
     coefficients = next(
         magnet.coefficients for bearing, magnet in magnets if bearing.name == parameter.name
     )
-    return _pair(
-        parameter,
-        getattr(coefficients, parameter.quantity),
-        "i" if parameter.quantity == "force_per_current" else "q",
-        1.0,
-    )
+    if parameter.quantity != "force_per_current":
+        return _pair(parameter, getattr(coefficients, parameter.quantity), "q", 1.0)
+    found = _pair(parameter, coefficients.force_per_current, "i", 1.0)
+    drive = plant.machine.amplifier
+    if drive.order == amplifiers.LOOP:
+        # the back-EMF is half of it, too: i' = ... - k_i/(2 L) x'
+        by_motion = float(amplifiers.back_emf(drive, [1.0])[0])
+        axes = [channel.target.removeprefix("F_") for channel in found]
+        found += [
+            Channel(f"x_{axis}_0", channel.nominal, ((f"qdot_{axis}", -by_motion),))
+            for axis, channel in zip(axes, found, strict=True)
+        ]
+    return found
 
 
 def _effect_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
@@ -433,16 +442,27 @@ def _amplifier_terms(
             ("natural_frequency", w, 1, (-1.0, 0.0), 1.0),
             ("damping", amplifier.damping or 0.0, 1, (0.0, -1.0), 0.0),
         ]
+    if amplifier.order == amplifiers.LOOP:
+        w, decay = amplifier.bandwidth or 0.0, amplifiers.decay(amplifier)
+        return 2, [  # i' = w (u - i) + R/L (s - i), s' = w (u - i)
+            ("bandwidth", w, 0, (-1.0, 0.0), 1.0),
+            ("bandwidth", w, 1, (-1.0, 0.0), 1.0),
+            ("", decay, 0, (-1.0, 1.0), 0.0),
+        ]
     return 0, []
 
 
-def open_amplifier(amplifier: Amplifier, axes: Sequence[str]) -> StateSpace:
-    """All amplifiers with their state derivatives open: inputs u_<axis>, x_<axis>_<state>; outputs
-    i_<axis> and the terms t_<axis>_<term> that the parameters multiply.
+def open_amplifier(
+    amplifier: Amplifier, axes: Sequence[str], force_per_current: np.ndarray
+) -> StateSpace:
+    """All amplifiers with their state derivatives open: inputs u_<axis>, x_<axis>_<state>, of a
+    "current-loop" qdot_<axis>; outputs i_<axis> and the terms t_<axis>_<term> that the parameters
+    multiply.
     """
+    moving = amplifiers.back_emf(amplifier, force_per_current)
     n, terms = _amplifier_terms(amplifier)
     parts = []
-    for axis in axes:
+    for axis, by_motion in zip(axes, moving, strict=True):
         if n == 0:
             parts.append(static_gain([[1.0]], [f"u_{axis}"], [f"i_{axis}"]))
             continue
@@ -455,6 +475,10 @@ def open_amplifier(amplifier: Amplifier, axes: Sequence[str]) -> StateSpace:
         D = np.zeros((1 + len(terms), 1 + n))
         D[1:, 0] = [b for *_, b in terms]
         names = [f"u_{axis}", *(f"x_{axis}_{k}" for k in range(n))]
+        if amplifier.order == amplifiers.LOOP:
+            B = np.hstack([B, [[-by_motion], [0.0]]])
+            D = np.hstack([D, np.zeros((len(D), 1))])
+            names.append(f"qdot_{axis}")
         parts.append(
             StateSpace(
                 A, B, C, D, names, [f"i_{axis}", *(f"t_{axis}_{k}" for k in range(len(terms)))]

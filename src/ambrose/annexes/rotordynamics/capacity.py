@@ -3,7 +3,8 @@
 The control current that an amplifier can drive at omega is the least of
 
     i_max             its own limit, and the bias current i_0: class A keeps 0 <= i_0 +- i
-    V/(omega L)        voltage V of the link over the coil: the slew of the current
+    (V - R i)/|R + j omega L|   what bias and static current i leave of the link's voltage V, over
+                                the coil: the slew of the current (R = 0 where none is stated)
 
 less the static current that holds the rotor's weight. The force is F = k_i i on the rotor that
 stands still; back-EMF k_i omega q of its motion is taken off the voltage where the motion is known.
@@ -61,7 +62,11 @@ def current_limit(
         rows["current"] = np.full(len(omega), bearing.max_current - abs(static))
     inductance, voltage = amplifier.inductance, amplifier.max_voltage
     if inductance and voltage:
-        rows["voltage"] = np.maximum(voltage - back_emf, 0.0) / np.maximum(omega * inductance, 1e-9)
+        # beside R i_0: the resistance is 0 where the file has none
+        resistance = amplifier.resistance or 0.0
+        left = voltage - resistance * (bearing.bias_current + abs(static)) - back_emf
+        impedance = np.hypot(resistance, omega * inductance)
+        rows["voltage"] = np.maximum(left, 0.0) / np.maximum(impedance, 1e-9)
     names = list(rows)
     stacked = np.array([rows[name] for name in names])
     least = stacked.argmin(axis=0)

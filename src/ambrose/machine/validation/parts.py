@@ -350,6 +350,27 @@ def sensors(machine: MachineDescription) -> Iterator[str]:
             )
 
 
+def _current_loop(machine: MachineDescription) -> Iterator[str]:
+    """A coil under a PI controller: its circuit, and whether the voltage holds the bias current."""
+    coil = machine.amplifier
+    for key, example in (("resistance", "1.2 Ohm"), ("inductance", "20 mH")):
+        if getattr(coil, key) is None:
+            yield (
+                f'[amplifier]: {key} is missing; order "current-loop" needs that of a coil, such '
+                f'as "{example}"'
+            )
+    if coil.max_voltage is None or coil.resistance is None:
+        return
+    for bearing in machine.bearings:
+        bias = coil.resistance * bearing.bias_current
+        if not bias < coil.max_voltage:
+            yield (
+                f"[amplifier]: max_voltage is {coil.max_voltage:g} V, but the bias current of "
+                f"bearing {bearing.name} alone takes {bias:.4g} V in the coil's resistance; give "
+                "a higher voltage or a smaller resistance"
+            )
+
+
 def amplifier(machine: MachineDescription) -> Iterator[str]:
     amplifier = machine.amplifier
     if amplifier.order not in AMPLIFIER_PARAMETERS:
@@ -377,6 +398,15 @@ def amplifier(machine: MachineDescription) -> Iterator[str]:
     yield from not_positive(
         "[amplifier]", amplifier, "leave both out for no limit", "max_voltage", "inductance"
     )
+    yield from not_positive("[amplifier]", amplifier, "give the coil's resistance", "resistance")
+    if amplifier.order == "current-loop":
+        yield from _current_loop(machine)
+        return
+    if amplifier.resistance is not None:
+        yield (
+            f'[amplifier]: resistance is given, but order "{amplifier.order}" does not use it; '
+            'remove it, or set order to "current-loop"'
+        )
     if (amplifier.max_voltage is None) != (amplifier.inductance is None):
         there, missing = (
             ("max_voltage", "inductance")

@@ -45,10 +45,11 @@ def state_at_rest(rig: Rig, q: np.ndarray, u: np.ndarray) -> np.ndarray:
     z = np.zeros(rig.states)
     z[:n] = q
 
-    # both lags in turn of "twice-first" settle at u; else the second state is at rest at zero
+    # both lags in turn of "twice-first" settle at u, and both states of "current-loop"; else the
+    # second state is at rest at zero
     currents = z[2 * n : 2 * n + 2 * a].reshape(a, 2)
     currents[:, 0] = u
-    if rig.machine.amplifier.order == "twice-first":
+    if rig.machine.amplifier.order in ("twice-first", "current-loop"):
         currents[:, 1] = u
     z[rig.bias] = np.repeat(rig.constants.magnet[:, 0], 2)
     z[rig.sensed] = _seen(rig) @ q + rig.constants.sensor[:, 1]

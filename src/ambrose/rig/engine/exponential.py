@@ -56,6 +56,11 @@ def settled(rig: Any, work: Any, drive: Any, k: int, z: Any) -> bool:
                 return False
             if min(abs(u) + reach, abs(s_1) + moved) >= p[4]:
                 return False
+        elif p[0] == 4.0:
+            # v/L = w (u - s_1) + R/L s_2: motion changes s_1 within the sample, by far less than
+            # the fifth of the voltage that is kept free
+            if p[1] * abs(u - s_1) + p[2] * abs(s_2) >= 0.8 * p[3]:
+                return False
         elif p[0] > 0.0 and p[1] * abs(u - s_1) >= p[3]:
             return False
     return True

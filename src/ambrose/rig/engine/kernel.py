@@ -314,7 +314,11 @@ def _amplify(rig: Any, work: Any, drive: Any, k: int, z: Any, dz: Any) -> None:
         i = amp + 2 * a
         j = amp + 2 * count + a
         p = rig.amplifier[a]
-        dz[i], dz[i + 1] = amplifier_derivative(work.command[a], z[i], z[i + 1], p)
+        # the rotor's velocity along the axis, for the back-EMF
+        c, s = rig.direction[a // 2, 0], rig.direction[a // 2, 1]
+        vx, vy = work.velocity[a // 2, 0], work.velocity[a // 2, 1]
+        v = c * vx + s * vy if a % 2 == 0 else c * vy - s * vx
+        dz[i], dz[i + 1] = amplifier_derivative(work.command[a], z[i], z[i + 1], p, v)
         # bias current, off without power
         target = rig.magnet[a // 2, 0] * drive.powered[a, k]
         dz[j] = min(max(rig.bias_rate * (target - z[j]), -p[3]), p[3])

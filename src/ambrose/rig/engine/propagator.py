@@ -277,7 +277,7 @@ def _linear_parts(rig: Rig, drive: Drive) -> tuple[np.ndarray, np.ndarray, np.nd
     # slope and current, no run-out
     idle[:, [0, 4, 7]] = 0.0
     free[:, 0] = np.inf
-    endless[:, 3:] = np.inf
+    endless[:, 3:5] = np.inf
     smooth = k._replace(
         magnet=idle,
         touchdown=free,

@@ -69,7 +69,7 @@ class Constants(NamedTuple):
     # (t, 2) addresses of a station's force where that is not linear, 0 elsewhere, and its constants
     force_at: np.ndarray
     force_constants: np.ndarray  # (t, most)
-    amplifier: np.ndarray  # (a, 5) physics.amplifier.parameters
+    amplifier: np.ndarray  # (a, 6) physics.amplifier.parameters
     bias_rate: float  # [rad/s] at which the bias current follows
     sensor: np.ndarray  # (c, 6) physics.sensor.parameters
     runout: np.ndarray  # (h, 3) physics.sensor.harmonics, pair after pair
@@ -204,6 +204,7 @@ def build(
     places, sensed = ports(machine), sensor_ports(machine)
     angles = np.array([port.direction for port in places[0::2]])
     bearings = machine.bearings
+    magnets = operating_magnets(machine, point.bias_current)
     rates = [
         w
         for w in (machine.amplifier.bandwidth, machine.amplifier.natural_frequency)
@@ -227,14 +228,18 @@ def build(
         mean=sensor.means(machine.sensor_pairs, machine.axes),
         direction=np.column_stack([np.cos(angles), np.sin(angles)]),
         angle=angles,
-        magnet=np.array([item.of_force for item in operating_magnets(machine, point.bias_current)]),
+        magnet=np.array([item.of_force for item in magnets]),
         touchdown=np.array([touchdown.parameters(machine, b) for b in bearings]),
         reaction=np.ascontiguousarray(reaction.block()),
         reaction_mass=reaction.mass,
         force_at=force_at,
         force_constants=force_constants,
         amplifier=np.array(
-            [amplifier.parameters(machine.amplifier, b.max_current) for b in bearings for _ in "zh"]
+            [
+                amplifier.parameters(machine.amplifier, b.max_current, item.of_force[0], k_i)
+                for b, item in zip(bearings, magnets, strict=True)
+                for k_i in item.coefficients.force_per_current
+            ]
         ),
         bias_rate=rates[0] if machine.amplifier.order != "none" and rates else _NO_BIAS_LAG,
         sensor=np.array([sensor.parameters(pair, way) for _, pair, way in single], dtype=float),
