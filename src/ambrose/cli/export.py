@@ -24,7 +24,7 @@ _GROUPS = {
         "pressure_error",
         "stuck_after",
     ),
-    "On its processor": ("try_on", "clock", "flash", "ram"),
+    "On its processor": ("try_on", "clock", "flash", "ram", "bare_metal"),
     **groups_from(TARGETS, "With every target", _WORD),
 }
 

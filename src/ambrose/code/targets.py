@@ -150,7 +150,8 @@ class C(Target):
     fallback pressure_rate, pressure_error [Pa] and stuck_after [s] are rate, band and stuck of
     ``law.supervision.Limits``. try_on: a processor that the code is compiled for and run on, in an
     emulator, beside this computer (None: not); clock [Hz]: of it; flash, ram [bytes]: code, or
-    memory and stack, beyond them are refused.
+    memory and stack, beyond them are refused. bare_metal: also an example that runs it without an
+    operating system (``bare_metal``).
     """
 
     to: ClassVar[str] = "c"
@@ -197,6 +198,11 @@ class C(Target):
         metavar="BYTES",
         check=positive("give it in bytes"),
     )
+    bare_metal: bool = option(
+        False,
+        "Also an example without an operating system: timer, two buffers, watchdog, on an emulated "
+        "Cortex-M board.",
+    )
 
     def files(
         self,
@@ -207,7 +213,7 @@ class C(Target):
     ) -> Files:
         from ambrose.code.c.code import generate
 
-        return generate(block, self.arithmetic, lines)
+        return {**generate(block, self.arithmetic, lines), **self._example(block)}
 
     def check_beside(self) -> None:
         from ambrose.code.c.run import check_run_arithmetic
@@ -218,7 +224,16 @@ class C(Target):
         """{name: content} of the block with its synchronous blocks."""
         from ambrose.code.c.run import generate_run
 
-        return generate_run(unit, cast("Precision", self.arithmetic), lines)
+        files = generate_run(unit, cast("Precision", self.arithmetic), lines)
+        return {**files, **self._example(unit)}
+
+    def _example(self, law: Block | RunUnit) -> Mapping[str, str]:
+        """The files of the example, where it is asked for."""
+        if not self.bare_metal:
+            return {}
+        from ambrose.code.bare_metal import bare_metal_files
+
+        return bare_metal_files(law, self.arithmetic)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
