@@ -13,6 +13,7 @@ from ambrose.annexes.rotordynamics.clearances import largest_reading, rubs
 from ambrose.annexes.rotordynamics.level_one import LevelOne, sweep
 from ambrose.annexes.rotordynamics.level_two import shares
 from ambrose.annexes.rotordynamics.loop import ShaftLoop, shaft_loop
+from ambrose.annexes.rotordynamics.phase_budget import phase_budgets
 from ambrose.annexes.rotordynamics.placement import (
     ShaftMode,
     UnbalanceCase,
@@ -122,6 +123,7 @@ def lateral(
     uncapped = limit / largest if largest else math.inf
     scale = (max(1.0, min(standard.LARGEST_SCALE, uncapped)), uncapped)
     found = rubs(response, scale[0])
+    budgets = phase_budgets(at_top, timing)
     progress("Level I")
     one, notes = _level_one(machine, layout, chosen, law, timing, trip, density)
     capacity = capacities(machine, chosen, response, trip) if machine.bearings else ()
@@ -131,6 +133,7 @@ def lateral(
         *rows.level_one(one),
         *rows.level_two(table, highest),
         *rows.capacity(capacity),
+        *rows.phase(budgets),
         *rows.iso(machine, at_top, response, highest, law, timing),
         *rows.not_covered(machine),
     )
@@ -151,6 +154,7 @@ def lateral(
         capacities=capacity,
         scale=scale,
         notes=(*early, *notes),
+        phase_budgets=budgets,
         critical_speeds=tuple(rows.critical_speeds(response, lowest, highest)),
     )
 

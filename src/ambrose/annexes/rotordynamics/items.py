@@ -15,6 +15,7 @@ from ambrose.annexes.rotordynamics.clearances import Reading
 from ambrose.annexes.rotordynamics.critical import Separation, criticals, separation
 from ambrose.annexes.rotordynamics.level_one import LevelOne
 from ambrose.annexes.rotordynamics.loop import ShaftLoop
+from ambrose.annexes.rotordynamics.phase_budget import CONTROLLER, PhaseBudget
 from ambrose.annexes.rotordynamics.response import Response
 from ambrose.annexes.rotordynamics.result import OWN, RECALLED, Item, ModeRow, Rub
 from ambrose.judge.nominal import check
@@ -312,6 +313,30 @@ def capacity(found: Sequence[AxisCapacity]) -> Iterator[Item]:
         1.0,
         worst.margin >= 1.0,
         f"axis {worst.axis}, {worst.worst}; beside {worst.static_current:.3g} A for the weight",
+    )
+
+
+def phase(budgets: Sequence[PhaseBudget]) -> Iterator[Item]:
+    """What the signal chain takes at the lowest bending mode, on the axis where it takes most."""
+    if not budgets:
+        return
+    worst = min(budgets, key=lambda budget: float(budget.cost[0]))
+    shares = sorted(
+        (float(row[0]), name)
+        for name, row in zip(worst.elements, worst.phases, strict=True)
+        if name != CONTROLLER
+    )
+    words = ", ".join(f"{name} {np.degrees(value):.3g}" for value, name in shares)
+    yield Item(
+        "phase.first_bending",
+        f"Phase of all but the controller at the first bending mode, "
+        f"{worst.frequencies[0] / (2 * np.pi):.4g} Hz",
+        "Ambrose",
+        "signal chain",
+        OWN,
+        float(np.degrees(worst.cost[0])),
+        "deg",
+        note=f"axis {worst.axes[0]}: {words}",
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from ambrose.annexes.rotordynamics import figures, standard
 from ambrose.annexes.rotordynamics.comparison import Comparison, Pair
+from ambrose.annexes.rotordynamics.phase_budget import PhaseBudget
 from ambrose.annexes.rotordynamics.placement import BACKWARD, mode_name
 from ambrose.annexes.rotordynamics.result import Item, Lateral
 from ambrose.core.presentation import with_unit
@@ -48,6 +49,10 @@ _CAPACITY = (
     "Force an axis can add to the weight it carries (0-p), and what the placed unbalance takes of "
     "it, where it is largest and at trip."
 )
+_PHASE = (
+    "From the shaft's displacement to the current that makes force, element after element, at the "
+    "free rotor's bending modes at rest. Negative: late. What the controller adds is its lead."
+)
 _BESIDE = (
     "Critical speeds and modes are paired so that all pairs together lie as near as they can. "
     "Amplitudes compare where both sides have the same unbalance."
@@ -79,6 +84,9 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
             figures.capacity_figure(worst),
         )
         sections.append(Section("Load capacity", _CAPACITY, (picture,), (capacity_table(result),)))
+    if result.phase_budgets:
+        tables = tuple(phase_table(budget) for budget in result.phase_budgets)
+        sections.append(Section("Phase budget", _PHASE, (), tables))
     if comparison is not None:
         sections.append(Section("Side by side", _BESIDE, (), (comparison_table(comparison),)))
     if result.notes:
@@ -111,6 +119,17 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
         date,
         result=Verdict("Result", not failed, words),
     )
+
+
+def phase_table(budget: PhaseBudget) -> Table:
+    """Phases of every element at every bending mode [deg]."""
+    heads = tuple(f"{w / (2 * np.pi):.4g} Hz [deg]" for w in budget.frequencies)
+    named = [*zip(budget.elements, budget.phases, strict=True)]
+    named += [("all but the controller", budget.cost), ("sum", budget.total)]
+    rows: tuple[Row, ...] = tuple(
+        (name, *numbers(*(f"{np.degrees(value):.2f}" for value in row))) for name, row in named
+    )
+    return Table(f"Axes {', '.join(budget.axes)}", ("Element", *heads), rows)
 
 
 def comparison_table(comparison: Comparison) -> Table:

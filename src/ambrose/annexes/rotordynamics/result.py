@@ -12,6 +12,7 @@ from ambrose.annexes.rotordynamics.capacity import AxisCapacity
 from ambrose.annexes.rotordynamics.critical import Critical, Separation, criticals
 from ambrose.annexes.rotordynamics.level_one import LevelOne
 from ambrose.annexes.rotordynamics.level_two import Share
+from ambrose.annexes.rotordynamics.phase_budget import PhaseBudget
 from ambrose.annexes.rotordynamics.placement import ShaftMode
 from ambrose.annexes.rotordynamics.response import Response
 from ambrose.annexes.rotordynamics.stations import Layout
@@ -119,6 +120,7 @@ class Lateral(Presented):
     scale: tuple[float, float] = (1.0, 1.0)
     notes: tuple[str, ...] = ()
     critical_speeds: tuple[tuple[Separation, str, str], ...] = ()
+    phase_budgets: tuple[PhaseBudget, ...] = ()
 
     @property
     def machine_name(self) -> str:
@@ -172,6 +174,18 @@ class Lateral(Presented):
                     "passed": rub.passed,
                 }
                 for rub in self.rubs
+            ],
+            "phase_budget": [
+                {
+                    "axes": list(budget.axes),
+                    "frequencies_rad_per_s": budget.frequencies.tolist(),
+                    "elements_deg": {
+                        name: np.degrees(row).tolist()
+                        for name, row in zip(budget.elements, budget.phases, strict=True)
+                    },
+                    "total_deg": np.degrees(budget.total).tolist(),
+                }
+                for budget in self.phase_budgets
             ],
             "notes": list(self.notes),
         }
