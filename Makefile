@@ -6,6 +6,8 @@ OUT    ?= out
 CONSTRAINTS ?= constraints.txt
 # Matrices here have some hundred rows: BLAS threads cost more than they bring.
 export OPENBLAS_NUM_THREADS ?= 1
+# Where an environment forbids it, every process would compile 500 files anew: a quarter of its start.
+unexport PYTHONDONTWRITEBYTECODE
 
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 # files in their own order: sorted by the number of their tests, long ones would come last

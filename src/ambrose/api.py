@@ -103,11 +103,12 @@ def design(
     ``Lpv`` (scheduled over speed, pressure or both); or the name of one, "tuned", its options then
     by name: ``amb.design(machine, amb.Tuned(order=12))`` is ``amb.design(machine, "tuned",
     order=12)``. What each has stands with it, help(amb.Tuned). point: of the machine (None: the one
-    that designs are made for). synchronous: "current-free", "force-free" or "vibration-free", a
-    block against unbalance beside it, on within synchronous_band [rad/s] (None: from a tenth of the
-    top speed), with the time constant synchronous_time [s] (None: as short as the loop allows);
-    base: the controller to add it to, in place of a new design. A controller that does not hold the
-    full plant comes back with status "unstable". Raises InvalidInput.
+    that designs are made for). synchronous: "current-free", "force-free", "vibration-free" or
+    "damping" (with a band), a block against unbalance beside it, on within synchronous_band [rad/s]
+    (None: from a tenth of the top speed), with the time constant synchronous_time [s] (None: as
+    short as the loop allows); base: the controller to add it to, in place of a new design. A
+    controller that does not hold the full plant comes back with status "unstable". Raises
+    InvalidInput.
     """
     from ambrose.judge.result import synthesis_of
     from ambrose.model.plant import Plant as PlantType

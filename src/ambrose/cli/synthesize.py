@@ -47,7 +47,7 @@ _METHOD_OPTION = "--method"
 @options_from(METHODS)
 @click.option(
     "--synchronous",
-    type=click.Choice(["current-free", "force-free", "vibration-free"]),
+    type=click.Choice(["current-free", "force-free", "vibration-free", "damping"]),
     default=None,
     help="Design a block as well that rejects the unbalance's signal, and write it into the "
     "controller file.",

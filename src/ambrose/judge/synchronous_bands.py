@@ -21,6 +21,7 @@ from ambrose.model.unbalance import Unbalance, residual_unbalance
 
 # speeds from rest to a band's end at which orbits are looked at, before borders are found exactly
 _POINTS = 120
+_NO_BOUND = 0.1  # m: an orbit of the linear model that is larger says that nothing bounds it
 _LOW = float(np.log(1e-3))  # of the limit: below it a local maximum is not refined
 
 
@@ -42,7 +43,7 @@ class Forbidden:
     reason: str = ""
 
     def __str__(self) -> str:
-        size = f"{self.orbit * 1e6:.3g} um" if np.isfinite(self.orbit) else "without bound"
+        size = f"{self.orbit * 1e6:.3g} um" if self.orbit < _NO_BOUND else "without bound"
         text = (
             f"{self.low:.4g} to {self.high:.4g} rad/s ({self.low / TWO_PI:.4g} to "
             f"{self.high / TWO_PI:.4g} Hz)"
@@ -112,15 +113,15 @@ def converged_at(
 
 def forbidden_bands(
     loop: SynchronousLoop,
-    mode: str,
+    mode: str | None,
     band: tuple[float, float],
     conditions: Sequence[Condition],
     drive: Callable[[float], np.ndarray] | None = None,
     points: int | None = None,
     share: float = 1.0,
 ) -> tuple[Forbidden, ...]:
-    """The bands within ``band`` [rad/s] where the orbit of the mode passes its limit, for any
-    condition; ascending.
+    """The bands within ``band`` [rad/s] where the orbit of the mode (None: of the loop without a
+    block) passes its limit, for any condition; ascending.
 
     share: of the limit, for a design that is to keep clear of it. Borders are roots of orbit/limit
     - 1, peaks between points are refined first. Raises InvalidInput.

@@ -19,6 +19,7 @@ constant.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -27,8 +28,8 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.presentation import Presented
-from ambrose.core.statespace import select, spectral_abscissa
-from ambrose.core.synchronous import best_inverse, convergence, largest_gain, sector_angle
+from ambrose.core.statespace import spectral_abscissa
+from ambrose.core.synchronous import sector_angle
 from ambrose.judge.synchronous_bands import (
     Forbidden,
     converged_at,
@@ -37,7 +38,6 @@ from ambrose.judge.synchronous_bands import (
     unbalance_of,
     worst_orbits,
 )
-from ambrose.judge.synchronous_sensitivity import sensitivity_peak
 from ambrose.law.law import LawLike
 from ambrose.law.synchronous import (
     MODES,
@@ -48,24 +48,27 @@ from ambrose.law.synchronous import (
     synchronous_loop,
 )
 from ambrose.law.synchronous_pencils import loop_pencils, prove_interval
-from ambrose.law.synchronous_table import BlockTable, block_of
-from ambrose.machine.criteria import TWO_PI, demand
+from ambrose.law.synchronous_table import BlockTable, block_of, block_table
+from ambrose.machine.criteria import TWO_PI
 from ambrose.machine.machine import Machine
 from ambrose.machine.synchronous import Synchronous
 from ambrose.model.plant import top_speed
+from ambrose.synthesis.synchronous_damping import MODE as DAMPING
+from ambrose.synthesis.synchronous_damping import damping_blocks
+from ambrose.synthesis.synchronous_gain import (
+    SHARE,
+    TURNS,
+    gain_limit,
+    sensitive_gain,
+    within_sensitivity,
+)
+from ambrose.synthesis.synchronous_inverse import usable_tables
 
 Progress = Callable[[str], None]
 _LOWEST = 0.1  # of the top speed: where the band begins by default
 _CLEAR = 0.9  # of the orbit's limit, which a design keeps
-_KNOTS, _MOST_KNOTS = 17, 97
-_ANGLE = np.radians(15.0)  # below which no T is offered
-_LOSS = np.radians(5.0)  # by which T between two knots may be worse than at them
-_SHARE = 1 / 3  # of the largest stable eps
-_TURNS = 1 / 20  # eps over the lowest speed of a band, at most
-_GAIN_SPEEDS = 3  # of each band, at which eps is bounded
+_EDGE = 10.0  # rad/s by which damping begins before it is needed: twice a block's hysteresis
 _NARROW = 0.02  # of the whole band: a part that is narrower is left out
-_BISECTIONS = 5  # of eps, and of a band's end, for the sensitivity
-_TINY = 1e-5  # of the speed: an eps as small as any
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -94,10 +97,15 @@ class SynchronousDesign(Presented):
                 for low, high in (block.band for block in self.blocks)
             ],
             "left_out": [str(item) for item in self.forbidden],
-            "proved_angle": f"{np.degrees(self.angle):.1f} deg",
+            self._angle_name: f"{np.degrees(self.angle):.1f} deg",
             "time_constant": f"{2 / self.gain:.3g} s" if self.gain else "none",
             **({"notes": self.notes} if self.notes else {}),
         }
+
+    @property
+    def _angle_name(self) -> str:
+        """Between the knots of its table only the mode current-free is proved."""
+        return "proved_angle" if self.mode == "current-free" else "angle_at_knots"
 
     def to_dict(self) -> dict[str, Any]:
         """The blocks as they stand in a file, the bands left out and the figures of the design,
@@ -107,7 +115,7 @@ class SynchronousDesign(Presented):
             "mode": self.mode,
             "blocks": [block.to_dict() for block in self.blocks],
             "left_out": [str(item) for item in self.forbidden],
-            "proved_angle_deg": float(np.degrees(self.angle)),
+            f"{self._angle_name}_deg": float(np.degrees(self.angle)),
             "time_constant_s": 2 / self.gain if self.gain else None,
             "gain_limit_1_s": self.gain_limit,
             "notes": list(self.notes),
@@ -128,16 +136,23 @@ def design_synchronous(
     """The synchronous blocks of a machine for a controller that holds it.
 
     controller: a Synthesis or a law, fixed over the speed. mode: "current-free", "force-free" or
-    "vibration-free"; "damping" is chosen by the design where those are forbidden. band [rad/s]:
-    None: from a tenth of the top speed to it. time_constant [s]: 2/eps; None: as small as the loop
-    allows. rate [Hz], delay_samples: as for ``verify``. Raises InvalidInput where the loop is
-    unstable without the block, for a time constant below what the poles allow, or where no band is
-    left.
+    "vibration-free"; "damping" around a critical speed, which the design also takes by itself where
+    the others are forbidden and the loop alone breaks the orbit's limit. band [rad/s]: None (not
+    with damping): from a tenth of the top speed to it. time_constant [s]: 2/eps; None: as small as
+    the loop allows. rate [Hz], delay_samples: as for ``verify``. Raises InvalidInput where the loop
+    is unstable without the block, for a time constant below what the poles allow, or where no band
+    is left.
     """
-    if mode not in MODES or mode == "damping":
-        known = ", ".join(MODES[:3])
+    if mode not in MODES:
         raise invalid(
-            "the mode of the synchronous block", repr(mode), f"one of {known}", "choose one of them"
+            "the mode of the synchronous block",
+            repr(mode),
+            f"one of {', '.join(MODES)}",
+            "choose one of them",
+        )
+    if mode == DAMPING and band is None:
+        raise InvalidInput(
+            "damping is for the speeds around a critical speed; give them as the band of the block"
         )
     if time_constant is not None:
         check_positive(time_constant, "time_constant", "give 2/eps in seconds")
@@ -155,15 +170,18 @@ def design_synchronous(
     loop, at = synchronous_loop(machine, controller, rate, delay_samples), conditions(machine)
     progress("judging the loop without the block")
     check_base_loop(loop, at, low, high)
-    progress(f"looking for bands in which {mode} breaks its orbit")
     corners = [corner for condition in at for corner in extreme_conditions(loop, condition, high)]
+    if mode == DAMPING:
+        damped, g = damping_blocks(loop, (low, high), at, corners, _CLEAR, time_constant, progress)
+        return _damping_design(loop, damped, g)
+    progress(f"looking for bands in which {mode} breaks its orbit")
     left_out = list(forbidden_bands(loop, mode, (low, high), (*at, *corners), share=_CLEAR))
     notes: list[str] = []
     tables: list[tuple[tuple[float, float], BlockTable]] = []
     angle = np.pi / 2
     for part in _parts(low, high, left_out):
         progress(f"T from {part[0]:.4g} to {part[1]:.4g} rad/s")
-        for inner, table, refused in _usable(loop, mode, part, at):
+        for inner, table, refused in usable_tables(loop, mode, part, at):
             if refused is not None:
                 left_out.append(refused)
                 continue
@@ -172,14 +190,14 @@ def design_synchronous(
             left_out += rest
             tables += [(where, table) for where in proved]
             angle = min(angle, shown) if proved else angle
-    left_out = [_replaced(loop, item) for item in sorted(left_out, key=lambda item: item.low)]
+    left_out.sort(key=lambda item: item.low)
     if not tables:
         why = "; ".join(str(item) for item in left_out)
         raise InvalidInput(
             f"no band is left in which {mode} may be on: {why}; choose another mode or band"
         )
     progress("the sensitivity beside the speed")
-    tables, trimmed = _within_sensitivity(loop, mode, tables, at)
+    tables, trimmed = within_sensitivity(loop, mode, tables, at)
     left_out = sorted([*left_out, *trimmed], key=lambda item: item.low)
     if not tables:
         why = "; ".join(str(item) for item in left_out)
@@ -188,8 +206,8 @@ def design_synchronous(
             "block first, or choose another band"
         )
     progress("the largest eps")
-    limit = min(_gain_limit(loop, mode, where, table, at) for where, table in tables)
-    gain = min(_SHARE * limit, _TURNS * min(where[0] for where, _ in tables))
+    limit = min(gain_limit(loop, mode, where, table, at) for where, table in tables)
+    gain = min(SHARE * limit, TURNS * min(where[0] for where, _ in tables))
     if time_constant is not None:
         if 2 / time_constant > limit:
             least = f"at least {2 / limit:.3g} s, where the exact poles become unstable"
@@ -198,9 +216,24 @@ def design_synchronous(
             )
         gain = 2 / time_constant
     else:
-        gain, note = _sensitive_gain(loop, mode, tables, at, gain)
+        gain, note = sensitive_gain(loop, mode, tables, at, gain)
         notes += note
     blocks = tuple(block_of(mode, where, 2 / gain, table) for where, table in tables)
+
+    # where neither the block nor the loop alone keeps the orbit: damping, if it can
+    left_out = [piece for item in left_out for piece in _off_or_nothing(loop, item, at)]
+    for k, item in enumerate(left_out):
+        if item.replacement:
+            continue
+        wide = max(low, item.low - _EDGE), min(high, item.high + _EDGE)
+        try:
+            damped, g = damping_blocks(loop, wide, at, corners, _CLEAR, time_constant, progress)
+        except InvalidInput as reason:
+            notes.append(f"{item.low:.4g} to {item.high:.4g} rad/s: {reason}")
+            continue
+        left_out[k] = replace(item, replacement=DAMPING)
+        blocks = tuple(sorted((*blocks, *damped), key=lambda block: block.band))
+        notes.append(_damping_in_words(*wide, g))
     return SynchronousDesign(
         machine,
         mode,
@@ -245,72 +278,6 @@ def _parts(low: float, high: float, left_out: Sequence[Forbidden]) -> list[tuple
         parts.append((start, high))
     least = _NARROW * (high - low)
     return [part for part in parts if part[1] - part[0] > least]
-
-
-def _inverse(
-    loop: SynchronousLoop, mode: str, speed: float, at: Sequence[Condition]
-) -> tuple[np.ndarray, float]:
-    """T (a, a) at a speed for all conditions, scaled to the slowest direction, and its sector angle
-    [rad].
-    """
-    responses = np.array([loop.response(mode, speed, condition) for condition in at])
-    T = best_inverse(responses)
-    slowest = float(convergence(T, responses).min())
-    angle = min(sector_angle(T @ R) for R in responses)
-    return (T / slowest if slowest > 0 else T), float(angle)
-
-
-def _usable(
-    loop: SynchronousLoop, mode: str, band: tuple[float, float], at: Sequence[Condition]
-) -> list[tuple[tuple[float, float], BlockTable, Forbidden | None]]:
-    """The parts of a band in which one T converges at all conditions with ``_ANGLE`` to spare, with
-    their tables; and those in which none was found.
-    """
-    count = max(5, int(np.ceil(_KNOTS * (band[1] - band[0]) / (0.5 * (band[0] + band[1])))))
-    known = {
-        float(w): _inverse(loop, mode, float(w), at) for w in np.linspace(*band, min(count, 33))
-    }
-    pending = list(zip(sorted(known)[:-1], sorted(known)[1:], strict=True))
-    while pending and len(known) < _MOST_KNOTS:
-        a, b = pending.pop()
-        if min(known[a][1], known[b][1]) < _ANGLE:
-            continue
-        middle, mean = (a + b) / 2, (known[a][0] + known[b][0]) / 2
-        between = min(
-            sector_angle(mean @ loop.response(mode, middle, condition)) for condition in at
-        )
-        if between < min(known[a][1], known[b][1]) - _LOSS and b - a > 1e-3 * b:
-            known[middle] = _inverse(loop, mode, middle, at)
-            pending += [(a, middle), (middle, b)]
-    speeds = sorted(known)
-    good = [known[w][1] >= _ANGLE for w in speeds]
-    parts: list[tuple[tuple[float, float], BlockTable, Forbidden | None]] = []
-    k = 0
-    while k < len(speeds):
-        end = k
-        while end + 1 < len(speeds) and good[end + 1] == good[k]:
-            end += 1
-        if good[k]:
-            if end > k:
-                chosen = speeds[k : end + 1]
-                table = BlockTable(np.array(chosen), np.array([known[w][0] for w in chosen]))
-                parts.append(((chosen[0], chosen[-1]), table, None))
-        else:
-            ends = speeds[max(k - 1, 0)], speeds[min(end + 1, len(speeds) - 1)]
-            worst = min(speeds[k : end + 1], key=lambda w: known[w][1])
-            reason = f"no T converges at all pressures with {np.degrees(_ANGLE):.0f} deg to spare"
-            limit = orbit_limit(loop.machine, worst)
-            parts.append(
-                (
-                    ends,
-                    BlockTable(np.array([]), np.array([])),
-                    Forbidden(
-                        *ends, worst, np.nan, np.nan, limit, f"{len(at)} pressures", reason=reason
-                    ),
-                )
-            )
-        k = end + 1
-    return parts
 
 
 def _provable(
@@ -367,130 +334,63 @@ def _provable(
     return angle, sorted(proved), rest
 
 
-def _gain_limit(
-    loop: SynchronousLoop,
-    mode: str,
-    band: tuple[float, float],
-    table: BlockTable,
-    at: Sequence[Condition],
-) -> float:
-    """The largest eps [1/s] with stable exact poles at a few speeds of a band, all conditions."""
-    limit = np.inf
-    for speed in np.linspace(*band, _GAIN_SPEEDS):
-        for condition in at:
-            closed = select(loop.sampled(speed, condition), None, loop.reads(mode))
-            T = table.at(speed) @ loop.weights(mode, speed, condition)
-            limit = min(
-                limit, largest_gain(closed, T, loop.harmonic * speed, min(limit, speed), 0.05)
-            )
-    return float(limit)
+def _damping_design(
+    loop: SynchronousLoop, blocks: tuple[Synchronous, ...], g: float
+) -> SynchronousDesign:
+    """Blocks of mode damping by themselves, with the smallest sector angle at their knots."""
+    at = conditions(loop.machine)
+    angle = min(
+        sector_angle(T @ loop.response(DAMPING, float(w), condition))
+        for block in blocks
+        for w, T in zip(*block.table(len(loop.axes)), strict=True)
+        for condition in at
+    )
+    low, high = blocks[0].band[0], blocks[-1].band[1]
+    limit = min(
+        gain_limit(loop, DAMPING, block.band, block_table(block, loop.machine), at)
+        for block in blocks
+    )
+    return SynchronousDesign(
+        loop.machine,
+        DAMPING,
+        blocks,
+        (),
+        float(angle),
+        blocks[0].gain,
+        float(limit),
+        (_damping_in_words(low, high, g),),
+    )
 
 
-def _allowed(loop: SynchronousLoop, mode: str, speed: float, condition: Condition) -> float:
-    """The sensitivity of an axis that a block has to keep: its limit, or what it is without, and
-    5 %.
+def _damping_in_words(low: float, high: float, g: float) -> str:
+    return (
+        f"damping from {low:.4g} to {high:.4g} rad/s: 1x falls to {1 / (1 + g):.0%} of what it is "
+        "without, at the pressure that T fits best"
+    )
+
+
+def _off_or_nothing(
+    loop: SynchronousLoop, item: Forbidden, at: Sequence[Condition]
+) -> list[Forbidden]:
+    """A band left out, cut where the loop by itself begins to break the orbit's limit: "off" where
+    it keeps it, nothing where it does not.
     """
-    limit = demand("sensitivity of an axis", loop.machine.requirements).limit or 3.0
-    return max(limit, 1.05 * sensitivity_peak(loop, mode, speed, condition, None, 0.0)[0])
-
-
-def _within_sensitivity(
-    loop: SynchronousLoop,
-    mode: str,
-    tables: Sequence[tuple[tuple[float, float], BlockTable]],
-    at: Sequence[Condition],
-) -> tuple[list[tuple[tuple[float, float], BlockTable]], list[Forbidden]]:
-    """The bands without the ends at which the sensitivity beside the speed passes its limit at any
-    eps, and those ends.
-
-    |S| beside the speed grows by 1/sin(angle), however small eps is: judged with an eps of 1e-5 of
-    the speed at the ends and in the middle; an end that fails is moved inwards by bisection.
-    """
-
-    def holds(speed: float, table: BlockTable) -> bool:
-        return all(
-            sensitivity_peak(loop, mode, speed, condition, table.at(speed), _TINY * speed)[0]
-            <= _allowed(loop, mode, speed, condition)
+    residual = unbalance_of(loop.machine)
+    broken = forbidden_bands(loop, None, (item.low, item.high), at)
+    edges = sorted({item.low, item.high, *(edge for b in broken for edge in (b.low, b.high))})
+    pieces = []
+    for low, high in itertools.pairwise(edges):
+        own = [b for b in broken if b.low <= (low + high) / 2 <= b.high]
+        # the loop's own orbit where it is worst in the piece, as far as it is known
+        speed = own[0].worst if own else min(max(item.worst, low), high)
+        alone = max(
+            worst_orbits(converged_at(loop, None, speed, condition).q, float(residual.force(speed)))
             for condition in at
         )
-
-    kept: list[tuple[tuple[float, float], BlockTable]] = []
-    left_out: list[Forbidden] = []
-
-    def leave_out(low: float, high: float, worst: float) -> None:
-        limit = orbit_limit(loop.machine, worst)
-        reason = "the sensitivity beside the speed passes its limit at any eps"
-        where = "with the T of the design"
-        left_out.append(Forbidden(low, high, worst, np.nan, np.nan, limit, where, reason=reason))
-
-    for (low, high), table in tables:
-        middle = (low + high) / 2
-        if not holds(middle, table):
-            leave_out(low, high, middle)
-            continue
-        ends = []
-        for end in (low, high):
-            good, bad = middle, end
-            if holds(end, table):
-                good = end
-            else:
-                for _ in range(_BISECTIONS):
-                    trial = (good + bad) / 2
-                    if holds(trial, table):
-                        good = trial
-                    else:
-                        bad = trial
-                leave_out(min(end, good), max(end, good), end)
-            ends.append(good)
-        kept.append(((ends[0], ends[1]), table))
-    return kept, left_out
-
-
-def _sensitive_gain(
-    loop: SynchronousLoop,
-    mode: str,
-    tables: Sequence[tuple[tuple[float, float], BlockTable]],
-    at: Sequence[Condition],
-    gain: float,
-) -> tuple[float, list[str]]:
-    """eps lowered until the sensitivity at the ends of the bands keeps its limit, or what it is
-    without, and 5 %.
-    """
-    places = [(w, table, condition) for where, table in tables for w in where for condition in at]
-    allowed = {(w, condition): _allowed(loop, mode, w, condition) for w, _, condition in places}
-
-    def holds(trial: float) -> bool:
-        return all(
-            sensitivity_peak(loop, mode, w, condition, table.at(w), trial)[0]
-            <= allowed[w, condition]
-            for w, table, condition in places
+        pieces.append(
+            replace(item, low=low, high=high, without=alone, replacement="" if own else "off")
         )
-
-    if holds(gain):
-        return gain, []
-    low, high = 0.0, gain
-    trial = gain / 4
-    for _ in range(_BISECTIONS):
-        if holds(trial):
-            low = trial
-        else:
-            high = trial
-        trial = (low + high) / 2 if low else trial / 4
-    if not low:
-        low = gain * 1e-3
-    return low, [
-        f"eps is lowered from {gain:.3g} to {low:.3g} 1/s by the sensitivity beside the speed"
-    ]
-
-
-def _replaced(loop: SynchronousLoop, item: Forbidden) -> Forbidden:
-    """A band left out with what to do there: off where the loop by itself keeps the limit."""
-    force = float(unbalance_of(loop.machine).force(item.worst))
-    alone = max(
-        worst_orbits(converged_at(loop, None, item.worst, condition).q, force)
-        for condition in conditions(loop.machine)
-    )
-    return replace(item, without=alone, replacement="off" if alone <= item.limit else "")
+    return pieces
 
 
 def in_words(item: Forbidden) -> str:
@@ -519,9 +419,12 @@ def check_request(
             "left out with the method lpv",
             "give a controller fixed over speed",
         )
-    if synchronous not in MODES[:3]:
-        raise invalid(
-            name, repr(synchronous), f"one of {', '.join(MODES[:3])}", "choose one of them"
+    if synchronous not in MODES:
+        raise invalid(name, repr(synchronous), f"one of {', '.join(MODES)}", "choose one of them")
+    if synchronous == DAMPING and given.get(f"{name}_band", given.get(f"{name}-band")) is None:
+        raise InvalidInput(
+            f"{name} damping is for the speeds around a critical speed; give them as the block's "
+            "band"
         )
     for option, value in given.items():
         if option.endswith("time") and value is not None:

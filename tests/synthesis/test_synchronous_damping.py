@@ -1,0 +1,121 @@
+"""Damping blocks: 1x divided by 1 + g, at a price in current that (1) of their module foretells; on
+the rig as in the model; taken where neither block nor loop keeps the orbit.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ambrose.core.checks import InvalidInput
+from ambrose.judge.synchronous import block_loops, check_block
+from ambrose.judge.synchronous_bands import converged_at, unbalance_of, worst_orbits
+from ambrose.law.pid import pid_controller
+from ambrose.law.synchronous import Condition, synchronous_loop
+from ambrose.law.synchronous_table import running_law
+from ambrose.machine.file.toml import load_machine
+from ambrose.rig.disturbances import Unbalance
+from ambrose.rig.scenario import Scenario
+from ambrose.rig.synchronous import synchronous_program
+from ambrose.rig.virtual_rig import run
+from ambrose.synthesis.synchronous_design import design_synchronous
+
+REST = Condition(0.0)
+BAND = (700.0, 740.0)
+
+
+@pytest.fixture(scope="module")
+def flywheel():
+    machine = load_machine("flywheel")
+    return machine, pid_controller(machine.reference, machine)
+
+
+def orbit_alone(machine, law, speed):
+    loop = synchronous_loop(machine, law)
+    force = float(unbalance_of(machine).force(speed))
+    return worst_orbits(converged_at(loop, None, speed, REST).q, force)
+
+
+def limited(machine, law, share):
+    """The machine with a limit of its orbit below what the loop alone has in BAND."""
+    most = share * orbit_alone(machine, law, BAND[1])
+    wanted = replace(machine.requirements, unbalance_orbit=most, unbalance_to=None)
+    return replace(machine, requirements=wanted), most
+
+
+@pytest.fixture(scope="module")
+def damped(flywheel):
+    machine, law = flywheel
+    tight, limit = limited(machine, law, 0.6)
+    return tight, limit, design_synchronous(tight, law, "damping", band=BAND)
+
+
+def test_the_orbit_falls_as_one_over_one_plus_g(damped, flywheel):
+    """g = eps/(2 leak) of the block in the file; the measured displacement is divided by 1 + g."""
+    machine, limit, design = damped
+    loop = synchronous_loop(machine, flywheel[1])
+    (block,) = design.blocks
+    g = block.gain / (2 * block.leak)
+    (item,) = block_loops(machine, flywheel[1], design.blocks)
+    for speed in BAND:
+        alone = converged_at(loop, None, speed, REST).y
+        with_block = item.converged(speed, REST).y
+        assert np.abs(with_block * (1 + g) - alone).max() < 0.02 * np.abs(alone).max()
+    checks = check_block(item)
+    assert all(check.passed is not False for check in checks.checks)
+    assert checks["synchronous.orbit"].value <= 0.91 * limit
+
+
+def test_the_smallest_g_that_keeps_the_orbit_is_taken(damped, flywheel):
+    _, law = flywheel
+    block = damped[2].blocks[0]
+    tighter, _ = limited(flywheel[0], law, 0.3)
+    (more,) = design_synchronous(tighter, law, "damping", band=BAND).blocks
+    assert more.gain / more.leak > 2 * block.gain / block.leak
+
+
+def test_what_cannot_be_damped_is_refused(flywheel):
+    machine, law = flywheel
+    with pytest.raises(InvalidInput, match="give them as the band of the block"):
+        design_synchronous(machine, law, "damping")
+    impossible, _ = limited(machine, law, 1e-3)
+    with pytest.raises(InvalidInput, match=r"does not keep the orbit|takes .* A at 1x"):
+        design_synchronous(impossible, law, "damping", band=BAND)
+
+
+@pytest.mark.campaign
+def test_damping_takes_over_where_neither_block_nor_loop_keeps_the_orbit(flywheel):
+    """current-free is forbidden by its orbit; the loop alone breaks a tight limit further up."""
+    machine, law = flywheel
+    tight, _ = limited(machine, law, 0.9)
+    design = design_synchronous(tight, law, "current-free", band=(100.0, BAND[1]))
+    assert {block.mode for block in design.blocks} >= {"damping"}
+    damping = [item for item in design.forbidden if item.replacement == "damping"]
+    off = [item for item in design.forbidden if item.replacement == "off"]
+    assert damping and off
+    for item in off:  # "off there" is true all over the piece
+        for speed in np.linspace(item.low, item.high, 7)[1:-1]:
+            assert orbit_alone(tight, law, float(speed)) <= item.limit * 1.01
+
+
+@pytest.mark.campaign
+def test_the_rig_has_the_orbit_that_the_model_has(damped, flywheel):
+    machine, _, design = damped
+    law = flywheel[1]
+    loop = synchronous_loop(machine, law)
+    speed = 720.0
+    sampled = loop.controller(loop.plant(speed, REST))
+    scenario = Scenario("hold", 1.5, unbalances=(Unbalance("upper", 40e-6),), speed=speed)
+
+    def orbit(switched_off):
+        blocks = running_law(design.blocks, loop)
+        program = synchronous_program(machine, sampled, blocks, scenario, switched_off=switched_off)
+        record = run(machine, program, scenario, every=2).record
+        time = record.time
+        late = time > 1.5 - 60 * 2 * np.pi / speed
+        turn = np.exp(-1j * speed * time[late])
+        return abs(2 * np.mean(record["q_upper_zeta"][late] * turn))
+
+    g = design.blocks[0].gain / (2 * design.blocks[0].leak)
+    change = orbit(()) / orbit(((0.0, 1.5),))
+    assert change == pytest.approx(1 / (1 + g), rel=0.1)
