@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine import description as d
+from ambrose.machine.chain import ChainElement
 from ambrose.machine.controller import (
     CONTROLLER_COORDINATES,
     MODES,
@@ -215,6 +216,10 @@ def test_every_value_of_the_small_machine():
             CasingMode(140 * hz, 900.0, ("A", "balance"), (1.0, 0.7), (0.0, 0.1), 0.02, "ground"),
         ),
         bending_modes=(BendingMode(1, 630 * hz, 0.008),),
+        chain=(
+            ChainElement("filter", "anti-alias", None, 12e3 * hz, 4),
+            ChainElement("program", "computation", 60e-6),
+        ),
         controller=PidSettings(
             (18e3,),
             0.2,

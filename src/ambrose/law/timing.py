@@ -89,8 +89,8 @@ DEFAULT = Timing(1e-4, 1, "assumed: nothing says it")  # where a rate is needed 
 
 
 def machine_timing(machine: Machine | None) -> Timing | None:
-    """What the machine file says: [controller] sample_time and delay (None: one sample); None where
-    it states no rate.
+    """What the machine file says: [controller] sample_time and delay (None: what the elements of
+    [[chain]] take together, one sample without any); None where it states no rate.
 
     A fraction of a sample, as identification may find it, is rounded up: outputs are set when a
     sample is taken.
@@ -98,7 +98,10 @@ def machine_timing(machine: Machine | None) -> Timing | None:
     settings = None if machine is None else machine.controller
     if settings is None or settings.sample_time is None:
         return None
-    delay = 1.0 if settings.delay is None else settings.delay / settings.sample_time
+    seconds = settings.delay
+    if seconds is None and machine is not None and machine.chain:
+        seconds = sum(element.dead_time for element in machine.chain)
+    delay = 1.0 if seconds is None else seconds / settings.sample_time
     whole = math.ceil(delay - SAME_CLOCK * max(delay, 1.0))
     rounded = (
         f", {delay:.3g} rounded up" if abs(delay - whole) > SAME_CLOCK * max(delay, 1.0) else ""

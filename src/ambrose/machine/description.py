@@ -15,6 +15,7 @@ from typing import Annotated, Any
 
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import check_positive, invalid
+from ambrose.machine.chain import ChainElement
 from ambrose.machine.controller import PidSettings
 from ambrose.machine.kinds import (
     Angle,
@@ -469,6 +470,9 @@ class MachineDescription(Part):
     )
     bending_modes: Annotated[tuple[BendingMode, ...], "bending modes of the rotor as measured"] = (
         field(default=(), metadata={"key": "bending_mode"})
+    )
+    chain: Annotated[tuple[ChainElement, ...], "elements of the signal chain"] = field(
+        default=(), metadata={"key": "chain"}
     )
     controller: Annotated[PidSettings | None, "the reference controller"] = None
     operation: Annotated[Operation, "operating points and speed range"] = field(

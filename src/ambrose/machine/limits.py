@@ -41,6 +41,7 @@ TABLES: Mapping[str, int] = {
     "coupling": 20,
     "support": 8,
     "casing_mode": 20,
+    "chain": 20,
     "tolerance": 60,
     "operation.point": 50,
     "operation.range": 10,

@@ -127,6 +127,7 @@ class Machine(MachineDescription):
             "support",
             "casing_mode",
             "bending_mode",
+            "chain",
             "tolerance",
         )
         document.update({key: stated[key] for key in several if key in stated})

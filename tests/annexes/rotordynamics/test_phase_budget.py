@@ -6,14 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import butter, freqs
 
 import ambrose as amb
 from ambrose.annexes.rotordynamics.loop import shaft_loop
 from ambrose.annexes.rotordynamics.phase_budget import phase_budgets
 from ambrose.annexes.rotordynamics.stations import lay_out
+from ambrose.core.checks import InvalidInput
 from ambrose.core.sampling import c2d
 from ambrose.law.law import law_of
-from ambrose.law.timing import Timing
+from ambrose.law.timing import Timing, timing_of
+from ambrose.machine.chain import ChainElement
 from ambrose.machine.description import Amplifier
 
 
@@ -85,3 +88,60 @@ def test_elements_are_their_closed_forms():
     assert budget.cost == pytest.approx(budget.total - rows["controller"])
     continuous = budget_of(machine, amb.design(machine, "pid"), None)[0]
     assert "hold" not in continuous.elements
+
+
+CHAIN = (
+    ChainElement("carrier", "demodulation", corner=2 * np.pi * 30e3, order=3),
+    ChainElement("converter", "adc", 4e-6),
+    ChainElement("program", "computation", 75e-6),
+    ChainElement("update", "pwm", 12.5e-6),
+)
+
+
+def test_elements_of_the_chain_add_up_to_the_delay_of_the_loop():
+    machine = amb.load_machine("turboexpander")
+    settings = replace(machine.controller, sample_time=1e-4, delay=None)
+    machine = replace(machine, controller=settings, chain=CHAIN)
+    seconds = sum(element.dead_time for element in CHAIN)
+    timing = timing_of(machine)
+    assert 1e-4 < seconds < 1.05e-4
+    assert timing.delay_samples == 2
+    (budget,) = budget_of(machine, amb.design(machine, "pid"), timing)
+    rows = dict(zip(budget.elements, budget.phases, strict=True))
+    named = [row for name, row in rows.items() if ": " in name]
+    assert len(named) == len(CHAIN)
+    w = budget.frequencies
+    whole = sum(named) + rows["rest of the whole samples"]
+    assert whole == pytest.approx(-w * 2e-4)
+    assert rows["rest of the whole samples"] == pytest.approx(-w * (2e-4 - seconds))
+    (note,) = budget.notes
+    assert note.startswith("carrier")
+    # a delay that the caller gives is not the file's
+    plain = budget_of(machine, amb.design(machine, "pid"), Timing(1e-4, 2))[0]
+    assert "computing" in plain.elements
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 5])
+def test_a_filter_is_scipys(order):
+    element = ChainElement("f", "anti-alias", corner=5000.0, order=order)
+    b, a = butter(order, 5000.0, analog=True)
+    w = np.array([1.0, 2000.0, 5000.0, 12e3])
+    phase = np.unwrap(np.angle(freqs(b, a, w)[1]))
+    assert [element.phase(x) for x in w] == pytest.approx(phase, abs=1e-9)
+    assert element.dead_time == pytest.approx(-phase[0], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("element", "words"),
+    [
+        (ChainElement("a", "adc"), "one of the two"),
+        (ChainElement("a", "dac", 1e-6), "demodulation"),
+        (ChainElement("a", "adc", 3e-4), "more than the delay"),
+        (ChainElement("a", "anti-alias", corner=1e4, order=20), "from 1 to 8"),
+    ],
+)
+def test_a_wrong_chain_is_refused(element, words):
+    machine = amb.load_machine("turboexpander")
+    settings = replace(machine.controller, sample_time=1e-4, delay=1e-4)
+    with pytest.raises(InvalidInput, match=words):
+        replace(machine, controller=settings, chain=(element,))

@@ -129,7 +129,8 @@ def phase_table(budget: PhaseBudget) -> Table:
     rows: tuple[Row, ...] = tuple(
         (name, *numbers(*(f"{np.degrees(value):.2f}" for value in row))) for name, row in named
     )
-    return Table(f"Axes {', '.join(budget.axes)}", ("Element", *heads), rows)
+    note = ". ".join(budget.notes)
+    return Table(f"Axes {', '.join(budget.axes)}", ("Element", *heads), rows, note)
 
 
 def comparison_table(comparison: Comparison) -> Table:

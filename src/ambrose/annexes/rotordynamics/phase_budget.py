@@ -3,7 +3,8 @@ element after element, at every bending mode.
 
     sensor lag    1/(1 + s/b) of the machine file (demodulation and what filters the signal)
     controller    K(e^{sT}) on its own axis, as it is sampled
-    computing     e^{-s n T}, n whole samples
+    computing     e^{-s n T}, n whole samples; where [[chain]] says what they are made of, its
+                  elements (filters by their delay at low frequencies, as in the loop) and the rest
     hold          (1 - e^{-sT})/(s T), half a sample late
     amplifier     i/u of the coil's current, at standstill
     eddy currents e/(s + e), of order "twice-first"
@@ -35,13 +36,15 @@ class PhaseBudget:
     """Phases [rad] of a control axis, elements (e,) by frequencies (m,) [rad/s].
 
     axes: those that have it, alike to 1e-9. phases (e, m): negative late; ``total`` (m,) is that
-    of the whole path but for the sign of the feedback.
+    of the whole path but for the sign of the feedback. notes: on filters that the loop has as dead
+    time.
     """
 
     axes: tuple[str, ...]
     frequencies: np.ndarray
     elements: tuple[str, ...]
     phases: np.ndarray
+    notes: tuple[str, ...] = ()
 
     @property
     def total(self) -> np.ndarray:
@@ -80,7 +83,8 @@ def phase_budgets(loop: ShaftLoop, timing: Timing | None) -> tuple[PhaseBudget, 
     rest = acting * np.exp(-1j * late.sum(axis=0))[:, None]
     rows[CONTROLLER] = np.angle(rest)
     if law.dt is not None:
-        rows["computing"] = late[0][:, None] * ones
+        for name, row in _computing(machine, timing, omega, late[0]):
+            rows[name] = row[:, None] * ones
         rows["hold"] = late[1][:, None] * ones
     coil = drive
     if drive.order == "twice-first":
@@ -101,8 +105,44 @@ def phase_budgets(loop: ShaftLoop, timing: Timing | None) -> tuple[PhaseBudget, 
                 budgets[k] = replace(known, axes=(*known.axes, axis))
                 break
         else:
-            budgets.append(PhaseBudget((axis,), omega, names, own))
+            budgets.append(PhaseBudget((axis,), omega, names, own, _filters(machine, omega)))
     return tuple(budgets)
+
+
+def _computing(
+    machine: Machine, timing: Timing | None, omega: np.ndarray, whole: np.ndarray
+) -> list[tuple[str, np.ndarray]]:
+    """(name, phase (m,)) of what the loop's whole samples (phase ``whole``) are made of.
+
+    Delays that were given by the caller, or that a controller has of its own, are not the file's
+    chain.
+    """
+    total = sum(element.dead_time for element in machine.chain)
+    told = timing is not None and timing.source.startswith("machine file")
+    if not machine.chain or not told:
+        return [("computing", whole)]
+    named = [
+        (f"{element.kind}: {element.name}", -omega * element.dead_time) for element in machine.chain
+    ]
+    return [*named, ("rest of the whole samples", whole + omega * total)]
+
+
+def _filters(machine: Machine, omega: np.ndarray) -> tuple[str, ...]:
+    """What a filter's own phase is beside the dead time that stands for it, at the last mode below
+    its corner.
+    """
+    found = []
+    for element in machine.chain:
+        if element.corner is None:
+            continue
+        below = omega[omega < element.corner]
+        w = float(below[-1] if len(below) else omega[0])
+        own, counted = np.degrees([element.phase(w), -w * element.dead_time])
+        found.append(
+            f"{element.name}: {own:.3g} deg of its own at {w / (2 * np.pi):.4g} Hz, where the loop "
+            f"has {counted:.3g} deg; its roll-off is not in the loop"
+        )
+    return tuple(found)
 
 
 def _bending(machine: Machine, highest: float | None) -> np.ndarray:

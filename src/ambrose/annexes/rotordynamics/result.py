@@ -184,6 +184,7 @@ class Lateral(Presented):
                         for name, row in zip(budget.elements, budget.phases, strict=True)
                     },
                     "total_deg": np.degrees(budget.total).tolist(),
+                    "notes": list(budget.notes),
                 }
                 for budget in self.phase_budgets
             ],

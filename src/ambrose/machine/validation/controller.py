@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from ambrose.core.checks import same_clock
+from ambrose.machine.chain import CHAIN_KINDS
 from ambrose.machine.controller import (
     CONTROLLER_COORDINATES,
     MODES,
@@ -20,6 +21,7 @@ from ambrose.machine.limits import DELAY_SAMPLES, SAMPLE_TIME
 from ambrose.machine.messages import complaint, number, shown, suggestion
 from ambrose.machine.validation.signs import not_positive
 
+MOST_ORDER = 8  # of a filter of the signal chain
 _COMMON = ("gain", "integral_time", "derivative_time", "notches", "lead", "low_pass")
 
 
@@ -225,4 +227,35 @@ def _coefficients(
         yield (
             f"{where}: the numerator's degree is above the denominator's, which cannot be "
             "realised; add a pole"
+        )
+
+
+def chain(machine: MachineDescription) -> Iterator[str]:
+    """The elements of the signal chain, and whether the loop's delay has room for them."""
+    seen: set[str] = set()
+    for element in machine.chain:
+        where = f"[[chain]] {element.name}"
+        if element.name in seen:
+            yield f"{where}: the name stands there twice; give every element one of its own"
+        seen.add(element.name)
+        if element.kind not in CHAIN_KINDS:
+            known = f"one of {', '.join(CHAIN_KINDS)}"
+            yield complaint(where, "kind", shown(element.kind), known, "choose one of them")
+        if (element.delay is None) == (element.corner is None):
+            yield f"{where}: it needs a delay or a corner, one of the two; give the one you know"
+        yield from not_positive(where, element, "a chain cannot see ahead", "delay", zero=True)
+        yield from not_positive(where, element, "give its corner frequency", "corner")
+        if not 1 <= element.order <= MOST_ORDER:
+            yield complaint(
+                where, "order", str(element.order), f"from 1 to {MOST_ORDER}", "2 is usual"
+            )
+    pid = machine.controller
+    usable = all(1 <= e.order <= MOST_ORDER and (e.corner or 1.0) > 0 for e in machine.chain)
+    if not seen or not usable or pid is None or pid.delay is None:
+        return
+    total = sum(element.dead_time for element in machine.chain)
+    if total > pid.delay * (1 + 1e-9):
+        yield (
+            f"[[chain]]: its elements take {1e6 * total:.4g} us, more than the delay of "
+            f"[controller], {1e6 * pid.delay:.4g} us; leave that out, or correct the elements"
         )

@@ -23,7 +23,7 @@ from ambrose.machine.messages import complaint, listed, number, shown, suggestio
 from ambrose.machine.parameters import Parameter, find_uncertain
 from ambrose.machine.validation import parts
 from ambrose.machine.validation import seals as validate_seals
-from ambrose.machine.validation.controller import controller
+from ambrose.machine.validation.controller import chain, controller
 from ambrose.machine.validation.signs import not_positive
 from ambrose.machine.validation.synchronous import synchronous
 
@@ -71,6 +71,7 @@ def problems(machine: MachineDescription) -> tuple[str, ...]:
         *(
             validate_seals.seals,
             controller,
+            chain,
             synchronous,
             _operation,
             _tolerances,
@@ -101,6 +102,7 @@ def _sizes(machine: MachineDescription) -> Iterator[str]:
         if pid is None
         else {"notch": pid.notches, "channel": pid.channels, "synchronous": pid.synchronous}
     )
+    several["chain"] = machine.chain
     yield from excess({"shaft": machine.shaft, "tolerance": machine.tolerances, **several})
     yield from excess(
         {"operation": {"point": operation.points, "range": operation.ranges}, "controller": chains}
