@@ -287,7 +287,7 @@ def axis_limit_check(
     to its limit.
     """
     current = name.endswith("current")
-    bearings = [bearing for bearing in plant.machine.bearings for _ in range(2)]
+    bearings = plant.machine.axis_bearings
     limits = [bearing.max_current if current else bearing.max_force for bearing in bearings]
     required = demand("current" if current else "information", requirements)
     known = [required.limit if required.limit is not None else limit for limit in limits]

@@ -18,6 +18,7 @@ from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.lft import GeneralizedPlant, RealBlock, close_uncertainty
 from ambrose.core.statespace import StateSpace, append, connect, rename, select, static_gain
 from ambrose.machine.attachment import attached
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.description import Amplifier, Tolerance
 from ambrose.machine.parameters import BENDING, Parameter, find_uncertain
 from ambrose.machine.seals import Seal
@@ -32,6 +33,8 @@ from ambrose.model.assemble import (
     seal_model,
 )
 from ambrose.model.effects import amplifier as amplifiers
+from ambrose.model.axial.magnet import at_point
+from ambrose.model.axial.wiring import SIDES
 from ambrose.model.effects import seal_rational, sensor
 from ambrose.model.effects.rotor import free_modes
 from ambrose.model.effects.seal_rational import has_states
@@ -358,6 +361,21 @@ def _bearing_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
     return found
 
 
+def _thrust_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
+    """k_i i or k_s x of both magnets, each before its core."""
+    assert isinstance(plant.machine, AxialMachine)
+    (axis,), at = plant.axes, at_point(plant.machine, plant.point)
+    by_current = parameter.quantity == "force_per_current"
+    return [
+        Channel(
+            f"{side}_{axis}",
+            item.force_per_current if by_current else item.stiffness,
+            ((f"{'i' if by_current else 'q'}_{axis}", 1.0),),
+        )
+        for side, item in zip(SIDES, (at.left, at.right), strict=True)
+    ]
+
+
 def _effect_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
     """Where a quantity of a registered effect acts, along the axis that the path names or all."""
     effect, item = next(
@@ -502,4 +520,5 @@ _FORMS = {
     "bearing": _bearing_channels,
     "amplifier": _amplifier_channels,
     "rotor": _rotor_channels,
+    "thrust_bearing": _thrust_channels,
 }
