@@ -135,6 +135,7 @@ def axial_machine(machine: Machine) -> AxialMachine:
         controller=_controller(machine, part),
         operation=Operation(points, design_point=design if design in labels else ""),
         tolerances=part.tolerances,
+        chain=machine.chain,
         requirements=_requirements(machine.requirements, part.requirements),
         weights=None if part.weights is None else DesignWeights(**_stated(part.weights)),
         description=f"the axis along the shaft of {machine.name}",
