@@ -21,8 +21,8 @@ from hypothesis import strategies as st
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine import description as d
-from ambrose.machine.chain import ChainElement
 from ambrose.machine import thrust as t
+from ambrose.machine.chain import ChainElement
 from ambrose.machine.controller import (
     CONTROLLER_COORDINATES,
     MODES,

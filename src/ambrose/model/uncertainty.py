@@ -32,9 +32,9 @@ from ambrose.model.assemble import (
     seal_coefficients,
     seal_model,
 )
-from ambrose.model.effects import amplifier as amplifiers
 from ambrose.model.axial.magnet import at_point
 from ambrose.model.axial.wiring import SIDES
+from ambrose.model.effects import amplifier as amplifiers
 from ambrose.model.effects import seal_rational, sensor
 from ambrose.model.effects.rotor import free_modes
 from ambrose.model.effects.seal_rational import has_states
