@@ -20,6 +20,7 @@ from ambrose.annexes.rotordynamics.stations import lay_out
 from ambrose.core.checks import InvalidInput
 from ambrose.law.timing import timing_of
 from ambrose.machine.file.toml import loads_machine
+from ambrose.registry import registered, resolve
 
 RPM = math.pi / 30
 # stiff as nothing on earth: the films bend first
@@ -227,3 +228,16 @@ def test_data_are_plain():
     data = amb.lateral(films(STAGE), trip=6300 * RPM).to_dict()
     assert data["schema"] == 1
     assert json.loads(json.dumps(data))["level_one"]["border_N_per_m"] > 0
+
+
+@pytest.mark.campaign
+def test_a_study_leaves_the_analysis_of_a_rotor_that_turns(tmp_path):
+    (place,) = [p for name, p in registered("study file").items() if name == "lateral analysis"]
+    write = resolve(place)
+    still = amb.load_machine("seal-rig")
+    write(still, None, tmp_path, print)
+    assert not list(tmp_path.iterdir())
+    machine = replace(amb.load_machine("two-disc-rotor"), tolerances=())
+    write(machine, amb.design(machine, "pid"), tmp_path, print)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["lateral.html", "lateral.json"]
+    assert json.loads((tmp_path / "lateral.json").read_text())["machine"] == "two-disc-rotor"

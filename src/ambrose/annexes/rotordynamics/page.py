@@ -170,7 +170,7 @@ def summary_table(result: Lateral) -> Table:
 
 def _summary_row(item: Item) -> Row:
     mark = "none" if item.passed is None else "pass" if item.passed else "fail"
-    word = "-" if item.passed is None else "holds" if item.passed else "fails"
+    word = "" if item.passed is None else "holds" if item.passed else "fails"
     unit = "" if item.unit == "-" else f" {item.unit}"
     value = "-" if item.value is None else f"{_number(item.value)}{unit}"
     limit = "-" if item.limit is None else f"{_relation(item.relation)} {_number(item.limit)}{unit}"
