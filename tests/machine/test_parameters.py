@@ -26,6 +26,7 @@ GOOD = {
         for quantity, dimension in (
             ("force_per_current", "force per current"),
             ("negative_stiffness", "stiffness"),
+            ("core_scale", "ratio"),
         )
     },
     "seal.c.K": ("seal", "c", "K", "", "stiffness"),

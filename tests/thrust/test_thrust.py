@@ -25,7 +25,14 @@ from ambrose.law.pid import pid_controller
 from ambrose.machine.controller import PidSettings
 from ambrose.model.assemble import assemble
 from ambrose.model.axial.half_order import CORNER
-from ambrose.model.axial.magnet import at_point, capacity, force, sides, tilt_stiffness
+from ambrose.model.axial.magnet import (
+    at_point,
+    capacity,
+    core_lags,
+    force,
+    sides,
+    tilt_stiffness,
+)
 from ambrose.model.uncertainty import perturbed
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -226,6 +233,26 @@ def test_tolerances_move_both_magnets_together():
     # m s^2 - k_s h: what is added is a fifth of what is there
     whole = inverse[0] - plant_mass(axial) * (1j * omega) ** 2
     assert inverse[1] - inverse[0] == pytest.approx(0.2 * whole, rel=1e-9)
+
+
+@pytest.mark.parametrize("label", ["rest", "rated, collar at +20 um"])
+def test_core_scale_moves_the_eddy_currents_alone(label):
+    """c by a fifth: m s^2 x = sum of (k_i i + k_s x)/(1 + 1.2 c sqrt(s)/R), exactly in the plant's
+    own model of sqrt(s), 1/h - 1.
+    """
+    axial = machine({"T.negative_stiffness": "T.core_scale"}).axial
+    plant = assemble(axial, label)
+    moved = perturbed(plant, {"thrust_bearing.T.core_scale": 1.0})
+    at = at_point(axial, plant.point)
+    for omega in 2 * np.pi * np.array([2.0, 40.0, 900.0]):
+        s = 1j * omega
+        current, spring = 0j, 0j
+        for model, item in zip(core_lags(axial.thrust), (at.left, at.right), strict=True):
+            h = 1 / (1 + 1.2 / item.ratio * (1 / model.response([omega])[0] - 1))
+            current += h * item.force_per_current
+            spring += h * item.stiffness
+        exact = current / (plant_mass(axial) * s**2 - spring) / (1 + s / (2 * math.pi * 1500))
+        assert response(moved, "u_T_z", "q_T_z", omega) == pytest.approx(exact, rel=1e-9)
 
 
 def test_the_reference_controller_is_in_zone_a_at_every_point_and_over_its_tolerances():

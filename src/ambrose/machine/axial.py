@@ -102,9 +102,17 @@ class AxialMachine(Machine):
         )
 
     def condition(self, point: OperatingPoint) -> Condition:
-        """Thrust and place at an operating point; of one without a label of its own none."""
-        known = (item for item in self.conditions if item.label == point.label and point.label)
-        return next(known, Condition(point.label, 0.0, 0.0))
+        """Thrust and place at an operating point: by its label, else of the first one at its speed
+        and pressure (a record keeps no more); none where there is no such point.
+        """
+        points = [*zip(self.operation.points, self.conditions, strict=True)]
+        for own, item in points:
+            if point.label and own.label == point.label:
+                return item
+        for own, item in points:
+            if (own.speed, own.seal_pressure) == (point.speed, point.seal_pressure):
+                return item
+        return Condition(point.label, 0.0, 0.0)
 
     def facts(self) -> Any:
         """The axis in a line."""

@@ -153,6 +153,8 @@ class ThrustBearing(Part):
     stop_damping: Annotated[Damping, "contact there; assumed"] = 1e4
     coupling_stiffness: Annotated[Stiffness, "of a coupling to ground"] = 0.0
     coupling_damping: Annotated[Damping, "of that coupling"] = 0.0
+    face_scale: Annotated[Ratio, "effective faces, as identified"] = 1.0
+    gap_scale: Annotated[Ratio, "effective air gaps, as identified"] = 1.0
     load_time: Annotated[Time, "from least to largest thrust"] = 0.0
     amplifier_bandwidth: Annotated[Rate | None, "first order; default: the machine's"] = None
     max_voltage: Annotated[float | None, Quantity("voltage"), "at a coil"] = None

@@ -362,17 +362,25 @@ def _bearing_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
 
 
 def _thrust_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
-    """k_i i or k_s x of both magnets, each before its core."""
+    """k_i i or k_s x of both magnets, each side's share of it before its core."""
     assert isinstance(plant.machine, AxialMachine)
     (axis,), at = plant.axes, at_point(plant.machine, plant.point)
+    if parameter.quantity == "core_scale":
+        # (R_0 + (1 + d) c sqrt(s)) phi = v: as v less d times what the eddy currents take
+        scale = plant.machine.thrust.core_scale
+        taken = [name for name in plant.rotor.outputs if name.startswith("core_")]
+        return [Channel(name.removeprefix("core_"), scale, ((name, -1 / scale),)) for name in taken]
     by_current = parameter.quantity == "force_per_current"
+    parts = [
+        item.force_per_current if by_current else item.stiffness for item in (at.left, at.right)
+    ]
     return [
         Channel(
             f"{side}_{axis}",
-            item.force_per_current if by_current else item.stiffness,
-            ((f"{'i' if by_current else 'q'}_{axis}", 1.0),),
+            sum(parts),
+            ((f"{'i' if by_current else 'q'}_{axis}", part / sum(parts)),),
         )
-        for side, item in zip(SIDES, (at.left, at.right), strict=True)
+        for side, part in zip(SIDES, parts, strict=True)
     ]
 
 

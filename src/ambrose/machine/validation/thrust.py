@@ -50,6 +50,7 @@ def findings(where: str, part: ThrustBearing) -> Iterator[str]:
     )
     if part.core not in CORES:
         yield complaint(where, "core", part.core, " or ".join(CORES), "choose one of them")
+    yield from not_positive(where, part, "1 is as stated", "face_scale", "gap_scale")
     yield from not_positive(
         where, part, "leave it out", "amplifier_bandwidth", "max_voltage", "inductance"
     )

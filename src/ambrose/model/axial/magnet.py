@@ -128,7 +128,8 @@ def sides(part: ThrustBearing) -> tuple[Side, Side]:
 
 def _side(part: ThrustBearing, stator: ThrustStator, gap: float, bias: float) -> Side:
     inner, outer = stator.inner_pole, (stator.outer_pole[0], part.collar_radius)
-    a_i, a_o = (math.pi * (r[1] ** 2 - r[0] ** 2) for r in (inner, outer))
+    a_i, a_o = (part.face_scale * math.pi * (r[1] ** 2 - r[0] ** 2) for r in (inner, outer))
+    gap *= part.gap_scale
     mu = VACUUM_PERMEABILITY * part.permeability
     # cylinders of the slot's depth, discs between the poles' middles: ln(r_o/r_i)/(2 pi mu t)
     disc = math.log((sum(outer) / 2) / (sum(inner) / 2)) / (2 * math.pi * mu)

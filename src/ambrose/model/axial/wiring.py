@@ -30,7 +30,9 @@ def rotor_mass(machine: AxialMachine) -> float:
 
 def rotor_statespace(machine: AxialMachine, point: OperatingPoint) -> StateSpace:
     """Inputs f_<axis>, left_<axis>, right_<axis> [N]; outputs q_<axis>, s_<axis> [m] and
-    qdot_<axis> [m/s]; the negative stiffness closed.
+    qdot_<axis> [m/s], and core_left_<axis> [N], what the eddy currents take of the left magnet's
+    force, or of both where these are alike, else core_right_<axis> as well; the negative stiffness
+    closed.
 
     States: x [m], x'/300 [m], then those of the cores [N]. Raises InvalidInput where the magnets
     cannot carry the point's load.
@@ -71,16 +73,25 @@ def rotor_statespace(machine: AxialMachine, point: OperatingPoint) -> StateSpace
     B = np.zeros((2 + n, 3))
     B[1] = np.array([1.0, *direct]) / (mass * _SCALE)
     B[2:, 1:] = drive
-    C = np.zeros((3, 2 + n))
+    C, D = np.zeros((3 + len(sizes), 2 + n)), np.zeros((3 + len(sizes), 3))
     C[0, 0] = C[1, 0] = 1.0
     C[2, 1] = _SCALE
+
+    # what the eddy currents of every bank take: v - C z, the force without them less that with them
+    cores, at_state = [], 2
+    for number, ((_, _, part_out), row) in enumerate(zip(sizes, into, strict=True)):
+        C[3 + number, 0] = np.dot(row, k_s)
+        C[3 + number, at_state : at_state + len(part_out)] = -part_out
+        D[3 + number, 1:] = row
+        at_state += len(part_out)
+        cores.append(f"core_{SIDES[row.index(1.0)]}_{axis}")
     return StateSpace(
         A,
         B,
         C,
-        np.zeros((3, 3)),
+        D,
         [f"f_{axis}", *(f"{side}_{axis}" for side in SIDES)],
-        [f"q_{axis}", f"s_{axis}", f"qdot_{axis}"],
+        [f"q_{axis}", f"s_{axis}", f"qdot_{axis}", *cores],
     )
 
 

@@ -52,6 +52,7 @@ THRUST_BEARING = Effect(
     quantities={
         "force_per_current": ("force per current", ()),
         "negative_stiffness": ("stiffness", ()),
+        "core_scale": ("ratio", ()),
     },
     most=1,
     reach=34.0,
