@@ -92,7 +92,6 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
         sections.append(Section("Side by side", _BESIDE, (), (comparison_table(comparison),)))
     if result.notes:
         sections.append(Section("Notes", "\n\n".join(result.notes)))
-    sections.append(Section("To be signed", "", (), (_signatures(),)))
     lowest, highest, trip = (speed / standard.RPM for speed in result.speeds)
     facts = (
         ("Machine file", machine_hash(result.machine)),
@@ -125,7 +124,7 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
 
 def phase_table(budget: PhaseBudget) -> Table:
     """Phases of every element at every bending mode [deg]."""
-    heads = tuple(f"{w / (2 * np.pi):.4g} Hz [deg]" for w in budget.frequencies)
+    heads = tuple(f"{w / (2 * np.pi):.5g} Hz [deg]" for w in budget.frequencies)
     named = [*zip(budget.elements, budget.phases, strict=True)]
     named += [("all but the controller", budget.cost), ("sum", budget.total)]
     rows: tuple[Row, ...] = tuple(
@@ -158,14 +157,6 @@ def comparison_texts(pair: Pair) -> tuple[str, ...]:
         "-" if difference is None else f"{with_unit(difference, unit, 3)}{percent}",
         pair.note,
     )
-
-
-def _signatures() -> Table:
-    """A line for everybody who signs."""
-    rows: tuple[Row, ...] = tuple(
-        (name, Cell("", "sign"), Cell("", "sign")) for name in ("Prepared", "Checked", "Accepted")
-    )
-    return Table("", ("", "Name, date", "Signature"), rows, "", (20, 40, 40))
 
 
 def summary_table(result: Lateral) -> Table:
