@@ -9,6 +9,7 @@ from dataclasses import replace
 from ambrose.annexes.rotordynamics import items as rows
 from ambrose.annexes.rotordynamics import standard
 from ambrose.annexes.rotordynamics.capacity import capacities
+from ambrose.annexes.rotordynamics.circuit import circuit_change
 from ambrose.annexes.rotordynamics.clearances import largest_reading, rubs
 from ambrose.annexes.rotordynamics.level_one import LevelOne, sweep
 from ambrose.annexes.rotordynamics.level_two import shares
@@ -142,6 +143,7 @@ def lateral(
         *rows.level_two(table, highest),
         *rows.capacity(capacity),
         *rows.phase(budgets),
+        *rows.circuit(circuit_change(machine, chosen, law, timing, modes)),
         *rows.iso(machine, at_top, response, highest, law, timing),
         *rows.not_covered(machine),
     )
