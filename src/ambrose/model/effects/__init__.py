@@ -12,6 +12,5 @@ ROOM = {
         "stage": "stage:STAGE",
         "clearance": "clearance:CLEARANCE",
         "probe": "probe:PROBE",
-        "thrust_bearing": "thrust_bearing:THRUST_BEARING",
     },
 }

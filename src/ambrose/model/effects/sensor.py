@@ -107,8 +107,7 @@ def rotation(angle: float) -> np.ndarray:
     return np.array([[c, -s], [s, c]])
 
 
-# the axis along the shaft has one direction
-_INDEX = {"zeta": 0, "eta": 1, "z": 0}
+_INDEX = {"zeta": 0, "eta": 1}
 
 
 def parameters(sensor: Sensor, axis: int) -> tuple[float, ...]:
