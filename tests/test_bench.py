@@ -1,6 +1,7 @@
 """`make bench`: what fails is a row, what was measured before it is kept, and every module runs."""
 
 import json
+import shutil
 import sys
 from types import SimpleNamespace
 
@@ -9,6 +10,7 @@ from benchmarks import history
 from benchmarks.__main__ import main, modules, rows_of
 from benchmarks.box_attack import attack
 from benchmarks.current_loop import main as current_loop
+from benchmarks.target_table import main as target_table
 
 
 def row(name):
@@ -91,3 +93,15 @@ def test_the_circuit_of_the_amplifier_slows_the_unstable_pole(capsys):
     assert 0.9 * row.pole[0] < row.pole[1] < 0.99 * row.pole[0]
     assert row.damping[1] > row.damping[0]
     assert "| turboexpander | 5.33 |" in capsys.readouterr().out
+
+
+@pytest.mark.campaign
+@pytest.mark.skipif(
+    not (shutil.which("arm-none-eabi-gcc") and shutil.which("qemu-system-arm")),
+    reason="not here: arm-none-eabi-gcc or qemu-system-arm",
+)
+def test_the_table_of_targets_has_a_row_for_a_law_on_a_processor(capsys):
+    row, looped = target_table(["--smoke", "--loop", "--processors", "cortex-m7"])
+    assert row.trial.equal and looped.equal
+    assert 0 < row.trial.written <= row.trial.footprint.stack
+    assert "| fixed | double | cortex-m7 | yes |" in capsys.readouterr().out
