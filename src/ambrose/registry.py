@@ -42,8 +42,8 @@ def registered(kind: str) -> dict[str, Any]:
 
     kind: "design command", "site command" or "research command" (the groups of the command line's
     help), "public", "page" (of a result, by the name of its type), "method", "moving_proof",
-    "companion" or "effect". Raises RuntimeError where
-    two register one name: that is a defect of the installation, not of the input.
+    "companion", "effect" or "study file" (what a study leaves besides its report). Raises
+    RuntimeError where two register one name: a defect of the installation, not of the input.
     """
     return {**_stated(kind), **_ADDED.get(kind, {})}
 

@@ -22,6 +22,7 @@ from ambrose.judge.checks import Checks
 from ambrose.judge.controller_file import write_controller
 from ambrose.judge.result import Synthesis
 from ambrose.machine.atomic_write import write_text
+from ambrose.registry import register, unregister
 from ambrose.rig.candidate import Candidate, check_trials
 
 LAW = Synthesis(static_gain([[1.0]], ["err_A"], ["u_A"]), "pid")
@@ -73,6 +74,20 @@ def test_a_study_that_fails_leaves_no_older_report_under_its_name(stubs, tmp_pat
     earlier = ["earlier-checks.json", "earlier-report.html"]
     assert names(tmp_path) == ["commissioned", "controller-pid.json", *earlier]
     assert names(tmp_path / "commissioned") == ["earlier-code"]
+
+
+def test_what_an_annex_cannot_leave_is_said_beside_the_report(stubs, tmp_path):
+    def refuse(machine, synthesis, directory, progress):
+        assert synthesis is LAW
+        raise InvalidInput("its table ends too early")
+
+    register("study file", "extra", refuse)
+    try:
+        result = run(tmp_path)
+    finally:
+        unregister("study file", "extra")
+    assert ("extra", "its table ends too early") in result.failed
+    assert "report.html" in names(tmp_path)
 
 
 def test_a_second_study_of_the_same_folder_is_refused(stubs, tmp_path):

@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine import description as d
+from ambrose.machine import thrust as t
 from ambrose.machine.chain import ChainElement
 from ambrose.machine.controller import (
     CONTROLLER_COORDINATES,
@@ -206,6 +207,7 @@ def test_every_value_of_the_small_machine():
             Stage("expander", 0.25, 40e3, 9000 * rpm, 0.22, 0.009, 1.3, "radial"),
             Clearance("eye", 0.24, 0.4e-3, 0.7),
             Probe("VE1", 0.06, 45 * deg),
+            thrust_bearing(),
         ),
         supports=(
             Support(
@@ -319,6 +321,54 @@ def test_every_value_of_the_small_machine():
         ), path
 
 
+def thrust_bearing():
+    """The thrust bearing of small.toml."""
+    hz, rings = 2 * math.pi, (0.025, 0.034)
+    return t.ThrustBearing(
+        "thrust",
+        0.08,
+        0.06,
+        0.012,
+        (0.5e-3, 0.52e-3),
+        (3.0, 3.2),
+        (
+            t.ThrustStator(84.0, rings, (0.054, 0.061), 0.015, 9e-3),
+            t.ThrustStator(80.0, rings, (0.054, 0.060), 0.015, 0.01),
+        ),
+        t.AxialSensor(0.59, 0.98, 8e3 * hz, 0.3e-6, 0.1e-6, (-20e-6, 40e-6), expansion=1.1e-5),
+        13.02e-3,
+        "solid",
+        4e6,
+        600.0,
+        20 * hz,
+        0.8,
+        1.6,
+        3.0,
+        400.0,
+        (0.25e-3, 0.25e-3),
+        90e6,
+        5e3,
+        20e3,
+        5.0,
+        1.02,
+        0.98,
+        0.05,
+        1e3 * hz,
+        100.0,
+        0.03,
+        (t.AxialLoad("nominal", 120.0),),
+        t.AxialController(22e3, 0.06, 4e-3, 0.05, 3e3 * hz, 2e-4, 2e-4),
+        t.AxialWeights(40e-6, 1.0, 2 * hz, 0.2),
+        t.AxialRequirements(2.8, 0.8e-6, 0.08),
+        (
+            d.Tolerance(
+                "thrust_bearing.thrust.force_per_current", relative=0.1, around=("nominal",)
+            ),
+            d.Tolerance("thrust_bearing.thrust.negative_stiffness", absolute=50e3),
+        ),
+    )
+
+
 def flat(thing, path="") -> dict:
     """A noun as path -> value, numbers at the leaves."""
     if is_dataclass(thing):
@@ -359,6 +409,7 @@ def test_small_machine_has_every_key_of_every_table():
             "seal.table.c",
             "seal.table.M",
             "seal.geometry.inlet_pressure",
+            "thrust_bearing.sensor.temperature_rise",
         ),
     }
     assert known - written == alternatives
@@ -935,6 +986,9 @@ def test_every_field_of_every_noun_has_a_key():
         "ranges": "range",
         "channels": "channel",
         "sections": "section",
+        "stators": "stator",
+        "loads": "load",
+        "tolerances": "tolerance",
     }
     for table in Table.__subclasses__():
         # that have been used in this process

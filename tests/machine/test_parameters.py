@@ -21,6 +21,14 @@ from ambrose.machine.units import DIMENSIONS
 
 GOOD = {
     "stage.s.cross_coupling": ("stage", "s", "cross_coupling", "", "stiffness"),
+    **{
+        f"thrust_bearing.t.{quantity}": ("thrust_bearing", "t", quantity, "", dimension)
+        for quantity, dimension in (
+            ("force_per_current", "force per current"),
+            ("negative_stiffness", "stiffness"),
+            ("core_scale", "ratio"),
+        )
+    },
     "seal.c.K": ("seal", "c", "K", "", "stiffness"),
     "seal.c.k": ("seal", "c", "k", "", "stiffness"),
     "seal.c.C": ("seal", "c", "C", "", "damping"),

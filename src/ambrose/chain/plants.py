@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from ambrose.chain.check import insight
+from ambrose.chain.check_axial import axial_facts
 from ambrose.core.checks import named_failure
 from ambrose.core.statespace import poles
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.rotor import (
@@ -21,6 +23,8 @@ def facts(machine: Machine) -> dict[str, Any]:
     """What `ambrose check` tells about a machine, SI units: mass properties, bending frequencies,
     open-loop poles, sizes.
     """
+    if isinstance(machine, AxialMachine):
+        return axial_facts(machine)
     rotor = finite_element_rotor(machine)
     properties = mass_properties(rotor)
     plant = assemble(machine)

@@ -28,7 +28,7 @@ from ambrose.machine.machine import Machine, require_magnets
 from ambrose.model.plant import Plant
 from ambrose.model.reduce import reduce
 from ambrose.model.uncertainty import not_varied
-from ambrose.registry import registered
+from ambrose.registry import registered, resolve
 from ambrose.rig.candidate import Candidate, check_trials, evaluate, points_of, run_ups
 from ambrose.rig.trial import RunUp
 from ambrose.synthesis.design import methods_for
@@ -143,7 +143,7 @@ def study(
     machine: Machine, directory: str | Path, progress: Progress = lambda stage: None
 ) -> Study:
     """All stages in order; leaves controller-<method>.json, commissioned/, checks.json and
-    report.html in ``directory``.
+    report.html in ``directory``, and what annexes add: lateral.json and lateral.html.
 
     A report of an earlier run, its checks and its code are called ``earlier-...`` before anything
     is made anew. What cannot be written in the end is told in ``unwritten``, with all results kept.
@@ -179,7 +179,13 @@ def _study(machine: Machine, directory: Path, progress: Progress) -> Study:
             write()
         except InvalidInput as error:
             unwritten.append(str(error))
-    return replace(result, unwritten=tuple(unwritten))
+    failed = list(result.failed)
+    for name, place in registered("study file").items():
+        try:
+            resolve(place)(machine, result.best.synthesis, directory, progress)
+        except AmbroseError as error:
+            failed.append((name, str(error)))
+    return replace(result, failed=tuple(failed), unwritten=tuple(unwritten))
 
 
 def _plants(machine: Machine) -> tuple[Plant, ...]:
@@ -187,7 +193,8 @@ def _plants(machine: Machine) -> tuple[Plant, ...]:
 
 
 def _set_earlier_aside(directory: Path) -> None:
-    for name in ("checks.json", "report.html", "commissioned/code"):
+    made = ("checks.json", "report.html", "lateral.json", "lateral.html", "commissioned/code")
+    for name in made:
         set_aside(directory / name)
 
 

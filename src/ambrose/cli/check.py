@@ -55,14 +55,17 @@ def check(machine: str, as_json: bool) -> None:
     What is implausible (a length without its unit, a magnet that cannot lift, a gain below k_s/k_i)
     is said with its remedy, and the exit status is 1.
     """
+    from ambrose.chain.check_axial import axial_rows
     from ambrose.chain.plants import facts
+    from ambrose.report.units import quantity
 
     known = facts(load(machine, magnets=False))
     if as_json:
         say_json(known)
     else:
         title = ": ".join(text for text in (known["machine"], known["description"]) if text)
-        print_table(title, ("quantity", "value"), _facts_in_words(known))
+        rows = axial_rows(known, quantity) if "axis" in known else _facts_in_words(known)
+        print_table(title, ("quantity", "value"), rows)
         for doubt in known["doubts"]:
             say(f"implausible: {doubt}")
         for remark in known["remarks"]:

@@ -127,7 +127,10 @@ def map_command(
                 float(exploration.unbalance.speeds[exploration.unbalance.found.argmax()]),
             )
             rows.append(
-                ("worst orbit found", f"{units.quantity(worst, 'm')} at {at * units.RPM:.4g} rpm")
+                (
+                    "worst orbit found, 0-p",
+                    f"{units.quantity(worst, 'm')} at {at * units.RPM:.4g} rpm",
+                )
             )
         title = f"{description.name}, {exploration.point.label or 'its design point'}"
         print_table(title, ("what", "found"), [tuple(map(str, row)) for row in rows])

@@ -46,6 +46,7 @@ from ambrose.law.scheduling import BOTH
 from ambrose.law.supervision import check_pair, supervision_limits
 from ambrose.law.timing import DEFAULT, timing_of
 from ambrose.machine.atomic_write import check_place, write_files
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.claim import claimed
 from ambrose.machine.file.toml import bundled_machines, load_machine, machine_hash
 from ambrose.machine.machine import Machine
@@ -461,6 +462,10 @@ def machine_limits(machine: Machine) -> tuple[np.ndarray | None, np.ndarray | No
     """Per axis the largest plausible displacement [m] and the largest current [A]; None where a
     bearing does not say.
     """
+    if isinstance(machine, AxialMachine):
+        part = machine.thrust
+        most = None if part.max_current is None else np.array([part.max_current])
+        return np.array([max(part.gap)]), most
     gaps, currents = [], []
     for bearing in machine.bearings:
         gap = (

@@ -20,7 +20,7 @@ from ambrose.identification.output_error.problem import (
     build_experiment,
     deployed_controller,
 )
-from ambrose.identification.parameters import COVERAGE, plant_at, split_timing
+from ambrose.identification.parameters import COVERAGE, magnet_paths, plant_at, split_timing
 from ambrose.identification.result import LoopIdentification
 from ambrose.identification.validation.plausibility import delay_findings, diagnose_result
 from ambrose.identification.validation.repeatability import of_estimates
@@ -253,17 +253,14 @@ def usual_unknowns(machine: Machine, records: Sequence[Record] = ()) -> tuple[st
     uncertain pressure, which comes with a record, stands for k, the coefficient that a record tells
     best (C and c are several times less certain).
     """
-    paths = [
-        f"bearing.{item.name}.{quantity}.{axis}"
-        for quantity in ("force_per_current", "negative_stiffness")
-        for item in machine.bearings
-        for axis in ("zeta", "eta")
-    ]
+    paths = magnet_paths(machine)
     lag = [name for name in AMPLIFIER_PARAMETERS[machine.amplifier.order] if name != "damping"]
     paths += [f"amplifier.{name}" for name in lag[:1]]
     pressed = any(record.point.seal_pressure for record in records) or not records
     for tolerance in machine.tolerances:
         parameter = parse_parameter(tolerance.parameter)
+        if parameter.quantity == "core_scale":
+            continue  # its lag resembles the amplifier's and the delay's
         if parameter.quantity == "pressure":
             parameter = parse_parameter(f"seal.{parameter.name}.k")
         if parameter.table == "seal":

@@ -19,6 +19,7 @@ from ambrose.identification.parameters import (
     with_bending,
 )
 from ambrose.machine.attachment import attachment_of
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.description import BiasPoint, MagneticBearing, OperatingPoint, Pair, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import (
@@ -29,6 +30,9 @@ from ambrose.machine.parameters import (
     parse_parameter,
 )
 from ambrose.machine.seals import Seal, constant_under_pressure
+from ambrose.machine.thrust import ThrustBearing
+from ambrose.model.axial.found import with_found
+from ambrose.model.axial.magnet import at_point
 from ambrose.model.effects import magnet
 from ambrose.model.effects.seal import coefficients
 from ambrose.model.static_load import stated_at_load
@@ -59,6 +63,8 @@ def update_machine(
             "take the machine it belongs to",
         )
     entries = _entries(machine, result)
+    if isinstance(machine, AxialMachine):
+        return _axial(machine, result, entries, origin)
     values = [(one.parameter, one.value) for one in entries]
     tolerances = [one.tolerance for one in entries]
     if keep_wider:
@@ -113,6 +119,41 @@ def update_machine(
         source="; ".join(part for part in (machine.source, origin) if part),
         assumed=tuple(reasons.items()),
     )
+
+
+def _axial(
+    machine: AxialMachine, result: Estimate, entries: Sequence[_Entry], origin: str
+) -> Machine:
+    """The axis along the shaft with the values found: scales of its magnets' faces and gaps, its
+    amplifier's bandwidth, its controller's delay, its tolerances.
+    """
+    found = {one.parameter.quantity: one for one in entries}
+    at, part = machine.condition(result.point), machine.thrust
+    now = at_point(machine, result.point)
+    if {"force_per_current", "negative_stiffness"} & found.keys():
+        k_i = found["force_per_current"].value if "force_per_current" in found else None
+        k_s = found["negative_stiffness"].value if "negative_stiffness" in found else None
+        part = with_found(
+            part, at.load, at.place, k_i or now.force_per_current, k_s or now.stiffness
+        )
+    if "bandwidth" in found:
+        part = replace(part, amplifier_bandwidth=found["bandwidth"].value)
+    delays = dict(zip(result.paths, result.values.tolist(), strict=True))
+    if part.controller is not None and CONTROLLER_DELAY in delays:
+        part = replace(part, controller=replace(part.controller, delay=delays[CONTROLLER_DELAY]))
+    mine = [one.tolerance for one in entries]
+    known = {item.parameter for item in mine}
+    kept = tuple(item for item in part.tolerances if item.parameter not in known)
+    part = replace(part, tolerances=(*kept, *mine))
+    assert machine.whole is not None
+    whole = replace(
+        machine.whole,
+        effects=tuple(
+            part if isinstance(item, ThrustBearing) else item for item in machine.whole.effects
+        ),
+        source="; ".join(text for text in (machine.whole.source, origin) if text),
+    )
+    return whole.axial
 
 
 @dataclass(frozen=True, slots=True)

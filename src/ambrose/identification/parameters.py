@@ -12,6 +12,7 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.machine.attachment import by_table
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import (
@@ -60,6 +61,21 @@ def unit_of(path: str) -> str:
 def half_width(tolerance: Tolerance, value: float) -> float:
     """Of a tolerance about a parameter's value, SI."""
     return (tolerance.absolute or 0.0) + (tolerance.relative or 0.0) * abs(value)
+
+
+QUANTITIES_OF_MAGNETS = ("force_per_current", "negative_stiffness")
+
+
+def magnet_paths(machine: Machine) -> list[str]:
+    """The paths of every magnet's force per current, then of every negative stiffness."""
+    if isinstance(machine, AxialMachine):
+        return [f"thrust_bearing.{machine.thrust.name}.{q}" for q in QUANTITIES_OF_MAGNETS]
+    return [
+        f"bearing.{item.name}.{quantity}.{axis}"
+        for quantity in QUANTITIES_OF_MAGNETS
+        for item in machine.bearings
+        for axis in ("zeta", "eta")
+    ]
 
 
 def part_names(machine: Machine) -> dict[str, list[str]]:
@@ -114,6 +130,11 @@ def expand(machine: Machine, paths: Sequence[str]) -> tuple[str, ...]:
         )
     parameters = [find_uncertain(machine, path) for path in expanded]
     for i, one in enumerate(parameters):
+        if one.quantity == "core_scale":
+            raise InvalidInput(
+                f'parameter "{one.path}" is not identified from records; measure the response of '
+                "force per current, and state its corner as core_corner"
+            )
         if one.quantity == "pressure":
             remedy = f"name its coefficients, seal.{one.name}.k and so on"
             raise InvalidInput(
@@ -242,6 +263,10 @@ def ratios(reference: Plant, plant: Plant, paths: Sequence[str]) -> np.ndarray:
     factors = np.ones(len(paths))
     for i, path in enumerate(paths):
         parameter = find_uncertain(reference.machine, path)
+        if parameter.table == "thrust_bearing":
+            # another load, or another place of the collar
+            ends = (channels(item, path)[0].nominal for item in (plant, reference))
+            factors[i] = next(ends) / next(ends)
         if parameter.table == "bearing":
             bearing = next(
                 item for item in reference.machine.bearings if item.name == parameter.name

@@ -25,6 +25,7 @@ from ambrose.identification.validation.repeatability import Repeats
 from ambrose.identification.validation.simulated_output import SimulatedOutput
 from ambrose.identification.youla.identify import ResidualIdentification
 from ambrose.law.law import LawLike
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import one_line
 from ambrose.machine.parameters import CONTROLLER_DELAY
@@ -304,6 +305,7 @@ class LoopIdentification(Identification):
         settings = machine.controller
         if (
             settings is None
+            or isinstance(machine, AxialMachine)  # whose settings are part of another file
             or settings.sample_time is None
             or CONTROLLER_DELAY in self.result.paths
             or not self.outputs

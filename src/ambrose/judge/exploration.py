@@ -95,7 +95,7 @@ class Exploration(Presented):
                 f"{int(self.pulses.stable.sum())} of {len(self.pulses.stable)}"
             )
         if self.unbalance is not None:
-            facts["largest orbit found"] = float(self.unbalance.found.max())
+            facts["largest orbit found, 0-p"] = float(self.unbalance.found.max())
         return facts
 
     def to_dict(self) -> dict[str, Any]:

@@ -21,10 +21,12 @@ from ambrose.judge.loop_response import add_poles, frequency_grid, loop_evaluato
 from ambrose.judge.margins import margin_checks
 from ambrose.judge.rotor_modes import modes, pole_checks, pole_curve
 from ambrose.judge.sensitivity import sensitivity_checks
+from ambrose.judge.thrust import thrust_checks
 from ambrose.judge.transient import pulse_checks, pulse_response
 from ambrose.judge.unbalance import assembled_check, unbalance_checks, unbalance_curve
 from ambrose.law.law import LawLike
 from ambrose.law.loop import closed_loop, match_controller
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, TWO_PI
 from ambrose.machine.description import Requirements
 from ambrose.model.plant import Plant, top_speed
@@ -85,7 +87,10 @@ def check(
     _extend(checks, curves, margin_checks(response, evaluator, requirements))
     tell("unbalance", 0.7)
     residual = residual_unbalance(plant.machine, requirements)
-    if residual is None:
+    if isinstance(plant.machine, AxialMachine):
+        notes += ("No unbalance response: unbalance does not act along the shaft.",)
+        _extend(checks, curves, thrust_checks(closed, plant))
+    elif residual is None:
         notes += (
             "No unbalance response: no balancing speed is known; set requirements.balance_speed "
             "or a speed range.",

@@ -407,7 +407,7 @@ def _unbalance_checks(item: BlockLoop) -> tuple[list[Check], list[Curve]]:
     checks = [
         judge(
             "synchronous.orbit",
-            "Worst-case orbit, block converged",
+            "Worst-case orbit, block converged, 0-p",
             orbit,
             "m",
             Demand(float(limit), "<=", "required orbit, or ISO 14839-2 zone A"),
@@ -415,15 +415,15 @@ def _unbalance_checks(item: BlockLoop) -> tuple[list[Check], list[Curve]]:
         )
     ]
     for row, name, title, unit in (
-        (1, "current", "1x control current", "A"),
-        (2, "force", "1x force on the housing", "N"),
+        (1, "current", "1x control current, 0-p", "A"),
+        (2, "force", "1x force on the housing, 0-p", "N"),
     ):
         checks.append(_change_check(name, title, unit, speeds, before[row], after[row]))
     lines = ("without the block", "block converged")
     curves = [
         Curve(
             "synchronous.orbit",
-            "Worst-case 1x orbit",
+            "Worst-case 1x orbit, 0-p",
             "speed",
             speeds,
             np.array([before[0], after[0]]),
@@ -434,7 +434,7 @@ def _unbalance_checks(item: BlockLoop) -> tuple[list[Check], list[Curve]]:
         ),
         Curve(
             "synchronous.current",
-            "Largest 1x control current",
+            "Largest 1x control current, 0-p",
             "speed",
             speeds,
             np.array([before[1], after[1]]),

@@ -144,7 +144,7 @@ def unbalance_checks(
     checks = [
         judge(
             "unbalance.orbit",
-            f"Worst-case unbalance orbit up to {highest / TWO_PI:.4g} Hz",
+            f"Worst-case unbalance orbit up to {highest / TWO_PI:.4g} Hz, 0-p",
             worst.value,
             "m",
             demand("unbalance orbit", requirements),
@@ -154,12 +154,12 @@ def unbalance_checks(
         _distribution("unbalance.antiphase", "in antiphase", antiphase, names),
         *_clearance(machine, worst, requirements),
         axis_limit_check(
-            plant, "unbalance.current", "Worst-case unbalance current", currents, requirements
+            plant, "unbalance.current", "Worst-case unbalance current, 0-p", currents, requirements
         ),
         axis_limit_check(
             plant,
             "unbalance.force",
-            "Worst-case magnetic force under unbalance",
+            "Worst-case magnetic force under unbalance, 0-p",
             forces,
             requirements,
         ),
@@ -177,7 +177,7 @@ def unbalance_checks(
         _orbit_curve(machine, omega, orbits, requirements),
         Curve(
             "unbalance.current",
-            "Worst-case unbalance current",
+            "Worst-case unbalance current, 0-p",
             "speed",
             omega,
             cases[3](response)[:, in_range],
@@ -213,7 +213,7 @@ def _voltage(
     return [
         judge(
             "unbalance.voltage",
-            "Worst-case coil voltage under unbalance",
+            "Worst-case coil voltage under unbalance, 0-p",
             peaks[k].value,
             "V",
             wanted,
@@ -258,7 +258,7 @@ def _at(peak: Peak) -> str:
 
 def _distribution(name: str, words: str, peaks: tuple[Peak, ...], names: list[str]) -> Check:
     k = int(np.argmax([peak.value for peak in peaks]))
-    title = f"Unbalance orbit, planes {words}"
+    title = f"Unbalance orbit, planes {words}, 0-p"
     return Check(name, title, peaks[k].value, "m", detail=f"bearing {names[k]} {_at(peaks[k])}")
 
 
@@ -271,7 +271,7 @@ def _clearance(machine: Machine, worst: Peak, requirements: Requirements) -> lis
     return [
         judge(
             "unbalance.clearance",
-            "Worst-case unbalance orbit over clearance",
+            "Worst-case unbalance orbit, 0-p, over clearance",
             worst.value / min(known),
             "-",
             demand("orbit over clearance", requirements),
@@ -287,7 +287,7 @@ def axis_limit_check(
     to its limit.
     """
     current = name.endswith("current")
-    bearings = [bearing for bearing in plant.machine.bearings for _ in range(2)]
+    bearings = plant.machine.axis_bearings
     limits = [bearing.max_current if current else bearing.max_force for bearing in bearings]
     required = demand("current" if current else "information", requirements)
     known = [required.limit if required.limit is not None else limit for limit in limits]
@@ -376,7 +376,7 @@ def assembled_check(curve: Curve, requirements: Requirements) -> Check:
     k = int(np.argmax(values))
     return judge(
         "unbalance.assembled",
-        "Worst-case unbalance orbit, rotor assembled at every speed",
+        "Worst-case unbalance orbit, rotor assembled at every speed, 0-p",
         values[k],
         "m",
         demand("unbalance orbit", requirements),

@@ -96,7 +96,8 @@ def axis_order(
     Raises InvalidInput where the names are those of other axes.
     """
     names, prefix = (controller.inputs, "err_") if side == "inputs" else (controller.outputs, "u_")
-    if not any(name.startswith(prefix) or name.endswith(("_zeta", "_eta")) for name in names):
+    ways = ("_zeta", "_eta", *(f"_{axis.rpartition('_')[2]}" for axis in axes))
+    if not any(name.startswith(prefix) or name.endswith(ways) for name in names):
         return list(range(len(axes)))
     axis_of = [
         next((axis for axis in axes if name == axis or name.endswith(f"_{axis}")), None)

@@ -77,12 +77,9 @@ def first_settings(machine: Machine) -> PidSettings:
             f"machine {machine.name!r} has magnets without force or stiffness; add a [controller] "
             "table"
         )
-    # w_0^2 = n k_s/m
-    rate = float(
-        np.sqrt(
-            k_s.mean() * len(machine.bearings) / mass_properties(finite_element_rotor(machine)).mass
-        )
-    )
+    # w_0^2 = n k_s/m, of the axis along the shaft n = 1
+    mass = mass_properties(finite_element_rotor(machine)).mass
+    rate = float(np.sqrt(k_s.mean() * (len(machine.bearings) or 1) / mass))
     return PidSettings(tuple(2 * k_s / k_i), integral_time=20 / rate, derivative_time=0.5 / rate)
 
 

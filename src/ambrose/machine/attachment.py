@@ -60,7 +60,8 @@ class Attachment:
     many entries a machine may have. on_stator: whether what it acts against moves with a support
     or a casing mode that names it; otherwise it acts against the ground. carries: whether it
     carries the rotor as a radial bearing does, so that a machine may do without magnets. reach: of
-    its mark in the drawing of the rotor, above the shaft [pixels].
+    its mark in the drawing of the rotor, above the shaft [pixels]. axis(machine): the machine of
+    an axis of its own that the effect holds; None: it holds none.
     """
 
     table: str
@@ -72,6 +73,7 @@ class Attachment:
     on_stator: bool = False
     carries: bool = False
     reach: float = 26.0
+    axis: Callable[[Any], Any] | None = None
 
 
 def attachments() -> dict[str, Any]:

@@ -536,6 +536,11 @@ class MachineDescription(Part):
         return tuple(pairs)
 
     @property
+    def axis_bearings(self) -> tuple[Any, ...]:
+        """The bearing of every control axis, in the order of ``axes``."""
+        return tuple(bearing for bearing in self.bearings for _ in range(2))
+
+    @property
     def axes(self) -> tuple[str, ...]:
         """The control axes in their fixed order: A_zeta, A_eta, B_zeta, B_eta."""
         return tuple(

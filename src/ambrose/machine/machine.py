@@ -9,7 +9,7 @@ from typing import Any
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput
 from ambrose.core.presentation import html_table
-from ambrose.machine.attachment import attachment_of, by_table
+from ambrose.machine.attachment import attached, attachment_of, by_table
 from ambrose.machine.description import (
     SCHEMA_VERSION,
     MachineDescription,
@@ -42,6 +42,22 @@ class Machine(MachineDescription):
                 attachment_of(part)
         object.__setattr__(self, "effects", ordered)
         check_machine(self)
+        for effect, _ in attached(self):
+            if effect.axis is not None:
+                effect.axis(self)  # what is wrong with it is refused with the machine
+
+    @property
+    def axial(self) -> Machine:
+        """The axis along the shaft as a machine of its own (``machine.axial.AxialMachine``). Raises
+        InvalidInput where there is no [[thrust_bearing]].
+        """
+        for effect, _ in attached(self):
+            if effect.axis is not None:
+                machine: Machine = effect.axis(self)
+                return machine
+        raise InvalidInput(
+            f"{self.name} has no axis along its shaft to control; add a [[thrust_bearing]]"
+        )
 
     def facts(self) -> Mapping[str, Any]:
         counts = {
@@ -185,7 +201,7 @@ def _tolerance_in_words(tolerance: Tolerance) -> str:
 
 def require_magnets(machine: MachineDescription) -> None:
     """Refuses a machine that nothing can control. Raises InvalidInput."""
-    if not machine.bearings:
+    if not machine.axes:
         raise InvalidInput(
             f"{machine.name} has no magnetic bearings, so that there is nothing to control; give "
             "it [[bearing]] tables, or take a command that does without: check, convert, lateral"

@@ -7,6 +7,8 @@ seal.<name>.K_xx | K_yy | k_xy | k_yx | C_xx | C_yy | c_xy | c_yx     one entry 
 seal.<name>.pressure                             every coefficient that follows the pressure,
                                                  together
 bearing.<name>.force_per_current | negative_stiffness [.zeta | .eta]
+thrust_bearing.<name>.force_per_current | negative_stiffness | core_scale
+                                                 in [[thrust_bearing.tolerance]]
 coupling.<name>.stiffness | damping [.zeta | .eta]
 amplifier.bandwidth | eddy_bandwidth | natural_frequency | damping    of all axes together
 rotor.bending_1.frequency | damping              of a free bending mode, bending_2 and so on, in
@@ -172,6 +174,14 @@ def find_uncertain(machine: MachineDescription, path: str) -> Parameter:
     cannot be uncertain, too.
     """
     parameter = find_parameter(machine, path)
+    if parameter.table == "thrust_bearing" and machine.bearings:
+        raise _wrong(
+            path, "is of the axis along the shaft; move it into a [[thrust_bearing.tolerance]]"
+        )
+    if parameter.quantity == "core_scale" and any(
+        getattr(part, "core", "") == "laminated" for part in machine.effects
+    ):
+        raise _wrong(path, "names nothing here: a laminated core has none; leave it out")
     examples = f'"seal.{parameter.name}.K" or "seal.{parameter.name}.C"'
     if (parameter.table, parameter.quantity) == ("seal", "M"):
         remedy = f"remove it and give {examples} a tolerance"

@@ -20,10 +20,12 @@ from scipy.linalg import block_diag
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.mechanical import SecondOrder, to_common_statespace
 from ambrose.core.statespace import StateSpace, connect, rename, static_gain
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import BENDING, operating_point, uncertain_modes
 from ambrose.machine.seals import Seal
+from ambrose.model.axial import wiring
 from ambrose.model.basis import bending_modes_of, gyroscopic_of, modes_of, rows_in
 from ambrose.model.effect import Reaction, reactions
 from ambrose.model.effects import amplifier, seal, seal_rational, sensor
@@ -49,6 +51,8 @@ def assemble(
     a bearing's measured bias currents.
     """
     point = machine.operation.nominal if point is None else operating_point(machine, point)
+    if isinstance(machine, AxialMachine):
+        return wire(machine, point, wiring.rotor_statespace(machine, point))
     rotor = finite_element_rotor(machine)
     return wire(
         machine,
@@ -289,6 +293,8 @@ def rotor_inputs(machine: Machine) -> list[str]:
     """Names of a rotor's inputs within the plant: F_<port>, and the external f_<port> where it acts
     on the rotor alone.
     """
+    if isinstance(machine, AxialMachine):
+        return wiring.rotor_inputs(machine)
     inputs = [f"F_{name}" for name in (*(p.name for p in ports(machine)), *mode_ports(machine))]
     return inputs + [f"f_{name}" for name in supported_ports(machine)]
 
@@ -300,6 +306,8 @@ def force_sums(machine: Machine) -> dict[str, list[str]]:
     Where the stator can move F_<port> acts on it, too, and the external force has an input of its
     own (``rotor_inputs``).
     """
+    if isinstance(machine, AxialMachine):
+        return wiring.force_sums(machine)
     names, on = [p.name for p in ports(machine)], supported_ports(machine)
     return {f"F_{n}": [f"f_{n}"] * (n not in on) + [f"m_{n}"] * (n in machine.axes) for n in names}
 
@@ -308,6 +316,8 @@ def magnets(machine: Machine, point: OperatingPoint) -> StateSpace:
     """The current force of every axis, i_<axis> [A] -> m_<axis> [N]; the displacement force is part
     of the rotor.
     """
+    if isinstance(machine, AxialMachine):
+        return wiring.magnets(machine, point)
     return static_gain(
         np.diag(magnet_coefficients(machine, point)[0]),
         [f"i_{a}" for a in machine.axes],

@@ -15,6 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.limits import FINE_MESH_MODES, LEAST_MODES
 from ambrose.machine.machine import Machine
 from ambrose.model.effects.rotor import (
@@ -46,6 +47,8 @@ def bending_modes_of(rotor: Rotor) -> int:
 
 def judged_bending(machine: Machine) -> np.ndarray:
     """The bending frequencies (k,) [rad/s] at which the sensitivity is judged."""
+    if isinstance(machine, AxialMachine):
+        return np.zeros(0)  # rigid along its axis
     rotor = finite_element_rotor(machine)
     frequencies = free_modes(rotor, bending_modes_of(rotor)).frequencies[4::2]
     return frequencies[frequencies <= highest_verified(machine)]

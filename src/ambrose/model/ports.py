@@ -8,6 +8,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from ambrose.machine.attachment import TILTED, Station, attached
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.machine import Machine
 from ambrose.model.effects import sensor
 
@@ -27,8 +28,11 @@ class Port:
 
 def ports(machine: Machine) -> tuple[Port, ...]:
     """All ports: bearings (zeta, eta) first, in the order of the axes, then registered effects
-    (such as couplings) in their own axes, seals and discs (x, y).
+    (such as couplings) in their own axes, seals and discs (x, y). Of the axis along the shaft its
+    bearing alone.
     """
+    if isinstance(machine, AxialMachine):
+        return (Port(machine.axes[0], machine.thrust.position, 0.0),)
     stations = [Station(b.name, b.position, b.angle, TILTED) for b in machine.bearings]
     for effect, part in attached(machine):
         stations += effect.stations(part)
@@ -79,6 +83,8 @@ def sensor_turn(machine: Machine) -> np.ndarray:
     """(axes, axes): displacements along the actuators' axes from the measured ones; the identity
     for sensors at their angle.
     """
+    if isinstance(machine, AxialMachine):
+        return np.eye(1)
     sensors = measured_ports(machine)[0::2]
     turned = [
         sensor.rotation(port.direction - b.angle)

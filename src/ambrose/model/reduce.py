@@ -9,7 +9,7 @@ complex: the rigid-body poles on magnetic bearings are real or nearly repeated.
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg as sla
@@ -18,6 +18,7 @@ from ambrose.core.checks import NumericalFailure, check_shape, invalid, named_fa
 from ambrose.core.frequency import largest_gain
 from ambrose.core.mechanical import SecondOrder, project, to_statespace, velocity_scales
 from ambrose.core.statespace import StateSpace, balance
+from ambrose.machine.axial import AxialMachine
 from ambrose.model.assemble import (
     attached_rotor,
     attached_statespace,
@@ -100,6 +101,8 @@ def default_bending_modes(plant: Plant) -> int:
     """How many bending modes per plane matter: those up to twice the top speed or the amplifier's
     fastest lag, and one more.
     """
+    if isinstance(plant.machine, AxialMachine):
+        return 0
     amplifier = plant.machine.amplifier
     lags = [
         rate
@@ -127,6 +130,8 @@ def modal_reduction(
     mesh has, NumericalFailure when the poles to keep are not separated from the rest.
     """
     machine, point = plant.machine, plant.point
+    if isinstance(machine, AxialMachine):
+        return _whole(plant)
     rotor = plant.rotor_model
     available = bending_modes_of(rotor)
     if bending_modes not in range(available + 1):
@@ -174,6 +179,20 @@ def modal_reduction(
     return Reduction(result, left, right, fast, static_correction)
 
 
+def _whole(plant: Plant) -> Reduction:
+    """The plant of the axis along the shaft, of which nothing is cut off."""
+    unchanged = np.eye(plant.rotor.n_states)
+    nothing = StateSpace(
+        np.zeros((0, 0)),
+        np.zeros((0, len(plant.rotor.inputs))),
+        np.zeros((len(plant.rotor.outputs), 0)),
+        np.zeros(plant.rotor.D.shape),
+        plant.rotor.inputs,
+        plant.rotor.outputs,
+    )
+    return Reduction(replace(plant, bending_modes=0), unchanged, unchanged, nothing, True)
+
+
 def with_static_correction(slow: StateSpace, full: SecondOrder) -> StateSpace:
     """``slow`` with the feedthrough that makes its displacement outputs exact at zero frequency."""
     D = slow.D.copy()
@@ -192,6 +211,8 @@ def free_mode_reduction(plant: Plant, bending_modes: int = 0) -> Plant:
     They are those of ``assemble``, see ``assemble.attached_statespace``, of the modes kept.
     """
     machine, point = plant.machine, plant.point
+    if isinstance(machine, AxialMachine):
+        return _whole(plant).plant
     closed = attached_statespace(machine, point, plant.rotor_model, bending_modes)
     return with_offsets_of(wire(machine, point, closed, bending_modes), plant)
 

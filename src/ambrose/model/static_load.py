@@ -10,9 +10,11 @@ from functools import lru_cache
 import numpy as np
 
 from ambrose.core.checks import named_failure
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.description import BiasPoint, MagneticBearing, OperatingPoint
 from ambrose.machine.limits import FINE_MESH_MODES
 from ambrose.machine.machine import Machine
+from ambrose.model.axial.magnet import at_point
 from ambrose.model.effects.loaded_magnet import LoadedMagnet, carrying
 from ambrose.model.effects.magnet import MagnetCoefficients
 from ambrose.model.effects.rotor import (
@@ -102,8 +104,11 @@ def operating_magnets(
 
 def magnet_coefficients(machine: Machine, point: OperatingPoint) -> tuple[np.ndarray, np.ndarray]:
     """k_i (a,) [N/A] and k_s (a,) [N/m] of the control axes at an operating point, see
-    ``operating_magnets``.
+    ``operating_magnets``; of the axis along the shaft at rest, before the core's lag.
     """
+    if isinstance(machine, AxialMachine):
+        at = at_point(machine, point)
+        return np.array([at.force_per_current]), np.array([at.stiffness])
     coefficients = [
         magnet.coefficients for magnet in operating_magnets(machine, point.bias_current)
     ]

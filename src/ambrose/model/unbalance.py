@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import check_finite, invalid
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.criteria import BALANCE_GRADE
 from ambrose.machine.description import Requirements
 from ambrose.machine.machine import Machine
@@ -46,6 +47,8 @@ def residual_unbalance(
     None when no such speed is known. Raises InvalidInput for a grade or speed that is not positive.
     """
     requirements = machine.requirements if requirements is None else requirements
+    if isinstance(machine, AxialMachine):
+        return None  # it turns in the radial planes
     speed = requirements.balance_speed or top_speed(machine)
     if not speed:
         return None

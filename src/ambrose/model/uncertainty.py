@@ -18,6 +18,7 @@ from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.lft import GeneralizedPlant, RealBlock, close_uncertainty
 from ambrose.core.statespace import StateSpace, append, connect, rename, select, static_gain
 from ambrose.machine.attachment import attached
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.description import Amplifier, Tolerance
 from ambrose.machine.parameters import BENDING, Parameter, find_uncertain
 from ambrose.machine.seals import Seal
@@ -31,6 +32,8 @@ from ambrose.model.assemble import (
     seal_coefficients,
     seal_model,
 )
+from ambrose.model.axial.magnet import at_point
+from ambrose.model.axial.wiring import SIDES
 from ambrose.model.effects import amplifier as amplifiers
 from ambrose.model.effects import seal_rational, sensor
 from ambrose.model.effects.rotor import free_modes
@@ -358,6 +361,29 @@ def _bearing_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
     return found
 
 
+def _thrust_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
+    """k_i i or k_s x of both magnets, each side's share of it before its core."""
+    assert isinstance(plant.machine, AxialMachine)
+    (axis,), at = plant.axes, at_point(plant.machine, plant.point)
+    if parameter.quantity == "core_scale":
+        # (R_0 + (1 + d) c sqrt(s)) phi = v: as v less d times what the eddy currents take
+        scale = plant.machine.thrust.core_scale
+        taken = [name for name in plant.rotor.outputs if name.startswith("core_")]
+        return [Channel(name.removeprefix("core_"), scale, ((name, -1 / scale),)) for name in taken]
+    by_current = parameter.quantity == "force_per_current"
+    parts = [
+        item.force_per_current if by_current else item.stiffness for item in (at.left, at.right)
+    ]
+    return [
+        Channel(
+            f"{side}_{axis}",
+            sum(parts),
+            ((f"{'i' if by_current else 'q'}_{axis}", part / sum(parts)),),
+        )
+        for side, part in zip(SIDES, parts, strict=True)
+    ]
+
+
 def _effect_channels(plant: Plant, parameter: Parameter) -> list[Channel]:
     """Where a quantity of a registered effect acts, along the axis that the path names or all."""
     effect, item = next(
@@ -502,4 +528,5 @@ _FORMS = {
     "bearing": _bearing_channels,
     "amplifier": _amplifier_channels,
     "rotor": _rotor_channels,
+    "thrust_bearing": _thrust_channels,
 }

@@ -14,6 +14,7 @@ from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 from ambrose.core.checks import InvalidInput
+from ambrose.machine.axial import AXIS, AxialMachine
 from ambrose.machine.description import BEARING_TERMS
 from ambrose.machine.machine import Machine
 from ambrose.machine.units import DIMENSIONS, Dimension, read_quantity
@@ -43,8 +44,21 @@ def _top_pressure(machine: Machine) -> float | None:
 
 
 def _least(name: str) -> Callable[[Machine], float | None]:
+    """Of the bearings; of an axial one's pair the lesser."""
     return lambda machine: min(
-        (v for b in machine.bearings if (v := getattr(b, name)) is not None), default=None
+        (
+            min(v) if isinstance(v, tuple) else v
+            for b in machine.axis_bearings
+            if (v := getattr(b, name)) is not None
+        ),
+        default=None,
+    )
+
+
+def _thrusts(machine: Machine) -> list[float]:
+    """The process thrust [N] at every operating point of the axis along the shaft."""
+    return (
+        [item.load for item in machine.conditions] if isinstance(machine, AxialMachine) else [0.0]
     )
 
 
@@ -57,6 +71,16 @@ _QUANTITIES: dict[str, tuple[str, Callable[[Machine], float | None], str]] = {
     ),
     "top pressure": ("pressure", _top_pressure, "an [[operation.point]] with seal_pressure"),
     "max current": ("current", _least("max_current"), "max_current of a [[bearing]]"),
+    "largest thrust": (
+        "force",
+        lambda machine: max(_thrusts(machine), key=abs) or None,
+        "a [[thrust_bearing.load]], and take file.toml#axial",
+    ),
+    "thrust range": (
+        "force",
+        lambda machine: max(_thrusts(machine)) - min(_thrusts(machine)) or None,
+        "[[thrust_bearing.load]] of two points, and take file.toml#axial",
+    ),
     "touchdown gap": ("length", _least("touchdown_gap"), "touchdown_gap of a [[bearing]]"),
 }
 
@@ -142,6 +166,21 @@ def _at(item: Any, bearings: Sequence[str]) -> Iterator[Any]:
         elif isinstance(item, Prbs):
             changes = {"seed": item.seed + _SEEDS * number}
         yield replace(item, **{key: f"{before}{name}{after}"}, **changes)
+
+
+def along_shaft(items: Sequence[Any], axis: str) -> tuple[Any, ...]:
+    """The same on the one axis of ``AxialMachine``: what is along a bearing's first direction acts
+    on it, what is along its second one on nothing.
+    """
+    name, found = axis.removesuffix(AXIS), []
+    for item in items:
+        key = next((key for key in ("signal", "axis") if getattr(item, key, None)), "")
+        text = getattr(item, key, "") if key else ""
+        if text.endswith(f"{name}_zeta"):
+            found.append(replace(item, **{key: f"{text.removesuffix('_zeta')}{AXIS}"}))
+        elif not text.endswith(f"{name}_eta"):
+            found.append(item)
+    return tuple(found)
 
 
 def _parted(text: str) -> tuple[str, str, str]:

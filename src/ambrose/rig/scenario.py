@@ -21,6 +21,7 @@ import numpy as np
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.presentation import Presented
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.file.toml import read_toml
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import suggestion
@@ -40,7 +41,13 @@ from ambrose.rig.disturbances import (
     Unbalance,
     check_disturbance,
 )
-from ambrose.rig.machine_terms import at_bearings, read_share, relative_values, with_quantities
+from ambrose.rig.machine_terms import (
+    along_shaft,
+    at_bearings,
+    read_share,
+    relative_values,
+    with_quantities,
+)
 
 LEVITATED = "levitated"
 INITIAL_STATES = (LEVITATED, "resting")
@@ -223,7 +230,18 @@ class Scenario(Presented):
         """The same with the machine's bearings and numbers. Raises InvalidInput where it lacks one
         that is asked for.
         """
-        return self.at_bearings([bearing.name for bearing in machine.bearings], machine)
+        names = dict.fromkeys(bearing.name for bearing in machine.axis_bearings)
+        found = self.at_bearings(list(names), machine)
+        if not isinstance(machine, AxialMachine):
+            return found
+        (axis,) = machine.axes
+        along = {name: along_shaft(getattr(found, name), axis) for name, _ in _TABLES.values()}
+        # unbalance, speed and seal pressure do not act along the shaft
+        still: dict[str, Any] = dict.fromkeys(
+            ("unbalances", "pressures", "pressure_sensors", "speed_changes"), ()
+        )
+        still |= dict.fromkeys(("speed", "to_speed", "ramp"))
+        return replace(found, **{**along, **still})
 
     def at_bearings(self, bearings: Sequence[str], machine: Machine | None = None) -> Scenario:
         """The same with these bearings, and with the machine's numbers. Raises InvalidInput where

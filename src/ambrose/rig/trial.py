@@ -18,6 +18,7 @@ from ambrose.law.law import LawLike, law_of
 from ambrose.law.loop import closed_loop, match_controller, running_law
 from ambrose.law.supervision import check_pair, supervised, supervision_limits
 from ambrose.law.timing import DEFAULT, Timing, timing_of
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
@@ -26,7 +27,7 @@ from ambrose.model.effects.rotor import mass_properties
 from ambrose.model.plant import Plant, beyond_top_speed
 from ambrose.model.reduce import reduce
 from ambrose.registry import registered, resolve
-from ambrose.rig import linear, virtual_rig
+from ambrose.rig import axial_rig, linear, virtual_rig
 from ambrose.rig.engine.controller import sample_time
 from ambrose.rig.engine.state import RIG_MODES
 from ambrose.rig.run_up import Step, spin_up
@@ -129,6 +130,10 @@ def simulate_scenario(
         beside = beside_law(described, law, blocks, events, begin, timing or DEFAULT)
         trace = virtual_rig.run(described, beside, events, point=start, progress=progress, **rig)
         return replace(trace, text=f"{trace.text}; {beside.words()}")
+    if isinstance(described, AxialMachine):
+        if fallback is not None:
+            raise invalid("fallback", "given", "left out", "seal pressure has no axial law")
+        return axial_rig.run(described, law, events, point=start, progress=progress, **rig)
     if fallback is None:
         trace = virtual_rig.run(described, law, events, point=start, progress=progress, **rig)
         return _warned(trace, described, events, start, rig.get("bending_modes"))

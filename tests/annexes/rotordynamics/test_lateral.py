@@ -6,13 +6,16 @@ m x'' + c x' + k x = U W^2 e^{j W t},    with a cross-coupling Q in the middle: 
 import json
 import math
 from dataclasses import replace
+from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
 from scipy.optimize import brentq
 
 import ambrose as amb
 from ambrose.annexes.rotordynamics.critical import criticals
+from ambrose.annexes.rotordynamics.json_schema import lateral_schema
 from ambrose.annexes.rotordynamics.level_two import shares
 from ambrose.annexes.rotordynamics.loop import shaft_loop
 from ambrose.annexes.rotordynamics.placement import place, shaft_modes, span_middle
@@ -20,6 +23,7 @@ from ambrose.annexes.rotordynamics.stations import lay_out
 from ambrose.core.checks import InvalidInput
 from ambrose.law.timing import timing_of
 from ambrose.machine.file.toml import loads_machine
+from ambrose.registry import registered, resolve
 
 RPM = math.pi / 30
 # stiff as nothing on earth: the films bend first
@@ -223,7 +227,31 @@ def test_what_cannot_be_analysed_is_said():
         amb.design(machine, "pid")
 
 
-def test_data_are_plain():
-    data = amb.lateral(films(STAGE), trip=6300 * RPM).to_dict()
-    assert data["schema"] == 1
-    assert json.loads(json.dumps(data))["level_one"]["border_N_per_m"] > 0
+def test_data_are_plain_and_as_the_schema_has_them():
+    schema = lateral_schema()
+    committed = Path(__file__).parents[3] / "docs" / "lateral.schema.json"
+    assert json.loads(committed.read_text()) == schema, (
+        "write it anew: python -m ambrose.annexes.rotordynamics.json_schema "
+        "docs/lateral.schema.json"
+    )
+    machine = films(STAGE + '[[clearance]]\nname = "lab"\nposition = 0.5\ndiametral = 4e-4\n')
+    unstable = films(STAGE.replace("400 kW", "4 MW"))
+    for item in (machine, unstable):
+        data = json.loads(json.dumps(amb.lateral(item, trip=6300 * RPM).to_dict()))
+        jsonschema.validate(data, schema)
+    wrong = dict(data) | {"speeds": 1}
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(wrong, schema)
+
+
+@pytest.mark.campaign
+def test_a_study_leaves_the_analysis_of_a_rotor_that_turns(tmp_path):
+    (place,) = [p for name, p in registered("study file").items() if name == "lateral analysis"]
+    write = resolve(place)
+    still = amb.load_machine("seal-rig")
+    write(still, None, tmp_path, print)
+    assert not list(tmp_path.iterdir())
+    machine = replace(amb.load_machine("two-disc-rotor"), tolerances=())
+    write(machine, amb.design(machine, "pid"), tmp_path, print)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["lateral.html", "lateral.json"]
+    assert json.loads((tmp_path / "lateral.json").read_text())["machine"] == "two-disc-rotor"

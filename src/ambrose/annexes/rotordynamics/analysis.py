@@ -9,6 +9,7 @@ from dataclasses import replace
 from ambrose.annexes.rotordynamics import items as rows
 from ambrose.annexes.rotordynamics import standard
 from ambrose.annexes.rotordynamics.capacity import capacities
+from ambrose.annexes.rotordynamics.circuit import circuit_change
 from ambrose.annexes.rotordynamics.clearances import largest_reading, rubs
 from ambrose.annexes.rotordynamics.level_one import LevelOne, sweep
 from ambrose.annexes.rotordynamics.level_two import shares
@@ -34,6 +35,7 @@ from ambrose.machine.attachment import attached
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
+from ambrose.model.effects.journal_bearing import JournalBearing
 from ambrose.model.effects.stage import Stage, rated_cross_coupling
 
 TRIP = 1.05  # times the maximum continuous speed, where nothing is said
@@ -115,7 +117,14 @@ def lateral(
     forward = [mode for mode in modes if mode.forward]
     cases = _cases(layout, forward, chosen.speed)
     progress(f"unbalance response, {len(cases)} placements")
-    response = respond(layout, loop_at, cases, _SLOWEST * trip, trip, progress)
+    slowest = _slowest(machine, trip)
+    if slowest > _SLOWEST * trip:
+        early = (
+            *early,
+            f"Response curves begin at {slowest / standard.RPM:.5g} rpm, where the tables of the "
+            "journal bearings do.",
+        )
+    response = respond(layout, loop_at, cases, slowest, trip, progress)
     reading = largest_reading(response, lowest, highest)
     limit = standard.vibration_limit(highest / standard.RPM)
     # S_cc = A_vl/A_max
@@ -134,6 +143,7 @@ def lateral(
         *rows.level_two(table, highest),
         *rows.capacity(capacity),
         *rows.phase(budgets),
+        *rows.circuit(circuit_change(machine, chosen, law, timing, modes)),
         *rows.iso(machine, at_top, response, highest, law, timing),
         *rows.not_covered(machine),
     )
@@ -205,6 +215,14 @@ def _reaches(loop_at: Callable[[float], ShaftLoop], trip: float) -> None:
             f"the analysis goes to the trip speed, {trip:g} rad/s, which the machine file does not "
             f"cover ({error}); extend the table, or give a trip speed inside"
         ) from error
+
+
+def _slowest(machine: Machine, trip: float) -> float:
+    """Where response curves begin [rad/s]: at a share of the trip speed, or where the last of the
+    journal bearings' tables does.
+    """
+    tables = [part.speed for _, part in attached(machine) if isinstance(part, JournalBearing)]
+    return max([_SLOWEST * trip, *(table[0] for table in tables if table)])
 
 
 def _unstable_at(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -106,6 +108,9 @@ def lateral_command(
             delay_samples=delay_samples,
             progress=progress,
         )
+        if controller is not None:
+            digest = sha256(controller.read_bytes()).hexdigest()
+            result = replace(result, controller=f"{controller.name}, SHA-256 {digest}")
         comparison = None if other is None else compare(result, other)
         failure = kept_page(result, output, progress=progress, comparison=comparison)
         if data is not None:

@@ -173,6 +173,6 @@ def capacity_figure(axis: AxisCapacity) -> Any:
         hovertemplate="%{customdata}: %{y:.4g} N 0-p<extra></extra>",
     )
     theme.dress(figure, 280, legend=True)
-    figure.update_xaxes(title_text="Speed [rpm]", type="log")
-    figure.update_yaxes(title_text="Force [N 0-p]", type="log")
+    figure.update_xaxes(title_text="Speed [rpm]", type="log", dtick=1)
+    figure.update_yaxes(title_text="Force [N 0-p]", type="log", dtick=1)
     return figure

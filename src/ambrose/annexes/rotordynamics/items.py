@@ -11,6 +11,7 @@ import numpy as np
 
 from ambrose.annexes.rotordynamics import standard
 from ambrose.annexes.rotordynamics.capacity import AxisCapacity
+from ambrose.annexes.rotordynamics.circuit import FLAG, CircuitChange
 from ambrose.annexes.rotordynamics.clearances import Reading
 from ambrose.annexes.rotordynamics.critical import Separation, criticals, separation
 from ambrose.annexes.rotordynamics.level_one import LevelOne
@@ -337,6 +338,30 @@ def phase(budgets: Sequence[PhaseBudget]) -> Iterator[Item]:
         float(np.degrees(worst.cost[0])),
         "deg",
         note=f"axis {worst.axes[0]}: {words}",
+    )
+
+
+def circuit(found: CircuitChange | None) -> Iterator[Item]:
+    """What the amplifier as a circuit would change of a mode's damping, for information."""
+    if found is None:
+        return
+    source = "stated" if found.stated else "of a coil without leakage"
+    more = (
+        '; set order = "current-loop" in [amplifier], with the coil\'s resistance'
+        if abs(found.change) > FLAG
+        else ""
+    )
+    yield Item(
+        "circuit.damping",
+        f"Change of damping with the amplifier as a circuit, mode at "
+        f"{found.frequency / standard.RPM:.5g} rpm",
+        "Ambrose",
+        "electronics",
+        OWN,
+        100 * found.change,
+        "%",
+        note=f"damping ratio {found.before:.3g} without back-EMF, {found.after:.3g} with it; "
+        f"L {1e3 * found.inductance:.3g} mH {source}, L/R 30 ms assumed{more}",
     )
 
 

@@ -53,6 +53,7 @@ _PHASE = (
     "From the shaft's displacement to the current that makes force, element after element, at the "
     "free rotor's bending modes at rest. Negative: late. What the controller adds is its lead."
 )
+_HYPHEN = "\u2011"  # where no line ends
 _BESIDE = (
     "Critical speeds and modes are paired so that all pairs together lie as near as they can. "
     "Amplitudes compare where both sides have the same unbalance."
@@ -123,7 +124,7 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
 
 def phase_table(budget: PhaseBudget) -> Table:
     """Phases of every element at every bending mode [deg]."""
-    heads = tuple(f"{w / (2 * np.pi):.4g} Hz [deg]" for w in budget.frequencies)
+    heads = tuple(f"{w / (2 * np.pi):.5g} Hz [deg]" for w in budget.frequencies)
     named = [*zip(budget.elements, budget.phases, strict=True)]
     named += [("all but the controller", budget.cost), ("sum", budget.total)]
     rows: tuple[Row, ...] = tuple(
@@ -170,12 +171,17 @@ def summary_table(result: Lateral) -> Table:
 
 def _summary_row(item: Item) -> Row:
     mark = "none" if item.passed is None else "pass" if item.passed else "fail"
-    word = "-" if item.passed is None else "holds" if item.passed else "fails"
-    unit = "" if item.unit == "-" else f" {item.unit}"
+    word = "" if item.passed is None else "holds" if item.passed else "fails"
+    unit = "" if item.unit == "-" else f" {_whole(item.unit)}"
     value = "-" if item.value is None else f"{_number(item.value)}{unit}"
     limit = "-" if item.limit is None else f"{_relation(item.relation)} {_number(item.limit)}{unit}"
     clause = Cell(f"{item.standard}", detail=f"{item.clause}; {item.basis}")
     return (Cell(item.title, detail=item.note), clause, *numbers(value, limit), Cell(word, mark))
+
+
+def _whole(text: str) -> str:
+    """p-p and 0-p that no line ends within."""
+    return text.replace("p-p", f"p{_HYPHEN}p").replace("0-p", f"0{_HYPHEN}p")
 
 
 def _relation(text: str) -> str:
@@ -272,7 +278,7 @@ def clearance_table(result: Lateral) -> Table:
     columns = (
         "Place",
         "Diametral clearance [um]",
-        "Motion, scaled [um p-p]",
+        _whole("Motion, scaled [um p-p]"),
         "Static offset [um]",
         "At [rpm]",
         "Taken [%]",
@@ -307,8 +313,8 @@ def capacity_table(result: Lateral) -> Table:
         "Axis",
         "Weight [N]",
         "Its current [A]",
-        "Left at low speed [N 0-p]",
-        "Unbalance, largest [N 0-p]",
+        _whole("Left at low speed [N 0-p]"),
+        _whole("Unbalance, largest [N 0-p]"),
         "Least margin [-]",
     )
     return Table("What each axis carries", columns, tuple(rows))

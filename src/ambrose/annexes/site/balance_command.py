@@ -41,7 +41,7 @@ from ambrose.terminal import AS_JSON, MACHINE, load, load_controller, print_tabl
     "--amplitudes",
     type=click.Path(path_type=Path),
     help="In place of records: the amplitudes that converged current-free blocks hold (*.csv with "
-    "speed_rpm, axis, amplitude_um, angle_deg).",
+    "speed_rpm, axis, amplitude_um_0p, angle_deg).",
 )
 @click.option(
     "--since",

@@ -137,11 +137,7 @@ def _samples(machine: Machine, record: Record, begin: int, end: int) -> _Samples
             ]
         )
 
-    limits = [
-        np.inf if b.max_current is None else b.max_current
-        for b in machine.bearings
-        for _ in range(2)
-    ]
+    limits = [np.inf if b.max_current is None else b.max_current for b in machine.axis_bearings]
     u = stacked("u")
     return _Samples(
         u, stacked("r") - stacked("y"), np.abs(u) < _AT_LIMIT * np.array(limits)[:, None]

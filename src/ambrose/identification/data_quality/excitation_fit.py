@@ -27,7 +27,7 @@ from ambrose.core.statespace import StateSpace, poles, select
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding
 from ambrose.identification.frf.local import local_response
 from ambrose.identification.frf.spectral import Frf
-from ambrose.identification.parameters import COVERAGE
+from ambrose.identification.parameters import COVERAGE, magnet_paths
 from ambrose.law.loop import closed_loop
 from ambrose.machine.description import AMPLIFIER_PARAMETERS, Tolerance
 from ambrose.machine.machine import Machine
@@ -294,10 +294,7 @@ def doubted(plant: Plant, doubts: Mapping[str, float] = DOUBTS) -> list[Toleranc
     machine = plant.machine
     found = list(tolerances_around(plant))
     stated = [
-        Tolerance(f"bearing.{item.name}.{quantity}.{axis}", relative=doubts[quantity])
-        for item in machine.bearings
-        for quantity in ("force_per_current", "negative_stiffness")
-        for axis in ("zeta", "eta")
+        Tolerance(path, relative=doubts[path.split(".")[2]]) for path in magnet_paths(machine)
     ]
     stated += [
         Tolerance(f"amplifier.{name}", relative=doubts["amplifier"])

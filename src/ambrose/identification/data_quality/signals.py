@@ -99,9 +99,10 @@ def _clipped(record: Record, name: str, where: str) -> list[Finding]:
 def _at_limit(machine: Machine, record: Record, name: str, where: str) -> list[Finding]:
     """Currents at the bearing's limit, displacements at its touchdown gap."""
     kind, axis = name.split("_", 1)
-    bearing = machine.bearings[machine.axes.index(axis) // 2]
+    bearing = machine.axis_bearings[machine.axes.index(axis)]
+    gap = bearing.touchdown_gap
     limit, what = (
-        (bearing.touchdown_gap, "touchdown gap")
+        (min(gap) if isinstance(gap, tuple) else gap, "touchdown gap")
         if kind == "y"
         else (bearing.max_current, "largest control current")
     )

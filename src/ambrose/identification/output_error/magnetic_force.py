@@ -42,6 +42,7 @@ from ambrose.identification.output_error.statistics import TurningWave
 from ambrose.identification.parameters import plant_at
 from ambrose.law.law import LawLike
 from ambrose.law.loop import closed_loop
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
 from ambrose.model.effects import magnet
@@ -132,6 +133,8 @@ def magnetic_force(
     records: those of ``experiment``, of which ``result`` is the fit; ``before`` is out of them
     already, and in what is found.
     """
+    if isinstance(machine, AxialMachine):
+        return None  # the lag of its core is not in the magnets' force law
     by_path = dict(zip(result.paths, result.values.tolist(), strict=True))
     delay = (
         by_path.get(CONTROLLER_DELAY, experiment.options.computing_delay * experiment.dt)

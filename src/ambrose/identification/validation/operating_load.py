@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.machine import Machine
 from ambrose.model.effects.loaded_magnet import LoadedMagnet, slopes, with_coefficients
 from ambrose.model.effects.magnet import MagnetCoefficients
@@ -26,7 +27,7 @@ def machine_at_load(machine: Machine, records: Sequence[Record]) -> Machine:
     record that has them, and as far off the magnets' centre as the rotor hangs through there; as it
     is, where the records hold no currents, or hold them without their mean.
     """
-    means = _means(records)
+    means = {} if isinstance(machine, AxialMachine) else _means(records)
     if not means or _without_mean(machine, means, _bias(records)):
         return machine
     bias, bearings = _bias(records), list(machine.bearings)
@@ -43,6 +44,8 @@ def load_remarks(
     of the machine file: u_ or i_ of the first record that has it, else the one of ``loads`` {axis:
     [A]}.
     """
+    if isinstance(machine, AxialMachine):
+        return ()  # its load is the process thrust, stated with the operating point
     means = _means(records)
     if _without_mean(machine, means, _bias(records)):
         means = {}
@@ -59,6 +62,8 @@ def load_doubt(machine: Machine, records: Sequence[Record]) -> str:
     """Why a machine file whose magnets need other currents for the weight than were recorded is not
     to be relied on; "" where they agree within a tenth, or there is nothing to compare.
     """
+    if isinstance(machine, AxialMachine):
+        return ""
     means, bias = _means(records), _bias(records)
     needed = dict(
         zip(

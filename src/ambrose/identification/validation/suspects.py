@@ -30,8 +30,9 @@ from ambrose.identification.output_error.normal_equations import (
 from ambrose.identification.output_error.problem import Experiment, FitOptions, build_experiment
 from ambrose.identification.output_error.residual_analysis import residual_scores
 from ambrose.identification.output_error.statistics import verdict_of
-from ambrose.identification.parameters import unit_of
+from ambrose.identification.parameters import magnet_paths, unit_of
 from ambrose.law.law import LawLike
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.description import AMPLIFIER_PARAMETERS
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import BENDING, TIMING, bending_modes_of_mesh, parse_parameter
@@ -229,12 +230,7 @@ def _sized(item: Suspect) -> str:
 
 def _others(machine: Machine, bending_modes: int) -> list[str]:
     paths = [f"amplifier.{name}" for name in AMPLIFIER_PARAMETERS[machine.amplifier.order]]
-    paths += [
-        f"bearing.{item.name}.{quantity}.{axis}"
-        for quantity in ("force_per_current", "negative_stiffness")
-        for item in machine.bearings
-        for axis in ("zeta", "eta")
-    ]
+    paths += magnet_paths(machine)
     paths += [
         f"coupling.{item.name}.stiffness.{axis}"
         for item in machine.couplings
@@ -242,6 +238,8 @@ def _others(machine: Machine, bending_modes: int) -> list[str]:
     ]
     plain = [item for item in machine.seals if item.geometry is None and item.table is None]
     paths += [f"seal.{item.name}.{letter}" for item in plain for letter in "kKC"]
+    if isinstance(machine, AxialMachine):
+        return paths
     modes = range(1, 1 + min(_MODES, bending_modes, bending_modes_of_mesh(machine)))
     return paths + [
         f"rotor.{BENDING}{k}.{quantity}" for k in modes for quantity in ("frequency", "damping")

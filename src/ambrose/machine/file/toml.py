@@ -31,6 +31,7 @@ _QUOTED = re.compile(
 )
 _DEEP_KEY = re.compile(rf"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){{{TOML_DEPTH}}}")
 _BRACKET = re.compile(r"[][{}]")
+AXIAL = "#axial"  # after a file or name: the axis along the shaft
 
 
 def bundled_machines() -> dict[str, Path]:
@@ -41,16 +42,16 @@ def bundled_machines() -> dict[str, Path]:
 
 def load_machine(path: str | os.PathLike[str] | Machine) -> Machine:
     """The machine in a TOML file, or the bundled machine of that name; a Machine is returned as it
-    is.
+    is. "<file or name>#axial" is the axis along its shaft (``Machine.axial``).
 
     Raises InvalidInput, one message with a line for each problem, for a file that is missing,
     unreadable or wrong.
     """
-    return (
-        path
-        if isinstance(path, Machine)
-        else loads_machine(read_machine_text(path), name=str(path))
-    )
+    if isinstance(path, Machine):
+        return path
+    if isinstance(path, (str, os.PathLike)) and os.fspath(path).endswith(AXIAL):
+        return load_machine(os.fspath(path).removesuffix(AXIAL)).axial
+    return loads_machine(read_machine_text(path), name=str(path))
 
 
 def loads_machine(text: str, name: str = "machine file") -> Machine:

@@ -17,6 +17,7 @@ from tomlkit.items import AoT, Array, InlineTable, Item, String, Table
 from ambrose.core.checks import invalid
 from ambrose.machine.atomic_write import write_text
 from ambrose.machine.attachment import attachments
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.file.annotated import in_everyday_unit
 from ambrose.machine.file.parse import named_materials
 from ambrose.machine.file.tables import Table as Model
@@ -66,8 +67,10 @@ def update_machine_file(text_or_path: str | os.PathLike[str], machine: Machine) 
 
 def machine_text(machine: Machine) -> str:
     """A machine as TOML text: the file that it was read from brought up to date, or else anew in SI
-    numbers.
+    numbers. An axis along the shaft is written with its whole machine.
     """
+    if isinstance(machine, AxialMachine) and machine.whole is not None:
+        machine = machine.whole
     return (
         update_machine_file(machine.file_text, machine)
         if machine.file_text

@@ -21,7 +21,7 @@ from ambrose.machine.description import BEAM_THEORIES, BEARING_TERMS, MachineDes
 from ambrose.machine.limits import SEAL_POLES, excess
 from ambrose.machine.messages import complaint, listed, number, shown, suggestion
 from ambrose.machine.parameters import Parameter, find_uncertain
-from ambrose.machine.validation import parts
+from ambrose.machine.validation import parts, thrust
 from ambrose.machine.validation import seals as validate_seals
 from ambrose.machine.validation.controller import chain, controller
 from ambrose.machine.validation.signs import not_positive
@@ -66,6 +66,7 @@ def problems(machine: MachineDescription) -> tuple[str, ...]:
             parts.sensors,
             parts.amplifier,
             _attached,
+            thrust.of_machine,
         ),
         *(parts.bending_modes, parts.supports),
         *(

@@ -12,5 +12,6 @@ ROOM = {
         "stage": "stage:STAGE",
         "clearance": "clearance:CLEARANCE",
         "probe": "probe:PROBE",
+        "thrust_bearing": "thrust_bearing:THRUST_BEARING",
     },
 }

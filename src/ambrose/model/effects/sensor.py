@@ -107,7 +107,8 @@ def rotation(angle: float) -> np.ndarray:
     return np.array([[c, -s], [s, c]])
 
 
-_INDEX = {"zeta": 0, "eta": 1}
+# the axis along the shaft has one direction
+_INDEX = {"zeta": 0, "eta": 1, "z": 0}
 
 
 def parameters(sensor: Sensor, axis: int) -> tuple[float, ...]:

@@ -304,10 +304,11 @@ def _labels(
             text = text if station.kind != "disc" else units.axis_name(station.name)
             # a page of the least width has fewer pixels for the same millimetres
             half = (3.2 * len(text) + 7) * pixel * _PIXELS / (_LEAST - _LEFT - _RIGHT)
-            level = next(
-                (i for i, end in enumerate(taken) if station.position - half > end), len(taken)
-            )
-            taken[level : level + 1] = [station.position + half]
+            # a name at the right end moves in from the page's edge
+            edge = 1.04e3 * machine.length + _RIGHT * pixel
+            middle = station.position - max(0.0, station.position + half - edge)
+            level = next((i for i, end in enumerate(taken) if middle - half > end), len(taken))
+            taken[level : level + 1] = [middle + half]
             y = sign * (high + (4 + 16 * level) * pixel)
             colour = _KINDS.get(station.kind, _EFFECT)
             theme.guide(
@@ -319,7 +320,7 @@ def _labels(
                 width=0.7,
             )
             figure.add_annotation(
-                x=station.position,
+                x=middle,
                 y=y,
                 text=theme.plain(text),
                 showarrow=False,

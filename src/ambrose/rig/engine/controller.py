@@ -138,11 +138,7 @@ def sampled_law(
         system = c2d(system, dt, method="tustin")
     if delay > 1:  # the rig holds one sample back itself
         system = delayed(system, delay - 1)
-    limits = [
-        np.inf if b.max_current is None else b.max_current
-        for b in machine.bearings
-        for _ in range(2)
-    ]
+    limits = [np.inf if b.max_current is None else b.max_current for b in machine.axis_bearings]
     A, B, C, D = (
         np.ascontiguousarray(X, dtype=float) for X in (system.A, system.B, system.C, system.D)
     )

@@ -107,7 +107,7 @@ def aims_of(machine: Machine, start: StateSpace) -> Aims:
 
     # zeta = decrement / sqrt(4 pi^2 + decrement^2)
     damping = _MARGIN * decrement / np.hypot(2 * np.pi, decrement)
-    bearings = [b for b in machine.bearings for _ in range(2)]
+    bearings = machine.axis_bearings
     allowed = [wanted.max_current or b.max_current for b in bearings]
     coil = machine.amplifier
     modes = free_modes(finite_element_rotor(machine), 1)

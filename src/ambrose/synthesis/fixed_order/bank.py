@@ -294,6 +294,8 @@ def _alike(settings: PidSettings, machine: Machine) -> list[tuple[int, ...]]:
     """Which channels are one to the search: both of a bearing (of a mode: everywhere) that start
     alike, on magnets alike.
     """
+    if len(machine.axes) == 1:
+        return [(0,)]
     # k_i, k_s; bearing; axis
     pairs = np.reshape(magnet_coefficients(machine, machine.operation.design), (2, -1, 2))
     same = (np.abs(pairs[..., 0] - pairs[..., 1]) <= _SAME * np.abs(pairs).max(axis=2)).all(axis=0)

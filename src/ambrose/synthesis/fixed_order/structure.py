@@ -68,7 +68,7 @@ def axis_groups(machine: Machine, kind: str) -> Groups:
     axis alone, or all of them.
     """
     n = len(machine.axes)
-    if kind == "axis":
+    if kind == "axis" or n == 1:
         return tuple((i,) for i in range(n))
     angles = np.array(
         [

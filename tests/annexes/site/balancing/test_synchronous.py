@@ -68,7 +68,20 @@ def test_a_plane_that_is_none_and_too_few_speeds_are_refused(loop):
         unbalance_from_amplitudes(loop, REST, [700.0], amplitudes(loop, [700.0]), runout=True)
 
 
-HEAD = "speed_rpm,axis,amplitude_um,angle_deg\n"
+HEAD = "speed_rpm,axis,amplitude_um_0p,angle_deg\n"
+
+
+def test_peak_to_peak_is_halved_and_an_amplitude_that_says_neither_is_refused(tmp_path):
+    path = tmp_path / "a.csv"
+    axes = ["upper_zeta"]
+    path.write_text(HEAD + "7000,upper_zeta,12.5,30\n")
+    ours = read_amplitudes(path, axes)
+    path.write_text(HEAD.replace("_0p", "_pp") + "7000,upper_zeta,25,30\n")
+    assert read_amplitudes(path, axes).values == pytest.approx(ours.values)
+    assert abs(ours.values).item() == pytest.approx(12.5e-6)
+    path.write_text(HEAD.replace("_0p", "") + "7000,upper_zeta,25,30\n")
+    with pytest.raises(InvalidInput, match="amplitude_um_pp"):
+        read_amplitudes(path, axes)
 
 
 def written(path, loop, speeds, moments, runout=0, noise=0.0, readings=1, seed=5):
@@ -143,7 +156,7 @@ def test_the_command_refuses_what_does_not_go_together(more, message):
     [
         ("", "the head of a.csv is no line"),
         ("speed,axis\n1,2\n", "must be speed_rpm, axis"),
-        (HEAD + "7000,upper_zeta,x,0\n", "line 2 of a.csv: amplitude_um is 'x'"),
+        (HEAD + "7000,upper_zeta,x,0\n", "line 2 of a.csv: amplitude_um_0p is 'x'"),
         (HEAD + "7000,upper_zeta,nan,0\n", "no finite number"),
         (HEAD + "-7000,upper_zeta,1,0\n", "a speed is above zero"),
         (HEAD + "7000,uper_zeta,1,0\n", "no axis 'uper_zeta'"),

@@ -2,10 +2,11 @@
 
 One line per axis and speed, with this head:
 
-    speed_rpm,axis,amplitude_um,angle_deg
+    speed_rpm,axis,amplitude_um_0p,angle_deg
     7640,upper_zeta,12.1,38.2
 
-The amplitude is zero to peak; its angle is that of y(t) = Re(a exp(j theta)), theta the angle of
+The amplitude is zero to peak; a column amplitude_um_pp, as monitors have it, is peak to peak. Its
+angle is that of y(t) = Re(a exp(j theta)), theta the angle of
 the key mark from x in the direction of spin: the angle of the block's own a. (A monitor's phase
 lag is minus it.) Several lines of one axis and speed are readings of the same vector.
 """
@@ -23,7 +24,8 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.machine.messages import suggestion
 
-COLUMNS = ("speed_rpm", "axis", "amplitude_um", "angle_deg")
+COLUMNS = ("speed_rpm", "axis", "amplitude_um_0p", "angle_deg")
+_PEAK_TO_PEAK = "amplitude_um_pp"  # in place of the third
 _RPM = 2 * math.pi / 60
 _SAME_SPEED = 0.01  # relative difference below which lines are of one speed
 _MOST = 100_000  # lines
@@ -75,10 +77,16 @@ def read_amplitudes(path: str | Path, axes: Sequence[str]) -> AmplitudeTable:
             f"the amplitudes {name} cannot be read ({error}); give a text file with the columns "
             f"{', '.join(COLUMNS)}"
         ) from None
+    for line in lines:
+        if _PEAK_TO_PEAK in line and COLUMNS[2] not in line:
+            line[COLUMNS[2]] = _half(line[_PEAK_TO_PEAK])
     if not lines or any(column not in lines[0] for column in COLUMNS):
         found = "no line" if not lines else ", ".join(str(key) for key in lines[0])
         raise invalid(
-            f"the head of {name}", found, ", ".join(COLUMNS), "name the columns so, in these units"
+            f"the head of {name}",
+            found,
+            f"{', '.join(COLUMNS)} (or {_PEAK_TO_PEAK})",
+            "name the columns so, in these units",
         )
     if len(lines) > _MOST:
         raise invalid(f"the lines of {name}", len(lines), f"at most {_MOST}", "thin them out")
@@ -132,10 +140,18 @@ def write_amplitudes(table: AmplitudeTable, axes: Sequence[str], path: str | Pat
                 )
 
 
+def _half(text: str | None) -> str | None:
+    """Zero to peak of a number peak to peak; what is none stays as it is, for the message."""
+    try:
+        return repr(float(text or "") / 2)
+    except ValueError:
+        return text
+
+
 def _reading(line: dict[str, str | None], name: str, number: int) -> tuple[float, complex]:
     """Speed [rad/s] and a [m] of a line."""
     figures = []
-    for column in ("speed_rpm", "amplitude_um", "angle_deg"):
+    for column in ("speed_rpm", COLUMNS[2], "angle_deg"):
         try:
             figures.append(float(line[column] or ""))
         except ValueError:

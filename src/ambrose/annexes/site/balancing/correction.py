@@ -160,6 +160,14 @@ class Balancing(Presented):
                 strict=True,
             )
         ]
+        # before, after and radius are amplitudes zero to peak
+        whole["rows"] = [
+            {
+                key if key in ("axis", "speed") else f"{key}_m_0p": value
+                for key, value in row.items()
+            }
+            for row in whole["rows"]
+        ]
         return {**whole, "remaining": self.remaining}
 
 

@@ -1,0 +1,134 @@
+"""The JSON schema of ``lateral.json``, for programs that read it.
+
+python -m ambrose.annexes.rotordynamics.json_schema docs/lateral.schema.json
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from ambrose.annexes.rotordynamics.result import SCHEMA
+
+_NUMBER = {"type": "number"}
+_TEXT = {"type": "string"}
+_MAYBE = {"type": ["number", "null"]}
+# infinite and unknown values are text: "inf", "nan"
+_ANY_NUMBER = {"type": ["number", "string"]}
+_VERDICT = {"type": ["boolean", "null"]}
+
+
+def lateral_schema() -> dict[str, Any]:
+    """The schema (draft 2020-12): keys carry their units, amplitudes 0p or pp."""
+    item = _table(
+        name=_TEXT,
+        title=_TEXT,
+        standard=_TEXT,
+        clause=_TEXT,
+        basis={"enum": ["checked", "recalled", "own"]},
+        value={"type": ["number", "string", "null"]},
+        unit=_TEXT,
+        relation={"enum": ["<=", ">=", "<", ">"]},
+        limit={"type": ["number", "string", "null"]},
+        passed=_VERDICT,
+        note=_TEXT,
+    )
+    mode = _table(
+        frequency_rad_per_s=_NUMBER,
+        log_decrement=_NUMBER,
+        whirl={**_NUMBER, "description": "1: forward circles, -1: backward ones"},
+        shares={"type": "object", "additionalProperties": _NUMBER},
+        least_over_tolerances_found=_MAYBE,
+        at=_TEXT,
+    )
+    clearance = _table(
+        name=_TEXT,
+        kind={"enum": ["touchdown", "seal", "clearance", "magnet"]},
+        position_m=_NUMBER,
+        diametral_m=_NUMBER,
+        motion_m_pp={**_NUMBER, "description": "scaled"},
+        offset_m=_NUMBER,
+        allowed_m_pp=_NUMBER,
+        at_rad_per_s=_NUMBER,
+        case=_TEXT,
+        passed={"type": "boolean"},
+    )
+    budget = _table(
+        axes=_list(_TEXT),
+        frequencies_rad_per_s=_list(_NUMBER),
+        elements_deg={"type": "object", "additionalProperties": _list(_NUMBER)},
+        total_deg=_list(_NUMBER),
+        notes=_list(_TEXT),
+    )
+    weight = _table(position_m=_NUMBER, amount_kg_m=_NUMBER, angle_rad=_NUMBER, carried_kg=_NUMBER)
+    peak = {
+        "speed_rad_per_s": _NUMBER,
+        "amplitude_m_pp": _NUMBER,
+        "amplification_factor": _ANY_NUMBER,
+    }
+    curve = _table(
+        reading=_TEXT, case=_TEXT, amplitude_m_pp=_list(_NUMBER), peaks=_list(_table(**peak))
+    )
+    branch = _table(frequency_rad_per_s=_NUMBER, log_decrement=_list(_NUMBER))
+    whole = _table(
+        schema={"const": SCHEMA},
+        machine=_TEXT,
+        controller=_TEXT,
+        timing=_TEXT,
+        operating_point=_TEXT,
+        passed={"type": "boolean"},
+        speeds_rad_per_s=_table(lowest=_NUMBER, highest=_NUMBER, trip=_NUMBER),
+        scale_factor=_table(capped=_NUMBER, uncapped=_ANY_NUMBER),
+        items=_list(item),
+        modes=_list(mode),
+        clearances=_list(clearance),
+        phase_budget=_list(budget),
+        notes=_list(_TEXT),
+        level_one=_table(
+            anticipated_N_per_m=_MAYBE,
+            border_N_per_m=_ANY_NUMBER,
+            log_decrement_at_anticipated=_MAYBE,
+            cross_coupling_N_per_m=_list(_NUMBER),
+            modes=_list(branch),
+        ),
+        unbalance=_list(_table(case=_TEXT, why=_TEXT, weights=_list(weight))),
+        critical_speeds=_list(
+            _table(
+                **peak,
+                margin_percent=_NUMBER,
+                required_percent=_NUMBER,
+                reading=_TEXT,
+                case=_TEXT,
+            )
+        ),
+        response=_table(speeds_rad_per_s=_list(_NUMBER), curves=_list(curve)),
+    )
+    # what an unstable loop, or a rotor without Level I, does not have
+    missing = {"level_one", "unbalance", "critical_speeds", "response"}
+    whole["required"] = [key for key in whole["required"] if key not in missing]
+    head = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": f"lateral analysis of ambrose, schema {SCHEMA}",
+    }
+    return head | whole
+
+
+def _table(**properties: Any) -> dict[str, Any]:
+    return {
+        "type": "object",
+        "properties": properties,
+        "required": list(properties),
+        "additionalProperties": False,
+    }
+
+
+def _list(entry: dict[str, Any]) -> dict[str, Any]:
+    return {"type": "array", "items": entry}
+
+
+if __name__ == "__main__":
+    from ambrose.machine.atomic_write import write_text
+
+    write_text(Path(sys.argv[1]), json.dumps(lateral_schema(), indent=1) + "\n", "JSON schema")

@@ -1,0 +1,336 @@
+"""The axis along the shaft: the magnets against closed forms, the plant against its equation with
+the exact half-order core, and what every verb says of it.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import dblquad
+from scipy.optimize import brentq
+
+import ambrose as amb
+from ambrose.core.checks import InvalidInput
+from ambrose.core.frequency import frequency_response
+from ambrose.core.statespace import select
+from ambrose.judge.verdict import verify_points
+from ambrose.law.loop import closed_loop
+from ambrose.law.pid import pid_controller
+from ambrose.machine.controller import PidSettings
+from ambrose.model.assemble import assemble
+from ambrose.model.axial.half_order import CORNER
+from ambrose.model.axial.magnet import (
+    at_point,
+    capacity,
+    core_lags,
+    force,
+    sides,
+    tilt_stiffness,
+)
+from ambrose.model.uncertainty import perturbed
+
+sys.path.insert(0, str(Path(__file__).parent))
+from rotor import machine
+
+MU_0 = 4e-7 * math.pi
+SATURATING = {"permeability = 600": 'permeability = 600\nflux_density = "1.1 T"'}
+
+
+def co_energy(side, current, gap):
+    """W' = N I phi - int mmf dphi with the flux found here: of Froehlich's iron in closed form."""
+    rho, phi_s = (1 / side.inner_area + 1 / side.outer_area) / MU_0, side.flux_limit
+
+    def short(phi):
+        return rho * gap * phi + side.iron * phi * phi_s / (phi_s - phi) - side.turns * current
+
+    phi = brentq(short, 0.0, phi_s * (1 - 1e-12), xtol=1e-18, rtol=1e-15)
+    stored = rho * gap * phi**2 / 2 - side.iron * phi_s * (phi + phi_s * math.log1p(-phi / phi_s))
+    return side.turns * current * phi - stored
+
+
+def derivative(f, x, h):
+    """Richardson's of the fourth order twice, to 1e-10 and better of a smooth function."""
+
+    def central(d):
+        return (f(x + d) - f(x - d)) / (2 * d)
+
+    once = [(4 * central(d / 2) - central(d)) / 3 for d in (h, h / 2)]
+    return (16 * once[1] - once[0]) / 15
+
+
+@pytest.mark.parametrize("current", [1.0, 4.0, 7.0])
+def test_force_by_stress_is_the_derivative_of_the_co_energy(current):
+    side = sides(machine(SATURATING).axial.thrust)[1]
+    for gap in (0.3e-3, 0.5e-3, 0.7e-3):
+        slope = derivative(lambda g, i=current: co_energy(side, i, g), gap, 0.05 * gap)
+        assert side.force(current, gap) == pytest.approx(-slope, rel=1e-9)
+
+
+def test_coefficients_are_the_slopes_of_the_force():
+    axial = machine(SATURATING).axial
+    part = axial.thrust
+    for point in axial.operation.points:
+        at = at_point(axial, point)
+        assert force(part, at.current, at.place) == pytest.approx(-at.load, abs=1e-8)
+        k_i = derivative(lambda i, x=at.place: force(part, i, x), at.current, 0.05)
+        k_s = derivative(lambda x, i=at.current: force(part, i, x), at.place, 1e-5)
+        assert at.force_per_current == pytest.approx(k_i, rel=1e-8)
+        assert at.stiffness == pytest.approx(k_s, rel=1e-8)
+
+
+def test_static_capacity_of_ideal_iron_is_that_of_two_faces():
+    """B = mu_0 N I A/(g (1 + A_i/A_o)) ... over both faces: F = (N I)^2 P/(2 g), P of the faces in
+    series, both coils; the other one is at zero at max_current = bias.
+    """
+    part = machine({"permeability = 600": "permeability = 1e12"}).axial.thrust
+    a_i, a_o = (math.pi * (b**2 - a**2) for a, b in ((0.025, 0.034), (0.054, 0.060)))
+    permeance = MU_0 / (1 / a_i + 1 / a_o)
+    for place in (0.0, 1e-4):
+        right = (80 * 6.0) ** 2 * permeance / (2 * (0.5e-3 - place) ** 2)
+        left = (80 * 6.0) ** 2 * permeance / (2 * (0.5e-3 + place) ** 2)
+        assert capacity(part, place) == pytest.approx((left, right), rel=1e-8)
+
+
+def test_current_to_force_has_the_corner_of_the_half_order_core():
+    """-3 dB and -15 deg at tau sqrt(w) = (sqrt 6 - sqrt 2)/2, the rotor held by its own mass."""
+    axial = machine().axial
+    plant = assemble(axial, "rest")
+    tau, mass = sides(axial.thrust)[0].tau, plant_mass(axial)
+    omega = (CORNER / tau) ** 2
+    k_i, k_s = (
+        at_point(axial, plant.point).force_per_current,
+        at_point(axial, plant.point).stiffness,
+    )
+    # q = h k_i i/(m s^2 - h k_s): h from the response
+    lag = 2 * math.pi * 1500 / (1j * omega + 2 * math.pi * 1500)
+    q = response(plant, "u_T_z", "q_T_z", omega) / lag
+    h = q * mass * (1j * omega) ** 2 / (k_i + k_s * q)
+    assert 20 * math.log10(abs(h)) == pytest.approx(20 * math.log10(math.sqrt(0.5)), abs=0.1)
+    assert math.degrees(cmath.phase(h)) == pytest.approx(-15.0, abs=1.0)
+
+
+def plant_mass(axial):
+    return math.pi / 4 * 0.06**2 * 0.4 * axial.shaft[0].material.density
+
+
+def response(plant, source, output, omega):
+    return frequency_response(select(plant.system, [source], [output]), [omega]).values[0, 0, 0]
+
+
+@pytest.mark.parametrize("label", ["rest, collar at -40 um", "rated, collar at +20 um"])
+def test_off_centre_under_load_each_side_lags_by_its_own_core(label):
+    """m s^2 x = sum of h_k (k_i i + k_s x), h_k = 1/(1 + c sqrt(s)/R_k) exactly, R_k of iron that
+    the load takes up; the model within 0.1 dB and 1 deg, as the core's at the centre.
+    """
+    axial = machine(SATURATING).axial
+    plant = assemble(axial, label)
+    at, mass = at_point(axial, plant.point), plant_mass(axial)
+    for omega in 2 * np.pi * np.array([0.5, 20.0, 300.0, 2000.0]):
+        s = 1j * omega
+        current, spring = 0j, 0j
+        for side, item in zip(sides(axial.thrust), (at.left, at.right), strict=True):
+            h = 1 / (1 + side.tau / item.ratio * cmath.sqrt(s))
+            current += h * item.force_per_current
+            spring += h * item.stiffness
+        exact = current / (mass * s**2 - spring) / (1 + s / (2 * math.pi * 1500))
+        ratio = response(plant, "u_T_z", "q_T_z", omega) / exact
+        assert abs(20 * math.log10(abs(ratio))) < 0.13
+        assert abs(math.degrees(cmath.phase(ratio))) < 1.2
+
+
+def test_unstable_pole_solves_its_equation():
+    """m s^2 = k_s/(1 + tau sqrt(s)); laminated m s^2 = k_s, faster."""
+    axial = machine().axial
+    at = at_point(axial, axial.operation.points[0])
+    tau, mass = sides(axial.thrust)[0].tau, plant_mass(axial)
+    exact = brentq(lambda s: mass * s**2 * (1 + tau * math.sqrt(s)) - at.stiffness, 1.0, 1e4)
+    found = np.linalg.eigvals(assemble(axial, "rest").rotor.A).real.max()
+    assert found == pytest.approx(exact, rel=5e-3)
+    plates = machine({"conductivity = 4e6": 'conductivity = 4e6\ncore = "laminated"'}).axial
+    still = np.linalg.eigvals(assemble(plates, "rest").rotor.A).real.max()
+    assert still == pytest.approx(math.sqrt(at.stiffness / mass), rel=1e-9)
+    assert still > 1.1 * found
+
+
+def test_tilt_stiffness_is_that_of_the_energy_of_a_tilted_disc():
+    """Permeance of each face by integration over the tilted gap, co-energy at constant current."""
+    part = machine().axial.thrust
+    tilt, total = 2e-4, 0.0
+    for side in sides(part):
+
+        def energy(angle, side=side):
+            reluctance = side.iron
+            for a, b in ((0.025, 0.034), (0.054, 0.060)):
+                face, _ = dblquad(
+                    lambda th, r: MU_0 * r / (side.gap + r * math.sin(th) * angle),
+                    a,
+                    b,
+                    0,
+                    2 * math.pi,
+                    epsabs=1e-15,
+                    epsrel=1e-12,
+                )
+                reluctance += 1 / face
+            return (side.turns * side.bias) ** 2 / (2 * reluctance)
+
+        # W' is even: d^2 W'/d tilt^2 = 2 (W'(tilt) - W'(0))/tilt^2, and Richardson
+        coarse, fine = (2 * (energy(t) - energy(0.0)) / t**2 for t in (tilt, tilt / 2))
+        total += (4 * fine - coarse) / 3
+    assert tilt_stiffness(part) == pytest.approx(total, rel=1e-4)
+
+
+def test_radial_plant_has_the_tilt_stiffness_and_nothing_else():
+    with_collar = machine()
+    bare = replace(with_collar, effects=())
+    one, other = (assemble(item, "rest") for item in (with_collar, bare))
+    # a moment of unit force at the collar's faces against its tilting there
+    omega, t = 2 * math.pi * 5.0, with_collar.axial.thrust.collar_thickness
+    pushed = {n: response(one, f"f_T_{n}_x", "q_A_zeta", omega) for n in ("left", "right")}
+    ports = replace(
+        with_collar,
+        effects=tuple(replace(p, bias_current=(1e-9, 1e-9)) for p in with_collar.effects),
+    )
+    free = assemble(ports, "rest")
+    y = {
+        (a, b): response(free, f"f_T_{a}_x", f"q_T_{b}_x", omega)
+        for a in ("left", "right")
+        for b in ("left", "right")
+    }
+    # moment per tilt of the free rotor at the collar, then closed with -k_t
+    tilt = (
+        y["right", "right"] - y["left", "right"] - y["right", "left"] + y["left", "left"]
+    ) / t**2
+    k_t = tilt_stiffness(with_collar.axial.thrust)
+    into = (
+        response(free, "f_T_right_x", "q_A_zeta", omega)
+        - response(free, "f_T_left_x", "q_A_zeta", omega)
+    ) / t
+    closed = into / (1 - k_t * tilt)
+    assert (pushed["right"] - pushed["left"]) / t == pytest.approx(closed, rel=1e-6)
+    assert response(free, "f_A_zeta", "q_B_zeta", omega) == pytest.approx(
+        response(other, "f_A_zeta", "q_B_zeta", omega), rel=1e-6
+    )
+
+
+def test_tolerances_move_both_magnets_together():
+    axial = machine().axial
+    plant = assemble(axial, "rated")
+    weak, strong = (
+        perturbed(plant, {"thrust_bearing.T.force_per_current": d}) for d in (-1.0, 1.0)
+    )
+    omega = 2 * math.pi * 30
+    gains = [response(p, "u_T_z", "q_T_z", omega) for p in (weak, plant, strong)]
+    assert gains[0] / gains[1] == pytest.approx(0.9, rel=1e-9)
+    assert gains[2] / gains[1] == pytest.approx(1.1, rel=1e-9)
+    soft = perturbed(plant, {"thrust_bearing.T.negative_stiffness": 1.0})
+    inverse = [1 / response(p, "f_T_z", "q_T_z", omega) for p in (plant, soft)]
+    # m s^2 - k_s h: what is added is a fifth of what is there
+    whole = inverse[0] - plant_mass(axial) * (1j * omega) ** 2
+    assert inverse[1] - inverse[0] == pytest.approx(0.2 * whole, rel=1e-9)
+
+
+@pytest.mark.parametrize("label", ["rest", "rated, collar at +20 um"])
+def test_core_scale_moves_the_eddy_currents_alone(label):
+    """c by a fifth: m s^2 x = sum of (k_i i + k_s x)/(1 + 1.2 c sqrt(s)/R), exactly in the plant's
+    own model of sqrt(s), 1/h - 1.
+    """
+    axial = machine({"T.negative_stiffness": "T.core_scale"}).axial
+    plant = assemble(axial, label)
+    moved = perturbed(plant, {"thrust_bearing.T.core_scale": 1.0})
+    at = at_point(axial, plant.point)
+    for omega in 2 * np.pi * np.array([2.0, 40.0, 900.0]):
+        s = 1j * omega
+        current, spring = 0j, 0j
+        for model, item in zip(core_lags(axial.thrust), (at.left, at.right), strict=True):
+            h = 1 / (1 + 1.2 / item.ratio * (1 / model.response([omega])[0] - 1))
+            current += h * item.force_per_current
+            spring += h * item.stiffness
+        exact = current / (plant_mass(axial) * s**2 - spring) / (1 + s / (2 * math.pi * 1500))
+        assert response(moved, "u_T_z", "q_T_z", omega) == pytest.approx(exact, rel=1e-9)
+
+
+def test_the_reference_controller_is_in_zone_a_at_every_point_and_over_its_tolerances():
+    axial = machine().axial
+    verdict = amb.verify(axial, amb.design(axial, "pid"))
+    assert verdict.passed
+    assert len(verdict.points) == 6
+    for checks in verdict.points:
+        zones = {c.name: c.zone for c in checks.checks if c.name.startswith("sensitivity.output")}
+        assert set(zones.values()) == {"A"}
+        assert not [c for c in checks.checks if c.name.startswith("unbalance")]
+        assert any("unbalance does not act along" in note for note in checks.notes)
+
+
+def test_rows_of_the_process_thrust_hold_against_closed_forms():
+    """Laminated, PD, current amplifier: capacity by its ratio, and at rest under the whole change
+    x = F/(K_p k_i - k_s), i = -K_p x.
+    """
+    plates = machine({"conductivity = 4e6": 'conductivity = 4e6\ncore = "laminated"'}).axial
+    settings = PidSettings((1.5e4,), derivative_time=2e-3)
+    plant = assemble(plates, "rest")
+    (checks,) = verify_points([plant], pid_controller(settings, plates))
+    rows = {check.name: check for check in checks.checks}
+    at = at_point(plates, plant.point)
+    still = 120 / (1.5e4 * at.force_per_current - at.stiffness)
+    loop = closed_loop(plant, pid_controller(settings, plates))
+    moved = frequency_response(select(loop, ["f_T_z"], ["q_T_z"]), [1e-3]).values[0, 0, 0]
+    assert 120 * abs(moved) == pytest.approx(still, rel=1e-6)
+    assert rows["axial.change.displacement"].value > still
+    curve = next(c for c in checks.curves if c.name == "axial.change.displacement")
+    assert curve.y[0, -1] == pytest.approx(still, rel=1e-3)
+    assert rows["axial.change.current"].value >= 1.5e4 * still
+    rated = {
+        c.name: c
+        for c in verify_points([assemble(plates, "rated")], pid_controller(settings, plates))[
+            0
+        ].checks
+    }
+    assert rated["axial.capacity"].value == pytest.approx(120 / capacity(plates.thrust, 0.0)[0])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({'collar_radius = "60 mm"': 'collar_radius = "61 mm"'}, "larger than its stator"),
+        ({'collar_radius = "60 mm"': 'collar_radius = "50 mm"'}, "no flux closes"),
+        (
+            {'gap = "0.5 mm"\nbias': 'gap = "0.5 mm"\ndistance = "14 mm"\nbias'},
+            "the gaps do not close",
+        ),
+        ({'["25 mm", "34 mm"]': '["34 mm", "25 mm"]'}, "must ascend"),
+        ({'touchdown_gap = "0.25 mm"': 'touchdown_gap = "0.5 mm"'}, "strike the magnet"),
+        ({'"40 um"]': '"300 um"]'}, "onto its stop"),
+        ({'point = "rated"\nforce': 'point = "raited"\nforce'}, 'did you mean "rated"'),
+        ({"T.negative_stiffness": "T.stiffness"}, "unknown quantity"),
+        ({'gain = "22 A/mm"': 'gain = "-22 A/mm"'}, r"\[thrust_bearing.controller\]: gain"),
+        ({'derivative_time = "4 ms"': 'lead_time = "4 ms"'}, r'unknown key "lead_time"'),
+    ],
+)
+def test_bad_input_is_one_sentence(change, words):
+    with pytest.raises(InvalidInput, match=words):
+        machine(change)
+
+
+def test_a_load_beyond_the_capacity_says_so():
+    heavy = machine({'force = "120 N"': 'force = "500 N"'}).axial
+    with pytest.raises(InvalidInput, match=r"reaches 441.* N to the left.*500 N"):
+        assemble(heavy, "rated")
+
+
+def test_the_axis_has_an_address(tmp_path):
+    from ambrose.machine.file.toml import dumps_machine, load_machine
+
+    path = tmp_path / "expander.toml"
+    path.write_text(dumps_machine(machine()))
+    assert load_machine(f"{path}#axial") == machine().axial
+    with pytest.raises(InvalidInput, match=r"seal-rig has no axis.*thrust_bearing"):
+        load_machine("seal-rig#axial")
+    with pytest.raises(InvalidInput, match=r"move it into a \[\[thrust_bearing.tolerance\]\]"):
+        tolerance = machine().axial.tolerances
+        replace(machine(), tolerances=tolerance)
