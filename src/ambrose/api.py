@@ -152,6 +152,7 @@ def verify(
     *,
     points: Sequence[OperatingPoint | str] | OperatingPoint | str | None = None,
     tolerances: bool = True,
+    everywhere: bool = False,
     rate: float | None = None,
     delay_samples: int | None = None,
     pressure_rate: float | None = None,
@@ -163,6 +164,7 @@ def verify(
     around each.
 
     points: of the machine, one or several (None: all, the one that designs are made for first).
+    everywhere: bounds and proofs over the tolerances around every point, not the first alone.
     rate [Hz], delay_samples: the loop as it runs, sampled by Tustin's map and late (None: as the
     controller or the machine file says; where neither knows a rate the continuous loop is judged).
     pressure_rate [Pa/s]: the fastest change of the seal pressure, for a proof while it changes
@@ -182,6 +184,7 @@ def verify(
         controller_of(controller),
         several,
         tolerances=tolerances,
+        everywhere=everywhere,
         rate=rate,
         delay_samples=delay_samples,
         pressure_rate=pressure_rate,

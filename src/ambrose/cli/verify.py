@@ -26,7 +26,7 @@ from ambrose.terminal import (
 )
 
 _GROUPS = {
-    "": ("path", "everything"),
+    "": ("path", "everywhere", "everything"),
     "The loop as it runs": ("rate_hz", "delay_samples"),
     "Proofs while the machine moves": ("pressure_rate", "pressure_error", "speed_rate"),
 }
@@ -40,6 +40,11 @@ _GROUPS = {
     type=click.Path(path_type=Path),
     required=True,
     help="A controller file (*.json).",
+)
+@click.option(
+    "--everywhere",
+    is_flag=True,
+    help="Bounds and proofs over the tolerances around every operating point, not the first alone.",
 )
 @RATE
 @DELAY
@@ -76,6 +81,7 @@ _GROUPS = {
 def verify(
     machine: str,
     path: Path,
+    everywhere: bool,
     rate_hz: float | None,
     delay_samples: int | None,
     pressure_rate: str | None,
@@ -119,6 +125,7 @@ def verify(
         result = verify_controller(
             description,
             controller,
+            everywhere=everywhere,
             rate=rate_hz,
             delay_samples=delay_samples,
             pressure_rate=fastest,

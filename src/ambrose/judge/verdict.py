@@ -38,6 +38,7 @@ def verify_controller(
     points: Sequence[str | OperatingPoint] | None = None,
     *,
     tolerances: bool = True,
+    everywhere: bool = False,
     rate: float | None = None,
     delay_samples: int | None = None,
     pressure_rate: float | None = None,
@@ -50,7 +51,8 @@ def verify_controller(
 
     machine: or the plants to verify on, one or several. controller: what controls, as a law or as
     anything that ``law.law.law_of`` makes one of. points: operating points or labels (None: all).
-    tolerances: whether the tolerance boxes are examined. rate [Hz], delay_samples: the loop as it
+    tolerances: whether the tolerance boxes are examined; everywhere: bounds and proofs around every
+    point, not the first alone. rate [Hz], delay_samples: the loop as it
     runs, sampled by Tustin's map and late; None: as the controller or the machine file says
     (``law.timing.timing_of``); where neither knows a rate the continuous loop is judged, and
     ``timing`` says so. pressure_rate [Pa/s]: the fastest change of the seal pressure (None: the
@@ -78,7 +80,9 @@ def verify_controller(
     within, left_out = split_covered(law, plants)
     timing = timing_of(within[0].machine, law, rate, delay_samples)
     checks = verify_points(within, law, progress, timing)
-    boxes = verify_tolerances(within, law, checks, progress, timing) if tolerances else ()
+    boxes: tuple[Checks, ...] = ()
+    if tolerances:
+        boxes = verify_tolerances(within, law, checks, progress, timing, everywhere=everywhere)
     ranges: tuple[Checks, ...] = ()
     moving: tuple[Checks, ...] = ()
     if points is None and isinstance(machine, Machine):
@@ -189,13 +193,15 @@ def verify_tolerances(
     tolerances: Sequence[Tolerance] | None = None,
     *,
     design: LawLike | None = None,
+    everywhere: bool = False,
 ) -> tuple[Checks, ...]:
     """The checks over the tolerances around every plant with a stable loop (``points``) and any
     tolerance.
 
     tolerances: None: all; otherwise those, and of all together only the number of unstable corners
-    and samples. Around the first of them everything is examined: worst cases searched and bounded,
-    stability proved. Around the others stability and the worst sensitivity are searched. With a
+    and samples. Around the first of them (``everywhere``: around all) everything is examined: worst
+    cases searched and bounded, stability proved. Around the others stability and the worst
+    sensitivity are searched. With a
     timing this is done on the continuous loop with its mean delay, and the sampled loop is examined
     at the corners, at samples and at what the search found, which judges the sensitivity. design:
     the continuous law that ``controller`` is the sampled one of (None: itself); of a sampled law
@@ -213,7 +219,13 @@ def verify_tolerances(
         if source.dt is None:
             model = source if timing is None else timing.late(source)
             checks.append(
-                _continuous_box(plant, model, varied, detailed=not boxes, late=timing is not None)
+                _continuous_box(
+                    plant,
+                    model,
+                    varied,
+                    detailed=everywhere or not boxes,
+                    late=timing is not None,
+                )
             )
             if tolerances is not None and (every := tolerances_around(plant)):
                 checks[0] = replace(

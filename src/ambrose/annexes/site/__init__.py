@@ -1,4 +1,4 @@
-"""Beside the machine: frequency responses, acceptance, balancing, calibration, bias currents."""
+"""Beside the machine: frequency responses, acceptance, balancing, calibration, bias, retuning."""
 
 ANNEX = {
     "site command": {
@@ -7,16 +7,20 @@ ANNEX = {
         "bias": "bias_command:bias",
         "calibrate": "calibrate_command:calibrate",
         "frf": "frf_command:frf",
+        "retune": "retuning.command:retune",
     },
     "public": {
         "accept": "acceptance",
         "Acceptance": "acceptance",
         "balance": "balancing.correction",
         "calibrate": "calibration",
+        "retune": "retuning.chain",
+        "Retuning": "retuning.result",
     },
     "page": {
         "Acceptance": "acceptance_page:acceptance_page",
         "BiasCampaign": "bias_page:bias_page",
         "Responses": "frf_page:frf_page",
+        "Retuning": "retuning.page:retuning_page",
     },
 }

@@ -446,7 +446,7 @@ def _in_words(item: _Round) -> str:
 def _row(job: Job, number: int, power: float, used: int, item: _Round) -> dict[str, float]:
     row = {
         "iteration": float(number),
-        "power": power,
+        "power": float(power),
         "steps": float(used),
         "models": float(len(job.models)),
         "gamma": item.worst,

@@ -1,0 +1,1 @@
+"""Retuning on site: from a record of the running machine to the change that is signed."""

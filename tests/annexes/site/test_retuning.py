@@ -1,0 +1,179 @@
+"""Retuning on a small machine whose truth is known: what is found, changed, tried and accepted, how
+a second run goes on, and what is refused.
+"""
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import ambrose as amb
+from ambrose.annexes.site.retuning.chain import (
+    CODE,
+    CONTROLLER,
+    STATE,
+    _begun,
+    method_like,
+)
+from ambrose.annexes.site.retuning.page import retuning_page
+from ambrose.annexes.site.retuning.result import Moved
+from ambrose.cli import main
+from ambrose.code.difference import checksum_of
+from ambrose.core.checks import InvalidInput
+from ambrose.law.timing import Timing
+from ambrose.report.page import render
+from ambrose.rig.disturbances import Prbs
+from ambrose.rig.scenario import Scenario
+
+RIG = Path(__file__).parents[3] / "benchmarks" / "snapshot_files" / "small-rig.toml"
+RATE, UNKNOWN = 10_000.0, "bearing.*.force_per_current.*"
+
+
+@cache
+def machine():
+    found = amb.load_machine(RIG)
+    where = replace(found.operation, points=found.operation.points[:1], ranges=())
+    asked = replace(found.requirements, log_decrement=0.05)
+    return replace(found, operation=where, requirements=asked)
+
+
+@cache
+def law():
+    return amb.design(machine(), "tuned", rate=RATE, delay_samples=1, order=8)
+
+
+@cache
+def record(scale, of_new=None, seconds=0.4):
+    """Binary sequences on every axis of the linear loop, all K_i times a factor, 10 nm of noise;
+    of_new: the folder whose controller ran.
+    """
+    true = replace(
+        machine(),
+        bearings=tuple(
+            replace(b, force_per_current=tuple(scale * k for k in b.force_per_current))
+            for b in machine().bearings
+        ),
+    )
+    ran = law() if of_new is None else amb.read_controller(of_new / CONTROLLER)
+    driven = tuple(
+        Prbs(f"e_{axis}", 0.1, 2e-4, order=15, seed=i) for i, axis in enumerate(true.axes)
+    )
+    scenario = Scenario("s", seconds, sequences=driven)
+    found = amb.simulate(true, ran, scenario, linear=True, rate=RATE).record
+    found = found.select([name for name in found.signals if name[:2] in {"y_", "u_", "e_"}])
+    shown = np.array([name[:2] == "y_" for name in found.signals])[:, None]
+    noise = 1e-8 * np.random.default_rng(0).standard_normal(found.values.shape)
+    return replace(found, values=found.values + shown * noise)
+
+
+def retuned(folder, scale, **options):
+    return amb.retune(machine(), record(scale), law(), folder, unknown=UNKNOWN, **options)
+
+
+@pytest.mark.campaign
+def test_nothing_to_change_is_an_answer_with_its_figures(tmp_path):
+    done = retuned(tmp_path / "same", 1.0)
+    assert done.outcome == "no change needed" and done.passed
+    assert [step.name for step in done.steps] == ["identified", "changed", "running"]
+    assert "proved at all frequencies" in done.steps[-1].words
+    assert not (tmp_path / "same" / CODE).exists()
+    assert not any(abs(item.change) > 0.002 for item in done.moved)
+
+
+@pytest.mark.study
+def test_a_machine_that_changed_gets_a_controller_of_the_same_structure(tmp_path):
+    folder = tmp_path / "change"
+    done = retuned(folder, 0.75, anyway=True)
+    assert done.outcome == "retuned", done.text
+
+    # the truth lies in the intervals, which are the box; the file's values do not
+    for item in done.moved:
+        assert item.certain and abs(item.value / (0.75 * item.file) - 1) < 0.002
+    box = {item.parameter for item in done.machine.tolerances}
+    assert box >= {item.path for item in done.moved}
+    assert done.after is not None and done.after.passed
+    assert "robust.sensitivity.bound" in {check.name for check in done.after.boxes[0].checks}
+
+    # code: the difference leads from the tables that run to the new ones, and back
+    assert done.delivery is not None and done.delivery.difference is not None
+    change, source = done.delivery.difference, (folder / CODE / "controller.c").read_text()
+    assert checksum_of(source) == change.checksum
+    assert checksum_of(change.reversed().apply(source)) == change.checksum_before
+    assert [run.forward for run in done.switches] == [True, False]
+    assert all(run.trace.outcome == "completed" for run in done.switches)
+
+    # the page has every step; a second run, on another day, takes its own controller up again
+    text = render(retuning_page(done))
+    assert all(step.title in text for step in done.steps)
+    kept, told = (folder / CONTROLLER).read_bytes(), []
+    after = record(0.75, folder, 4.0)
+    again = retuned(folder, 0.75, anyway=True, accept_from=after, progress=told.append)
+    assert (folder / CONTROLLER).read_bytes() == kept
+    assert not any("taken up" in line or line.startswith("round ") for line in told)
+    assert again.acceptance is not None and again.steps[-1].name == "accepted"
+    assert again.passed, again.text
+
+
+def test_a_later_day_is_no_other_machine(tmp_path):
+    """The day stands in the identified machine, which the controller was designed for."""
+    asked = (tmp_path, machine(), law(), [("r.h5", "abc")], ["4 modes"])
+    first = _begun(*asked)
+    for began, kept in (
+        ({**first, "date": "2020-02-29"}, True),
+        ({**first, "machine": "x"}, False),
+    ):
+        (tmp_path / STATE).write_text(json.dumps({"began": {**began, "date": "2020-02-29"}}))
+        assert (_begun(*asked)["date"] == "2020-02-29") == kept
+    for text in ("", "[]", '{"began": 1}', '{"began": {}}'):
+        (tmp_path / STATE).write_text(text)
+        assert _begun(*asked) == first
+
+
+@pytest.mark.campaign
+def test_it_stops_where_the_record_is_not_to_be_believed(tmp_path):
+    """A sensor's gain that nobody told of: identified, but doubted, and nothing is designed."""
+    given = record(1.0)
+    values = given.values.copy()
+    values[given.signals.index("y_A_zeta")] *= 1.3
+    wrong = replace(given, values=values)
+    folder = tmp_path / "doubted"
+    try:
+        done = amb.retune(machine(), wrong, law(), folder, unknown=UNKNOWN)
+    except InvalidInput:
+        pass
+    else:
+        assert done.outcome == "stopped" and done.steps[-1].name == "identified"
+    assert not (folder / CONTROLLER).exists()
+
+
+def test_refusals(tmp_path):
+    with pytest.raises(InvalidInput, match="no record was given"):
+        amb.retune(machine(), [], law(), tmp_path)
+    slow = replace(record(1.0), sample_rate_hz=8000.0)
+    with pytest.raises(InvalidInput, match="sample rate of the record is 8000 Hz"):
+        amb.retune(machine(), slow, law(), tmp_path)
+    other = replace(record(1.0), machine="another")
+    with pytest.raises(InvalidInput, match="another"):
+        amb.retune(machine(), other, law(), tmp_path)
+    assert not list(tmp_path.iterdir())
+    result = CliRunner().invoke(main, ["retune", "--help"])
+    assert result.exit_code == 0 and "--accept" in result.output
+
+
+def test_the_method_keeps_the_structure():
+    method = method_like(law(), Timing(1e-4, 2))
+    assert (method.order, method.structure) == (8, "free")
+    assert (method.rate, method.delay_samples) == (10_000.0, 2)
+    assert method_like(amb.design(machine(), "pid"), Timing(1e-4)).order == 8
+
+
+def test_what_moved():
+    still = Moved("a", "N/A", 100.0, 101.0, 2.0, 5.0)
+    assert not still.certain and not still.beyond and still.change == pytest.approx(0.01)
+    assert Moved("a", "N/A", 100.0, 104.0, 2.0, 5.0).certain
+    assert Moved("a", "N/A", 100.0, 108.0, 2.0, 5.0).beyond
+    assert np.isnan(Moved("a", "N/m", 0.0, 1.0, 2.0, None).change)
