@@ -108,7 +108,7 @@ def worst_voltages(
 ) -> np.ndarray:
     """Largest voltage |R + j w L| i of every axis' coil (a, w) [V]: what the virtual rig limits.
 
-    What motion induces is left out. inductance [H]; resistance [Ohm], of a "current-loop" alone.
+    What motion induces is left out. inductance [H]; resistance [ohm], of a "current-loop" alone.
     """
     impedance = np.hypot(resistance, inductance * response.omega)
     return np.asarray(worst_currents(response, residual) * impedance)

@@ -96,7 +96,7 @@ DIMENSIONS: dict[str, Dimension] = dict(
         _dimension("current", "A", "4.5 A", "A=1,mA=1e-3"),
         _dimension("voltage", "V", "150 V", "V=1,mV=1e-3,kV=1e3"),
         _dimension("inductance", "H", "20 mH", "H=1,mH=1e-3,uH=1e-6"),
-        _dimension("resistance", "Ohm", "1.2 Ohm", "Ohm=1,ohm=1,mOhm=1e-3,Ω=1"),
+        _dimension("resistance", "ohm", "1.2 ohm", "ohm=1,mohm=1e-3"),
         _dimension("magnetic flux density", "T", "1.6 T", "T=1,mT=1e-3"),
         _dimension("power", "W", "1.5 MW", "W=1,kW=1e3,MW=1e6"),
         _dimension("force", "N", "7.5 kN", "N=1,kN=1e3"),
@@ -172,7 +172,10 @@ def rewrite_quantity(old: str, value: float, dimension: Dimension) -> str:
 
 
 def canonical_unit(text: str) -> str:
-    """One spelling for "kg*m**2", "kg·m^2", "kg m²" and "kg m2": the last; micro is "u"."""
+    """One spelling for "kg*m**2", "kg·m^2", "kg m²" and "kg m2": the last; micro is "u".
+
+    The sign of the ohm is "ohm".
+    """
     for old, new in (
         ("**", ""),
         ("^", ""),
@@ -182,6 +185,9 @@ def canonical_unit(text: str) -> str:
         ("·", " "),
         ("μ", "u"),
         ("µ", "u"),
+        ("Ohm", "ohm"),
+        ("\u03a9", "ohm"),
+        ("\u2126", "ohm"),
     ):
         text = text.replace(old, new)
     return re.sub(r"\s*/\s*", "/", " ".join(text.split()))

@@ -353,7 +353,7 @@ def sensors(machine: MachineDescription) -> Iterator[str]:
 def _current_loop(machine: MachineDescription) -> Iterator[str]:
     """A coil under a PI controller: its circuit, and whether the voltage holds the bias current."""
     coil = machine.amplifier
-    for key, example in (("resistance", "1.2 Ohm"), ("inductance", "20 mH")):
+    for key, example in (("resistance", "1.2 ohm"), ("inductance", "20 mH")):
         if getattr(coil, key) is None:
             yield (
                 f'[amplifier]: {key} is missing; order "current-loop" needs that of a coil, such '

@@ -36,7 +36,7 @@ from ambrose.machine.description import Amplifier
 
 AMPLIFIER_ORDERS = ("none", "first", "twice-first", "second", "current-loop")
 LOOP = "current-loop"
-_UNITS = {"resistance": "Ohm", "inductance": "H"}
+_UNITS = {"resistance": "ohm", "inductance": "H"}
 
 
 def linearised(
