@@ -19,7 +19,7 @@ from ambrose.machine.file.toml import dumps_machine, loads_machine
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.amplifier import derivative, linearised, parameters
 from ambrose.model.uncertainty import perturbed
-from ambrose.rig.engine.equilibrium import linear_view, state_at_rest
+from ambrose.rig.engine.equilibrium import linear_view, slope, state_at_rest
 from ambrose.rig.engine.inputs import stretch
 from ambrose.rig.engine.state import build
 from ambrose.rig.scenario import Scenario
@@ -127,6 +127,28 @@ def test_the_rig_turns_into_the_plant(machine):
     unstable = poles[poles.real > 1]
     # the circuit takes of the negative stiffness: all unstable poles are slower
     assert unstable.real.max() < 0.995 * unlike.real.max()
+
+
+def test_the_rig_cuts_the_voltage_and_feels_the_motion(machine):
+    """L i' = +-(V - R i_0) - R i - k_i/2 x' far from the command; within the limit, w (u - i)."""
+    drive = replace(machine.amplifier, max_voltage=60.0)
+    bearings = tuple(replace(b, max_current=None) for b in machine.bearings)
+    rig = build(replace(machine, amplifier=drive, bearings=bearings), bending_modes=0)
+    task = plan(rig, Scenario("still", 0.01), 1e-4, 0)
+    n, count = rig.coordinates, len(rig.axes)
+    z = state_at_rest(rig, np.zeros(n), np.zeros(count))
+    L, bias = drive.inductance, rig.constants.magnet[0, 0]
+    left = 60.0 - drive.resistance * bias
+    for u, expected in ((50.0, left / L), (-50.0, -left / L), (1e-3, 9000.0 * 1e-3)):
+        rate = slope(rig, stretch(task, 0, 2), z, np.full(count, u))[2 * n : 2 * n + 2]
+        assert rate[0] == pytest.approx(expected, rel=1e-9)
+        assert rate[1] == pytest.approx(0.0 if abs(u) > 1 else expected, rel=1e-9)
+    # a velocity of the first mode moves the current by -k_u/L of what the bearing sees of it
+    z[n] = 0.02
+    rate = slope(rig, stretch(task, 0, 2), z, np.zeros(count))[2 * n]
+    cosine, shape = rig.constants.direction[0, 0], rig.constants.shape[0, 0]
+    k_i = machine.bearings[0].force_per_current[0]
+    assert rate == pytest.approx(-k_i / (2 * L) * cosine * shape * 0.02, rel=1e-9)
 
 
 @pytest.mark.parametrize(
