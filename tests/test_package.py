@@ -20,7 +20,7 @@ pytestmark = pytest.mark.campaign  # minutes
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 SCRIPTS = "Scripts" if os.name == "nt" else "bin"
-DATA_SUFFIXES = {".toml", ".json", ".j2", ".typed"}
+DATA_SUFFIXES = {".toml", ".json", ".j2", ".typed", ".html", ".css", ".js", ".svg"}
 
 
 def bounds(*extras):

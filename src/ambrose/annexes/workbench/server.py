@@ -1,0 +1,227 @@
+"""The server of one project: routes, and how it starts and ends."""
+
+from __future__ import annotations
+
+import asyncio
+import ipaddress
+import signal
+import socket
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket
+
+from ambrose.annexes.workbench.guard import PAGE_POLICY, App, Guard
+from ambrose.annexes.workbench.project import Project
+from ambrose.annexes.workbench.viewers import LiveRoom
+from ambrose.core.checks import AmbroseError, InvalidInput
+
+_TYPES = {
+    ".html": "text/html; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".svg": "image/svg+xml",
+}
+_MESSAGE = 65_536  # bytes of a socket's message
+_ENDS = (signal.SIGINT, signal.SIGTERM)
+_PATIENCE = 2  # [s] for open requests when the server ends
+
+
+def build(project: Project, hosts: list[str], announce: Callable[[str], None]) -> App:
+    """The whole server as an ASGI application behind its guard.
+
+    hosts: "address:port" that it answers to; announce(token): told the first token and every next.
+    """
+    live = LiveRoom(project)
+
+    async def page(request: Request) -> Response:
+        return _static("index.html")
+
+    async def static(request: Request) -> Response:
+        return _static(request.path_params["name"])
+
+    async def state(request: Request) -> Response:
+        return JSONResponse(await asyncio.to_thread(_state, project))
+
+    async def start(request: Request) -> Response:
+        content = await _content(request)
+        await asyncio.to_thread(begin, project, content.get("machine"))
+        return JSONResponse({})
+
+    async def file(request: Request) -> Response:
+        path = project.path(request.path_params["kind"], request.path_params["name"])
+        return await asyncio.to_thread(_file, path)
+
+    async def watch(socket: WebSocket) -> None:
+        await live.join(socket)
+
+    @asynccontextmanager
+    async def lifespan(app: Starlette) -> AsyncIterator[None]:
+        yield
+        await live.close()
+
+    routes: list[Route | WebSocketRoute] = [
+        Route("/", page),
+        Route("/static/{name}", static),
+        Route("/api/state", state),
+        Route("/api/machine/begin", start, methods=["POST"]),
+        Route("/files/{kind}/{name}", file),
+        WebSocketRoute("/live", watch),
+    ]
+    refusals: dict[Any, Callable[[Request, Exception], Awaitable[Response]]] = {
+        AmbroseError: _refused,
+        ClientDisconnect: _cut,
+    }
+    app = Starlette(routes=routes, lifespan=lifespan, exception_handlers=refusals)
+    app.router.redirect_slashes = False
+    return Guard(app, hosts, announce)
+
+
+async def _refused(request: Request, error: Exception) -> Response:
+    return JSONResponse({"error": str(error)}, status_code=400)
+
+
+async def _cut(request: Request, error: Exception) -> Response:
+    return PlainTextResponse("the request ended early, or was too large\n", status_code=413)
+
+
+async def _content(request: Request) -> dict[str, Any]:
+    """The JSON object of a request. Raises InvalidInput."""
+    try:
+        content = await request.json()
+    except (ValueError, RecursionError):
+        content = None
+    if not isinstance(content, dict):
+        raise InvalidInput("the request holds no JSON object; reload the page")
+    return content
+
+
+def _static(name: str) -> Response:
+    """A file that comes with the package; it is looked up among those there are."""
+    known = {item.name: item for item in files(__package__).joinpath("static").iterdir()}
+    if name not in known or Path(name).suffix not in _TYPES:
+        return PlainTextResponse("there is no such file\n", status_code=404)
+    return Response(known[name].read_bytes(), media_type=_TYPES[Path(name).suffix])
+
+
+def _file(path: Path) -> Response:
+    """A file of the project: pages of results run alone, all others are downloads."""
+    if not path.is_file():
+        return PlainTextResponse("there is no such file\n", status_code=404)
+    if path.suffix.lower() == ".html":
+        headers = {"content-security-policy": PAGE_POLICY}
+        return FileResponse(path, media_type=_TYPES[".html"], headers=headers)
+    return FileResponse(path, media_type="application/octet-stream", filename=path.name)
+
+
+def _state(project: Project) -> dict[str, Any]:
+    """What stands in the folder, for every screen."""
+    from ambrose.annexes.workbench.project import KINDS
+    from ambrose.machine.file.toml import bundled_machines
+
+    return {
+        "folder": project.root.name,
+        "machine": project.machine.is_file(),
+        "bundled": list(bundled_machines()),
+        "files": {kind: project.names(kind) for kind in KINDS},
+    }
+
+
+def begin(project: Project, name: object) -> None:
+    """A bundled machine becomes the project's, where it has none. Raises InvalidInput."""
+    from ambrose.machine.atomic_write import write_text
+    from ambrose.machine.file.toml import bundled_machines
+
+    known = bundled_machines()
+    if not isinstance(name, str) or name not in known:
+        raise InvalidInput(
+            f"there is no bundled machine {str(name)[:60]!r}; choose one that the page lists"
+        )
+    if project.machine.exists():
+        raise InvalidInput("the project has a machine file already; remove it first")
+    text = known[name].read_text(encoding="utf-8")
+    write_text(project.machine, text, "machine file")
+
+
+def listening(address: str, port: int) -> socket.socket:
+    """A socket that listens at an address of this computer. Raises InvalidInput."""
+    try:
+        place = ipaddress.ip_address(address)
+    except ValueError:
+        raise InvalidInput(
+            f"--listen is {address!r}, but must be an IP address of this computer, such as "
+            "192.168.0.10; look it up in its network settings"
+        ) from None
+    if place.is_unspecified:
+        raise InvalidInput(
+            f"--listen {address} means every network at once; give the address of the one that "
+            "may see the workbench"
+        )
+    family = socket.AF_INET6 if place.version == 6 else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listener.bind((address, port))
+        listener.listen(128)
+    except OSError as error:
+        listener.close()
+        raise InvalidInput(
+            f"cannot listen at {address}, port {port}: {error.strerror or error}; give another"
+        ) from error
+    return listener
+
+
+def names_of(listener: socket.socket) -> list[str]:
+    """ "address:port" by which a server at this socket is known; its own address first."""
+    address, port = listener.getsockname()[:2]
+    place = ipaddress.ip_address(address)
+    own = f"[{address}]:{port}" if place.version == 6 else f"{address}:{port}"
+    return [own, f"localhost:{port}"] if place.is_loopback else [own]
+
+
+def serve(project: Project, listener: socket.socket, announce: Callable[[str], None]) -> None:
+    """Serve a project until the process is asked to end (SIGINT, SIGTERM).
+
+    announce(address): told the address to open, and every next one.
+    """
+    hosts = names_of(listener)
+    app = build(project, hosts, lambda token: announce(f"http://{hosts[0]}/?token={token}"))
+    config = uvicorn.Config(
+        app,
+        log_level="warning",
+        access_log=False,
+        proxy_headers=False,
+        server_header=False,
+        ws_max_size=_MESSAGE,
+        ws_per_message_deflate=False,
+        ws_ping_interval=5.0,
+        ws_ping_timeout=5.0,
+        timeout_graceful_shutdown=_PATIENCE,
+        lifespan="on",
+    )
+    asyncio.run(_Server(config).serve([listener]))
+
+
+class _Server(uvicorn.Server):
+    """uvicorn's, which ends without passing the signal on."""
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """SIGINT and SIGTERM end the server, and the process in order."""
+
+        def end(number: int, frame: Any) -> None:
+            self.should_exit = True
+
+        before = {number: signal.signal(number, end) for number in _ENDS}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)

@@ -1,0 +1,228 @@
+"""Attacks on the server, at the level of ASGI: none comes through."""
+
+import asyncio
+import json
+import os
+
+import pytest
+
+pytest.importorskip("starlette", reason="the extra workbench is not installed")
+
+from ambrose.annexes.workbench.project import Project
+from ambrose.annexes.workbench.server import build
+from asgi_client import HOST, ORIGIN, Client
+
+
+@pytest.fixture
+def place(tmp_path):
+    """The server of a project, its tokens, and a browser that came with the first one."""
+    tokens = []
+    folder = tmp_path / "project"
+    app = build(Project(folder), [HOST, "localhost:4000"], tokens.append)
+    (folder / "controllers").mkdir()
+    (folder / "controllers" / "mine.json").write_text("{}")
+    (tmp_path / "secret.json").write_text("secret")
+    (folder / "controllers" / "link.json").symlink_to(tmp_path / "secret.json")
+    (folder / "records").symlink_to(tmp_path)
+    (folder / "reports").mkdir()
+    (folder / "reports" / "page.html").write_text("<script>alert(1)</script>")
+    browser = Client(app)
+    assert browser.enter(tokens[0]).status == 200
+    return app, tokens, browser, folder
+
+
+def test_the_owner_is_served(place):
+    """What follows means something only if the same requests pass without the attack."""
+    _, _, browser, _ = place
+    assert browser.ask("GET", "/").status == 200
+    assert browser.ask("GET", "/", headers={"origin": None}).status == 200
+    state = browser.ask("GET", "/api/state").data
+    assert state["files"]["controllers"] == ["mine.json"]
+    assert browser.ask("GET", "/files/controllers/mine.json").body == b"{}"
+    assert browser.ask("GET", "/static/live.js").status == 200
+    begun = browser.ask("POST", "/api/machine/begin", b'{"machine": "two-disc-rotor"}')
+    assert begun.status == 200
+
+
+def test_a_token_is_good_once(place):
+    app, tokens, browser, _ = place
+    assert len(tokens) == 2
+    assert Client(app).enter(tokens[0]).status == 401
+    second = Client(app)
+    assert second.enter(tokens[1]).status == 200
+    # both browsers are served
+    assert browser.ask("GET", "/api/state").status == second.ask("GET", "/api/state").status == 200
+    cookie = browser.ask("GET", "/", query=f"token={tokens[2]}").headers["set-cookie"]
+    assert "HttpOnly" in cookie and "SameSite=Strict" in cookie
+
+
+FOREIGN = {
+    "no cookie": ({"cookie": None}, 401),
+    "a guessed cookie": ({"cookie": "ambrose-4000=guess"}, 401),
+    "an empty cookie": ({"cookie": "ambrose-4000="}, 401),
+    "a broken cookie": ({"cookie": 'ambrose-4000="\\777; ;;=;'}, 401),
+    "a cookie of another port": ({"cookie": "ambrose-4001=x"}, 401),
+    "another host (DNS rebinding)": ({"host": "evil.example:4000"}, 421),
+    "the host without its port": ({"host": "127.0.0.1"}, 421),
+    "no host": ({"host": None}, 421),
+    "a host that begins alike": ({"host": "127.0.0.1:4000.evil.example"}, 421),
+    "another origin": ({"origin": "http://evil.example"}, 403),
+    "an origin that begins alike": ({"origin": f"{ORIGIN}.evil.example"}, 403),
+    "another port of this computer": ({"origin": "http://127.0.0.1:4001"}, 403),
+    "https": ({"origin": f"https://{HOST}"}, 403),
+    "a sandboxed page": ({"origin": "null"}, 403),
+    "another site": ({"sec-fetch-site": "cross-site", "origin": None}, 403),
+    "another port, no origin": ({"sec-fetch-site": "same-site", "origin": None}, 403),
+}
+
+
+@pytest.mark.parametrize("attack", FOREIGN)
+def test_a_stranger_reads_nothing(place, attack):
+    _, _, browser, _ = place
+    headers, status = FOREIGN[attack]
+    for path in ("/", "/api/state", "/static/live.js", "/files/controllers/mine.json"):
+        assert browser.ask("GET", path, headers=headers).status == status
+
+
+@pytest.mark.parametrize("attack", [*FOREIGN, "no origin"])
+def test_a_stranger_changes_nothing(place, attack):
+    _, _, browser, folder = place
+    headers, status = {**FOREIGN, "no origin": ({"origin": None}, 403)}[attack]
+    body = b'{"machine": "seal-rig"}'
+    status = 403 if headers.get("origin", ORIGIN) is None else status
+    assert browser.ask("POST", "/api/machine/begin", body, headers).status == status
+    assert not (folder / "machine.toml").exists()
+
+
+@pytest.mark.parametrize("attack", [*FOREIGN, "no origin"])
+def test_a_stranger_opens_no_socket(place, attack):
+    _, _, browser, _ = place
+    headers, _ = {**FOREIGN, "no origin": ({"origin": None}, 403)}[attack]
+    (closed,) = asyncio.run(browser.socket("/live", headers))
+    assert closed["type"] == "websocket.close"
+
+
+@pytest.mark.parametrize("name", ["host", "origin", "cookie"])
+def test_a_header_that_stands_twice_is_wrong(place, name):
+    _, _, browser, _ = place
+    again = dict(browser.own(None))[name.encode()]
+    assert browser.ask("GET", "/api/state", more=[(name.encode(), again)]).status in {401, 403, 421}
+
+
+@pytest.mark.parametrize("method", ["TRACE", "CONNECT", "OPTIONS", "PATCH", "get"])
+def test_other_methods_are_refused(place, method):
+    _, _, browser, _ = place
+    assert browser.ask(method, "/api/state").status == 405
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/files/controllers/../../secret.json",
+        "/files/controllers/..%2f..%2fsecret.json",
+        "/files/../secret.json",
+        "/files/controllers/link.json",
+        "/files/records/secret.json",
+        "/files/controllers//etc/passwd",
+        "/files/controllers/.hidden.json",
+        "/files/controllers/mine.json\0.json",
+        "/files/controllers/mine.json/",
+        "/files/controllers/mine",
+        "/files/jobs/mine.json",
+        "/files/controllers/" + "a" * 61 + ".json",
+        "/files/controllers/ｍine.json",
+        "/files/controllers/con:.json",
+        "/static/../server.py",
+        "/static/..",
+        "/static/",
+        "/static/%2e%2e/server.py",
+        "//127.0.0.1/secret.json",
+    ],
+)
+def test_no_path_leads_out(place, path):
+    _, _, browser, _ = place
+    answer = browser.ask("GET", path)
+    assert answer.status in {400, 404}
+    assert b"secret" not in answer.body.replace(b"secret.json", b"")
+    assert b"import" not in answer.body
+
+
+def test_too_much_is_not_read(place):
+    _, _, browser, folder = place
+    told = browser.ask("POST", "/api/machine/begin", b"{}", {"content-length": "2000000"})
+    assert told.status == 413
+    assert browser.ask("POST", "/api/state", b"", {"content-length": "-1"}).status == 413
+    # the same without a length
+    parts = [b'{"machine": "seal-rig", "x": "', *[b"y" * 100_000] * 12, b'"}']
+    assert browser.ask("POST", "/api/machine/begin", parts).status == 413
+    assert not (folder / "machine.toml").exists()
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"",
+        b"[]",
+        b"\xff",
+        b"[" * 50_000,
+        b'{"machine": "../secret"}',
+        b'{"machine": ["seal-rig"]}',
+        b'{"machine": null}',
+    ],
+)
+def test_nonsense_is_refused_in_words(place, body):
+    _, _, browser, folder = place
+    answer = browser.ask("POST", "/api/machine/begin", body)
+    assert answer.status == 400
+    assert answer.data["error"]
+    assert not (folder / "machine.toml").exists()
+
+
+def test_what_goes_out_forbids_scripts_in_text(place):
+    _, _, browser, _ = place
+    for path in ("/", "/api/state", "/static/live.js", "/nothing"):
+        headers = browser.ask("GET", path).headers
+        policy = headers["content-security-policy"]
+        assert "default-src 'none'" in policy and "script-src 'self';" in policy
+        assert "unsafe" not in policy and "frame-ancestors 'none'" in policy
+        assert headers["x-content-type-options"] == "nosniff"
+        assert headers["cache-control"] == "no-store"
+    # a page of results has its scripts, but no address of its own
+    page = browser.ask("GET", "/files/reports/page.html").headers["content-security-policy"]
+    assert page.startswith("sandbox allow-scripts;") and "connect-src" not in page
+    # a file of the project is no page here
+    file = browser.ask("GET", "/files/controllers/mine.json").headers
+    assert file["content-disposition"].startswith("attachment")
+    assert file["content-type"] == "application/octet-stream"
+
+
+def test_the_pages_hold_no_script_and_no_markup_from_names():
+    """What the browser runs comes in files, and puts words into the page as text."""
+    from importlib.resources import files
+
+    static = files("ambrose.annexes.workbench").joinpath("static")
+    texts = {item.name: item.read_text("utf-8") for item in static.iterdir()}
+    for words in (
+        "innerHTML",
+        "outerHTML",
+        "insertAdjacent",
+        "document.write",
+        "eval(",
+        "Function(",
+    ):
+        assert not [name for name, text in texts.items() if words in text]
+    assert "<script>" not in texts["index.html"] and "style=" not in texts["index.html"]
+    script = [text for name, text in texts.items() if name.endswith(".js")]
+    lines = [line for text in script for line in text.splitlines() if line.strip()]
+    # code, without air and comments
+    assert len([line for line in lines if not line.lstrip().startswith("//")]) < 600
+    assert max(map(len, lines)) <= 112
+
+
+def test_names_of_files_that_are_no_slugs_do_not_appear(place):
+    _, _, browser, folder = place
+    (folder / "controllers" / "<img src=x onerror=alert(1)>.json").write_text("{}")
+    (folder / "controllers" / "..json").write_text("{}")
+    os.mkfifo(folder / "controllers" / "pipe.json")
+    assert browser.ask("GET", "/api/state").data["files"]["controllers"] == ["mine.json"]
+    assert json.loads(browser.ask("GET", "/api/state").body)["files"]["records"] == []

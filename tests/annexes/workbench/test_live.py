@@ -1,0 +1,164 @@
+"""The live rig behind its socket: frames on confirmation, orders, refusals in words, a record."""
+
+import asyncio
+import json
+import struct
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip("starlette", reason="the extra workbench is not installed")
+
+from ambrose.annexes.workbench.live import SAMPLES, LiveSession
+from ambrose.annexes.workbench.project import Project
+from ambrose.annexes.workbench.server import begin, build, listening, names_of
+from ambrose.core.checks import InvalidInput
+from ambrose.record.files import read_record
+from asgi_client import HOST, Client
+
+
+def opened(frame):
+    """Head and samples of a message, read as its description says."""
+    (length,) = struct.unpack_from("<I", frame)
+    head = json.loads(frame[4 : 4 + length])
+    return head, np.frombuffer(frame, "<f4", offset=4 + length)
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory):
+    made = Project(tmp_path_factory.mktemp("project"))
+    begin(made, "seal-rig")
+    return made
+
+
+@pytest.fixture(scope="module")
+def lasting(project):
+    """One that goes on from test to test."""
+    made = LiveSession(project)
+    made.frame()
+    return made
+
+
+@pytest.fixture
+def session(project, monkeypatch):
+    """A live rig whose clock goes on by 20 ms from frame to frame."""
+    clock = iter(np.arange(0.0, 1e6, 0.01))  # a frame looks at it twice
+    monkeypatch.setattr(time, "perf_counter", lambda: float(next(clock)))
+    made = LiveSession(project)
+    made.frame()
+    return made
+
+
+def test_a_frame_is_the_time_that_went_by_in_the_frame_of_the_machine(session):
+    session.do({"do": "knock", "station": "A", "x": 0.05, "y": 0.0})
+    head, samples = opened(session.frame())
+    rows = samples.reshape(-1, len(session.columns))
+    assert len(rows) == 200  # 20 ms at 10 kHz
+    assert head["time"] == pytest.approx(0.02)
+    # it went where it was pushed, along x, and the sensors at 45 degrees see it alike
+    x = rows[:, session.columns.index("x A")]
+    y = rows[:, session.columns.index("y A")]
+    assert x.max() > 1e-6 and np.abs(y).max() < 0.3 * x.max()
+    sensed = rows[:, session.columns.index("y A_zeta")]
+    assert sensed.max() == pytest.approx((x / np.sqrt(2)).max(), rel=0.3)
+
+
+def test_it_goes_slower_and_as_fast_as_it_can(session):
+    session.do({"do": "pace", "pace": "slow"})
+    begun = opened(session.frame())[0]["time"]
+    assert opened(session.frame())[0]["time"] - begun == pytest.approx(0.002)
+    session.do({"do": "pace", "pace": "fast"})
+    begun = opened(session.frame())[0]["time"]
+    for _ in range(8):
+        head, samples = opened(session.frame())
+    assert head["time"] - begun > 8 * 0.02
+    assert len(samples) <= SAMPLES * len(session.columns)
+
+
+def test_all_that_can_be_done_shows_in_the_head(session, project):
+    orders = [
+        {"do": "speed", "value": 30.0},
+        {"do": "pressure", "value": 1e5},
+        {"do": "unbalance", "station": "A", "value": 1e-5},
+        {"do": "gain", "value": 1.1},
+        {"do": "excite", "value": 0.1},
+        {"do": "switch", "controller": "pid.json"},
+        {"do": "record", "name": "mine"},
+        {"do": "fail", "what": "sensor", "axis": "A_zeta"},
+    ]
+    for order in orders:
+        session.do(order)
+    head, _ = opened(session.frame())
+    assert head["targets"] == {"speed": 30.0, "pressure": 1e5}
+    assert head["unbalance"] == ["A", 1e-5]
+    assert (head["gain"], head["excited"], head["record"]) == (1.1, 0.1, "mine.h5")
+    assert head["failed"] == ["sensor A_zeta"]
+    session.do({"do": "stop"})
+    record = read_record(project.path("records", "mine.h5"))
+    assert set(np.unique(np.abs(record["e_A_zeta"]))) == {0.1}
+    session.do({"do": "drop"})
+    session.do({"do": "lift"})
+    assert opened(session.frame())[0]["failed"] == []
+
+
+@pytest.mark.parametrize(
+    "order",
+    [
+        None,
+        [],
+        {"do": "__init__"},
+        {"do": "describe"},
+        {"do": "knock", "station": "nowhere", "x": 1, "y": 1},
+        {"do": "knock", "station": "A", "x": "1", "y": 1},
+        {"do": "knock", "station": "A", "x": float("nan"), "y": 1},
+        {"do": "knock", "station": "A", "x": True, "y": 1},
+        {"do": "speed", "value": -1},
+        {"do": "gain", "value": 0},
+        {"do": "unbalance", "station": "A", "value": 1e300},
+        {"do": "switch", "controller": "../../secret.json"},
+        {"do": "switch", "controller": "absent.json"},
+        {"do": "record", "name": "../out"},
+        {"do": "fail", "what": "sensor", "axis": "Z"},
+        {"do": "fail", "what": "everything"},
+        {"do": "pace", "pace": "backwards"},
+    ],
+)
+def test_what_makes_no_sense_is_refused_and_it_lives_on(lasting, order):
+    with pytest.raises(InvalidInput):
+        lasting.do(order)
+    time.sleep(0.002)
+    assert len(opened(lasting.frame())[1])
+
+
+def test_a_page_gets_frames_and_refusals_over_the_socket(project):
+    tokens = []
+    browser = Client(build(project, [HOST], tokens.append))
+    browser.enter(tokens[0])
+    said = ["no JSON", {"do": "knock", "station": "C", "x": 1, "y": 0}, "x" * 5000]
+    frames = []
+
+    def enough(message):
+        frames.append(message.get("bytes") is not None)
+        return sum(frames) >= 12
+
+    sent = asyncio.run(browser.socket("/live", said=said, until=enough))
+    words = [json.loads(m["text"]) for m in sent if m.get("text")]
+    assert words[0] == {"building": True}
+    assert words[1]["rig"]["stations"][:2] == ["A", "B"]
+    refused = [message["refused"] for message in words if "refused" in message]
+    assert len(refused) == 3 and "no station 'C'" in refused[1]
+    times = [opened(m["bytes"])[0]["time"] for m in sent if m.get("bytes")]
+    assert times == sorted(times)
+
+
+@pytest.mark.parametrize("address", ["0.0.0.0", "::", "example.org", "203.0.113.7"])
+def test_it_listens_nowhere_by_mistake(address):
+    with pytest.raises(InvalidInput):
+        listening(address, 0)
+
+
+def test_loopback_goes_by_two_names():
+    with listening("127.0.0.1", 0) as listener:
+        port = listener.getsockname()[1]
+        assert names_of(listener) == [f"127.0.0.1:{port}", f"localhost:{port}"]
