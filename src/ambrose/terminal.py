@@ -285,10 +285,12 @@ def load(machine: str, *, magnets: bool = True) -> Machine:
     """The machine of a command; magnets: whether the command needs magnetic bearings. Raises
     InvalidInput.
     """
-    from ambrose.machine.file.toml import load_machine
+    from ambrose.machine.file.toml import AXIAL, load_machine
     from ambrose.machine.machine import require_magnets
 
     found = load_machine(machine)
+    if found.has_axis and not found.name.endswith(AXIAL):
+        say(f"note: the radial axes; along the shaft: {machine}{AXIAL}", err=True)
     if magnets:
         require_magnets(found)
     return found

@@ -23,6 +23,7 @@ from ambrose.judge.checks import Curve, check_columns
 from ambrose.judge.plants import Progress, campbell_map, full_plants, plant_gain
 from ambrose.judge.result import Status, Synthesis
 from ambrose.machine.atomic_write import make_folder, set_aside, write_json
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.claim import claimed
 from ambrose.machine.machine import Machine, require_magnets
 from ambrose.model.plant import Plant
@@ -45,7 +46,8 @@ class Study(Presented):
     turn. failed: (controller, why) for those that could not be designed. commissioned: what
     commissioning on the rig gave, its controller among the candidates (None: not possible, see
     failed). run_ups: scheduled and robust controllers while the machine runs up. unwritten: why a
-    result could not be written.
+    result could not be written. axial: the study of the axis along the shaft, in the folder axial/
+    beside these (None: a machine without a thrust bearing).
     """
 
     machine: Machine
@@ -57,6 +59,7 @@ class Study(Presented):
     commissioned: Commissioning | None = None
     run_ups: tuple[RunUp, ...] = ()
     unwritten: tuple[str, ...] = ()
+    axial: Study | None = None
 
     @property
     def best(self) -> Candidate:
@@ -70,7 +73,8 @@ class Study(Presented):
         """Whether one controller meets every check at every operating point and over the
         tolerances.
         """
-        return any(candidate.passed for candidate in self.candidates)
+        along = self.axial is None or self.axial.passed
+        return along and any(candidate.passed for candidate in self.candidates)
 
     def facts(self) -> dict[str, Any]:
         """Machine, controllers, the best of them and whether it meets every check."""
@@ -86,7 +90,9 @@ class Study(Presented):
 
     def to_dict(self) -> dict[str, Any]:
         """The study as JSON-ready data: certificates and checks of every candidate."""
+        along = {} if self.axial is None else {"axial": self.axial.to_dict()}
         return {
+            **along,
             "machine": self.machine.name,
             "passed": self.passed,
             "best": self.best.name,
@@ -143,7 +149,8 @@ def study(
     machine: Machine, directory: str | Path, progress: Progress = lambda stage: None
 ) -> Study:
     """All stages in order; leaves controller-<method>.json, commissioned/, checks.json and
-    report.html in ``directory``, and what annexes add: lateral.json and lateral.html.
+    report.html in ``directory``, and what annexes add: lateral.json and lateral.html; of a machine
+    with a thrust bearing the same of the axis along its shaft in ``axial`` there.
 
     A report of an earlier run, its checks and its code are called ``earlier-...`` before anything
     is made anew. What cannot be written in the end is told in ``unwritten``, with all results kept.
@@ -151,7 +158,12 @@ def study(
     ``directory`` cannot be written or another run writes it.
     """
     with claimed(make_folder(directory), "study"):
-        return _study(machine, Path(directory), progress)
+        result = _study(machine, Path(directory), progress)
+        if not machine.has_axis or isinstance(machine, AxialMachine):
+            return result
+        progress("the axis along the shaft")
+        beside = make_folder(Path(directory) / "axial")
+        return replace(result, axial=_study(machine.axial, beside, progress))
 
 
 def _study(machine: Machine, directory: Path, progress: Progress) -> Study:
@@ -180,7 +192,8 @@ def _study(machine: Machine, directory: Path, progress: Progress) -> Study:
         except InvalidInput as error:
             unwritten.append(str(error))
     failed = list(result.failed)
-    for name, place in registered("study file").items():
+    beside = {} if isinstance(machine, AxialMachine) else registered("study file")
+    for name, place in beside.items():
         try:
             resolve(place)(machine, result.best.synthesis, directory, progress)
         except AmbroseError as error:

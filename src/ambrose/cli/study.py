@@ -51,9 +51,11 @@ def study_command(machine: str, output: Path | None, everything: bool, as_json: 
     else:
         rows = [(name, "design", why) for name, why in result.failed]
         marks = ["red"] * len(rows)
-        for candidate in result.candidates:
+        along = () if result.axial is None else result.axial.candidates
+        for candidate in (*result.candidates, *along):
+            which = candidate.name if candidate in result.candidates else f"{candidate.name}, axial"
             for checks in candidate.verifications:
-                rows.append((candidate.name, checks.label, verdict(checks).text))
+                rows.append((which, checks.label, verdict(checks).text))
                 marks.append("" if checks.passed else "red")
                 if everything:
                     print_checks(checks, everything)
@@ -69,6 +71,8 @@ def study_command(machine: str, output: Path | None, everything: bool, as_json: 
             marks,
         )
         say(decision(result.candidates).text + (f" Report: {report}" if report else ""))
+        if result.axial is not None:
+            say(f"Along the shaft: {decision(along).text} Report: {directory / 'axial'}")
     if result.unwritten:
         raise InvalidInput("; ".join(result.unwritten))
     sys.exit(0 if result.passed else 1)

@@ -47,6 +47,11 @@ class Machine(MachineDescription):
                 effect.axis(self)  # what is wrong with it is refused with the machine
 
     @property
+    def has_axis(self) -> bool:
+        """Whether it has an axis along its shaft."""
+        return any(effect.axis is not None for effect, _ in attached(self))
+
+    @property
     def axial(self) -> Machine:
         """The axis along the shaft as a machine of its own (``machine.axial.AxialMachine``). Raises
         InvalidInput where there is no [[thrust_bearing]].

@@ -71,7 +71,7 @@ def signal_curves(record: Record, machine: Machine) -> list[Curve]:
     curves: list[Curve | None] = []
     currents, forces = (
         _current_limits(machine),
-        tightest("largest force", [bearing.max_force for bearing in machine.bearings]),
+        tightest("largest force", [bearing.max_force for bearing in machine.axis_bearings]),
     )
     for kind, title, unit, limits in (
         ("u", "Controller output", "A", currents),
@@ -170,7 +170,7 @@ def trace_curves(trace: Trace, machine: Machine) -> tuple[Curve, ...]:
     the bearings as limits.
     """
     curves = []
-    gaps = tightest("touchdown gap", [bearing.touchdown_gap for bearing in machine.bearings])
+    gaps = tightest("touchdown gap", [bearing.touchdown_gap for bearing in machine.axis_bearings])
     for kind, words, unit, limits in (
         ("y", "displacement", "m", gaps),
         ("i", "current", "A", _current_limits(machine)),
@@ -190,13 +190,13 @@ def _at_axes(record: Record, machine: Machine, kind: str) -> list[str]:
 
 def _current_limits(machine: Machine) -> _Limits:
     return tightest(
-        "largest control current", [bearing.max_current for bearing in machine.bearings]
+        "largest control current", [bearing.max_current for bearing in machine.axis_bearings]
     )
 
 
-def tightest(words: str, values: Sequence[float | None]) -> _Limits:
-    """The smallest of several limits, on both sides; none where none is known."""
-    known = [value for value in values if value is not None]
+def tightest(words: str, values: Sequence[float | tuple[float, float] | None]) -> _Limits:
+    """The smallest of several limits, a pair's lesser, on both sides; none where none is known."""
+    known = [min(np.atleast_1d(value)) for value in values if value is not None]
     return ((words, min(known)), (words, -min(known))) if known else ()
 
 
@@ -397,7 +397,13 @@ def record_verdicts(
         else ("i", "Control current")
     )
     verdicts += _against(
-        record, machine, kind, title, "A", [b.max_current for b in machine.bearings], first or 0
+        record,
+        machine,
+        kind,
+        title,
+        "A",
+        [b.max_current for b in machine.axis_bearings],
+        first or 0,
     )
     verdicts += _against(
         record,
@@ -405,7 +411,7 @@ def record_verdicts(
         "f_magnet",
         "Magnet forces",
         "N",
-        [b.max_force for b in machine.bearings],
+        [b.max_force for b in machine.axis_bearings],
         first or 0,
     )
     return tuple(verdicts)

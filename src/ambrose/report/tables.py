@@ -351,12 +351,14 @@ def _figures_of(part: Part) -> list[str]:
     """
     words = []
     for key in part.to_dict():
-        value = getattr(part, key)
+        value: Any = getattr(part, key, None)
+        if not isinstance(value, float | tuple):
+            continue
         name = key.replace("_", " ")
-        unit, _ = unit_and_names(type(part), key)  # type: ignore[arg-type]  # a class is hashable
+        unit, names = unit_and_names(type(part), key)  # type: ignore[arg-type]  # a class is hashable
         pair = isinstance(value, tuple) and len(value) == 2
         if pair and all(isinstance(number, float) for number in value):
-            words += _pair_of(name, value, unit)
+            words += _pair_of(name, value, unit, names)
         elif isinstance(value, float) and key not in {"position", "angle"}:
             words.append(f"{name} {units.quantity(value, unit)}")
         elif isinstance(value, tuple):
@@ -364,10 +366,14 @@ def _figures_of(part: Part) -> list[str]:
     return words
 
 
-def _pair_of(name: str, values: tuple[float, float] | None, unit: str) -> list[str]:
-    """A ζ, η pair in words, as one number where both are equal."""
+def _pair_of(
+    name: str, values: tuple[float, float] | None, unit: str, names: Sequence[str] = ()
+) -> list[str]:
+    """A pair, ζ and η unless it has other names, in words, as one number where both are equal."""
     if values is None:
         return []
     if math.isclose(*values, rel_tol=1e-12):
         return [f"{name} {units.quantity(values[0], unit)}"]
-    return [f"{name} {units.quantity(values[0], unit)} (ζ), {units.quantity(values[1], unit)} (η)"]
+    first, second = ("ζ", "η") if len(names) != 2 or names[0] == "zeta" else names
+    one, other = (units.quantity(value, unit) for value in values)
+    return [f"{name} {one} ({first}), {other} ({second})"]

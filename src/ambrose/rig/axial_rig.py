@@ -125,7 +125,6 @@ def run(
     *,
     point: OperatingPoint | None = None,
     second: LawLike | None = None,
-    bending_modes: int | None = None,
     dt: float | None = None,
     seed: int = 0,
     computing_delay: int | None = None,
@@ -134,7 +133,7 @@ def run(
     progress: Callable[[str], None] | None = None,
 ) -> Trace:
     """A scenario on the nonlinear axis; arguments, signals and outcomes as of
-    ``virtual_rig.run``, without a second controller. bending_modes: none act along the axis.
+    ``virtual_rig.run``, without a second controller.
 
     Raises InvalidInput, and NumericalFailure where there is no levitated state to start from.
     """
@@ -202,6 +201,13 @@ def run(
         run_time=time.perf_counter() - prepared,
         compile_time=prepared - begun,
     )
+
+
+def check_scenario(machine: AxialMachine, scenario: Scenario, dt: float) -> None:
+    """Raises InvalidInput for what a run of a scenario on the axis would refuse."""
+    rig: Any = build(machine, machine.operation.nominal, dt)
+    task = plan(rig, scenario, dt, 0)
+    waveforms(scenario, task.inputs, dt, 1, rig.mass)
 
 
 def build(

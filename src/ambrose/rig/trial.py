@@ -27,7 +27,7 @@ from ambrose.model.effects.rotor import mass_properties
 from ambrose.model.plant import Plant, beyond_top_speed
 from ambrose.model.reduce import reduce
 from ambrose.registry import registered, resolve
-from ambrose.rig import axial_rig, linear, virtual_rig
+from ambrose.rig import linear, virtual_rig
 from ambrose.rig.engine.controller import sample_time
 from ambrose.rig.engine.state import RIG_MODES
 from ambrose.rig.run_up import Step, spin_up
@@ -130,10 +130,8 @@ def simulate_scenario(
         beside = beside_law(described, law, blocks, events, begin, timing or DEFAULT)
         trace = virtual_rig.run(described, beside, events, point=start, progress=progress, **rig)
         return replace(trace, text=f"{trace.text}; {beside.words()}")
-    if isinstance(described, AxialMachine):
-        if fallback is not None:
-            raise invalid("fallback", "given", "left out", "seal pressure has no axial law")
-        return axial_rig.run(described, law, events, point=start, progress=progress, **rig)
+    if isinstance(described, AxialMachine) and fallback is not None:
+        raise invalid("fallback", "given", "left out", "no law along the shaft follows a pressure")
     if fallback is None:
         trace = virtual_rig.run(described, law, events, point=start, progress=progress, **rig)
         return _warned(trace, described, events, start, rig.get("bending_modes"))

@@ -19,8 +19,10 @@ from ambrose.law.law import Law, LawLike, law_of
 from ambrose.law.program import ControlProgram
 from ambrose.law.scheduling import PRESSURE, SPEED
 from ambrose.law.timing import DEFAULT, Timing, machine_timing
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
+from ambrose.rig import axial_rig
 from ambrose.rig.disturbances import PressureChange, SpeedChange
 from ambrose.rig.engine.controller import (
     NO_PROGRAM,
@@ -60,6 +62,9 @@ def check_scenario(machine: Machine, scenario: Scenario, dt: float) -> None:
     without running it.
     """
     scenario = scenario.on(machine)
+    if isinstance(machine, AxialMachine):
+        axial_rig.check_scenario(machine, scenario, dt)
+        return
     task = plan(build(machine), scenario, dt, 0)
     waveforms(scenario, task.inputs, dt, 1, task.rig.mass)
 
@@ -100,6 +105,20 @@ def run(
     run goes on; "diverged" means that the state overflowed, and the record ends before. Raises
     InvalidInput, and NumericalFailure where there is no levitated state to start from.
     """
+    if isinstance(machine, AxialMachine):
+        return axial_rig.run(
+            machine,
+            controller,
+            scenario.on(machine),
+            point=point,
+            second=second,
+            dt=dt,
+            seed=seed,
+            computing_delay=computing_delay,
+            every=every,
+            path=path,
+            progress=progress,
+        )
     law, other = law_of(controller), None if second is None else law_of(second)
     if progress is not None and not kept():
         progress("compiling the virtual rig: once per computer, up to a minute")

@@ -377,7 +377,9 @@ def _lively(curves: Sequence[tuple[str, Curve]]) -> tuple[float, float] | None:
 
 
 def wrapped(items: Sequence[T]) -> list[Sequence[T]]:
-    """In rows of equal length, or one shorter: five are three and two."""
+    """In rows of equal length, or one shorter: five are three and two; of nothing none."""
+    if not items:
+        return []
     count = -(-len(items) // _COLUMNS)
     width = -(-len(items) // count)
     return [items[i : i + width] for i in range(0, len(items), width)]
