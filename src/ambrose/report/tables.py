@@ -356,9 +356,10 @@ def _figures_of(part: Part) -> list[str]:
             continue
         name = key.replace("_", " ")
         unit, names = unit_and_names(type(part), key)  # type: ignore[arg-type]  # a class is hashable
+        numbers: Any = value
         pair = isinstance(value, tuple) and len(value) == 2
-        if pair and all(isinstance(number, float) for number in value):
-            words += _pair_of(name, value, unit, names)
+        if pair and all(isinstance(number, float) for number in numbers):
+            words += _pair_of(name, numbers, unit, names)
         elif isinstance(value, float) and key not in {"position", "angle"}:
             words.append(f"{name} {units.quantity(value, unit)}")
         elif isinstance(value, tuple):
