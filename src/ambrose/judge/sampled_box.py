@@ -129,11 +129,19 @@ class SampledBox:
         decades = np.log10(self.nyquist / _LOWEST)
         return np.geomspace(_LOWEST, self.nyquist, int(_PER_DECADE * decades) + 2)
 
+    def light(self, resonances: np.ndarray) -> np.ndarray:
+        """Those of the poles (p,) [rad/s] with frequencies of their own, one of every pair, by
+        frequency.
+        """
+        # damping ratio -Re/|s| below _LIGHT
+        few = -resonances.real < _LIGHT * np.abs(resonances)
+        light = resonances[(resonances.imag > 0) & few]
+        return np.asarray(light[np.argsort(light.imag)])
+
     def beside(self, resonances: np.ndarray) -> np.ndarray:
         """Frequencies (w,) [rad/s] around the light poles among ``resonances``."""
-        modulus = np.abs(resonances)
-        # one of every pair, damping ratio -Re/|s| below _LIGHT; half bandwidth |Re|
-        light = resonances[(resonances.imag > 0) & (-resonances.real < _LIGHT * modulus)]
+        # half bandwidth |Re|
+        light = self.light(resonances)
         around = light.imag[:, None] + np.abs(light.real)[:, None] * _BESIDE
         return np.unique(around[(around > _LOWEST) & (around < self.nyquist)])
 
