@@ -110,8 +110,8 @@ def test_what_only_the_rig_knows_is_refused_in_words(tmp_path):
 
 
 NEW_KINDS = (  # three bearings; fast; hyphens in axes, no seal
-    pytest.param("three-bearing-train", marks=pytest.mark.campaign),
-    pytest.param("high-speed-spindle", marks=pytest.mark.study),
+    pytest.param("three-bearing-train", marks=pytest.mark.study),
+    pytest.param("high-speed-spindle", marks=pytest.mark.campaign),
     pytest.param("turbomolecular-pump", marks=pytest.mark.study),
 )
 

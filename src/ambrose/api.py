@@ -90,6 +90,7 @@ def design(
     synchronous: str | None = None,
     synchronous_band: tuple[float, float] | None = None,
     synchronous_time: float | None = None,
+    synchronous_update: str | None = None,
     base: Any = None,
     progress: Progress = _quiet,
     **options: Any,
@@ -115,7 +116,11 @@ def design(
     from ambrose.synthesis.design import design as designed
     from ambrose.synthesis.synchronous_design import check_request, design_synchronous, in_words
 
-    more = {"synchronous_band": synchronous_band, "synchronous_time": synchronous_time}
+    more = {
+        "synchronous_band": synchronous_band,
+        "synchronous_time": synchronous_time,
+        "synchronous_update": synchronous_update,
+    }
     name = method if isinstance(method, str) else type(method).__name__.lower()
     check_request(synchronous, name, {**more, "base": base})
     if not isinstance(machine, PlantType):
@@ -138,6 +143,7 @@ def design(
         synchronous,
         band=synchronous_band,
         time_constant=synchronous_time,
+        update=synchronous_update or "sample",
         rate=options.get("rate", getattr(method, "rate", None)),
         delay_samples=options.get("delay_samples", getattr(method, "delay_samples", None)),
         progress=progress,

@@ -52,11 +52,11 @@ def play(block, e, told, valid=None):
 @pytest.mark.parametrize(
     ("make", "rate"),
     [
-        (small_schedule, None),
+        pytest.param(small_schedule, None, marks=pytest.mark.study),
         (small_schedule, 5e4),
-        (two_states, 5e4),
+        pytest.param(two_states, 5e4, marks=pytest.mark.study),
         (gain_schedule, None),
-        (pressure_schedule, 5e6),
+        pytest.param(pressure_schedule, 5e6, marks=pytest.mark.study),
     ],
 )
 def test_agrees_with_the_block_in_python(make, rate):
@@ -72,6 +72,7 @@ def test_agrees_with_the_block_in_python(make, rate):
         assert (status & bit).any()
 
 
+@pytest.mark.study
 def test_the_vectors_without_a_value_are_those_of_an_implausible_one():
     """What is no number has no literal: the test program takes twice the limit in its place, with
     the same answers.
@@ -90,7 +91,9 @@ def test_the_vectors_without_a_value_are_those_of_an_implausible_one():
     )
 
 
-@pytest.mark.parametrize("make", [small_schedule, two_states])
+@pytest.mark.parametrize(
+    "make", [pytest.param(small_schedule, marks=pytest.mark.study), two_states]
+)
 def test_tracking_goes_on_without_a_bump(make):
     block = block_of(make())
     assert block.transfers

@@ -276,6 +276,7 @@ def test_every_value_of_the_small_machine():
                     1.0,
                     (6000 * rpm, 12000 * rpm),
                     phase=(30 * deg, 40 * deg),
+                    update="turn",
                     harmonic=2,
                 ),
             ),

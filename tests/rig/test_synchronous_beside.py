@@ -60,3 +60,24 @@ def test_a_block_is_asked_for_in_python_as_on_the_command_line(controlled):
     (block,) = made.synchronous
     assert block.band == (600.0, 640.0)
     assert block.time_constant == pytest.approx(0.4)
+
+
+@pytest.mark.campaign
+def test_a_block_that_moves_once_a_turn_converges_on_the_rig_like_the_other(controlled):
+    """Convergent control: 1x of the current falls as far as with a block that moves every
+    sample.
+    """
+    machine, _ = controlled
+    law = pid_controller(machine.reference, machine)
+    left = {}
+    for update in ("sample", "turn"):
+        made = amb.design(
+            machine,
+            synchronous="current-free",
+            base=law,
+            synchronous_band=(760.0, 840.0),
+            synchronous_update=update,
+        )
+        assert made.synchronous[0].update == update
+        left[update] = tone(amb.simulate(machine, made, HOLD), 0.5, 0.6)
+    assert left["turn"] < 1.3 * left["sample"]

@@ -68,6 +68,12 @@ _METHOD_OPTION = "--method"
     "loop allows.",
 )
 @click.option(
+    "--synchronous-update",
+    type=click.Choice(["sample", "turn"]),
+    default=None,
+    help="With --synchronous: when the block's amplitudes move; default: every sample.",
+)
+@click.option(
     "--base",
     type=click.Path(path_type=Path),
     default=None,
@@ -95,6 +101,7 @@ def synthesize(
     synchronous: str | None,
     synchronous_band: tuple[float, float] | None,
     synchronous_time: float | None,
+    synchronous_update: str | None,
     base: Path | None,
     output: Path,
     machine_file: Path | None,
@@ -123,6 +130,7 @@ def synthesize(
     more = {
         "--synchronous-band": synchronous_band,
         "--synchronous-time": synchronous_time,
+        "--synchronous-update": synchronous_update,
         "--base": base,
     }
     check_request(synchronous, method, more, "--synchronous")
@@ -154,6 +162,7 @@ def synthesize(
                 synchronous,
                 band=synchronous_band,
                 time_constant=synchronous_time,
+                update=synchronous_update or "sample",
                 rate=getattr(chosen, "rate", None),
                 delay_samples=getattr(chosen, "delay_samples", None),
                 progress=progress,

@@ -138,9 +138,15 @@ def largest_gain(
     gains below the one returned.
     """
 
-    def stable(gain: float) -> bool:
-        return slowest_pole(loop, T, frequency, gain, leak) < 0
+    return largest_stable(
+        lambda gain: slowest_pole(loop, T, frequency, gain, leak) < 0, highest, tolerance
+    )
 
+
+def largest_stable(
+    stable: Callable[[float], bool], highest: float, tolerance: float = 0.01
+) -> float:
+    """The gain up to which a predicate holds, as ``largest_gain`` describes it."""
     if stable(highest):
         low = highest
     else:
@@ -165,11 +171,7 @@ def largest_gain(
     for share in (0.75, 0.4, 0.1):
         if low and not stable(share * low):
             below = share * low
-            return (
-                largest_gain(loop, T, frequency, below, tolerance, leak)
-                if below > _LEAST * highest
-                else 0.0
-            )
+            return largest_stable(stable, below, tolerance) if below > _LEAST * highest else 0.0
     return low
 
 

@@ -14,8 +14,8 @@ orbit, current and force.
 
 The margin concerns small gains: Herm(T S) > 0 (core/interval_proof.py) for a loop that is stable
 without the block, which the other tables judge. A finite eps is judged by exact poles at single
-speeds. Unbalance is the residual one of the balance grade in the bearing planes, the worst case
-over how forward forces share it.
+speeds (a block that moves once a turn: by its multipliers over one). Unbalance is the residual one
+of the balance grade in the bearing planes, the worst case over how forward forces share it.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ambrose.core.interval_proof import IntervalProof
+from ambrose.core.per_turn import largest_block_gain
 from ambrose.core.statespace import select, spectral_abscissa
 from ambrose.core.synchronous import (
     borders,
     convergence,
     convergence_angle,
-    largest_gain,
     sector_angle,
 )
 from ambrose.judge.checks import Check, Checks, Curve
@@ -338,8 +338,10 @@ def _gain_checks(item: BlockLoop) -> list[Check]:
             closed = select(item.loop.sampled(speed, condition), None, item.loop.reads(item.mode))
             drive = T @ item.loop.weights(item.mode, speed, condition)
             frequency = item.loop.harmonic * speed
-            largest = largest_gain(
-                closed, drive, frequency, min(limit, max(8 * eps, 0.1 * frequency)), 0.05, leak
+            highest = min(limit, max(8 * eps, 0.1 * frequency))
+            update = item.block.update
+            largest = largest_block_gain(
+                closed, drive, speed, item.loop.harmonic, update, highest, leak
             )
             if largest < limit:
                 limit, at = largest, speed

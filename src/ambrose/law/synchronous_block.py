@@ -10,7 +10,10 @@ The generated C code does the same in the same order (code/c/synchronous.py). Pe
 3. the state machine of every block (below);
 4. c = Re(exp(j n theta) a) of all blocks together, added to the error that the base controller
    reads;
-5. on: a += ramp eps Ts D(W) exp(-j n theta) s - leak Ts a, each amplitude projected onto its limit.
+5. on: a += ramp eps Ts D(W) exp(-j n theta) s - leak Ts a, each amplitude projected onto its limit;
+   of a block that moves once a turn, at the pulse and before 4, with the mean of exp(-j n theta) s
+   over the turn and the turn's length in place of Ts (convergent control: Knospe et al.,
+   Mechatronics 5 (1995) 385).
 
 | state | what happens | left |
 |---|---|---|
@@ -70,7 +73,7 @@ class BlockLaw:
     [rad/s]; hold, release, ramp [s].
 
     subtracts: whether it reads y - c, c of all blocks (else y); m = 2 n: it reads the currents [A]
-    after the displacements. Raises InvalidInput.
+    after the displacements; per_turn: it moves once a turn. Raises InvalidInput.
     """
 
     speeds: np.ndarray
@@ -85,6 +88,7 @@ class BlockLaw:
     release: float = 0.2
     ramp: float = 0.5
     subtracts: bool = True
+    per_turn: bool = False
 
     def __post_init__(self) -> None:
         n = len(self.limit)
@@ -138,6 +142,7 @@ class Angle:
     slope: float = 0.0
     now: float = 0.0
     theta: float = 0.0
+    turned: bool = False  # a turn has ended in this sample, and its speed is known
 
     def follow(self, pulse: float) -> BlockFault:
         """One sample. pulse [s]: how long ago it came, within the last sample; negative: none. Sets
@@ -184,6 +189,7 @@ class Angle:
             if came and self.pulses < 1:
                 self.pulses = 1
         self.theta = 2 * math.pi * (turns - math.floor(turns))
+        self.turned = came and not fault
         return fault
 
 
@@ -197,6 +203,8 @@ class _Running:
     clock: int = 0
     ramp: float = 0.0
     a: np.ndarray = field(default_factory=lambda: np.zeros(0, complex))
+    total: np.ndarray = field(default_factory=lambda: np.zeros(0, complex))
+    count: int = 0  # samples in total, the sum of exp(-j n theta) s since the pulse
 
 
 class SynchronousBlock:
@@ -213,7 +221,13 @@ class SynchronousBlock:
     def begin(self) -> None:
         """At rest: no pulse yet, all off."""
         self.angle = Angle(self.law.sample_time, self.law.fastest)
-        self.running = [_Running(a=np.zeros(self.law.channels, complex)) for _ in self.law.blocks]
+        self.running = [
+            _Running(
+                a=np.zeros(self.law.channels, complex),
+                total=np.zeros(block.drive.shape[2], complex),
+            )
+            for block in self.law.blocks
+        ]
 
     def step(
         self,
@@ -241,6 +255,7 @@ class SynchronousBlock:
             cosine, sine = self.turn(block.harmonic)
             turns.append((cosine, sine))
             self._advance(block, run, samples, fault, enabled)
+            self._end_of_turn(block, run)
             total += run.a.real * cosine - run.a.imag * sine
 
         for block, run, (cosine, sine) in zip(self.law.blocks, self.running, turns, strict=True):
@@ -248,22 +263,41 @@ class SynchronousBlock:
                 s = y - total if block.subtracts else y
                 if block.reads_currents:
                     s = np.concatenate([s, np.zeros(len(y)) if currents is None else currents])
-                D = self._drive(block)
-                dt = self.law.sample_time
-                # a += ramp eps Ts D s e^{-j n theta} - leak Ts a
-                update = (D @ s) * complex(cosine, -sine)
-                run.a = run.a + (run.ramp * block.gain * dt) * update - (block.leak * dt) * run.a
-
-                # each amplitude back onto its limit, the phase kept
-                size = np.abs(run.a)
-                if (size > block.limit).any():
-                    run.a = np.where(
-                        size > block.limit, run.a * (block.limit / np.maximum(size, 1e-300)), run.a
-                    )
-                    run.fault |= BlockFault.LIMIT
+                if block.per_turn:
+                    run.total = run.total + s * complex(cosine, -sine)
+                    run.count += 1
+                else:
+                    # a += ramp eps Ts D s e^{-j n theta} - leak Ts a
+                    moved = (self._drive(block) @ s) * complex(cosine, -sine)
+                    self._move(block, run, moved, self.law.sample_time)
             elif run.state is BlockState.RELEASE:
                 run.a = run.a * (1 - self.law.sample_time / block.release)
         return total
+
+    def _end_of_turn(self, block: BlockLaw, run: _Running) -> None:
+        """Of a block that moves once a turn: a += ramp eps t D mean - leak t a, t the turn's
+        length and mean that of exp(-j n theta) s over it.
+        """
+        if not block.per_turn:
+            return
+        if run.state is BlockState.ON and self.angle.turned and run.count > 0:
+            moved = self._drive(block) @ (run.total / run.count)
+            self._move(block, run, moved, run.count * self.law.sample_time)
+        if run.state is not BlockState.ON or self.angle.turned:
+            run.total = np.zeros_like(run.total)
+            run.count = 0
+
+    def _move(self, block: BlockLaw, run: _Running, moved: np.ndarray, time: float) -> None:
+        """a += ramp eps time moved - leak time a, each amplitude back onto its limit, its phase
+        kept.
+        """
+        run.a = run.a + (run.ramp * block.gain * time) * moved - (block.leak * time) * run.a
+        size = np.abs(run.a)
+        if (size > block.limit).any():
+            run.a = np.where(
+                size > block.limit, run.a * (block.limit / np.maximum(size, 1e-300)), run.a
+            )
+            run.fault |= BlockFault.LIMIT
 
     def turn(self, harmonic: int) -> tuple[float, float]:
         """Cosine and sine of n theta, from the table and a remainder of third order."""

@@ -70,7 +70,7 @@ def block_of(
     band: tuple[float, float],
     time_constant: float,
     table: BlockTable,
-    **more: float | None,
+    **more: float | str | None,
 ) -> Synchronous:
     """A block with the part of a table that covers its band; more: further fields of
     ``Synchronous``.
@@ -128,6 +128,7 @@ def running_law(
                 block.release,
                 block.time_constant,
                 block.mode == "current-free",
+                block.update == "turn",
             )
         )
     return SynchronousLaw(tuple(laws), loop.timing.sample_time, fastest)

@@ -17,6 +17,7 @@ import numpy as np
 from ambrose.machine.kinds import Choice, Count, Length, ListOf, NestedOf, PairOf, Rate, Time
 from ambrose.machine.part import Part
 
+SYNCHRONOUS_UPDATES = ("sample", "turn")
 SYNCHRONOUS_MODES = ("current-free", "force-free", "vibration-free", "damping")
 SYNCHRONOUS_COORDINATES = ("axes", "tilt-translate")
 
@@ -67,6 +68,11 @@ class Synchronous(Part):
     leak: Annotated[
         Rate, 'rate at which amplitudes fade all the time; needed by mode "damping"'
     ] = 0.0
+    update: Annotated[
+        str,
+        Choice(SYNCHRONOUS_UPDATES),
+        "when amplitudes move: every sample, or once a turn by its mean (convergent control)",
+    ] = "sample"
 
     @property
     def gain(self) -> float:

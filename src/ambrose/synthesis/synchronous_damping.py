@@ -49,13 +49,15 @@ def damping_blocks(
     corners: Sequence[Condition],
     clear: float,
     time_constant: float | None = None,
+    update: str = "sample",
     progress: Callable[[str], None] = lambda text: None,
 ) -> tuple[tuple[Synchronous, ...], float]:
     """Blocks of mode "damping" that keep the orbit within ``clear`` of its limit all over the band
     [rad/s], at the conditions ``at`` and the corners of their tolerances; and g [-], by which they
     divide 1x, less one.
 
-    time_constant [s]: 2/eps; None: as short as poles and sensitivity allow. Raises InvalidInput
+    time_constant [s]: 2/eps; None: as short as poles and sensitivity allow. update: "sample" or
+    "turn". Raises InvalidInput
     where no g up to 16 keeps the orbit within its limit and the current within half of the coils',
     or where no T converges, poles or sensitivity are lost.
     """
@@ -73,13 +75,14 @@ def damping_blocks(
     kept, lost = within_sensitivity(loop, MODE, tables, at, leak_per_gain)
     if lost:
         raise InvalidInput(f"damping is not possible there: {lost[0]}")
-    limit = min(gain_limit(loop, MODE, where, table, at) for where, table in kept)
+    limit = min(gain_limit(loop, MODE, where, table, at, update) for where, table in kept)
     gain = min(SHARE * limit, TURNS * band[0])
     if time_constant is not None:
         gain = min(gain, 2 / time_constant)
     gain, _ = sensitive_gain(loop, MODE, kept, at, gain, leak_per_gain)
     blocks = tuple(
-        block_of(MODE, where, 2 / gain, table, leak=gain * leak_per_gain) for where, table in kept
+        block_of(MODE, where, 2 / gain, table, leak=gain * leak_per_gain, update=update)
+        for where, table in kept
     )
     return blocks, g
 

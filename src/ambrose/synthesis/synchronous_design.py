@@ -51,7 +51,7 @@ from ambrose.law.synchronous_pencils import loop_pencils, prove_interval
 from ambrose.law.synchronous_table import BlockTable, block_of, block_table
 from ambrose.machine.criteria import TWO_PI
 from ambrose.machine.machine import Machine
-from ambrose.machine.synchronous import Synchronous
+from ambrose.machine.synchronous import SYNCHRONOUS_UPDATES, Synchronous
 from ambrose.model.plant import top_speed
 from ambrose.synthesis.synchronous_damping import MODE as DAMPING
 from ambrose.synthesis.synchronous_damping import damping_blocks
@@ -129,6 +129,7 @@ def design_synchronous(
     *,
     band: tuple[float, float] | None = None,
     time_constant: float | None = None,
+    update: str = "sample",
     rate: float | None = None,
     delay_samples: int | None = None,
     progress: Progress = lambda text: None,
@@ -139,9 +140,10 @@ def design_synchronous(
     "vibration-free"; "damping" around a critical speed, which the design also takes by itself where
     the others are forbidden and the loop alone breaks the orbit's limit. band [rad/s]: None (not
     with damping): from a tenth of the top speed to it. time_constant [s]: 2/eps; None: as small as
-    the loop allows. rate [Hz], delay_samples: as for ``verify``. Raises InvalidInput where the loop
-    is unstable without the block, for a time constant below what the poles allow, or where no band
-    is left.
+    the loop allows. update: "sample", or "turn" for amplitudes that move once a turn by its mean
+    (convergent control). rate [Hz], delay_samples: as for ``verify``. Raises InvalidInput where the
+    loop is unstable without the block, for a time constant below what the poles allow, or where no
+    band is left.
     """
     if mode not in MODES:
         raise invalid(
@@ -150,6 +152,9 @@ def design_synchronous(
             f"one of {', '.join(MODES)}",
             "choose one of them",
         )
+    if update not in SYNCHRONOUS_UPDATES:
+        known = ", ".join(SYNCHRONOUS_UPDATES)
+        raise invalid("update", repr(update), f"one of {known}", "choose one of them")
     if mode == DAMPING and band is None:
         raise InvalidInput(
             "damping is for the speeds around a critical speed; give them as the band of the block"
@@ -172,7 +177,9 @@ def design_synchronous(
     check_base_loop(loop, at, low, high)
     corners = [corner for condition in at for corner in extreme_conditions(loop, condition, high)]
     if mode == DAMPING:
-        damped, g = damping_blocks(loop, (low, high), at, corners, _CLEAR, time_constant, progress)
+        damped, g = damping_blocks(
+            loop, (low, high), at, corners, _CLEAR, time_constant, update, progress
+        )
         return _damping_design(loop, damped, g)
     progress(f"looking for bands in which {mode} breaks its orbit")
     left_out = list(forbidden_bands(loop, mode, (low, high), (*at, *corners), share=_CLEAR))
@@ -206,7 +213,7 @@ def design_synchronous(
             "block first, or choose another band"
         )
     progress("the largest eps")
-    limit = min(gain_limit(loop, mode, where, table, at) for where, table in tables)
+    limit = min(gain_limit(loop, mode, where, table, at, update) for where, table in tables)
     gain = min(SHARE * limit, TURNS * min(where[0] for where, _ in tables))
     if time_constant is not None:
         if 2 / time_constant > limit:
@@ -218,27 +225,32 @@ def design_synchronous(
     else:
         gain, note = sensitive_gain(loop, mode, tables, at, gain)
         notes += note
-    blocks = tuple(block_of(mode, where, 2 / gain, table) for where, table in tables)
+    blocks = tuple(block_of(mode, where, 2 / gain, table, update=update) for where, table in tables)
 
     # where neither the block nor the loop alone keeps the orbit: damping, if it can
-    left_out = [piece for item in left_out for piece in _off_or_nothing(loop, item, at)]
-    for k, item in enumerate(left_out):
-        if item.replacement:
-            continue
-        wide = max(low, item.low - _EDGE), min(high, item.high + _EDGE)
-        try:
-            damped, g = damping_blocks(loop, wide, at, corners, _CLEAR, time_constant, progress)
-        except InvalidInput as reason:
-            notes.append(f"{item.low:.4g} to {item.high:.4g} rad/s: {reason}")
-            continue
-        left_out[k] = replace(item, replacement=DAMPING)
-        blocks = tuple(sorted((*blocks, *damped), key=lambda block: block.band))
-        notes.append(_damping_in_words(*wide, g))
+    pieces: list[Forbidden] = []
+    for whole in left_out:
+        for item in _off_or_nothing(loop, whole, at):
+            pieces.append(item)
+            if item.replacement:
+                continue
+            # from before it is needed, within the band that the other blocks leave
+            wide = max(whole.low, item.low - _EDGE), min(whole.high, item.high + _EDGE)
+            try:
+                damped, g = damping_blocks(
+                    loop, wide, at, corners, _CLEAR, time_constant, update, progress
+                )
+            except InvalidInput as reason:
+                notes.append(f"{item.low:.4g} to {item.high:.4g} rad/s: {reason}")
+                continue
+            pieces[-1] = replace(item, replacement=DAMPING)
+            blocks = tuple(sorted((*blocks, *damped), key=lambda block: block.band))
+            notes.append(_damping_in_words(*wide, g))
     return SynchronousDesign(
         machine,
         mode,
         blocks,
-        tuple(left_out),
+        tuple(pieces),
         float(angle),
         float(gain),
         float(limit),
@@ -347,7 +359,7 @@ def _damping_design(
     )
     low, high = blocks[0].band[0], blocks[-1].band[1]
     limit = min(
-        gain_limit(loop, DAMPING, block.band, block_table(block, loop.machine), at)
+        gain_limit(loop, DAMPING, block.band, block_table(block, loop.machine), at, block.update)
         for block in blocks
     )
     return SynchronousDesign(

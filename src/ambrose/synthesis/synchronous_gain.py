@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ambrose.core.per_turn import largest_block_gain
 from ambrose.core.statespace import select
-from ambrose.core.synchronous import largest_gain
 from ambrose.judge.synchronous_bands import Forbidden, orbit_limit
 from ambrose.judge.synchronous_sensitivity import sensitivity_peak
 from ambrose.law.synchronous import Condition, SynchronousLoop
@@ -27,16 +27,17 @@ def gain_limit(
     band: tuple[float, float],
     table: BlockTable,
     at: Sequence[Condition],
+    update: str = "sample",
 ) -> float:
-    """The largest eps [1/s] with stable exact poles at a few speeds of a band, all conditions."""
+    """The largest eps [1/s] with stable exact poles (of an update "turn": multipliers over a turn)
+    at a few speeds of a band, all conditions.
+    """
     limit = np.inf
     for speed in np.linspace(*band, _GAIN_SPEEDS):
         for condition in at:
             closed = select(loop.sampled(speed, condition), None, loop.reads(mode))
             T = table.at(speed) @ loop.weights(mode, speed, condition)
-            limit = min(
-                limit, largest_gain(closed, T, loop.harmonic * speed, min(limit, speed), 0.05)
-            )
+            limit = largest_block_gain(closed, T, speed, loop.harmonic, update, min(limit, speed))
     return float(limit)
 
 

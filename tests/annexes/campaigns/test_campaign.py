@@ -480,7 +480,7 @@ print(found.missing, found.failed, len(found.keys))
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize("engine", ["processes", pytest.param("dask", marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("engine", ["processes", pytest.param("dask", marks=pytest.mark.study)])
 def test_a_plain_script_needs_no_guard(tmp_path, engine):
     """Without ``if __name__ == "__main__"``: every case was recorded as failed, its worker having
     died.

@@ -2,6 +2,8 @@
 refuses.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -25,7 +27,7 @@ DT, N = 1e-4, 20000
 compiled = pytest.mark.skipif(not has_compiler(), reason="no C compiler")
 
 
-def law(currents=False):
+def law(currents=False, per_turn=False):
     rng = np.random.default_rng(5)
     m = 8 if currents else 4
     size = (5, 4, m)
@@ -57,6 +59,8 @@ def law(currents=False):
         0.1,
         False,
     )
+    if per_turn:
+        first = replace(first, per_turn=True)
     return SynchronousLaw((first, second), DT, 2000.0)
 
 
@@ -90,9 +94,11 @@ def record():
 
 @pytest.mark.campaign
 @compiled
+@pytest.mark.parametrize("per_turn", [False, True])
 @pytest.mark.parametrize("currents", [False, True])
-def test_code_is_its_twin_to_1e12_over_a_run_up_with_faults(currents):
-    twin, code = SynchronousBlock(law(currents)), CompiledSynchronous(law(currents))
+def test_code_is_its_twin_to_1e12_over_a_run_up_with_faults(currents, per_turn):
+    wanted = law(currents, per_turn)
+    twin, code = SynchronousBlock(wanted), CompiledSynchronous(wanted)
     farthest = largest = 0.0
     states, faults = set(), BlockFault.NONE
     for pulse, error, current, flags in zip(*record(), strict=True):

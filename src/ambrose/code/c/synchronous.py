@@ -69,9 +69,11 @@ def generate_synchronous(
     numbers = 2 * SECTORS + sum(
         2 * block.drive.size + len(block.speeds) + n for block in law.blocks
     )
+    turning = sum(n * 8 * block.drive.shape[2] for block in law.blocks if block.per_turn)
     cost = {
-        "multiplications": 40 + n * (4 * columns + (14 + 2 * _NEWTON) * len(law.blocks)),
-        "additions": 40 + n * (6 * columns + (10 + _NEWTON) * len(law.blocks)),
+        # at the end of a turn the table serves twice, for the mean's real and imaginary part
+        "multiplications": 40 + n * (4 * columns + (14 + 2 * _NEWTON) * len(law.blocks)) + turning,
+        "additions": 40 + n * (6 * columns + (10 + _NEWTON) * len(law.blocks)) + turning,
         "table_bytes": size * numbers,
     }
     facts: dict[str, Any] = {
@@ -101,6 +103,7 @@ def generate_synchronous(
         "fixed": False,
         "largest": LARGEST[arithmetic],
         "far": number(_FAR),
+        "per_turn": any(block.per_turn for block in law.blocks),
     }
     source = render("synchronous.c.j2", facts)
     known = identity_facts(name, source, code_types(arithmetic))
@@ -146,6 +149,7 @@ def _block(block: BlockLaw, table: Any, arithmetic: str, dt: float) -> dict[str,
         "harmonic": block.harmonic,
         "subtracts": int(block.subtracts),
         "currents": int(block.reads_currents),
+        "per_turn": int(block.per_turn),
     }
 
 
@@ -181,11 +185,21 @@ class CompiledSynchronous:
                 ("ramp", real),
                 ("re", real * n),
                 ("im", real * n),
+                *(
+                    (
+                        ("sum_re", real * (2 * n)),
+                        ("sum_im", real * (2 * n)),
+                        ("count", ctypes.c_long),
+                    )
+                    if any(block.per_turn for block in law.blocks)
+                    else ()
+                ),
             )
 
         class State(ctypes.Structure):
             _fields_ = (
                 ("pulses", ctypes.c_int),
+                ("turned", ctypes.c_int),
                 *(
                     (name, real)
                     for name in ("tau", "period", "middle", "speed", "slope", "now", "theta")

@@ -11,7 +11,12 @@ import numpy as np
 
 from ambrose.machine.description import MachineDescription
 from ambrose.machine.messages import complaint, shown
-from ambrose.machine.synchronous import SYNCHRONOUS_COORDINATES, SYNCHRONOUS_MODES, Synchronous
+from ambrose.machine.synchronous import (
+    SYNCHRONOUS_COORDINATES,
+    SYNCHRONOUS_MODES,
+    SYNCHRONOUS_UPDATES,
+    Synchronous,
+)
 from ambrose.machine.validation.signs import not_positive
 
 _HARMONICS = 8  # of the turning; the speed's multiples that a block may follow
@@ -46,6 +51,9 @@ def synchronous_problems(
                 f"one of {', '.join(SYNCHRONOUS_MODES)}",
                 "choose one of them",
             )
+        if block.update not in SYNCHRONOUS_UPDATES:
+            known = f"one of {', '.join(SYNCHRONOUS_UPDATES)}"
+            yield complaint(inside, "update", shown(block.update), known, "choose one of them")
         if block.coordinates not in SYNCHRONOUS_COORDINATES:
             known = f"one of {', '.join(SYNCHRONOUS_COORDINATES)}"
             yield complaint(
