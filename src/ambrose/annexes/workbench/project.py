@@ -67,9 +67,13 @@ class Project:
                 f"it ends with {' or '.join(KINDS[kind])}"
             )
         slug(stem, f"file in {kind}")
-        # a link in place of the folder is seen before anything is made there
-        folder = self._inside(self.root / kind)
-        return self._inside(make_folder(folder) / text)
+        return self._inside(self.folder(kind) / text)
+
+    def folder(self, name: str) -> Path:
+        """A folder of the project, made where it is absent. Raises InvalidInput for a link that
+        leads out, before anything is made there.
+        """
+        return make_folder(self._inside(self.root / name))
 
     def names(self, kind: str) -> list[str]:
         """The files of a kind that can be named, sorted."""

@@ -20,6 +20,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
 from ambrose.annexes.workbench.guard import PAGE_POLICY, App, Guard
+from ambrose.annexes.workbench.jobs import KINDS, Jobs
 from ambrose.annexes.workbench.project import Project
 from ambrose.annexes.workbench.viewers import LiveRoom
 from ambrose.core.checks import AmbroseError, InvalidInput
@@ -41,6 +42,7 @@ def build(project: Project, hosts: list[str], announce: Callable[[str], None]) -
     hosts: "address:port" that it answers to; announce(token): told the first token and every next.
     """
     live = LiveRoom(project)
+    jobs = Jobs(project)
 
     async def page(request: Request) -> Response:
         return _static("index.html")
@@ -60,13 +62,24 @@ def build(project: Project, hosts: list[str], announce: Callable[[str], None]) -
         path = project.path(request.path_params["kind"], request.path_params["name"])
         return await asyncio.to_thread(_file, path)
 
+    async def list_jobs(request: Request) -> Response:
+        return JSONResponse({"kinds": list(KINDS), "jobs": jobs.listing()})
+
+    async def start_job(request: Request) -> Response:
+        jobs.start(await _content(request))
+        return JSONResponse({})
+
+    async def cancel_job(request: Request) -> Response:
+        await jobs.cancel((await _content(request)).get("name"))
+        return JSONResponse({})
+
     async def watch(socket: WebSocket) -> None:
         await live.join(socket)
 
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
         yield
-        await live.close()
+        await asyncio.gather(jobs.close(), live.close())
 
     routes: list[Route | WebSocketRoute] = [
         Route("/", page),
@@ -74,6 +87,9 @@ def build(project: Project, hosts: list[str], announce: Callable[[str], None]) -
         Route("/api/state", state),
         Route("/api/machine/begin", start, methods=["POST"]),
         Route("/files/{kind}/{name}", file),
+        Route("/api/jobs", list_jobs),
+        Route("/api/jobs/start", start_job, methods=["POST"]),
+        Route("/api/jobs/cancel", cancel_job, methods=["POST"]),
         WebSocketRoute("/live", watch),
     ]
     refusals: dict[Any, Callable[[Request, Exception], Awaitable[Response]]] = {

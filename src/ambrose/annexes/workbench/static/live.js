@@ -11,15 +11,16 @@ export function live(place, state) {
   let view = null;
   const link = stream({
     rig: (rig) => { view = build(place, rig, state, (message) => link.send(message)); say(""); },
-    frame: (head, samples, columns) => view?.show(head, samples, columns), told: (message) => {
+    frame: (head, samples, columns) => view?.show(head, samples, columns),
+    lost: (text) => say(text, true),
+    told: (message) => {
       if (message.building) say("Starting the rig; the first time it is compiled, which takes a minute.");
       else if (message.failed) failed(message.failed);
       else say(message.refused, true);
-    }, lost: (text) => say(text, true), });
+    } });
   const failed = (text) => {
     say(text, true);
-    if (!view) place.replaceChildren(make("section", { className: "panel" },
-      make("h2", {}, "There is no rig"),
+    if (!view) place.replaceChildren(make("section", { className: "panel" }, make("h2", {}, "There is no rig"),
       starting(state.files.controllers, (message) => link.send(message))));
   };
   return () => link.close();
@@ -68,11 +69,9 @@ function told(facts, rig, head, rate) {
     frames: `${rate.toFixed(0)} a second`, };
   facts.replaceChildren(...Object.entries(words).map(([name, text]) =>
     make("span", {}, `${name} `, make("b", {}, text))));
-  const warnings = [];
-  if (head.ended) warnings.push(head.ended);
-  if (head.contact.some(Boolean)) warnings.push("the rotor touches its touchdown bearings");
-  if (head.failed.length) warnings.push(`failed: ${head.failed.join(", ")}`);
-  if (head.stale) warnings.push("the machine file has changed: start again to see it");
+  const warnings = [head.ended, head.contact.some(Boolean) && "the rotor touches its touchdown bearings",
+    head.failed.length && `failed: ${head.failed.join(", ")}`,
+    head.stale && "the machine file has changed: start again to see it"].filter(Boolean);
   if (warnings.length) facts.append(make("b", { className: "bad" }, warnings.join("; ")));
 }
 

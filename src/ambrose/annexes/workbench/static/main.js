@@ -1,8 +1,9 @@
 // The screens in the order of the work; the address after # says which one is open.
-import { ask, make, say } from "/static/page.js";
+import { ask, button, make, say } from "/static/page.js";
+import { jobs } from "/static/jobs.js";
 import { live } from "/static/live.js";
 
-const SCREENS = { live: ["Live rig", live] };
+const SCREENS = { live: ["Live rig", live], jobs: ["Jobs", jobs] };
 
 let leave = null;
 
@@ -32,17 +33,12 @@ async function open() {
 function beginning(place, state) {
   const list = make("select", {}, ...state.bundled.map((name) => make("option", {}, name)));
   list.value = "seal-rig";
-  const start = async () => {
-    try {
-      await ask("/api/machine/begin", { machine: list.value });
-      open();
-    } catch (error) { say(error.message, true); }
-  };
+  const start = async () => { await ask("/api/machine/begin", { machine: list.value }); open(); };
   place.replaceChildren(make("section", { className: "panel" },
     make("h2", {}, "This folder has no machine yet"),
     make("p", {}, "Put your machine file into it as machine.toml, or begin with a bundled machine:"),
     make("div", { className: "buttons" }, list,
-      make("button", { className: "main", onclick: start }, "Begin"))));
+      button("Begin", start, { className: "main" }))));
 }
 
 history.replaceState(null, "", location.pathname + location.hash); // the token is used up

@@ -22,8 +22,7 @@ export function canvas(words, height) {
 // the drawing context, cleared, in CSS pixels
 export function begin(element) {
   const scale = Math.min(window.devicePixelRatio || 1, 2);
-  const width = element.clientWidth;
-  const height = element.clientHeight;
+  const { clientWidth: width, clientHeight: height } = element;
   if (element.width !== Math.round(width * scale)) element.width = Math.round(width * scale);
   if (element.height !== Math.round(height * scale)) element.height = Math.round(height * scale);
   const g = element.getContext("2d");
@@ -44,12 +43,8 @@ export function path(g, count, x, y, stroke, dash = []) {
 }
 
 export function circle(g, x, y, radius, stroke, dash = []) {
-  g.setLineDash(dash);
-  g.strokeStyle = stroke;
-  g.beginPath();
-  g.arc(x, y, Math.max(radius, 0), 0, 2 * Math.PI);
-  g.stroke();
-  g.setLineDash([]);
+  const turn = (i) => (2 * Math.PI * i) / 72;
+  path(g, 73, (i) => x + radius * Math.cos(turn(i)), (i) => y + radius * Math.sin(turn(i)), stroke, dash);
 }
 
 // 1, 2 or 5 times a power of ten, at least the value
@@ -66,10 +61,10 @@ export function short(value, unit) {
   return `${Number((value / 10 ** power).toPrecision(3))} ${SIGNS[power]}${unit}`.trim();
 }
 
-// curves: [{x, y, stroke, dash}]; axes: {x: [low, high], y: [low, high], log: [x, y], names, levels}
+// curves: [{x, y, stroke, dash}]; axes: {x: [low, high], y: [low, high], log: [x, y], names, marks}
 export function curves(element, list, axes) {
   const { g, width, height } = begin(element);
-  const [left, right, top, bottom] = [58, 8, 8, 34];
+  const [left, right, top, bottom] = [50, 8, 8, 34];
   const scale = (range, log, from, to) => {
     const f = log ? (v) => Math.log10(Math.max(v, 1e-30)) : (v) => v;
     const [low, high] = range.map(f);
@@ -79,33 +74,24 @@ export function curves(element, list, axes) {
   const Y = scale(axes.y, axes.log?.[1], height - bottom, top);
   g.fillStyle = ink.muted;
   g.lineWidth = 1;
-  const room = [(width - left) / 70, (height - bottom) / 30];
-  ticks(axes.x, axes.log?.[0], room[0]).forEach((v) => {
+  ticks(axes.x, axes.log?.[0], (width - left) / 70).forEach((v) => {
     path(g, 2, () => X(v), (i) => [top, height - bottom][i], ink.faint);
     g.textAlign = "center";
     g.fillText(short(v, ""), X(v), height - bottom + 14);
   });
-  ticks(axes.y, axes.log?.[1], room[1]).forEach((v) => {
+  ticks(axes.y, axes.log?.[1], (height - bottom) / 30).forEach((v) => {
     path(g, 2, (i) => [left, width - right][i], () => Y(v), ink.faint);
     g.textAlign = "right";
     g.fillText(short(v, ""), left - 5, Y(v) + 4);
   });
   g.textAlign = "center";
   g.fillText(axes.names[0], (left + width) / 2, height - 4);
-  g.save();
-  g.translate(11, (top + height - bottom) / 2);
-  g.rotate(-Math.PI / 2);
-  g.fillText(axes.names[1], 0, 0);
-  g.restore();
+  g.textAlign = "left";
+  g.fillText(axes.names[1], left + 5, top + 12);
   g.save();
   g.beginPath();
   g.rect(left, top, width - left - right, height - top - bottom);
   g.clip();
-  for (const [value, name] of axes.levels || []) {
-    path(g, 2, (i) => [left, width - right][i], () => Y(value), ink.limit, [5, 3]);
-    g.textAlign = "right";
-    g.fillText(name, width - right - 3, Y(value) - 3);
-  }
   for (const value of axes.marks || []) path(g, 2, () => X(value), (i) => i * height, ink.limit, [2, 3]);
   g.lineWidth = 1.6;
   for (const c of list) path(g, c.x.length, (i) => X(c.x[i]), (i) => Y(c.y[i]), c.stroke, c.dash);
@@ -121,7 +107,6 @@ function ticks([low, high], log, room) {
     return decades.length > 1 ? decades : [low, high];
   }
   const step = rounded((high - low) / room);
-  const all = [];
-  for (let v = Math.ceil(low / step - 1e-9); v * step <= high + 1e-9 * step; v += 1) all.push(v * step);
-  return all;
+  const first = Math.ceil(low / step - 1e-9);
+  return Array.from({ length: Math.floor(high / step + 1e-9) - first + 1 }, (_, i) => (first + i) * step);
 }

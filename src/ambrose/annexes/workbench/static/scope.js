@@ -5,32 +5,17 @@ import { choice, make } from "/static/page.js";
 const KEPT = 8192; // samples
 const LINES = 2048; // samples of a spectrum
 
-// amplitudes of a real signal by Cooley and Tukey's radix 2 (1965), Hann's window, peak values
-export function spectrum(signal) {
+// amplitudes of the first lines of a signal by Goertzel's recursion (1958), Hann's window, peak values
+export function spectrum(signal, lines) {
   const n = signal.length;
-  const re = new Float64Array(n);
-  const im = new Float64Array(n);
   const mean = signal.reduce((sum, v) => sum + v, 0) / n;
-  for (let i = 0, j = 0; i < n; i += 1) {
-    re[j] = (signal[i] - mean) * (1 - Math.cos((2 * Math.PI * i) / n)); // gain 2 of 1/2 * 2
-    let bit = n >> 1;
-    for (; j & bit; bit >>= 1) j ^= bit;
-    j |= bit;
-  }
-  for (let size = 2; size <= n; size *= 2) {
-    for (let k = 0; k < size / 2; k += 1) {
-      const c = Math.cos((2 * Math.PI * k) / size);
-      const s = -Math.sin((2 * Math.PI * k) / size);
-      for (let a = k; a < n; a += size) {
-        const b = a + size / 2;
-        const x = re[b] * c - im[b] * s;
-        const y = re[b] * s + im[b] * c;
-        [re[b], im[b]] = [re[a] - x, im[a] - y];
-        [re[a], im[a]] = [re[a] + x, im[a] + y];
-      }
-    }
-  }
-  return Float64Array.from({ length: n / 2 }, (_, i) => (2 * Math.hypot(re[i], im[i])) / n);
+  const x = Float64Array.from(signal, (v, i) => (v - mean) * (1 - Math.cos((2 * Math.PI * i) / n)));
+  return Float64Array.from({ length: lines }, (_, k) => {
+    const c = 2 * Math.cos((2 * Math.PI * k) / n);
+    let [a, b] = [0, 0];
+    for (const v of x) { const next = v + c * a - b; b = a; a = next; }
+    return (2 * Math.sqrt(Math.max(a * a + b * b - c * a * b, 0))) / n;
+  });
 }
 
 export function scope(rig) {
@@ -84,7 +69,7 @@ export function scope(rig) {
     curves(time, [{ x, y, stroke: series()[0] }], { x: [0, shown.span],
       y: [middle - half, middle + half], names: ["time [s]", `[${unit}]`] });
     if (filled < LINES) return;
-    const amplitudes = spectrum(kept.slice(filled - LINES, filled)).slice(0, top);
+    const amplitudes = spectrum(kept.subarray(filled - LINES, filled), top);
     const f = Float64Array.from(amplitudes, (_, i) => i / (LINES * rig.dt));
     const peak = rounded(Math.max(...amplitudes, 1e-8));
     curves(lines, [{ x: f, y: amplitudes, stroke: series()[0] }], { x: [0, f[f.length - 1]],
@@ -94,9 +79,8 @@ export function scope(rig) {
   }
 
   function waterfall(amplitudes, peak) {
-    const scale = fall.width || 1;
     const copy = document.createElement("canvas");
-    copy.width = scale;
+    copy.width = fall.width || 1;
     copy.height = fall.height || 1;
     copy.getContext("2d").drawImage(fall, 0, 0);
     const { g, width, height } = begin(fall);

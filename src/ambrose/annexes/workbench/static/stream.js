@@ -35,13 +35,7 @@ export function stream(on) {
     };
   };
   // a page that nobody sees lets the rig stand still
-  const seen = () => {
-    if (document.hidden && socket) {
-      const left = socket;
-      socket = null;
-      left.close();
-    } else connect();
-  };
+  const seen = () => (document.hidden ? socket?.close() : connect());
   document.addEventListener("visibilitychange", seen);
   connect();
   return {

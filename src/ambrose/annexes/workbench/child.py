@@ -1,0 +1,29 @@
+"""The process of a job: the command line, which ends with the server that started it.
+
+Its standard input is a pipe from the server; where that ends, by a kill as well, the whole process
+group ends.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+
+
+def main() -> None:
+    """`ambrose` with the arguments of this process."""
+    threading.Thread(target=_end_with_the_server, daemon=True).start()
+    from ambrose.__main__ import main as command
+
+    command()
+
+
+def _end_with_the_server() -> None:
+    while os.read(0, 1024):
+        pass
+    os.killpg(os.getpgrp(), signal.SIGKILL)
+
+
+if __name__ == "__main__":
+    main()

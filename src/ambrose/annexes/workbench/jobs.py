@@ -1,0 +1,192 @@
+"""Jobs: commands of the project as processes beside the page.
+
+A job is a folder jobs/NAME with its state, job.json, and what it printed, log.txt. It outlives the
+page, not the server: a server that starts finds what was finished, and calls stopped what was not.
+What a job is, stands in KINDS; a page chooses among them and names files of the project.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import sys
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from ambrose.annexes.workbench.project import MACHINE, Project, slug
+from ambrose.core.checks import InvalidInput
+from ambrose.machine.atomic_write import make_folder, write_json
+
+# words of a command; {controller} and {record} are files that the page names
+KINDS: dict[str, tuple[str, ...]] = {
+    "check": ("check", MACHINE),
+    "design-pid": ("synthesize", MACHINE, "--method", "pid", "-o", "controllers/pid.json"),
+    "design-tuned": ("synthesize", MACHINE, "--method", "tuned", "-o", "controllers/tuned.json"),
+    "verify": ("verify", MACHINE, "--controller", "{controller}"),
+    "identify": (
+        *("identify", MACHINE, "{record}", "--controller", "{controller}"),
+        *("-o", "machines/identified.toml", "--report", "reports/identify.html"),
+    ),
+}
+_FOLDERS = {"controller": "controllers", "record": "records"}
+_PATIENCE = 0.6  # [s] from the request to end to the kill
+_TAIL = 4000  # bytes of a log that the page shows
+_CHILD = "ambrose.annexes.workbench.child"
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One job; state: "waiting", "running", "done", "failed", "cancelled" or "stopped" (the server
+    ended first). status: of the command, None while it has none; times in seconds since 1970.
+    """
+
+    name: str
+    words: tuple[str, ...]
+    state: str = "waiting"
+    status: int | None = None
+    begun: float | None = None
+    ended: float | None = None
+
+
+class Jobs:
+    """The jobs of a project: as many at once as there are processors, the others in a queue."""
+
+    def __init__(self, project: Project, workers: int | None = None) -> None:
+        self._project = project
+        self._workers = workers or os.cpu_count() or 1
+        self._jobs: dict[str, Job] = {}
+        self._processes: dict[str, asyncio.subprocess.Process] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
+        for path in sorted(project.root.glob("jobs/*/job.json")):
+            with suppress(InvalidInput, OSError, ValueError, TypeError, KeyError):
+                self._find(path)
+
+    def _find(self, path: Path) -> None:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        job = Job(**{**content, "words": tuple(content["words"])})
+        if slug(job.name, "job") != path.parent.name or path.resolve() != path:
+            return
+        unfinished = job.state in {"waiting", "running"}
+        self._jobs[job.name] = job
+        if unfinished:
+            self._keep(replace(job, state="stopped"))
+
+    def listing(self) -> list[dict[str, Any]]:
+        """All jobs, the newest first, each with the end of its log."""
+        return [
+            {**asdict(job), "log": self._log(job.name), "now": time.time()}
+            for job in reversed(self._jobs.values())
+        ]
+
+    def start(self, said: Mapping[str, Any]) -> None:
+        """A job of a kind, or again one that is over. Raises InvalidInput."""
+        again = said.get("again")
+        words = self._named(again).words if again else self._words(said)
+        for folder in ("controllers", "machines", "reports"):
+            self._project.folder(folder)
+        number = 1 + max([int(name.rpartition("-")[2]) for name in self._jobs], default=0)
+        job = Job(f"{words[0]}-{number}", words)
+        make_folder(self._project.folder("jobs") / job.name)
+        self._keep(job)
+        self._fill()
+
+    def _words(self, said: Mapping[str, Any]) -> tuple[str, ...]:
+        kind = said.get("kind")
+        if not isinstance(kind, str) or kind not in KINDS:
+            raise InvalidInput(f"there is no such job; choose one of {', '.join(KINDS)}")
+        given = {}
+        for field, folder in _FOLDERS.items():
+            if f"{{{field}}}" in KINDS[kind]:
+                path = self._project.path(folder, said.get(field))
+                if not path.is_file():
+                    raise InvalidInput(f"{path.name} is not in {folder}; choose one that is")
+                given[field] = self._project.relative(path)
+        return tuple(word.format(**given) for word in KINDS[kind])
+
+    async def cancel(self, name: object) -> None:
+        """The job ends within a second, with all that it started. Raises InvalidInput."""
+        job = self._named(name)
+        process = self._processes.get(job.name)
+        if job.state == "waiting":
+            self._keep(replace(job, state="cancelled", ended=time.time()))
+        elif process is not None:
+            self._keep(replace(job, state="cancelled"))
+            await self._end(process)
+
+    async def close(self) -> None:
+        """The server ends: nothing runs on."""
+        for job in list(self._jobs.values()):
+            if job.state in {"waiting", "running"}:
+                self._keep(replace(job, state="stopped"))
+        await asyncio.gather(*(self._end(process) for process in self._processes.values()))
+        await asyncio.gather(*self._tasks)
+
+    async def _end(self, process: asyncio.subprocess.Process) -> None:
+        """Asked first, so that it takes its drafts away, then killed with its whole group."""
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGINT)
+            with suppress(TimeoutError):
+                await asyncio.wait_for(process.wait(), _PATIENCE)
+            os.killpg(process.pid, signal.SIGKILL)
+        await process.wait()
+
+    def _fill(self) -> None:
+        """The next ones of the queue take the places that are free."""
+        running = sum(job.state == "running" for job in self._jobs.values())
+        waiting = [job for job in self._jobs.values() if job.state == "waiting"]
+        for job in waiting[: max(self._workers - running, 0)]:
+            self._keep(replace(job, state="running", begun=time.time()))
+            task = asyncio.get_running_loop().create_task(self._run(job.name))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+
+    async def _run(self, name: str) -> None:
+        with (self._folder(name) / "log.txt").open("wb") as log:
+            process = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-m", _CHILD, *self._jobs[name].words),
+                cwd=self._project.root,
+                stdin=asyncio.subprocess.PIPE,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+            )
+        self._processes[name] = process
+        if self._jobs[name].state != "running":  # cancelled before there was a process
+            await self._end(process)
+        status = await process.wait()
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, signal.SIGKILL)
+        del self._processes[name]
+        job = self._jobs[name]
+        if job.state == "running":
+            job = replace(job, state="done" if status in {0, 1} else "failed")
+        self._keep(replace(job, status=status, ended=time.time()))
+        if job.state != "stopped":
+            self._fill()
+
+    def _keep(self, job: Job) -> None:
+        self._jobs[job.name] = job
+        write_json(self._folder(job.name) / "job.json", asdict(job), "job's state")
+
+    def _folder(self, name: str) -> Path:
+        return self._project.root / "jobs" / name
+
+    def _named(self, name: object) -> Job:
+        if not isinstance(name, str) or name not in self._jobs:
+            raise InvalidInput(f"there is no job {str(name)[:60]!r}; reload the page")
+        return self._jobs[name]
+
+    def _log(self, name: str) -> str:
+        """The end of what a job printed."""
+        try:
+            with (self._folder(name) / "log.txt").open("rb") as log:
+                log.seek(max(os.fstat(log.fileno()).st_size - _TAIL, 0))
+                return log.read().decode("utf-8", "replace")
+        except OSError:
+            return ""
