@@ -7,6 +7,7 @@ group ends.
 from __future__ import annotations
 
 import os
+import runpy
 import signal
 import threading
 
@@ -14,9 +15,7 @@ import threading
 def main() -> None:
     """`ambrose` with the arguments of this process."""
     threading.Thread(target=_end_with_the_server, daemon=True).start()
-    from ambrose.__main__ import main as command
-
-    command()
+    runpy.run_module("ambrose", run_name="__main__", alter_sys=True)
 
 
 def _end_with_the_server() -> None:
