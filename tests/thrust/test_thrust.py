@@ -5,6 +5,7 @@ the exact half-order core, and what every verb says of it.
 from __future__ import annotations
 
 import cmath
+import json
 import math
 import sys
 from dataclasses import replace
@@ -334,3 +335,19 @@ def test_the_axis_has_an_address(tmp_path):
     with pytest.raises(InvalidInput, match=r"move it into a \[\[thrust_bearing.tolerance\]\]"):
         tolerance = machine().axial.tolerances
         replace(machine(), tolerances=tolerance)
+
+
+def test_commands_say_how_the_axis_is_addressed():
+    from click.testing import CliRunner
+
+    from ambrose.cli import main
+
+    example = str(Path(__file__).parents[2] / "examples" / "expander-five-axes.toml")
+    radial = CliRunner().invoke(main, ["check", example, "--json"])
+    assert f"along the shaft: {example}#axial" in radial.stderr
+    axial = CliRunner().invoke(main, ["check", f"{example}#axial", "--json"])
+    assert axial.exit_code == 0
+    assert "along the shaft:" not in axial.stderr
+    told = json.loads(axial.stdout)
+    assert told["unstable_poles_rad_s"][0][0] < told["laminated_pole_rad_s"]
+    assert min(told["capacity_N"]) > 2 * max(map(abs, told["load_N"]))

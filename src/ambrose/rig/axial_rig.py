@@ -166,6 +166,7 @@ def run(
     _kernel()(
         rig.constants, laws, NO_PROGRAM, none, work, *copies, np.zeros((1, 5)), np.zeros((1, 1))
     )
+    pole = _pole(machine, rig.point, law, Timing(sample, delay))
     prepared = time.perf_counter()
     recorder, watched = Recorder(task, every, seed, path), _Watch(rig, scenario)
     overflow: float | None = None
@@ -186,7 +187,6 @@ def run(
             if done < count:
                 overflow = (number + done) * sample
                 break
-        pole = _pole(machine, rig.point, law, Timing(sample, delay))
         outcome, text = watched.outcome(overflow, pole)
         record = recorder.finish(text)
     return Trace(
