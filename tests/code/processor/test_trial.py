@@ -276,7 +276,7 @@ def test_what_is_not_there_is_refused_before_anything_is_computed(
 
 @needs(M7)
 @pytest.mark.parametrize(
-    ("room", "what"), [({"flash": 500.0}, "flash"), ({"memory": 100.0}, "memory")]
+    ("room", "what"), [({"flash": 500.0}, "flash"), ({"memory": 80.0}, "memory")]
 )
 def test_code_that_is_larger_than_what_there_is_is_refused(room, what):
     with pytest.raises(InvalidInput, match=rf"needs \d+ bytes of {what} on cortex-m7, but only"):
