@@ -465,8 +465,10 @@ def _against(
     limits: Sequence[float | None],
     first: int,
 ) -> list[Verdict]:
-    """The signal that comes closest to its bearing's limit, from the sample ``first`` on."""
-    by_axis = dict(zip(machine.axes, np.repeat(np.array(limits, dtype=float), 2), strict=True))
+    """The signal that comes closest to its bearing's limit, of every axis in ``limits``, from the
+    sample ``first`` on.
+    """
+    by_axis = dict(zip(machine.axes, np.array(limits, dtype=float), strict=True))
     shares = {
         axis: np.abs(record[f"{kind}_{axis}"][first:]) / limit
         for axis, limit in by_axis.items()
