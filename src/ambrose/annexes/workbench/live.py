@@ -32,6 +32,7 @@ _LATE = 0.1  # [s] that a frame makes up for at most; more is dropped
 _BUSY = 0.02  # [s] of computing in a frame, as fast as it can
 _PACES = {"real": 1.0, "slow": 0.1, "fast": math.inf}
 _PUSH = 0.05  # a knock's first displacement over the gap, roughly
+_SHAKE = 0.025  # excitation over the limit of the currents: far from it also on top of the weight
 _GRADE = 2.5e-3  # [m/s], G2.5 of ISO 21940-11
 
 
@@ -98,7 +99,8 @@ class LiveSession:
             # m e of the grade at the top speed
             "unbalance": 8 * mass * _GRADE / speed,
             "impulse": _PUSH * smallest * mass * 300.0,
-            "excitation": 0.2 * float(min([m for m in rig.limits if np.isfinite(m)], default=1.0)),
+            "excitation": _SHAKE
+            * float(min([m for m in rig.limits if np.isfinite(m)], default=1.0)),
             "paces": list(_PACES),
         }
 
