@@ -189,13 +189,16 @@ def insight(plant: Plant) -> dict[str, Any]:
     """
     machine, rotor = plant.machine, plant.rotor_model
     properties = mass_properties(rotor)
+    bending, errors = mesh_error(machine, _judged_modes(machine, rotor))
+    free = {"bending_rad_s": bending.tolist(), "mesh_error": errors.tolist()}
     if not machine.bearings:
         return {
+            **free,
             "bearings": [],
             "stiffness_margin": None,
             "critical_speeds_rad_s": [],
             "least_sensitivity": None,
-            "doubts": list(_sizes(machine, properties)),
+            "doubts": [*_sizes(machine, properties), *_mesh(bending, errors)],
             "remarks": ["no magnetic bearings: ambrose lateral analyses the rotor as it stands"],
         }
     bearings = capacities(machine, properties)
@@ -205,7 +208,6 @@ def insight(plant: Plant) -> dict[str, Any]:
         critical = critical_speeds(machine)
     except AmbroseError:
         critical = []
-    bending, errors = mesh_error(machine, _judged_modes(machine, rotor))
     return {
         "bearings": [
             {
@@ -223,8 +225,7 @@ def insight(plant: Plant) -> dict[str, Any]:
         "unstable_pole_rad_s": pole,
         "delay_s": delay,
         "least_sensitivity": least,
-        "bending_rad_s": bending.tolist(),
-        "mesh_error": errors.tolist(),
+        **free,
         "doubts": [
             *_sizes(machine, properties),
             *_mesh(bending, errors),

@@ -78,6 +78,22 @@ def _facts_in_words(facts: dict[str, Any]) -> list[tuple[str, str]]:
 
     unstable = ", ".join(f"{re:.1f}{im + 0.0:+.1f}j" for re, im in facts["unstable_poles_rad_s"])
     margin, least = facts["stiffness_margin"], facts["least_sensitivity"]
+    held = []
+    if facts["bearings"]:  # nothing of a rotor that no magnet holds
+        held = [
+            (
+                "static stiffness margin, K_p k_i / k_s",
+                "no reference controller" if margin is None else f"{margin:.3g}",
+            ),
+            (
+                "critical speeds, undamped",
+                ", ".join(quantity(w, "rad/s") for w in facts["critical_speeds_rad_s"]) or "none",
+            ),
+            (
+                "least sensitivity that the delay allows",
+                "none" if least is None else f"{least:.3g}",
+            ),
+        ]
     return [
         ("rotor mass", quantity(facts["mass_kg"], "kg")),
         ("centre of mass", quantity(facts["centre_m"], "m")),
@@ -86,15 +102,7 @@ def _facts_in_words(facts: dict[str, Any]) -> list[tuple[str, str]]:
             f"{facts['diametral_inertia_kg_m2']:.4g} and {facts['polar_inertia_kg_m2']:.4g} kg m²",
         ),
         *(_bearing(item) for item in facts["bearings"]),
-        (
-            "static stiffness margin, K_p k_i / k_s",
-            "no reference controller" if margin is None else f"{margin:.3g}",
-        ),
-        (
-            "critical speeds, undamped",
-            ", ".join(quantity(w, "rad/s") for w in facts["critical_speeds_rad_s"]) or "none",
-        ),
-        ("least sensitivity that the delay allows", "none" if least is None else f"{least:.3g}"),
+        *held,
         ("free-free bending", ", ".join(quantity(w, "rad/s") for w in facts["bending_rad_s"])),
         ("error of the mesh in these and all judged", _mesh(facts["mesh_error"])),
         ("unstable open-loop poles", f"{unstable} rad/s" if unstable else "none"),

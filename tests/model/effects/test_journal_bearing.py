@@ -4,7 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import poles
 from ambrose.machine.description import OperatingPoint, Tolerance
@@ -170,3 +172,14 @@ def test_the_rig_follows_the_table_over_the_speed(machine):
         found, expected = np.linalg.eigvals(A[np.ix_(used, used)]), poles(plant.rotor)
         for pole in expected:
             assert np.abs(found - pole).min() < 1e-4 * abs(pole)
+
+
+def test_check_looks_at_a_rotor_without_magnets(tmp_path):
+    """It ended in a KeyError, though a refusal elsewhere advises it."""
+    path = tmp_path / "oil.toml"
+    first, rest = MACHINE.split("[[bearing]]")
+    path.write_text(first + rest[rest.index("[[journal_bearing]]") :], encoding="utf-8")
+    done = CliRunner().invoke(main, ["check", str(path)])
+    assert done.exit_code == 0, done.output
+    assert "free-free bending" in done.output and "ambrose lateral" in done.output
+    assert "critical speeds" not in done.output  # not computed: not "none"

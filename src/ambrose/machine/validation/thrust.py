@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import fields
 
@@ -161,7 +162,8 @@ def of_machine(machine: MachineDescription) -> Iterator[str]:
             elif load.point in seen:
                 yield f'{where}: point "{load.point}" has its load already; give one of the two'
             seen.add(load.point)
-        length = machine.length
+        # a rotor without sections is named elsewhere
+        length = machine.length if machine.shaft else math.inf
         if not 0 <= part.sensor.position <= length:
             yield complaint(
                 f"[[thrust_bearing]] {part.name}, [thrust_bearing.sensor]",
