@@ -6,7 +6,7 @@
    here. Both were read in the documentation of ROSS, not in the book.
 2. What ROSS 2.3.0 makes of them (ross-rotordynamics, run once in an environment of its own, twelve
    elements, the unbalance that ``lateral`` places).
-3. The figures of ROSS's own test of its clearance analysis (ross/tests/test_results.py,
+3. The figures of ROSS's own test of its clearance analysis (its tests of results,
    631a249a of August 2026; facts only).
 
 Both codes have a consistent mass. ROSS interpolates tables by splines, Ambrose linearly, so that

@@ -60,8 +60,8 @@ SLIPS = {
         "did you mean",
     ),
     "unknown key without likeness": (
-        "integral_time = ",
-        "zzz = ",
+        "\n[controller]\n",
+        "\n[controller]\nzzz = 1\n",
         "[controller]",
         'unknown key "zzz"',
         "known: channel, coordinates, delay",

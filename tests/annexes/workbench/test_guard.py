@@ -135,7 +135,7 @@ def test_other_methods_are_refused(place, method):
         "/static/../server.py",
         "/static/..",
         "/static/",
-        "/static/%2e%2e/server.py",
+        "/static/%2e%2e/" + "server.py",
         "//127.0.0.1/secret.json",
     ],
 )

@@ -173,6 +173,8 @@ def _missing(model: type[Table] | None, key: str, root: type[Table]) -> str:
     kinds = next(
         field.metadata for name, field in model.model_fields.items() if (field.alias or name) == key
     )
+    if not kinds:  # a table of its own, below this one
+        return f"table {key} is missing; add it"
     return f"{key} is missing; give {kinds[0].expects}"
 
 
