@@ -56,6 +56,7 @@ from ambrose.machine.seals import (
 )
 from ambrose.machine.stator import CasingMode, Runout, Sensor, Support
 from ambrose.machine.synchronous import Synchronous
+from ambrose.machine.touchdown import CoastDown, TouchdownLimits, TouchdownMount, TouchdownRace
 from ambrose.model.effects.clearance import Clearance
 from ambrose.model.effects.journal_bearing import JournalBearing
 from ambrose.model.effects.probe import Probe
@@ -75,7 +76,13 @@ def test_every_value_of_the_small_machine():
     titanium = Material(4430.0, 114e9, 0.34)
     rows = (d.BiasPoint(6.0, (220.0, 220.0), (2.5e6, 2.6e6)),)
     limits = {"gap": 0.5e-3, "touchdown_gap": 250e-6, "max_current": 4.0, "max_force": 1500.0}
-    iron, contact = d.MagnetIron(40.0, 1.6, 50e-6), d.Touchdown(90e6, 5e3, 0.15, 0.04, 0.02)
+    iron, ring = d.MagnetIron(40.0, 1.6, 50e-6), TouchdownRace(0.3, 7e-4, 150e6, 2e3)
+    ring = replace(ring, preload=200.0, element_damping=2e3, pitch_diameter=0.095)
+    ring = replace(ring, friction_moment=0.02, load_friction=0.002, static_capacity=40e3)
+    ring = replace(ring, specific_heat=470.0, temperature=313.15)
+    mount = TouchdownMount(0.5, 20e6, 8e3, 1e-4, 500e6)
+    cost = TouchdownLimits(10, 12e3, 423.15, 20e3, 2.0)
+    contact = d.Touchdown(90e6, 5e3, 0.15, 0.04, 0.02, 0.25, 0.2, ring, mount, cost)
     rig = {
         "iron": iron,
         "touchdown": contact,
@@ -296,6 +303,7 @@ def test_every_value_of_the_small_machine():
             d.Tolerance("seal.center.K", absolute=0.1e6),
             d.Tolerance("bearing.A.negative_stiffness.zeta", relative=0.2, around=("standstill",)),
         ),
+        coast_down=CoastDown(2.0, 0.05, 0.4, 9000 * rpm),
         requirements=d.Requirements(
             3.0,
             1e-6,

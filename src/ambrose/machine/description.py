@@ -22,7 +22,6 @@ from ambrose.machine.kinds import (
     Choice,
     Count,
     Current,
-    Damping,
     ForcePerCurrentPair,
     Length,
     Name,
@@ -31,7 +30,6 @@ from ambrose.machine.kinds import (
     Quantity,
     Rate,
     Ratio,
-    Stiffness,
     StiffnessPair,
     Time,
     Words,
@@ -42,6 +40,7 @@ from ambrose.machine.part import Part
 from ambrose.machine.rotor_model import BendingMode, Disc, ShaftSection
 from ambrose.machine.seals import Seal
 from ambrose.machine.stator import CasingMode, Sensor, Support
+from ambrose.machine.touchdown import CoastDown, Touchdown
 
 Pair = tuple[float, float]  # (zeta, eta)
 
@@ -91,21 +90,6 @@ class MagnetIron(Part):
     equivalent_gap: Annotated[
         Length, "air gap that the unsaturated iron is worth, its path length/(2 mu_r)"
     ]
-
-
-@dataclass(frozen=True, slots=True, repr=False)
-class Touchdown(Part):
-    """Contact in the touchdown bearing, for the virtual rig; the defaults are assumed, not
-    measured.
-    """
-
-    stiffness: Annotated[Stiffness, "contact stiffness; the default is assumed"] = 1e8
-    damping: Annotated[Damping, "contact damping; the default is assumed"] = 1e4
-    friction: Annotated[Ratio, "Coulomb friction; the default is assumed"] = 0.2
-    radius: Annotated[Length | None, "radius of the contact; default: the shaft's there"] = None
-    sliding_speed: Annotated[
-        float, Quantity("velocity"), "sliding speed below which friction fades to zero"
-    ] = 0.01
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -484,6 +468,7 @@ class MachineDescription(Part):
     requirements: Annotated[Requirements, "what verification demands"] = field(
         default_factory=Requirements
     )
+    coast_down: Annotated[CoastDown | None, "what slows the rotor after the trip"] = None
     weights: Annotated[DesignWeights | None, "what a robust design aims at"] = None
     description: Annotated[Words, "what it is, in a sentence"] = ""
     source: Annotated[Words, "where its figures come from"] = ""

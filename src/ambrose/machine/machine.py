@@ -159,7 +159,7 @@ class Machine(MachineDescription):
         document.update(
             {
                 key: stated[key]
-                for key in ("controller", "weights", "operation", "requirements")
+                for key in ("controller", "weights", "operation", "requirements", "coast_down")
                 if key in stated
             }
         )

@@ -99,6 +99,8 @@ DIMENSIONS: dict[str, Dimension] = dict(
         _dimension("resistance", "ohm", "1.2 ohm", "ohm=1,mohm=1e-3"),
         _dimension("magnetic flux density", "T", "1.6 T", "T=1,mT=1e-3"),
         _dimension("power", "W", "1.5 MW", "W=1,kW=1e3,MW=1e6"),
+        _dimension("torque", "N m", "0.5 N m", "N m=1,mN m=1e-3,kN m=1e3"),
+        _dimension("energy", "J", "2 kJ", "J=1,kJ=1e3,MJ=1e6"),
         _dimension("force", "N", "7.5 kN", "N=1,kN=1e3"),
         _dimension("pressure", "Pa", "2.04 bar", "Pa=1,kPa=1e3,MPa=1e6,bar=1e5,mbar=1e2"),
         _dimension("elastic modulus", "Pa", "210 GPa", "Pa=1,MPa=1e6,GPa=1e9,N/mm2=1e6"),
@@ -122,6 +124,7 @@ DIMENSIONS: dict[str, Dimension] = dict(
         _dimension("compliance", "m/N", "0.1 um/N", "m/N=1,mm/N=1e-3,um/N=1e-6"),
         _dimension("current per displacement", "A/m", "18 A/mm", "A/m=1,A/mm=1e3,A/um=1e6"),
         _dimension("temperature", "K", "17.4 degC", "K=1,degC=1 +273.15,°C=1 +273.15", closed=True),
+        _dimension("specific heat", "J/(kg K)", "460 J/(kg K)", "J/(kg K)=1,kJ/(kg K)=1e3"),
         _dimension(
             "specific gas constant", "J/(kg K)", "287.05 J/(kg K)", "J/(kg K)=1,kJ/(kg K)=1e3"
         ),

@@ -399,11 +399,11 @@ def iso(
 
 _UNCOVERED = (
     ("ISO 14839-4:2012", "operation, monitoring and alarms", "not covered: monitoring on site"),
-    ("ISO 14839-5:2022", "touchdown bearings", "not covered here: see ambrose simulate"),
+    ("ISO 14839-5:2022", "touchdown bearings", "not covered here: see ambrose landing"),
     (
         standard.EDITION,
         "auxiliary bearing landing analysis",
-        "not covered: see ambrose simulate with a drop scenario",
+        "not covered here: see ambrose landing",
     ),
     (standard.EDITION, "torsional analysis", "not covered: lateral motion only"),
     (standard.EDITION, "verification by test (unbalanced rotor response)", "not covered: a test"),

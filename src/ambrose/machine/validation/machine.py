@@ -26,6 +26,7 @@ from ambrose.machine.validation import seals as validate_seals
 from ambrose.machine.validation.controller import chain, controller
 from ambrose.machine.validation.signs import not_positive
 from ambrose.machine.validation.synchronous import synchronous
+from ambrose.machine.validation.touchdown import coast_down
 
 _ONE_LINE = "one line of text without outer spaces or control characters"
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
@@ -67,6 +68,7 @@ def problems(machine: MachineDescription) -> tuple[str, ...]:
             parts.amplifier,
             _attached,
             thrust.of_machine,
+            coast_down,
         ),
         *(parts.bending_modes, parts.supports),
         *(

@@ -21,6 +21,7 @@ from ambrose.machine.rotor_model import ShaftSection
 from ambrose.machine.stator import SENSORS_ON, CasingMode, Support
 from ambrose.machine.validation.magnet import magnet_findings
 from ambrose.machine.validation.signs import not_positive
+from ambrose.machine.validation.touchdown import touchdown_findings
 
 # gap between shaft sections that counts as rounding, as a fraction of the rotor's length
 JOINT = 1e-9
@@ -255,16 +256,7 @@ def _iron_and_touchdown(where: str, bearing: MagneticBearing) -> Iterator[str]:
             f"{where}: turns differ in [bearing.geometry] and [bearing.iron]; give the turns of "
             "one horseshoe in both"
         )
-    if bearing.touchdown is not None:
-        contact, inside = bearing.touchdown, f"{where}, [bearing.touchdown]"
-        yield from not_positive(
-            inside, contact, "leave it out for its default", "stiffness", "radius", "sliding_speed"
-        )
-        yield from not_positive(
-            inside, contact, "contact takes energy and gives none", "damping", "friction", zero=True
-        )
-        if bearing.touchdown_gap is None:
-            yield f"{where}: touchdown_gap is missing; [bearing.touchdown] needs the clearance"
+    yield from touchdown_findings(where, bearing)
 
 
 def _coefficients(where: str, bearing: MagneticBearing) -> Iterator[str]:

@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import math
 
-from ambrose.machine.description import MagneticBearing, Touchdown
+from ambrose.machine.description import MagneticBearing
 from ambrose.machine.machine import Machine
+from ambrose.machine.touchdown import Touchdown
 
 _ROUNDING = 1e-3  # d_0 over the clearance
 

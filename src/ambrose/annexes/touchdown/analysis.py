@@ -1,0 +1,260 @@
+"""What a landing will be like: whirl before any simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ambrose.annexes.touchdown.fallen import FallenRotor, fallen_rotor
+from ambrose.annexes.touchdown.whip import (
+    Whip,
+    WhipCurve,
+    alone,
+    edge_alone,
+    receptances,
+    together,
+)
+from ambrose.core.arguments import names_wrong_types
+from ambrose.core.checks import InvalidInput
+from ambrose.core.presentation import Presented
+from ambrose.machine.description import OperatingPoint
+from ambrose.machine.machine import Machine
+from ambrose.machine.parameters import operating_point
+
+WHIP_MODEL = (
+    "linear rotor without its magnets, touchdown bearing at its clearance and in steady slip, one "
+    "friction coefficient (that of high sliding speed), mount without its stop"
+)
+_LOWEST = 2 * np.pi  # [rad/s]
+_HIGHEST = 6000 * np.pi  # [rad/s] unless the rotor rolls at less
+_POINTS = 240  # of a curve
+_FRICTIONS = np.geomspace(0.02, 1.0, 25)
+_SCALES = np.geomspace(0.1, 10.0, 13)  # of the mount's stiffness
+_DAMPINGS = (0.3, 1.0, 3.0)  # of the mount's damping
+# a mount for the map of a machine that has none: what polymer rings and corrugated strips reach
+_MOUNT = (0.3, 2e7, 5e3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WhipMap:
+    """Edges over friction (f,), mount stiffness (k,) [N/m] and damping (d,) [N s/m] of the first
+    bearing (all bearings' scale alike). frequency and force (d, k, f): [rad/s] and [N] of the worst
+    kind, 0 where there is no whip, inf where only rolling ends it. place: friction, stiffness,
+    damping of the machine; None where it has no mount.
+    """
+
+    kind: str
+    friction: np.ndarray
+    stiffness: np.ndarray
+    damping: np.ndarray
+    frequency: np.ndarray
+    force: np.ndarray
+    place: tuple[float, float, float] | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, SI; what is not finite is null."""
+
+        def plain(values: np.ndarray) -> Any:
+            finite = np.isfinite(values)
+            return np.where(finite, values, np.array(None, dtype=object)).tolist()
+
+        return {
+            "kind": self.kind,
+            "friction": self.friction.tolist(),
+            "mount_stiffness": self.stiffness.tolist(),
+            "mount_damping": self.damping.tolist(),
+            "frequency": plain(self.frequency),
+            "force": plain(self.force),
+            "place": None if self.place is None else list(self.place),
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Landing(Presented):
+    """A machine's landing at an operating point.
+
+    whips: where whip settles at the machine's friction, by kind. curves: what whip needs over its
+    frequency. whip_map: edges over friction and mount.
+    """
+
+    _FACTS: ClassVar = ("machine=machine_name", "point=point_name", "worst=worst_whip")
+
+    machine: Machine
+    point: OperatingPoint
+    fallen: FallenRotor
+    whips: tuple[Whip, ...]
+    curves: tuple[WhipCurve, ...]
+    whip_map: WhipMap
+
+    @property
+    def machine_name(self) -> str:
+        return self.machine.name
+
+    @property
+    def point_name(self) -> str:
+        return self.point.label or f"{self.point.speed * 30 / np.pi:.6g} rpm"
+
+    @property
+    def worst_whip(self) -> str:
+        """The kind of whip with the largest force, in words."""
+        worst = worst_of(self.whips)
+        if worst.frequency == 0:
+            return "no whip at this friction"
+        if not np.isfinite(worst.frequency):
+            return f"{worst.kind}: up to rolling"
+        force = max(worst.force)
+        size = f"{force:.4g} N" if np.isfinite(force) else "force not bounded"
+        return f"{worst.kind}: {worst.frequency / (2 * np.pi):.4g} Hz, {size}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, SI."""
+        return {
+            "machine": self.machine.name,
+            "point": self.point_name,
+            "speed": self.point.speed,
+            "mass": self.fallen.mass,
+            "whip_model": WHIP_MODEL,
+            "whips": [whip.to_dict() for whip in self.whips],
+            "whip_map": self.whip_map.to_dict(),
+        }
+
+
+def worst_of(whips: tuple[Whip, ...]) -> Whip:
+    """The whip with the largest force."""
+    return max(whips, key=lambda whip: max(whip.force))
+
+
+@names_wrong_types
+def landing(
+    machine: Machine,
+    point: OperatingPoint | str | None = None,
+    *,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Landing:
+    """How a machine lands in its touchdown bearings after its magnets have lost their power.
+
+    point: the operating point at which they do, or its label; default: the fastest one. progress:
+    is told every stage. Raises InvalidInput where a bearing has no touchdown_gap, a seal is
+    narrower than it, or the rotor does not turn.
+    """
+    if point is None:
+        chosen = max(machine.operation.envelope, key=lambda item: item.speed)
+    else:
+        chosen = operating_point(machine, point)
+    if chosen.speed == 0:
+        raise InvalidInput(
+            f"{machine.name} does not turn at the operating point {chosen.label!r}, so that "
+            "friction whirls nothing; give a point with a speed"
+        )
+    progress("the rotor without its magnets")
+    fallen = fallen_rotor(machine, chosen)
+    progress("whip over frequency")
+    frequency = np.geomspace(_LOWEST, min(_HIGHEST, max(_rolling(fallen))), _POINTS)
+    rotor = receptances(fallen, frequency)
+    curves = whip_curves(fallen, frequency, rotor)
+    whips = _different([_settled(fallen, curve) for curve in curves])
+    progress("whip over friction and mount")
+    worst = worst_of(whips)
+    whip_map = _mapped(fallen, worst.kind, frequency[::2], rotor[::2])
+    return Landing(machine, chosen, fallen, whips, curves, whip_map)
+
+
+def _rolling(fallen: FallenRotor) -> list[float]:
+    """Whirl [rad/s] without slip in each fixed bearing: speed times radius over clearance."""
+    return [fallen.speed * item.radius / item.clearance for item in fallen.bearings]
+
+
+def whip_curves(
+    fallen: FallenRotor, frequency: np.ndarray, rotor: np.ndarray
+) -> tuple[WhipCurve, ...]:
+    """What whip needs: of every bearing alone, of all together in one phase, of two in opposite
+    ones. rotor (w, b, b): receptances at the frequencies (w,) [rad/s].
+    """
+    return tuple(curve_of(fallen, kind, frequency, rotor) for kind in kinds_of(fallen))
+
+
+def kinds_of(fallen: FallenRotor) -> tuple[str, ...]:
+    """The kinds of whip that are looked at."""
+    single = tuple(f"{name} alone" for name in fallen.names)
+    if len(single) == 1:
+        return single
+    return (*single, "together, in phase", *(["together, in opposition"] * (len(single) == 2)))
+
+
+def curve_of(fallen: FallenRotor, kind: str, frequency: np.ndarray, rotor: np.ndarray) -> WhipCurve:
+    """The curve of one kind."""
+    if kind.endswith(" alone"):
+        i = fallen.names.index(kind.removesuffix(" alone"))
+        return alone(fallen.names[i], i, frequency, rotor[:, i, i], fallen.bearings[i])
+    angles = np.zeros(len(fallen.names))
+    angles[1:] = np.pi * kind.endswith("opposition")
+    return together(kind, angles, frequency, rotor, fallen.bearings)
+
+
+def _settled(fallen: FallenRotor, curve: WhipCurve) -> Whip:
+    """Where whip settles at the largest friction of the bearings that take part."""
+    mu = max(fallen.bearings[i].friction for i in curve.bearings)
+    rolling = min(_rolling(fallen)[i] for i in curve.bearings)
+    if len(curve.bearings) == 1:
+        w, force = edge_alone(fallen, curve.bearings[0], mu, curve)
+        forces: tuple[float, ...] = (force,)
+    else:
+        w, force = curve.edge(mu)
+        forces = (force,) * len(curve.bearings)
+    if w > rolling:
+        w, forces = np.inf, (np.inf,) * len(curve.bearings)
+    names = tuple(fallen.names[i] for i in curve.bearings)
+    return Whip(curve.kind, names, mu, w, forces, rolling)
+
+
+def _different(whips: list[Whip]) -> tuple[Whip, ...]:
+    """Without a second kind that settles where the first one does: the two are one branch."""
+    kept: list[Whip] = []
+    for whip in whips:
+        same = (other for other in kept if other.bearings == whip.bearings)
+        twice = any(
+            other.frequency == whip.frequency
+            or abs(other.frequency - whip.frequency) < 1e-4 * other.frequency
+            for other in same
+        )
+        if not twice:
+            kept.append(whip)
+    return tuple(kept)
+
+
+def _mapped(fallen: FallenRotor, kind: str, frequency: np.ndarray, rotor: np.ndarray) -> WhipMap:
+    """Edges of one kind over friction, stiffness and damping of the mounts."""
+    first = fallen.bearings[0]
+    mounted = tuple(
+        item
+        if item.ring_mass
+        else item._replace(ring_mass=_MOUNT[0], mount_stiffness=_MOUNT[1], mount_damping=_MOUNT[2])
+        for item in fallen.bearings
+    )
+    shape = (len(_DAMPINGS), len(_SCALES), len(_FRICTIONS))
+    at, force = np.zeros(shape), np.zeros(shape)
+    for d, damping in enumerate(_DAMPINGS):
+        for k, stiffness in enumerate(_SCALES):
+            scaled = tuple(
+                item._replace(
+                    mount_stiffness=stiffness * item.mount_stiffness,
+                    mount_damping=damping * item.mount_damping,
+                )
+                for item in mounted
+            )
+            curve = curve_of(replace(fallen, bearings=scaled), kind, frequency, rotor)
+            for f, mu in enumerate(_FRICTIONS):
+                at[d, k, f], force[d, k, f] = curve.edge(mu)
+    place = (first.friction, first.mount_stiffness, first.mount_damping)
+    return WhipMap(
+        kind,
+        _FRICTIONS,
+        _SCALES * mounted[0].mount_stiffness,
+        np.array(_DAMPINGS) * mounted[0].mount_damping,
+        at,
+        force,
+        place if first.ring_mass else None,
+    )

@@ -1,0 +1,266 @@
+"""Backward whip before any simulation: where friction can keep a rotor whirling, how fast and with
+which force.
+
+Steady backward whip at w, in phasors that turn with it. At every touchdown bearing the rotor lies
+at its clearance c along the unit e, is pushed back by N along e, and friction, which opposes the
+spin, pushes it on, mu N along j e:
+
+    f = -N (1 - j mu) e                      on the rotor, and -f on what it touches            (1)
+    (A_rotor + A_stator) f = (c + N/k_c) e   relative displacement; k_c stiffness of the contact (2)
+
+One bearing alone, A = A_rotor + A_stator:  Re A < 0,  mu = Im A / Re A,
+N = c / (|Re A| (1 + mu^2) - 1/k_c).                                                            (3)
+
+The friction mu(w) of (3) is what whip at w needs. Where the bearing has more, whip speeds up; where
+it has less, it slows down: it settles where mu(w) rises through the bearing's friction, the edge.
+A free mass m on a mount k, d has A = -1/(m w^2) + 1/(k + j d w), and (3) is the polynomial
+
+    mu (k^2 - (k m - d^2) w^2) = m d w^3.                                                       (4)
+
+Several bearings whip together, in one phase or in opposite ones: (1) and (2) for all of them, with
+the unknowns N and the angles of e, followed from low w upwards. Whip of this kind slips; a rotor
+that rolls without slip whirls at speed times radius over clearance, and no whip is faster.
+Source of the criterion: the joint receptance of rotor and stator, Black, J. Mech. Eng. Sci. 10 (1)
+(1968) 1-12 (recalled); derived anew here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq
+
+from ambrose.annexes.touchdown.fallen import Bearing, FallenRotor, stator_receptance
+
+MOST_FRICTION = 2.0  # beyond any pair of dry metals
+_NEWTON, _CLOSE = 12, 1e-10  # steps, and the change that ends them
+_LOADS = 3  # rounds in which rolling elements take the stiffness of their load
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WhipCurve:
+    """What whip needs, over its frequency.
+
+    kind: "A alone" for one bearing, "together, in phase" or "together, in opposition". bearings: of
+    which. frequency (w,) [rad/s]; friction (w,): what whip there needs, NaN where there is none
+    (Re A >= 0); force (w, b) [N].
+    """
+
+    kind: str
+    bearings: tuple[int, ...]
+    frequency: np.ndarray
+    friction: np.ndarray
+    force: np.ndarray
+
+    def band(self, mu: float) -> int | None:
+        """The point below the first edge: the last one of the first stretch of frequencies in which
+        whip needs less than mu; None where it needs more everywhere.
+        """
+        less = self.friction < mu  # NaN is no whip
+        if not less.any():
+            return None
+        first = int(np.argmax(less))
+        ends = np.flatnonzero(~less[first:])
+        return len(less) - 1 if not len(ends) else first + int(ends[0]) - 1
+
+    def edge(self, mu: float) -> tuple[float, float]:
+        """(frequency [rad/s], largest force [N]) at which whip settles, between two points of the
+        curve; (0, 0) where there is no whip, (inf, inf) where the curve ends below mu.
+        """
+        at = self.band(mu)
+        if at is None:
+            return 0.0, 0.0
+        if at == len(self.friction) - 1:
+            return np.inf, np.inf
+        w, force = self.frequency, self.force.max(axis=1)
+        after = at + 1
+        if not np.isfinite(self.friction[after]):
+            # the joint resonance lies before the next point: on with the line of the last two
+            before = self.friction[at - 1] if at else np.nan
+            if not 0 < before < self.friction[at]:  # no resonance: the contact's own end
+                return float(w[after]), np.inf
+            at, after = at - 1, at
+        # both 1/mu and 1/N fall to zero at the joint resonance, nearly straight
+        share = (1 / mu - 1 / self.friction[at]) / (
+            1 / self.friction[after] - 1 / self.friction[at]
+        )
+        settled = w[at] + share * (w[after] - w[at])
+        flexible = 1 / force[at] + share * (1 / force[after] - 1 / force[at])
+        beyond = min(settled, w[min(after + 1, len(w) - 1)])
+        return float(beyond), float(1 / flexible) if flexible > 0 else np.inf
+
+
+@dataclass(frozen=True, slots=True)
+class Whip:
+    """Where whip of one kind settles at the machine's own friction.
+
+    frequency [rad/s] and force (b,) [N] at the edge, 0 where there is no whip. A force of inf:
+    nothing bounds it where the linear model ends; a frequency of inf: nothing but rolling ends it.
+    rolling [rad/s]: without slip; no whip is faster.
+    """
+
+    kind: str
+    bearings: tuple[str, ...]
+    friction: float
+    frequency: float
+    force: tuple[float, ...]
+    rolling: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, SI; what is not finite is null."""
+        finite = np.isfinite(self.frequency)
+        bounded = all(np.isfinite(value) for value in self.force)
+        return {
+            "kind": self.kind,
+            "bearings": list(self.bearings),
+            "friction": self.friction,
+            "frequency": float(self.frequency) if finite else None,
+            "force": [float(value) for value in self.force] if bounded else None,
+            "rolling": self.rolling,
+        }
+
+
+def receptances(fallen: FallenRotor, frequency: np.ndarray) -> np.ndarray:
+    """Backward receptances (w, b, b) [m/N] of the rotor over frequencies (w,) [rad/s]."""
+    return np.array([fallen.receptance(float(w)) for w in frequency])
+
+
+def alone(
+    name: str, index: int, frequency: np.ndarray, rotor: np.ndarray, bearing: Bearing
+) -> WhipCurve:
+    """The curve (3) of one bearing. rotor (w,) [m/N]: its receptance there."""
+    points = [_needed(rotor[i], float(w), bearing) for i, w in enumerate(frequency)]
+    friction, force = np.array(points).T
+    return WhipCurve(f"{name} alone", (index,), frequency, friction, force[:, None])
+
+
+def _needed(rotor: complex, w: float, bearing: Bearing) -> tuple[float, float]:
+    """(mu, N) of (3); NaN where there is no whip."""
+    force = 0.0
+    for _ in range(_LOADS):
+        A = rotor + stator_receptance(bearing, w, force)
+        if A.real >= 0:
+            return np.nan, np.nan
+        mu = max(A.imag / A.real, 0.0)
+        room = abs(A.real) * (1 + mu**2) - 1 / bearing.stiffness
+        if room <= 0:
+            return np.nan, np.nan  # the contact itself is softer: it opens no gap any more
+        force = bearing.clearance / room
+        if not bearing.race_mass:
+            break
+    return mu, force
+
+
+def edge_alone(fallen: FallenRotor, index: int, mu: float, curve: WhipCurve) -> tuple[float, float]:
+    """(frequency [rad/s], force [N]) of the edge of one bearing, solved between the points of its
+    curve; the force is inf where the contact itself is softer than what mu asks for.
+    """
+    at = curve.band(mu)
+    if at is None or at == len(curve.friction) - 1:
+        return curve.edge(mu)
+    bearing = fallen.bearings[index]
+
+    def room(A: complex) -> float:
+        return abs(A.real) * (1 + mu**2) - 1 / bearing.stiffness
+
+    def joint(w: float) -> complex:
+        rotor = fallen.receptance(w)[index, index]
+        A = rotor + stator_receptance(bearing, w)
+        for _ in range(_LOADS if bearing.race_mass else 0):
+            load = bearing.clearance / max(room(A), 1e-3 / bearing.stiffness)
+            A = rotor + stator_receptance(bearing, w, load)
+        return complex(A)
+
+    def excess(w: float) -> float:
+        # mu Re A = Im A; above zero where friction is more than whip needs (Re A < 0), below
+        # where it is less, and beyond the joint resonance
+        A = joint(w)
+        return A.imag - mu * A.real
+
+    low, high = curve.frequency[at], curve.frequency[at + 1]
+    if excess(low) * excess(high) > 0:
+        return float(high), np.inf  # the contact's own end
+    w = brentq(excess, low, high, xtol=1e-12, rtol=1e-12)
+    left = room(joint(w))
+    return w, bearing.clearance / left if left > 0 else np.inf
+
+
+def together(
+    kind: str,
+    angles: np.ndarray,
+    frequency: np.ndarray,
+    rotor: np.ndarray,
+    bearings: tuple[Bearing, ...],
+) -> WhipCurve:
+    """The curve of all bearings at once, followed upwards from the angles (b,) [rad] of e; rotor
+    (w, b, b) [m/N].
+
+    Unknowns: the friction angle g = atan mu, and the angles of e against the first one's.
+    """
+    count = len(bearings)
+    friction = np.full(len(frequency), np.nan)
+    force = np.full((len(frequency), count), np.nan)
+    clearance = np.array([bearing.clearance for bearing in bearings])
+    unknown = np.array([0.0, *angles[1:]])
+    load = np.zeros(count)
+    for i, w in enumerate(frequency):
+        for _ in range(_LOADS):
+            stator = [
+                stator_receptance(b, float(w), n) for b, n in zip(bearings, load, strict=True)
+            ]
+            solved = _solve(rotor[i] + np.diag(stator), clearance, bearings, unknown)
+            if solved is None:
+                break
+            unknown, load = solved
+            if not any(bearing.race_mass for bearing in bearings):
+                break
+        if solved is None:
+            if np.isfinite(friction).any():
+                break  # the branch ends: beyond the joint resonance
+            unknown = np.array([0.0, *angles[1:]])
+            load = np.zeros(count)
+            continue
+        friction[i] = max(np.tan(unknown[0]), 0.0)
+        force[i] = load
+    return WhipCurve(kind, tuple(range(count)), frequency, friction, force)
+
+
+def _solve(
+    A: np.ndarray, clearance: np.ndarray, bearings: tuple[Bearing, ...], start: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Newton's method for (1) and (2): the unknowns and the forces (b,); None where no bearing is
+    pushed, or it does not close.
+    """
+    soft = np.array([1 / bearing.stiffness for bearing in bearings])
+
+    def forces(unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        e = np.exp(1j * np.array([0.0, *unknown[1:]]))
+        # (2) with N e = -f / (1 - j mu): (A + 1/(k_c (1 - j mu))) f = c e
+        contact = np.diag(soft / (1 - 1j * np.tan(unknown[0])))
+        f = np.linalg.solve(A + contact, clearance * e)
+        pushed = -f / e  # N (1 - j mu): all at the angle -g
+        return np.angle(pushed * np.exp(1j * unknown[0])), np.abs(pushed)
+
+    unknown = start.copy()
+    for _ in range(_NEWTON):
+        error, size = forces(unknown)
+        slopes = np.empty((len(error), len(error)))
+        for k in range(len(error)):
+            moved = unknown.copy()
+            moved[k] += 1e-6
+            slopes[:, k] = (forces(moved)[0] - error) / 1e-6
+        try:
+            step = np.linalg.solve(slopes, error)
+        except np.linalg.LinAlgError:
+            return None
+        unknown = unknown - step * min(1.0, 0.5 / max(np.abs(step).max(), 1e-300))
+        if np.abs(step).max() < _CLOSE:
+            break
+    else:
+        return None
+    if not -1e-9 <= unknown[0] < np.arctan(MOST_FRICTION * 5):
+        return None
+    error, size = forces(unknown)
+    return unknown, size * np.cos(unknown[0])
