@@ -9,8 +9,21 @@ import pytest
 pytest.importorskip("starlette", reason="the extra workbench is not installed")
 
 from ambrose.annexes.workbench.project import Project
+from ambrose.annexes.workbench.screens import answer
 from ambrose.annexes.workbench.server import build
 from asgi_client import HOST, ORIGIN, Client
+
+BEGIN = "/api/screens/machine/begin"
+
+
+class Inline:
+    """The screens in this process: nothing is started for a request."""
+
+    def __init__(self, project):
+        self.project = project
+
+    async def ask(self, screen, action, given):
+        return answer(self.project, screen, action, given)
 
 
 @pytest.fixture
@@ -18,7 +31,8 @@ def place(tmp_path):
     """The server of a project, its tokens, and a browser that came with the first one."""
     tokens = []
     folder = tmp_path / "project"
-    app = build(Project(folder), [HOST, "localhost:4000"], tokens.append)
+    project = Project(folder)
+    app = build(project, [HOST, "localhost:4000"], tokens.append, Inline(project))
     (folder / "controllers").mkdir()
     (folder / "controllers" / "mine.json").write_text("{}")
     (tmp_path / "secret.json").write_text("secret")
@@ -40,7 +54,7 @@ def test_the_owner_is_served(place):
     assert state["files"]["controllers"] == ["mine.json"]
     assert browser.ask("GET", "/files/controllers/mine.json").body == b"{}"
     assert browser.ask("GET", "/static/live.js").status == 200
-    begun = browser.ask("POST", "/api/machine/begin", b'{"machine": "two-disc-rotor"}')
+    begun = browser.ask("POST", BEGIN, b'{"machine": "two-disc-rotor"}')
     assert begun.status == 200
 
 
@@ -90,7 +104,7 @@ def test_a_stranger_changes_nothing(place, attack):
     headers, status = {**FOREIGN, "no origin": ({"origin": None}, 403)}[attack]
     body = b'{"machine": "seal-rig"}'
     status = 403 if headers.get("origin", ORIGIN) is None else status
-    assert browser.ask("POST", "/api/machine/begin", body, headers).status == status
+    assert browser.ask("POST", BEGIN, body, headers).status == status
     assert not (folder / "machine.toml").exists()
 
 
@@ -149,12 +163,12 @@ def test_no_path_leads_out(place, path):
 
 def test_too_much_is_not_read(place):
     _, _, browser, folder = place
-    told = browser.ask("POST", "/api/machine/begin", b"{}", {"content-length": "2000000"})
+    told = browser.ask("POST", BEGIN, b"{}", {"content-length": "2000000"})
     assert told.status == 413
     assert browser.ask("POST", "/api/state", b"", {"content-length": "-1"}).status == 413
     # the same without a length
     parts = [b'{"machine": "seal-rig", "x": "', *[b"y" * 100_000] * 12, b'"}']
-    assert browser.ask("POST", "/api/machine/begin", parts).status == 413
+    assert browser.ask("POST", BEGIN, parts).status == 413
     assert not (folder / "machine.toml").exists()
 
 
@@ -172,7 +186,7 @@ def test_too_much_is_not_read(place):
 )
 def test_nonsense_is_refused_in_words(place, body):
     _, _, browser, folder = place
-    answer = browser.ask("POST", "/api/machine/begin", body)
+    answer = browser.ask("POST", BEGIN, body)
     assert answer.status == 400
     assert answer.data["error"]
     assert not (folder / "machine.toml").exists()

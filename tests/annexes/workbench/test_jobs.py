@@ -12,8 +12,7 @@ pytest.importorskip("starlette", reason="the extra workbench is not installed")
 
 from ambrose.annexes.workbench import jobs as module
 from ambrose.annexes.workbench.jobs import Jobs
-from ambrose.annexes.workbench.project import Project
-from ambrose.annexes.workbench.server import begin
+from ambrose.annexes.workbench.project import Project, begin
 from ambrose.core.checks import InvalidInput
 
 # a child that makes a child, both for a minute; no second command is compiled or computed for it

@@ -11,8 +11,8 @@ import pytest
 pytest.importorskip("starlette", reason="the extra workbench is not installed")
 
 from ambrose.annexes.workbench.live import SAMPLES, LiveSession
-from ambrose.annexes.workbench.project import Project
-from ambrose.annexes.workbench.server import begin, build, listening, names_of
+from ambrose.annexes.workbench.project import Project, begin
+from ambrose.annexes.workbench.server import build, listening, names_of
 from ambrose.core.checks import InvalidInput
 from ambrose.record.files import read_record
 from asgi_client import HOST, Client
@@ -90,9 +90,10 @@ def test_all_that_can_be_done_shows_in_the_head(session, project):
     for order in orders:
         session.do(order)
     head, _ = opened(session.frame())
-    assert head["targets"] == {"speed": 30.0, "pressure": 1e5}
-    assert head["unbalance"] == ["A", 1e-5]
-    assert (head["gain"], head["excited"], head["record"]) == (1.1, 0.1, "mine.h5")
+    now = head["set"]
+    assert (now["speed"], now["pressure"], now["gain"]) == (30.0, 1e5, 1.1)
+    assert (now["station"], now["unbalance"]) == ("A", 1e-5)
+    assert (head["excited"], head["record"]) == (0.1, "mine.h5")
     assert head["failed"] == ["sensor A_zeta"]
     session.do({"do": "stop"})
     record = read_record(project.path("records", "mine.h5"))

@@ -18,6 +18,7 @@ _EXTRA = (
 @click.command()
 @click.argument("folder", required=False, type=click.Path(path_type=Path))
 @click.option("--demo", is_flag=True, help="Begin with the seal rig, in the folder seal-rig-demo.")
+@click.option("--new", is_flag=True, help="Make FOLDER where there is none.")
 @click.option("--no-browser", is_flag=True, help="Print the address and open nothing.")
 @click.option(
     "--listen",
@@ -27,7 +28,9 @@ _EXTRA = (
     help="An address of this computer in a network that may see the workbench, unencrypted.",
 )
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Default: a free one.")
-def workbench(folder: Path | None, demo: bool, no_browser: bool, listen: str, port: int) -> None:
+def workbench(
+    folder: Path | None, demo: bool, new: bool, no_browser: bool, listen: str, port: int
+) -> None:
     """The chain in a browser: a live rig to push, and all steps for one project folder.
 
     FOLDER (default: this one) holds the machine file machine.toml, controllers, records, runs,
@@ -37,13 +40,17 @@ def workbench(folder: Path | None, demo: bool, no_browser: bool, listen: str, po
     from ambrose.core.checks import InvalidInput
 
     try:
-        from ambrose.annexes.workbench.server import begin, listening, serve
+        from ambrose.annexes.workbench.server import listening, serve
     except ModuleNotFoundError as error:
         if error.name not in {"starlette", "uvicorn", "websockets", "anyio"}:
             raise
         raise InvalidInput(_EXTRA) from None
-    from ambrose.annexes.workbench.project import Project
+    from ambrose.annexes.workbench.project import Project, begin
 
+    if folder is not None and not folder.is_dir() and not (new or demo):
+        raise InvalidInput(
+            f"there is no folder {folder}; correct its name, or add --new to begin a project there"
+        )
     project = Project(folder or (Path("seal-rig-demo") if demo else Path()))
     if demo and not project.machine.exists():
         begin(project, "seal-rig")

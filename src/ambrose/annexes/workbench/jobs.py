@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import shlex
 import signal
 import sys
 import time
@@ -19,6 +20,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from ambrose.annexes.workbench import blocks
 from ambrose.annexes.workbench.project import MACHINE, Project, slug
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.atomic_write import make_folder, write_json
@@ -36,6 +38,8 @@ KINDS: dict[str, tuple[str, ...]] = {
 }
 _FOLDERS = {"controller": "controllers", "record": "records"}
 _PATIENCE = 0.6  # [s] from the request to end to the kill
+_UNDER_WAY = ("waiting", "running")
+_SHOWN = 3  # of a screen's commands
 _TAIL = 4000  # bytes of a log that the page shows
 _CHILD = "ambrose.annexes.workbench.child"
 
@@ -72,7 +76,7 @@ class Jobs:
         job = Job(**{**content, "words": tuple(content["words"])})
         if slug(job.name, "job") != path.parent.name or path.resolve() != path:
             return
-        unfinished = job.state in {"waiting", "running"}
+        unfinished = job.state in _UNDER_WAY
         self._jobs[job.name] = job
         if unfinished:
             self._keep(replace(job, state="stopped"))
@@ -83,6 +87,36 @@ class Jobs:
             {**asdict(job), "log": self._log(job.name), "now": time.time()}
             for job in reversed(self._jobs.values())
         ]
+
+    def shown(self, of: object) -> list[blocks.Block]:
+        """The jobs of some commands for a page, the newest first; "*": of all."""
+        wanted = [word for word in of if isinstance(word, str)] if isinstance(of, list) else []
+        every = "*" in wanted
+        chosen = [job for job in reversed(self._jobs.values()) if every or job.words[0] in wanted]
+        return [self._block(job) for job in chosen[: None if every else _SHOWN]]
+
+    def ended(self) -> int:
+        """How many jobs are over."""
+        return sum(job.state not in _UNDER_WAY for job in self._jobs.values())
+
+    def _block(self, job: Job) -> blocks.Block:
+        """One job: what it is and how far, its log, what can be done with it."""
+        runs = job.state in _UNDER_WAY
+        title = f"{job.name}: {job.state}"
+        if job.begun is not None:
+            title += f", {(job.ended or time.time()) - job.begun:.0f} s"
+        if job.status is not None:
+            title += f", status {job.status}"
+        way = (
+            blocks.button("Cancel", "/api/jobs/cancel", main=False, name=job.name)
+            if runs
+            else blocks.button("Again", "/api/jobs/start", main=False, again=job.name)
+        )
+        command = f"ambrose {shlex.join(job.words)}"
+        tone = {"done": "good", "failed": "bad", "stopped": "bad"}.get(job.state, "")
+        log = self._log(job.name)
+        same = {"Command line": command}
+        return blocks.form(f"job-{job.name}", (), [way], title, tone=tone, log=log, same=same)
 
     def start(self, said: Mapping[str, Any]) -> None:
         """A job of a kind, or again one that is over. Raises InvalidInput."""
@@ -122,7 +156,7 @@ class Jobs:
     async def close(self) -> None:
         """The server ends: nothing runs on."""
         for job in list(self._jobs.values()):
-            if job.state in {"waiting", "running"}:
+            if job.state in _UNDER_WAY:
                 self._keep(replace(job, state="stopped"))
         await asyncio.gather(*(self._end(process) for process in self._processes.values()))
         await asyncio.gather(*self._tasks)

@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ambrose.annexes.workbench import blocks
+from ambrose.annexes.workbench.blocks import Block
 from ambrose.annexes.workbench.project import Project, slug
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.machine.criteria import CLEARANCE
@@ -26,6 +28,7 @@ from ambrose.machine.criteria import CLEARANCE
 if TYPE_CHECKING:
     from ambrose.judge.result import Synthesis
     from ambrose.machine.machine import Machine
+    from ambrose.rig.live import Frame
 
 SAMPLES = 600  # of a frame at most: what a screen shows
 _LATE = 0.1  # [s] that a frame makes up for at most; more is dropped
@@ -34,6 +37,17 @@ _PACES = {"real": 1.0, "slow": 0.1, "fast": math.inf}
 _PUSH = 0.05  # a knock's first displacement over the gap, roughly
 _SHAKE = 0.025  # excitation over the limit of the currents: far from it also on top of the weight
 _GRADE = 2.5e-3  # [m/s], G2.5 of ISO 21940-11
+_SAME = {
+    "Python": "\n".join(
+        [
+            "import ambrose as amb",
+            "from ambrose.rig.live import LiveRig",
+            'machine = amb.load_machine("machine.toml")',
+            'live = LiveRig(machine, amb.read_controller("controllers/pid.json"))',
+            "frame = live.advance(1000)",
+        ]
+    )
+}
 
 
 class LiveSession:
@@ -64,6 +78,8 @@ class LiveSession:
         self._excited = 0.0
         self._failed: list[str] = []
         self._recorded = ""
+        self._strength = self._impulse
+        self._near = True
         nominal = self.machine.operation.nominal
         self._targets = {"speed": nominal.speed, "pressure": nominal.seal_pressure}
         directions = self.rig.direction
@@ -72,37 +88,106 @@ class LiveSession:
         self._turn = np.transpose(self._turn, (0, 2, 1))
 
     def describe(self) -> dict[str, Any]:
-        """What does not change while it runs: names, places of columns, limits, ranges."""
-        rig, machine = self.rig, self.machine
-        stations = rig.stations
-        b = len(machine.bearings)
+        """What does not change while it runs: names, places of columns, limits, controls."""
+        rig = self.rig
         gaps = [float(gap) if np.isfinite(gap) else None for gap in rig.clearances]
-        air = [bearing.gap for bearing in machine.bearings]
-        smallest = min([gap for gap in (*gaps, *air) if gap], default=1e-4)
-        points = machine.operation.points
-        speed = max([*machine.operation.speed_range, *(p.speed for p in points), 100.0])
-        mass = _mass(machine)
+        b = len(self.machine.bearings)
         return {
-            "machine": machine.name,
-            "stations": stations,
+            "machine": self.machine.name,
+            "stations": rig.stations,
             "bearings": b,
-            "gaps": [*gaps, *[None] * (len(stations) - b)],
-            "scale": smallest,
+            "gaps": [*gaps, *[None] * (len(rig.stations) - b)],
+            "scale": self._smallest,
             "zones": {limit.zone: limit.value for limit in CLEARANCE.limits},
             "columns": self.columns,
             "axes": rig.axes,
             "limits": [float(most) if np.isfinite(most) else None for most in rig.limits],
             "dt": rig.dt,
-            "speed": 1.2 * speed,
-            "pressure": 2.5 * max([p.seal_pressure for p in points], default=0.0),
-            "seals": [seal.name for seal in machine.seals],
-            # m e of the grade at the top speed
-            "unbalance": 8 * mass * _GRADE / speed,
-            "impulse": _PUSH * smallest * mass * 300.0,
-            "excitation": _SHAKE
-            * float(min([m for m in rig.limits if np.isfinite(m)], default=1.0)),
-            "paces": list(_PACES),
+            "speed": self._top_speed,
+            "controls": self._controls(),
+            "same": _SAME,
         }
+
+    @property
+    def _top_speed(self) -> float:
+        """The speed at which the slider ends [rad/s]."""
+        operation = self.machine.operation
+        speeds = [*operation.speed_range, *(point.speed for point in operation.points), 100.0]
+        return 1.2 * max(speeds)
+
+    @property
+    def _top_pressure(self) -> float:
+        """The seal pressure at which the slider ends [Pa]."""
+        points = self.machine.operation.points
+        return 2.5 * max([point.seal_pressure for point in points], default=0.0)
+
+    def _controls(self) -> list[Block]:
+        """What can be turned, pushed and broken, as forms."""
+        turned = [_slider("speed", "Speed", 0, self._top_speed, "rpm", 30 / math.pi)]
+        breaks = [blocks.button("Sensor fails", "fail", main=False, what="sensor")]
+        breaks += [blocks.button("Amplifier fails", "fail", main=False, what="amplifier")]
+        if self.machine.seals:
+            top = self._top_pressure or 1.0
+            turned.append(_slider("pressure", "Seal pressure", 0, top, "bar", 1e-5))
+            lost = blocks.button("Pressure sensor fails", "fail", main=False, what="pressure")
+            breaks.append(lost)
+        where = blocks.choice("station", "Unbalance at", self.rig.stations)
+        where["action"] = "unbalance"
+        # m e of the grade at the top speed
+        largest = 8 * self._mass * _GRADE * 1.2 / self._top_speed
+        turned += [where, _slider("unbalance", "Unbalance", 0, largest, "g mm", 1e6)]
+        turned.append(_slider("gain", "Gain of the controller", -1, 1, "×", 1, log=True))
+        middle = math.log10(self._impulse)
+        strength = ("strength", "Strength of a knock", middle - 1.5, middle + 1.5, "N s", 1)
+        pace = {**blocks.choice("pace", "Time", list(_PACES), self.pace), "action": "pace"}
+        near = blocks.field("near", "Zoom in", True, "check", action="near")
+        controllers = self._project.names("controllers")
+        chosen = blocks.choice("controller", "Controller", controllers, self.controller)
+        limits = [most for most in self.rig.limits if np.isfinite(most)]
+        shake = _SHAKE * float(min(limits, default=1.0))
+        axis = blocks.choice("axis", "Axis", self.rig.axes)
+        return [
+            blocks.form("turn", turned, title="Turn"),
+            blocks.form(
+                "push",
+                [_slider(*strength, log=True), pace, near],
+                [_plain("Drop", "drop"), _plain("Lift", "lift")],
+                "Push",
+            ),
+            blocks.form("controller", [chosen], [_plain("Switch", "switch")], "Controller"),
+            blocks.form(
+                "record",
+                (),
+                [
+                    blocks.button("Excite", "excite", main=False, value=shake),
+                    blocks.button("Stop exciting", "excite", main=False, value=0),
+                    _plain("Record", "record"),
+                    _plain("Stop recording", "stop"),
+                ],
+                "Record",
+            ),
+            blocks.form("break", [axis], breaks, "Break"),
+            starting_form(self._project, self.controller),
+        ]
+
+    @property
+    def _mass(self) -> float:
+        """Of the rotor [kg]."""
+        from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
+
+        return mass_properties(finite_element_rotor(self.machine)).mass
+
+    @property
+    def _smallest(self) -> float:
+        """The smallest gap [m], which scales the pictures."""
+        gaps = [float(gap) for gap in self.rig.clearances if np.isfinite(gap)]
+        air = [bearing.gap for bearing in self.machine.bearings if bearing.gap]
+        return min([*gaps, *air], default=1e-4)
+
+    @property
+    def _impulse(self) -> float:
+        """Of a knock in the middle of its slider [N s]."""
+        return _PUSH * self._smallest * self._mass * 300.0
 
     @property
     def columns(self) -> list[str]:
@@ -128,23 +213,61 @@ class LiveSession:
         head = {
             "time": self.rig.time,
             "speed": told.speed,
-            "pressure": told.pressure,
             "contact": told.contact,
             "ended": told.ended,
-            "pace": self.pace,
             "realtime": round(self.realtime, 3),
             "computing": round(1e3 * spent, 2),
-            "controller": self.controller,
-            "gain": self.rig.gain,
-            "targets": self._targets,
-            "unbalance": self._unbalance,
             "excited": self._excited,
             "failed": self._failed,
             "recorded": self.rig.recorded,
             "record": self._recorded,
-            "stale": _stamp(self._project) != self._stamp,
+            "set": self._set(),
+            "facts": self._facts(told),
+            "warnings": self._warnings(told),
         }
         return _packed(head, self._shown(told.log[-SAMPLES:]))
+
+    def _set(self) -> dict[str, Any]:
+        """What the controls stand at."""
+        station, unbalance = self._unbalance
+        return {
+            **self._targets,
+            **({"station": station} if station else {}),
+            "unbalance": unbalance,
+            "gain": self.rig.gain,
+            "pace": self.pace,
+            "strength": self._strength,
+            "near": self._near,
+        }
+
+    def _facts(self, told: Frame) -> dict[str, str]:
+        """How it stands, in words."""
+        facts = {
+            "time": f"{self.rig.time:.1f} s",
+            "speed": f"{told.speed * 30 / math.pi:.0f} rpm",
+            "pressure": f"{told.pressure / 1e5:.2f} bar",
+            "controller": self.controller,
+            "real time": f"{self.realtime:.2f} ×",
+        }
+        if not self.machine.seals:
+            del facts["pressure"]
+        if self._excited:
+            facts["excited with"] = f"{self._excited:.3g} A"
+        if self._recorded:
+            length = "" if self.rig.recorded is None else f": {self.rig.recorded:.1f} s"
+            facts["record"] = f"records/{self._recorded}{length}"
+        return facts
+
+    def _warnings(self, told: Frame) -> str:
+        """What is not as it should be, in words."""
+        warnings = [told.ended] if told.ended else []
+        if any(told.contact):
+            warnings.append("the rotor touches its touchdown bearings")
+        if self._failed:
+            warnings.append(f"failed: {', '.join(self._failed)}")
+        if _stamp(self._project) != self._stamp:
+            warnings.append("the machine file has changed: start again to see it")
+        return "; ".join(warnings)
 
     def _due(self, gone: float) -> int:
         """Control samples until now; what is later than a frame makes up for is dropped."""
@@ -183,13 +306,13 @@ class LiveSession:
     def speed(self, said: Mapping[str, Any]) -> None:
         """Another speed [rad/s], reached in about five seconds for the whole range."""
         value = _number(said, "value")
-        self.rig.set_speed(value, rate=max(self.describe()["speed"] / 5.0, 1.0))
+        self.rig.set_speed(value, rate=max(self._top_speed / 5.0, 1.0))
         self._targets = {**self._targets, "speed": value}
 
     def pressure(self, said: Mapping[str, Any]) -> None:
         """Another seal pressure [Pa]."""
         value = _number(said, "value")
-        self.rig.set_pressure(value, rate=max(self.describe()["pressure"] / 5.0, 1e3))
+        self.rig.set_pressure(value, rate=max(self._top_pressure / 5.0, 1e3))
         self._targets = {**self._targets, "pressure": value}
 
     def unbalance(self, said: Mapping[str, Any]) -> None:
@@ -207,6 +330,14 @@ class LiveSession:
         name = _word(said, "controller")
         self.rig.switch(_read(self._project, name, self.machine))
         self.controller = name
+
+    def strength(self, said: Mapping[str, Any]) -> None:
+        """The impulse of a knock at the edge of the picture [N s], which every page reads."""
+        self._strength = _number(said, "value")
+
+    def near(self, said: Mapping[str, Any]) -> None:
+        """Whether the pictures zoom in on the orbit."""
+        self._near = bool(said.get("value"))
 
     def drop(self, said: Mapping[str, Any]) -> None:
         """No power any more."""
@@ -264,6 +395,8 @@ ACTIONS: dict[str, Callable[[LiveSession, Mapping[str, Any]], None]] = {
     "unbalance": LiveSession.unbalance,
     "gain": LiveSession.gain,
     "switch": LiveSession.switch,
+    "strength": LiveSession.strength,
+    "near": LiveSession.near,
     "drop": LiveSession.drop,
     "lift": LiveSession.lift,
     "fail": LiveSession.fail,
@@ -301,11 +434,28 @@ def _stamp(project: Project) -> tuple[int, int]:
     return status.st_mtime_ns, status.st_size
 
 
-def _mass(machine: Machine) -> float:
-    """Of the rotor [kg]."""
-    from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
+def starting_form(project: Project, controller: str = "") -> Block:
+    """How a rig begins anew."""
+    names = project.names("controllers") or ["pid.json"]
+    ways = {"levitated": "Start levitated", "resting": "Start on the touchdown bearings"}
+    buttons = [
+        blocks.button(text, "restart", main=False, initial=initial)
+        for initial, text in ways.items()
+    ]
+    chosen = blocks.choice("controller", "Controller", names, controller)
+    return blocks.form("start", [chosen], buttons, "Start again")
 
-    return mass_properties(finite_element_rotor(machine)).mass
+
+def _slider(
+    name: str, label: str, low: float, high: float, unit: str, factor: float, log: bool = False
+) -> Block:
+    """A slider that asks for the action of its name; log: low and high are exponents of ten."""
+    more = {"low": low, "high": high, "unit": unit, "factor": factor, "log": log, "action": name}
+    return blocks.field(name, label, 10**low if log else low, "slider", **more)
+
+
+def _plain(text: str, action: str) -> Block:
+    return blocks.button(text, action, main=False)
 
 
 def _first_controller(project: Project, machine: Machine) -> str:

@@ -111,3 +111,19 @@ class Project:
         if real != self.root and self.root not in real.parents:
             raise InvalidInput(f"{path.name} leads out of the project: {_LINKS}")
         return path
+
+
+def begin(project: Project, name: object) -> None:
+    """A bundled machine becomes the project's, where it has none. Raises InvalidInput."""
+    from ambrose.machine.atomic_write import write_text
+    from ambrose.machine.file.toml import bundled_machines
+
+    known = bundled_machines()
+    if not isinstance(name, str) or name not in known:
+        raise InvalidInput(
+            f"there is no bundled machine {str(name)[:60]!r}; choose one that the page lists"
+        )
+    if project.machine.exists():
+        raise InvalidInput("the project has a machine file already; remove it first")
+    text = known[name].read_text(encoding="utf-8")
+    write_text(project.machine, text, "machine file")

@@ -19,9 +19,13 @@ from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, R
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
+from ambrose.annexes.workbench import blocks
+from ambrose.annexes.workbench.blocks import Refusal
+from ambrose.annexes.workbench.desk import Desk
 from ambrose.annexes.workbench.guard import PAGE_POLICY, App, Guard
-from ambrose.annexes.workbench.jobs import KINDS, Jobs
+from ambrose.annexes.workbench.jobs import Jobs
 from ambrose.annexes.workbench.project import Project
+from ambrose.annexes.workbench.screens import TITLES
 from ambrose.annexes.workbench.viewers import LiveRoom
 from ambrose.core.checks import AmbroseError, InvalidInput
 
@@ -31,18 +35,28 @@ _TYPES = {
     ".css": "text/css; charset=utf-8",
     ".svg": "image/svg+xml",
 }
+ALL_JOBS = blocks.content(
+    [blocks.words("lead", "What was started on the other screens, the newest first.")], jobs=["*"]
+)
 _MESSAGE = 65_536  # bytes of a socket's message
 _ENDS = (signal.SIGINT, signal.SIGTERM)
 _PATIENCE = 2  # [s] for open requests when the server ends
 
 
-def build(project: Project, hosts: list[str], announce: Callable[[str], None]) -> App:
+def build(
+    project: Project,
+    hosts: list[str],
+    announce: Callable[[str], None],
+    desk: Desk | None = None,
+) -> App:
     """The whole server as an ASGI application behind its guard.
 
-    hosts: "address:port" that it answers to; announce(token): told the first token and every next.
+    hosts: "address:port" that it answers to; announce(token): told the first token and every next;
+    desk: where screens are computed (None: a process beside it).
     """
     live = LiveRoom(project)
     jobs = Jobs(project)
+    desk = desk or Desk(project)
 
     async def page(request: Request) -> Response:
         return _static("index.html")
@@ -53,17 +67,22 @@ def build(project: Project, hosts: list[str], announce: Callable[[str], None]) -
     async def state(request: Request) -> Response:
         return JSONResponse(await asyncio.to_thread(_state, project))
 
-    async def start(request: Request) -> Response:
-        content = await _content(request)
-        await asyncio.to_thread(begin, project, content.get("machine"))
-        return JSONResponse({})
+    async def screen(request: Request) -> Response:
+        name, action = request.path_params["name"], request.path_params.get("action", "")
+        given = await _content(request)
+        told = ALL_JOBS if name == "jobs" else await desk.ask(name, action, given)
+        if told["whole"]:
+            shown = [*told["blocks"], *jobs.shown(told["jobs"])]
+            told = {**told, "blocks": shown, "ended": jobs.ended()}
+        return JSONResponse(told)
 
     async def file(request: Request) -> Response:
         path = project.path(request.path_params["kind"], request.path_params["name"])
         return await asyncio.to_thread(_file, path)
 
     async def list_jobs(request: Request) -> Response:
-        return JSONResponse({"kinds": list(KINDS), "jobs": jobs.listing()})
+        found = jobs.shown((await _content(request)).get("of"))
+        return JSONResponse({"blocks": found, "ended": jobs.ended()})
 
     async def start_job(request: Request) -> Response:
         jobs.start(await _content(request))
@@ -79,21 +98,24 @@ def build(project: Project, hosts: list[str], announce: Callable[[str], None]) -
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
         yield
+        desk.close()
         await asyncio.gather(jobs.close(), live.close())
 
     routes: list[Route | WebSocketRoute] = [
         Route("/", page),
         Route("/static/{name}", static),
         Route("/api/state", state),
-        Route("/api/machine/begin", start, methods=["POST"]),
+        Route("/api/screens/{name}", screen, methods=["POST"]),
+        Route("/api/screens/{name}/{action}", screen, methods=["POST"]),
         Route("/files/{kind}/{name}", file),
-        Route("/api/jobs", list_jobs),
+        Route("/api/jobs", list_jobs, methods=["POST"]),
         Route("/api/jobs/start", start_job, methods=["POST"]),
         Route("/api/jobs/cancel", cancel_job, methods=["POST"]),
         WebSocketRoute("/live", watch),
     ]
     refusals: dict[Any, Callable[[Request, Exception], Awaitable[Response]]] = {
         AmbroseError: _refused,
+        Refusal: _refused,
         ClientDisconnect: _cut,
     }
     app = Starlette(routes=routes, lifespan=lifespan, exception_handlers=refusals)
@@ -102,7 +124,8 @@ def build(project: Project, hosts: list[str], announce: Callable[[str], None]) -
 
 
 async def _refused(request: Request, error: Exception) -> Response:
-    return JSONResponse({"error": str(error)}, status_code=400)
+    told = error.content if isinstance(error, Refusal) else {"error": str(error)}
+    return JSONResponse(told, status_code=400)
 
 
 async def _cut(request: Request, error: Exception) -> Response:
@@ -141,30 +164,13 @@ def _file(path: Path) -> Response:
 def _state(project: Project) -> dict[str, Any]:
     """What stands in the folder, for every screen."""
     from ambrose.annexes.workbench.project import KINDS
-    from ambrose.machine.file.toml import bundled_machines
 
     return {
         "folder": project.root.name,
         "machine": project.machine.is_file(),
-        "bundled": list(bundled_machines()),
+        "screens": list(TITLES.items()),
         "files": {kind: project.names(kind) for kind in KINDS},
     }
-
-
-def begin(project: Project, name: object) -> None:
-    """A bundled machine becomes the project's, where it has none. Raises InvalidInput."""
-    from ambrose.machine.atomic_write import write_text
-    from ambrose.machine.file.toml import bundled_machines
-
-    known = bundled_machines()
-    if not isinstance(name, str) or name not in known:
-        raise InvalidInput(
-            f"there is no bundled machine {str(name)[:60]!r}; choose one that the page lists"
-        )
-    if project.machine.exists():
-        raise InvalidInput("the project has a machine file already; remove it first")
-    text = known[name].read_text(encoding="utf-8")
-    write_text(project.machine, text, "machine file")
 
 
 def listening(address: str, port: int) -> socket.socket:

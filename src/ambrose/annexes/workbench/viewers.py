@@ -16,7 +16,7 @@ from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from ambrose.annexes.workbench.live import LiveSession
+from ambrose.annexes.workbench.live import LiveSession, starting_form
 from ambrose.annexes.workbench.project import Project
 from ambrose.core.checks import AmbroseError
 
@@ -140,7 +140,7 @@ class LiveRoom:
             described = await self._in_thread(self._described)
         except AmbroseError as error:
             # the one before goes on
-            await self._tell_all(failed=str(error))
+            await self._tell_all(failed=str(error), start=starting_form(self._project))
         else:
             await self._tell_all(**described)
         self._ensure_driven()

@@ -207,7 +207,7 @@ def _place(
         entry = entry[part]
         if isinstance(part, int):
             places.append(
-                f"{_brackets('.'.join(path), many=True)} {_called(entry, path[-1], part + 1)}"
+                f"{_brackets('.'.join(path), many=True)} {called(entry, path[-1], part + 1)}"
             )
             continue
         path.append(part)
@@ -217,7 +217,7 @@ def _place(
     return ", ".join(places), model
 
 
-def _called(entry: object, table: str, number: int) -> str:
+def called(entry: object, table: str, number: int) -> str:
     """An entry by its name where it has one, else by its number; labels are free text and stand
     after the number.
     """

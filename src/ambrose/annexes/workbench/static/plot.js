@@ -33,6 +33,22 @@ export function begin(element) {
   return { g, width, height };
 }
 
+export function write(g, text, x, y, align = "center", fill = ink.muted) {
+  g.fillStyle = fill;
+  g.textAlign = align;
+  g.fillText(text, x, y);
+}
+
+// the least and the largest of some values from a place on, a step apart
+export function extent(values, from = 0, step = 1) {
+  let [low, high] = [Infinity, -Infinity];
+  for (let k = from; k < values.length; k += step) {
+    if (values[k] < low) low = values[k];
+    if (values[k] > high) high = values[k];
+  }
+  return [low, high];
+}
+
 export function path(g, count, x, y, stroke, dash = []) {
   g.setLineDash(dash);
   g.strokeStyle = stroke;
@@ -57,7 +73,8 @@ const SIGNS = { "-9": "n", "-6": "µ", "-3": "m", 0: "", 3: "k", 6: "M" };
 export function short(value, unit) {
   if (!Number.isFinite(value)) return "–";
   const size = Math.abs(value);
-  const power = size ? Math.min(6, Math.max(-9, 3 * Math.floor(Math.log10(size) / 3 + 1e-9))) : 0;
+  const plain = !size || /^(rpm|bar|×|%|°|g mm|N s)$/.test(unit);
+  const power = plain ? 0 : Math.min(6, Math.max(-9, 3 * Math.floor(Math.log10(size) / 3 + 1e-9)));
   return `${Number((value / 10 ** power).toPrecision(3))} ${SIGNS[power]}${unit}`.trim();
 }
 
@@ -72,22 +89,17 @@ export function curves(element, list, axes) {
   };
   const X = scale(axes.x, axes.log?.[0], left, width - right);
   const Y = scale(axes.y, axes.log?.[1], height - bottom, top);
-  g.fillStyle = ink.muted;
   g.lineWidth = 1;
   ticks(axes.x, axes.log?.[0], (width - left) / 70).forEach((v) => {
     path(g, 2, () => X(v), (i) => [top, height - bottom][i], ink.faint);
-    g.textAlign = "center";
-    g.fillText(short(v, ""), X(v), height - bottom + 14);
+    write(g, short(v, ""), X(v), height - bottom + 14);
   });
   ticks(axes.y, axes.log?.[1], (height - bottom) / 30).forEach((v) => {
     path(g, 2, (i) => [left, width - right][i], () => Y(v), ink.faint);
-    g.textAlign = "right";
-    g.fillText(short(v, ""), left - 5, Y(v) + 4);
+    write(g, short(v, ""), left - 5, Y(v) + 4, "right");
   });
-  g.textAlign = "center";
-  g.fillText(axes.names[0], (left + width) / 2, height - 4);
-  g.textAlign = "left";
-  g.fillText(axes.names[1], left + 5, top + 12);
+  write(g, axes.names[0], (left + width) / 2, height - 4);
+  write(g, axes.names[1], left + 5, top + 12, "left");
   g.save();
   g.beginPath();
   g.rect(left, top, width - left - right, height - top - bottom);

@@ -1,6 +1,7 @@
 // One signal over time from a trigger on, its spectrum, and spectra one below the other.
-import { begin, canvas, curves, ink, rounded, series } from "/static/plot.js";
-import { choice, make } from "/static/page.js";
+import { field } from "/static/controls.js";
+import { begin, canvas, curves, extent, ink, rounded, series } from "/static/plot.js";
+import { make } from "/static/page.js";
 
 const KEPT = 8192; // samples
 const LINES = 2048; // samples of a spectrum
@@ -25,14 +26,14 @@ export function scope(rig) {
   const kept = new Float32Array(KEPT);
   const shown = { column: rig.columns.length - rig.axes.length, span: 0.1, trigger: "rising" };
   let [filled, expected, last] = [0, 0, 0];
-  const reset = (change) => { Object.assign(shown, change); filled = 0; };
+  const choose = (label, options, at, change) => field({ name: label, label, kind: "choice", options,
+    value: options[at] }, (value) => { Object.assign(shown, change(value)); filled = 0; }).label;
   const top = Math.min(LINES / 2, Math.max(100, Math.round((LINES * rig.dt * 3 * rig.speed) / 6)));
   const panel = make("section", { className: "panel" }, make("h2", {}, "Scope"),
     make("div", { className: "buttons" },
-      choice("Signal", rig.columns, (name) => reset({ column: rig.columns.indexOf(name) }),
-        rig.columns[shown.column]).label,
-      choice("Seconds", ["0.02", "0.1", "0.4"], (span) => reset({ span: Number(span) }), "0.1").label,
-      choice("Trigger", ["rising", "free"], (trigger) => reset({ trigger }), "rising").label),
+      choose("Signal", rig.columns, shown.column, (name) => ({ column: rig.columns.indexOf(name) })),
+      choose("Seconds", ["0.02", "0.1", "0.4"], 1, (span) => ({ span: Number(span) })),
+      choose("Trigger", ["rising", "free"], 0, (trigger) => ({ trigger }))),
     time, lines, fall);
 
   function add(head, samples, columns) {
@@ -61,8 +62,7 @@ export function scope(rig) {
       for (let i = start; i > 0; i -= 1) if (kept[i - 1] < level && kept[i] >= level) { start = i; break; }
     }
     const y = kept.subarray(start, start + width);
-    let [low, high] = [Infinity, -Infinity];
-    for (const v of y) { low = Math.min(low, v); high = Math.max(high, v); }
+    const [low, high] = extent(y);
     const half = rounded(Math.max((high - low) / 2, 1e-8));
     const middle = Number.isFinite(low) ? (low + high) / 2 : 0;
     const x = Float64Array.from(y, (_, i) => i * rig.dt);

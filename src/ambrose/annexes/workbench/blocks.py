@@ -1,0 +1,153 @@
+"""What a screen is made of, as plain data: the page draws it (static/screen.js), the screens fill
+it (screens/).
+
+A screen is a list of blocks; each has a key, by which the page tells which of them changed, and a
+title or none. Words are words: the page never reads them as markup. A picture is SVG that
+``picture`` made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from ambrose.report.page import Cell, Table
+
+Block = dict[str, Any]
+
+
+def words(key: str, text: str, title: str = "", tone: str = "") -> Block:
+    """A paragraph; tone: "", "good", "bad" or "muted"."""
+    return {"key": key, "kind": "words", "title": title, "text": text, "tone": tone}
+
+
+def table(key: str, content: Table, folded: bool = False) -> Block:
+    """A table of the reports; folded: closed until it is opened."""
+    return {
+        "key": key,
+        "kind": "table",
+        "title": content.title,
+        "columns": list(content.columns),
+        "rows": [[_cell(cell) for cell in row] for row in content.cells],
+        "note": content.note,
+        "folded": folded,
+    }
+
+
+def _cell(cell: Cell) -> dict[str, str]:
+    return {"text": f"{cell.symbol} {cell.text}".strip(), "mark": cell.mark}
+
+
+def picture(key: str, svg: str, title: str = "", caption: str = "") -> Block:
+    """A drawing."""
+    return {"key": key, "kind": "picture", "title": title, "svg": svg, "caption": caption}
+
+
+def page(key: str, name: str, title: str) -> Block:
+    """A page of results out of the folder reports, shown and to be opened alone."""
+    return {"key": key, "kind": "page", "title": title, "src": f"/files/reports/{name}"}
+
+
+def link(key: str, address: str, text: str) -> Block:
+    """A file to take along."""
+    return {"key": key, "kind": "link", "title": "", "href": address, "text": text}
+
+
+def same(command: str, *lines: str) -> Block:
+    """The command and the lines of Python that do the same."""
+    given = {"Command line": command, "Python": "\n".join(("import ambrose as amb", *lines))}
+    return {"key": "same", "kind": "same", "title": "", "lines": given}
+
+
+def form(
+    key: str,
+    fields: Iterable[Block],
+    buttons: Sequence[Block] = (),
+    title: str = "",
+    *,
+    live: str = "",
+    folded: bool = False,
+    hint: str = "",
+    tone: str = "",
+    **more: Any,
+) -> Block:
+    """Fields and buttons; live: the action that every change asks for; more: log, words as they
+    were printed, and same, what does the same.
+    """
+    return {
+        "key": key,
+        "kind": "form",
+        "title": title,
+        "fields": list(fields),
+        "buttons": list(buttons),
+        "live": live,
+        "folded": folded,
+        "hint": hint,
+        "tone": tone,
+        **more,
+    }
+
+
+def field(name: str, label: str, value: Any = "", kind: str = "text", **more: Any) -> Block:
+    """One field; kind: "text", "area", "check", "file" (to: the folder that takes it), "choice"
+    (options) or "slider" (low, high, unit, factor to the unit, log: low and high are exponents of
+    ten). action: what a change asks for; heading: above it.
+    """
+    return {"name": name, "label": label, "value": value, "kind": kind, **more}
+
+
+def choice(name: str, label: str, options: Sequence[str], value: str = "") -> Block:
+    """A field that takes one of some words."""
+    chosen = value if value in options else (options[0] if options else "")
+    return field(name, label, chosen, "choice", options=list(options))
+
+
+def button(text: str, action: str, *, main: bool = True, **more: Any) -> Block:
+    """A button that asks for an action of the screen, or with an address of the server that; more:
+    what goes with it beside the fields.
+    """
+    return {"text": text, "action": action, "main": main, "more": more}
+
+
+def job(text: str, kind: str) -> Block:
+    """A button that starts a job of a kind, with the fields beside it."""
+    return button(text, "/api/jobs/start", kind=kind)
+
+
+def rows_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
+    """A table of the reports from rows of words and cells."""
+    return Table(title, tuple(columns), tuple(tuple(row) for row in rows))
+
+
+def content(
+    blocks: Sequence[Block],
+    *,
+    stamp: str = "",
+    jobs: Sequence[str] = (),
+    whole: bool = True,
+    told: str = "",
+) -> dict[str, Any]:
+    """An answer to the page: the blocks of a screen, or (not whole) those that changed.
+
+    stamp: of the file that the screen edits; jobs: the commands whose jobs stand below it; told:
+    what was done, in words.
+    """
+    return {
+        "blocks": list(blocks),
+        "stamp": stamp,
+        "jobs": list(jobs),
+        "whole": whole,
+        "told": told,
+    }
+
+
+class Refusal(Exception):
+    """What the page is told beside its fields: a sentence, and sentences by the name of a field;
+    stale: what the page holds was overtaken.
+    """
+
+    def __init__(
+        self, text: str, fields: Mapping[str, str] | None = None, stale: bool = False
+    ) -> None:
+        super().__init__(text)
+        self.content = {"error": text, "fields": dict(fields or {}), "stale": stale}

@@ -1,0 +1,194 @@
+"""The machine's screen: what it shows, what an edit writes, what a wrong one leaves alone."""
+
+import asyncio
+import os
+import signal
+import tomllib
+from xml.etree import ElementTree
+
+import pytest
+
+pytest.importorskip("starlette", reason="the extra workbench is not installed")
+
+from ambrose.annexes.workbench.blocks import Refusal
+from ambrose.annexes.workbench.desk import Desk
+from ambrose.annexes.workbench.picture import svg
+from ambrose.annexes.workbench.project import Project, begin
+from ambrose.annexes.workbench.screens import answer
+from ambrose.annexes.workbench.screens.machine import fields_of
+from ambrose.core.checks import InvalidInput
+from ambrose.machine.file.toml import bundled_machines, load_machine
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+@pytest.fixture
+def project(tmp_path):
+    made = Project(tmp_path)
+    begin(made, "two-disc-rotor")
+    return made
+
+
+def shown(project):
+    told = answer(project, "machine", "", {"width": 800})
+    return told, {block["key"]: block for block in told["blocks"]}
+
+
+def save(project, stamp, **fields):
+    given = {name.replace("__", "."): value for name, value in fields.items()}
+    return answer(project, "machine", "save", {"stamp": stamp, "width": 800, **given})
+
+
+def test_an_edit_writes_its_value_and_leaves_all_else(project):
+    before = project.machine.read_text("utf-8")
+    told, blocks = shown(project)
+    fields = {f["name"]: f for f in blocks["table-bearing"]["fields"]}
+    # the words of the file, also where it has a list
+    document = tomllib.loads(before)
+    assert fields["bearing.0.position"]["value"] == document["bearing"][0]["position"]
+    again = save(project, told["stamp"], bearing__0__max_current="7.5 A")
+    after = project.machine.read_text("utf-8")
+    assert tomllib.loads(after)["bearing"][0]["max_current"] == "7.5 A"
+    different = [a for a, b in zip(before.splitlines(), after.splitlines(), strict=True) if a != b]
+    assert len(different) == 1
+    assert again["stamp"] != told["stamp"]
+    assert load_machine(project.machine).bearings[0].max_current == 7.5
+
+
+def test_a_wrong_field_is_told_beside_it_and_the_last_machine_stays(project):
+    before = project.machine.read_bytes()
+    told, _ = shown(project)
+    wrong = {"bearing__0__gap": "3 kg", "operation__speed_range": '["0 rpm", "x"]'}
+    with pytest.raises(Refusal) as refused:
+        save(project, told["stamp"], **wrong)
+    beside = refused.value.content["fields"]
+    assert beside["bearing.0.gap"].startswith('[[bearing]] left: gap is "3 kg", but must be')
+    assert set(beside) == {"bearing.0.gap", "operation.speed_range"}
+    # physics, found by another part of the reader
+    with pytest.raises(Refusal) as refused:
+        save(project, told["stamp"], bearing__0__max_current="-1 A")
+    assert set(refused.value.content["fields"]) == {"bearing.0.max_current"}
+    assert project.machine.read_bytes() == before
+
+
+def test_of_two_edits_of_one_text_the_second_is_told(project):
+    told, _ = shown(project)
+    save(project, told["stamp"], bearing__0__max_current="7 A")
+    first = project.machine.read_bytes()
+    for action in ("save", "write"):
+        with pytest.raises(Refusal, match="changed meanwhile") as refused:
+            given = {"stamp": told["stamp"], "text": "", "bearing.0.max_current": "8 A"}
+            answer(project, "machine", action, given)
+        assert refused.value.content["stale"]
+    assert project.machine.read_bytes() == first
+
+
+def test_the_whole_text_is_written_only_as_a_machine(project):
+    told, blocks = shown(project)
+    text = blocks["text"]["fields"][0]["value"]
+    assert text == project.machine.read_text("utf-8")
+    with pytest.raises(Refusal, match="not valid TOML"):
+        given = {"stamp": told["stamp"], "text": text + "\n[broken"}
+        answer(project, "machine", "write", given)
+    new = text.replace("[machine]", "# looked at\n[machine]", 1)
+    answer(project, "machine", "write", {"stamp": told["stamp"], "text": new})
+    assert project.machine.read_text("utf-8") == new
+
+
+def test_a_broken_file_is_shown_with_its_reason(project):
+    project.machine.write_text("[machine]\nschema = 1\n")
+    _, blocks = shown(project)
+    assert "missing" in blocks["problem"]["text"]
+    assert blocks["text"]["fields"][0]["value"] == "[machine]\nschema = 1\n"
+
+
+@pytest.mark.parametrize("name", [*bundled_machines()])
+def test_every_value_of_a_file_has_a_field(name):
+    text = bundled_machines()[name].read_text("utf-8")
+
+    def leaves(value, place=""):
+        if isinstance(value, dict):
+            for key, below in value.items():
+                if key != "assumed":
+                    yield from leaves(below, f"{place}.{key}" if place else key)
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            for i, below in enumerate(value):
+                yield from leaves(below, f"{place}.{i}")
+        else:
+            yield place
+
+    assert set(fields_of(text)) == set(leaves(tomllib.loads(text)))
+
+
+def test_a_picture_stands_where_its_numbers_say():
+    go = pytest.importorskip("plotly.graph_objects")
+    figure = go.Figure()
+    figure.add_scatter(x=[0, 5, 10], y=[1, 10, 100], mode="lines", name="<b>a</b> &lt;i&gt;")
+    margin = {"l": 50, "r": 50, "t": 20, "b": 30}
+    figure.update_layout(height=250, margin=margin, meta={"room": 8}, showlegend=False)
+    figure.update_xaxes(range=[0, 10])
+    figure.update_yaxes(type="log", range=[0, 2])
+    figure.add_annotation(x=5, y=1, text="<script>alert(1)</script>&lt;b&gt;", showarrow=False)
+    text = svg(figure, 600, "a < b", "k")
+    root = ElementTree.fromstring(text)
+    paths = [path.get("d") for path in root.iter(f"{SVG}g") for path in path]
+    # 500 px wide from 50, 200 px high from 10: the decades lie at its lower end, middle and top
+    assert paths == ["M50.0 210.0L300.0 110.0L550.0 10.0"]
+    assert root.get("aria-label") == "a < b"
+    words = [item.text for item in root.iter(f"{SVG}text")]
+    assert "alert(1)<b>" in words
+    assert not list(root.iter(f"{SVG}script"))
+
+
+def test_names_never_become_markup(project):
+    text = project.machine.read_text("utf-8")
+    hostile = "</svg><script>alert(1)</script>"
+    document = tomllib.loads(text)
+    given = document["machine"]["description"]
+    assert given in text
+    project.machine.write_text(text.replace(given, hostile))
+    _, blocks = shown(project)
+    drawing = ElementTree.fromstring(blocks["drawing"]["svg"])
+    assert not list(drawing.iter(f"{SVG}script"))
+    assert blocks["drawing"]["caption"] == hostile
+
+
+@pytest.mark.parametrize("screen, action", [("nothing", ""), ("machine", "rm"), ("live", "")])
+def test_what_is_no_screen_is_refused(project, screen, action):
+    with pytest.raises(InvalidInput, match="reload the page"):
+        answer(project, screen, action, {})
+
+
+def test_the_desk_answers_refuses_and_begins_anew(project):
+    async def run():
+        desk = Desk(project)
+        with pytest.raises(Refusal, match="there is no screen"):
+            await desk.ask("nothing", "", {})
+        first = desk._process.pid
+        os.kill(first, signal.SIGKILL)
+        with pytest.raises(Refusal, match="ended suddenly"):
+            await desk.ask("nothing", "", {})
+        with pytest.raises(Refusal, match="there is no screen"):
+            await desk.ask("nothing", "", {})
+        assert desk._process.pid != first
+        desk._longest = 0.0
+        with pytest.raises(Refusal, match="longer than 0 s"):
+            await desk.ask("machine", "", {})
+        assert desk._process is None
+
+    asyncio.run(run())
+
+
+def test_a_folder_with_a_slip_of_the_pen_is_not_made(tmp_path, monkeypatch):
+    from click.testing import CliRunner
+
+    from ambrose.annexes.workbench.command import workbench
+
+    monkeypatch.chdir(tmp_path)
+    told = CliRunner().invoke(workbench, ["nosuchdir", "--no-browser"])
+    assert isinstance(told.exception, InvalidInput)
+    assert "--new" in str(told.exception)
+    assert not (tmp_path / "nosuchdir").exists()
+    more = ["nosuchdir", "--new", "--no-browser", "--listen", "0.0.0.0"]
+    assert "every network" in str(CliRunner().invoke(workbench, more).exception)
+    assert (tmp_path / "nosuchdir").is_dir()
