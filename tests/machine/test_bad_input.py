@@ -600,7 +600,7 @@ SLIPS = {
         '"1.2 N/um"',
         '"-1.2 N/um"',
         "[[bearing]] A",
-        "negative_stiffness (zeta) is -1.2e+06 N/m",
+        "negative_stiffness is -1.2e+06 N/m",
         "[[coupling]]",
     ),
     "negative force per current": (
@@ -664,7 +664,7 @@ SLIPS = {
         'damping = "10 N s/m"',
         'damping = "-10 N s/m"',
         "[[coupling]] coupling",
-        "damping (zeta) is -10 N s/m",
+        "damping is -10 N s/m",
         "holds back",
     ),
     # seals

@@ -11,7 +11,7 @@ schema = 1
 name = "expander"
 [[shaft]]
 length = "400 mm"
-outer_diameter = "60 mm"
+outer_diameter = "48 mm"
 elements = 6
 [[bearing]]
 name = "A"

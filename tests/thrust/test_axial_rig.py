@@ -34,7 +34,7 @@ SATURATING = {"permeability = 600": 'permeability = 600\nflux_density = "0.7 T"'
 
 
 def mass_of(axial):
-    return math.pi / 4 * 0.06**2 * 0.4 * axial.shaft[0].material.density
+    return math.pi / 4 * 0.048**2 * 0.4 * axial.shaft[0].material.density
 
 
 def test_a_collar_without_power_strikes_its_stop_as_a_mass_on_a_spring():

@@ -117,7 +117,7 @@ def test_current_to_force_has_the_corner_of_the_half_order_core():
 
 
 def plant_mass(axial):
-    return math.pi / 4 * 0.06**2 * 0.4 * axial.shaft[0].material.density
+    return math.pi / 4 * 0.048**2 * 0.4 * axial.shaft[0].material.density
 
 
 def response(plant, source, output, omega):
@@ -306,6 +306,7 @@ def test_rows_of_the_process_thrust_hold_against_closed_forms():
         ),
         ({'["25 mm", "34 mm"]': '["34 mm", "25 mm"]'}, "must ascend"),
         ({'touchdown_gap = "0.25 mm"': 'touchdown_gap = "0.5 mm"'}, "strike the magnet"),
+        ({'\ngap = "0.5 mm"': '\ngap = "-0.5 mm"'}, "gap is -0.0005 m, but must be positive"),
         ({'"40 um"]': '"300 um"]'}, "onto its stop"),
         ({'point = "rated"\nforce': 'point = "raited"\nforce'}, 'did you mean "rated"'),
         ({"T.negative_stiffness": "T.stiffness"}, "unknown quantity"),
@@ -314,8 +315,9 @@ def test_rows_of_the_process_thrust_hold_against_closed_forms():
     ],
 )
 def test_bad_input_is_one_sentence(change, words):
-    with pytest.raises(InvalidInput, match=words):
+    with pytest.raises(InvalidInput, match=words) as wrong:
         machine(change)
+    assert len(getattr(wrong.value, "problems", [""])) == 1
 
 
 def test_a_load_beyond_the_capacity_says_so():
@@ -335,6 +337,18 @@ def test_the_axis_has_an_address(tmp_path):
     with pytest.raises(InvalidInput, match=r"move it into a \[\[thrust_bearing.tolerance\]\]"):
         tolerance = machine().axial.tolerances
         replace(machine(), tolerances=tolerance)
+
+
+def test_the_example_is_plausible_along_every_axis():
+    from click.testing import CliRunner
+
+    from ambrose.cli import main
+
+    example = str(Path(__file__).parents[2] / "examples" / "expander-five-axes.toml")
+    for address in (example, f"{example}#axial"):
+        told = CliRunner().invoke(main, ["check", address])
+        assert told.exit_code == 0
+        assert "implausible" not in told.output
 
 
 def test_commands_say_how_the_axis_is_addressed():

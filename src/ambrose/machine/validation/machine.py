@@ -24,6 +24,7 @@ from ambrose.machine.parameters import Parameter, find_uncertain
 from ambrose.machine.validation import parts, thrust
 from ambrose.machine.validation import seals as validate_seals
 from ambrose.machine.validation.controller import chain, controller
+from ambrose.machine.validation.fits import fits
 from ambrose.machine.validation.signs import not_positive
 from ambrose.machine.validation.synchronous import synchronous
 from ambrose.machine.validation.touchdown import coast_down
@@ -69,6 +70,7 @@ def problems(machine: MachineDescription) -> tuple[str, ...]:
             _attached,
             thrust.of_machine,
             coast_down,
+            fits,
         ),
         *(parts.bending_modes, parts.supports),
         *(

@@ -18,20 +18,19 @@ def not_positive(
     where: str, part: Part, remedy: str, *keys: str, zero: bool = False
 ) -> Iterator[str]:
     """Complaints about the numbers under these keys that are not above zero (or not at it); None
-    passes.
+    passes, and a pair of equal numbers is named once.
     """
     requirement = "zero or positive" if zero else "positive"
     for key in keys:
         unit, names = unit_and_names(type(part), key)  # type: ignore[arg-type]  # a class is hashable
         value = getattr(part, key)
-        values = value if isinstance(value, (tuple, list)) else (value,)
+        several = isinstance(value, (tuple, list))
+        values = value if several else (value,)
+        if names and several and len(set(values)) == 1:  # one number for both
+            values, several = values[:1], False
         for i, entry in enumerate(values):
             if entry is not None and (entry < 0 or (entry == 0 and not zero)):
-                name = (
-                    f" ({names[i] if names else f'element {i + 1}'})"
-                    if isinstance(value, (tuple, list))
-                    else ""
-                )
+                name = f" ({names[i] if names else f'element {i + 1}'})" if several else ""
                 yield complaint(where, f"{key}{name}", number(entry, unit), requirement, remedy)
 
 

@@ -103,13 +103,16 @@ def _gaps(where: str, part: ThrustBearing) -> Iterator[str]:
     if part.touchdown_gap is None:
         return
     least, most = part.growth
+    alike = len({*zip(part.touchdown_gap, part.gap, strict=True)}) == 1
     for side, stop, gap, out in zip(
         ("left", "right"), part.touchdown_gap, part.gap, (most, -least), strict=True
     ):
-        if stop >= gap:
+        if stop >= gap > 0:
+            if alike and side == "right":
+                continue
             yield complaint(
                 where,
-                f"touchdown_gap ({side})",
+                "touchdown_gap" if alike else f"touchdown_gap ({side})",
                 f"{stop:g} m",
                 f"below the air gap of {gap:g} m",
                 "the collar would strike the magnet",
