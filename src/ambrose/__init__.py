@@ -20,6 +20,7 @@ _HOME = {
             "design",
             "export",
             "identify",
+            "identify_generic",
             "plot",
             "reduce",
             "simulate",
@@ -47,6 +48,7 @@ _HOME = {
     "Verification": "judge.verification",
     "Trace": "rig.trace",
     "Identification": "identification.result",
+    "GenericIdentification": "identification.one_axis.result",
     **{
         name: f"synthesis.methods.{name.lower()}"
         for name in ("Tuned", "Pid", "Hinf", "Mu", "Polish")

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from ambrose.chain.study import Study
     from ambrose.code.pipeline import Delivery
     from ambrose.code.targets import Target
+    from ambrose.identification.one_axis.result import GenericIdentification
     from ambrose.identification.result import Identification
     from ambrose.judge.result import Synthesis
     from ambrose.judge.verification import Verification
@@ -247,6 +248,20 @@ def identify(
 
     law = None if controller is None else controller_of(controller)
     return identified(machine_of(machine), records, law, **options)
+
+
+def identify_generic(record: Any, **options: Any) -> GenericIdentification:
+    """One levitated axis from its record alone, whatever controlled it: unstable pole, gain, delay.
+
+    record: a Record, or the path of one or of a text table with displacement, drive and times.
+    options, see ``identification.one_axis.identify.identify_generic``: columns, sample_rate_hz
+    [Hz], between [s], travel [m], actuator ("auto", "none", "lag"), and a force law by gap [m],
+    current [A], mass [kg], hanging. Raises InvalidInput with the reasons where the record can carry
+    no identification.
+    """
+    from ambrose.identification.one_axis.identify import identify_generic as identified
+
+    return identified(record, **options)
 
 
 def export(

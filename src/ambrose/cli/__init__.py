@@ -20,6 +20,7 @@ from ambrose.cli.convert import convert
 from ambrose.cli.convert_controller import convert_controller
 from ambrose.cli.export import export
 from ambrose.cli.identify import identify
+from ambrose.cli.identify_generic import identify_generic
 from ambrose.cli.map import map_command
 from ambrose.cli.new import new
 from ambrose.cli.seal import seal
@@ -42,9 +43,13 @@ class AmbroseCommand(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Names of two words, too."""
-        two = " ".join(args[:2])
-        return super().resolve_command(ctx, [two, *args[2:]] if two in self.commands else args)
+        """Names of two words, too; the second one may be an option, anywhere after the first."""
+        for place, word in enumerate(args[1:], 1):
+            two = f"{args[0]} {word}"
+            if two in self.commands and (place == 1 or word.startswith("--")):
+                rest = [*args[1:place], *args[place + 1 :]]
+                return super().resolve_command(ctx, [two, *rest])
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The commands by what they are for, each group in its own order."""
@@ -148,6 +153,7 @@ GROUPS: dict[str, dict[str, click.Command]] = {
     },
     "Site": {
         "identify": identify,
+        "identify --generic": identify_generic,
         "convert": convert,
         "convert controller": convert_controller,
     },

@@ -62,6 +62,12 @@ class Code(StrEnum):
     # Stepped sines at a seal (seal/stepped_sine.py)
     AT_SPEED = "step-at-speed"  # unbalance answers too
     NOISY = "noisy-step"
+    # One axis under any controller (one_axis/identify.py)
+    COHERENCE = "low-coherence"  # the displacement does not follow the reference
+    NOT_THIS_MODEL = "not-this-model"  # the residual is neither white nor free of the excitation
+    SCATTER = "halves-disagree"  # both halves of a record differ by more than noise
+    PREDICTION = "poor-prediction"  # of the part that was not fitted
+    FORCE_LAW = "force-law"  # a stated one does not fit
     # Frequency responses (annexes/site/frf.py)
     UNCERTAIN_LINES = "uncertain-lines"  # the excitation is too weak there
 

@@ -198,6 +198,15 @@ class Verdict:
         return MARKS[self.mark]
 
 
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """What a page is about where there is no machine file."""
+
+    name: str
+    description: str = ""
+    source: str = ""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Page:
     """Everything on the page. date: ISO date, today if empty; signatures: the lines to sign at the
@@ -208,7 +217,7 @@ class Page:
     """
 
     title: str
-    machine: Machine
+    machine: Machine | Subject
     sections: tuple[Section, ...]
     verdicts: tuple[Verdict, ...] = ()
     facts: tuple[tuple[str, str], ...] = ()
@@ -229,6 +238,7 @@ _MAKERS = {
     "Verification": "ambrose.report.verification:page_of_verification",
     "LoopIdentification": "ambrose.report.identification.page:identification_page",
     "StaticIdentification": "ambrose.report.identification.static_load:static_page",
+    "GenericIdentification": "ambrose.report.identification.one_axis:generic_page",
     "SealByFrequency": "ambrose.report.identification.seal:seal_page",
     "Record": "ambrose.report.record:record_page",
     "Trace": "ambrose.report.record:record_page",

@@ -52,19 +52,19 @@ def first_look(
     if len(t) < _LEAST or not (np.diff(t) > 0).all():
         wanted = f"{_LEAST} or more, ascending"
         raise invalid("time", f"{len(t)} values", wanted, "give the record as it was taken")
-    dead = tuple(_dead(signals))
+    dead = tuple(dead_channels(signals))
     alive = {name: np.asarray(values, float) for name, values in signals.items()}
     if dead:
         return dead
     return (
-        *_levitation(alive["position"], gap),
-        *_rate(t, alive["position"]),
-        *_steps(alive),
-        *_coil(t, alive),
+        *levitation(t, alive["position"], gap),
+        *rate_by_weight(t, alive["position"]),
+        *coarse_steps(alive),
+        *coil_equation(t, alive),
     )
 
 
-def _dead(signals: dict[str, np.ndarray]) -> Iterator[Finding]:
+def dead_channels(signals: dict[str, np.ndarray]) -> Iterator[Finding]:
     """A signal of two values or fewer measures nothing."""
     for name, values in signals.items():
         count = len(np.unique(values))
@@ -78,22 +78,35 @@ def _dead(signals: dict[str, np.ndarray]) -> Iterator[Finding]:
             )
 
 
-def _levitation(position: np.ndarray, gap: float | None) -> Iterator[Finding]:
-    """Samples at either end of the travel: it fell, or it stuck."""
+def levitation(t: np.ndarray, position: np.ndarray, gap: float | None) -> Iterator[Finding]:
+    """Samples (n,) at either end of the travel [m]: it fell, or it stuck."""
     far = position.max() if gap is None else gap
     edge = _AT_STOP * far
-    share = float(np.mean((position <= edge) | (position >= far - edge)))
+    stopped = (position <= edge) | (position >= far - edge)
+    share = float(np.mean(stopped))
     if share > _AT_STOP:
+        first, last = longest_run(~stopped)
         yield Finding(
             Code.TOUCHDOWN,
             ERROR,
             "it did not levitate all the time",
             f"{100 * share:.2g} % of the samples are at an end of the travel of {far:.3g} m",
-            "cut out the part in which it hovers, or record again",
+            f"cut out the part in which it hovers (the longest: {t[first]:.4g} to {t[last]:.4g} s)"
+            ", or record again",
         )
 
 
-def _rate(t: np.ndarray, position: np.ndarray) -> Iterator[Finding]:
+def longest_run(good: np.ndarray) -> tuple[int, int]:
+    """First and last sample of the longest run of True in (n,); (0, 0) where there is none."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(int)))
+    if not len(edges):
+        return 0, 0
+    starts, ends = edges[0::2], edges[1::2]
+    longest = int(np.argmax(ends - starts))
+    return int(starts[longest]), int(ends[longest]) - 1
+
+
+def rate_by_weight(t: np.ndarray, position: np.ndarray) -> Iterator[Finding]:
     """Samples per time constant of the plant, p = sqrt(2 g / y) at the median position."""
     middle = float(np.median(position))
     if middle <= 0:
@@ -110,7 +123,7 @@ def _rate(t: np.ndarray, position: np.ndarray) -> Iterator[Finding]:
         )
 
 
-def _steps(signals: dict[str, np.ndarray]) -> Iterator[Finding]:
+def coarse_steps(signals: dict[str, np.ndarray]) -> Iterator[Finding]:
     """The smallest step between values, over the signal's rms."""
     for name, values in signals.items():
         step = float(np.diff(np.unique(values)).min())
@@ -125,7 +138,7 @@ def _steps(signals: dict[str, np.ndarray]) -> Iterator[Finding]:
             )
 
 
-def _coil(t: np.ndarray, signals: dict[str, np.ndarray]) -> Iterator[Finding]:
+def coil_equation(t: np.ndarray, signals: dict[str, np.ndarray]) -> Iterator[Finding]:
     """u = R i + L di/dt + c by least squares: how much of the voltage the current explains."""
     if "voltage" not in signals:
         return

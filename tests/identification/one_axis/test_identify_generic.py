@@ -1,0 +1,201 @@
+"""One axis from its record alone: loops of the tests' own with a known truth, what is refused, and
+the records of a real apparatus.
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy.signal import cont2discrete, lfilter, tf2ss
+
+import ambrose as amb
+from ambrose.cli import main
+from ambrose.core.checks import InvalidInput
+from ambrose.identification.findings import Code
+from ambrose.identification.one_axis.estimate import estimate
+from ambrose.identification.one_axis.model import input_polynomials, own_polynomial
+from one_axis_loop import Truth, hang, levitate
+
+RECORDS = Path(__file__).parents[2] / "records" / "levitation"
+
+
+def table(path, time, y, u, r=None, names=("t [s]", "y [um]", "u [A]", "r [A]")):
+    columns = [time, 1e6 * y, u] if r is None else [time, 1e6 * y, u, r]
+    np.savetxt(
+        path,
+        np.column_stack(columns),
+        fmt="%.9g",
+        delimiter="\t",
+        header="\t".join(names[: len(columns)]),
+    )
+    return path
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("axis")
+    time, y, u, r = levitate(seed=3)
+    return table(folder / "axis.txt", time, y[:, 0], u[:, 0], r[:, 0])
+
+
+@pytest.mark.parametrize("lag", [0.0, 1.7])
+def test_the_step_between_samples_is_exact(lag):
+    """Against scipy's zero-order hold, the delay as so many small steps."""
+    a, b, fine = 0.01, 0.3, 20
+    numerator, actuator = input_polynomials(np.array([a, b, 1.35, lag] if lag else [a, b, 1.35]))
+    held = np.repeat(np.random.default_rng(0).standard_normal(40), fine)
+    plant = tf2ss([b], np.convolve([1, 0, -a], [lag, 1]) if lag else [1, 0, -a])
+    A, B, C, _, _ = cont2discrete(plant, 1 / fine)
+    late = np.concatenate([np.zeros(27), held])[: len(held)]  # 1.35 of 20 small steps
+    x, expected = np.zeros(len(A)), []
+    for k, value in enumerate(late):
+        if k % fine == 0:
+            expected.append(float((C @ x).item()))
+        x = A @ x + B[:, 0] * value
+    denominator = np.convolve(own_polynomial(a), actuator)
+    np.testing.assert_allclose(lfilter(numerator, denominator, held[::fine]), expected, atol=1e-9)
+
+
+def test_what_is_true_is_found(driven):
+    done = amb.identify_generic(driven)
+    assert done.passed and done.verdict == "identified"
+    for name, truth in {"pole": 80.0, "gain": 100.0, "delay": 7e-4}.items():
+        item = done.value(name)
+        assert abs(item.value - truth) < 1.5 * item.half_width
+        assert item.half_width == max(item.formal, item.halves) < 0.15 * truth
+    assert done.coherence_in_band > 0.5
+    assert done.estimate.prediction.error < 0.7 * done.estimate.prediction.still
+
+
+def test_an_actuator_that_shows_is_found():
+    _, y, u, r = levitate(Truth(lag=2e-3), seed=1, force=0.005)
+    done = estimate(y[:, 0], u[:, 0], 2000.0, r[:, 0])
+    assert done.structure.lag
+    assert abs(done.plant[3] - 2e-3) < 2.5 * done.deviations[3]
+    assert abs(done.plant[0] - 6400) < 2.5 * done.deviations[0]
+
+
+@pytest.mark.parametrize(
+    "change", [{}, {"drive_noise": 1e-4}, {"seed": 9}], ids=["exact", "noisy u", "other"]
+)
+def test_a_loop_that_nothing_drives_is_refused(change, tmp_path):
+    time, y, u, _ = levitate(kind="none", **change)
+    path = table(tmp_path / "quiet.txt", time, y[:, 0], u[:, 0])
+    with pytest.raises(InvalidInput, match=r"drives the loop.*-1/K.*record them too"):
+        amb.identify_generic(path)
+
+
+def test_another_plant_is_not_this_model(tmp_path):
+    """The record of u delayed by a slow filter that the model lacks: two more poles."""
+    time, y, u, r = levitate(seed=4, force=0.002)
+    slow = lfilter([0.02], [1, -1.6, 0.62], u[:, 0])
+    with_file = table(tmp_path / "other.txt", time, y[:, 0], slow, r[:, 0])
+    done = amb.identify_generic(with_file)
+    assert done.verdict == "not this model" and not done.passed
+    assert Code.NOT_THIS_MODEL in {finding.code for finding in done.findings}
+
+
+def test_a_hanging_body_follows_the_force_law(tmp_path):
+    time, y, i, aim = hang(amplitude=1e-5, seed=1)
+    names = ("t [s]", "y [um]", "i [A]", "r [m]")
+    path = table(tmp_path / "hang.txt", time, y, i, aim, names)
+    done = amb.identify_generic(path, hanging=True, travel=0.02, mass=0.02)
+    assert [row.fits for row in done.law] == [True, True, True]
+    assert done.pole == pytest.approx(np.sqrt(2 * 9.81 / 5e-3), rel=0.05)
+    assert done.value("k_s").value == pytest.approx(0.02 * done.value("stiffness").value)
+    other = amb.identify_generic(path, gap=8e-3, current=float(i.mean()))
+    assert [finding.code for finding in other.findings] == [Code.FORCE_LAW]
+
+
+def test_a_rate_that_is_too_low_is_seen_by_the_fit(tmp_path):
+    truth = Truth(rate=500.0, delay=1e-3)
+    time, y, u, r = levitate(truth, n=4000)
+    with pytest.raises(InvalidInput, match=r"rate is too low.*record at [78]\.?\d*e\+02 Hz"):
+        amb.identify_generic(table(tmp_path / "slow.txt", time, y[:, 0], u[:, 0], r[:, 0]))
+
+
+def test_columns_in_another_order_and_without_names(driven, tmp_path):
+    time, y, u, r = np.loadtxt(driven).T
+    path = tmp_path / "renamed.dat"
+    np.savetxt(path, np.column_stack([r, u, y / 1e3, time]), fmt="%.9g")
+    with pytest.raises(InvalidInput, match="no displacement and no drive is found"):
+        amb.identify_generic(path)
+    columns = {
+        "time": "column 4",
+        "displacement": "column 3 [mm]",
+        "drive": "column 2 [A]",
+        "reference": "column 1",
+    }
+    first, second = amb.identify_generic(driven), amb.identify_generic(path, columns=columns)
+    assert second.pole == pytest.approx(first.pole, rel=1e-6)
+
+
+def test_records_of_this_package_are_read_by_their_signals(driven, tmp_path):
+    _, y, u, r = np.loadtxt(driven).T
+    names, si = ("y_x", "u_x", "e_x"), ("m", "A", "A")
+    record = amb.Record("rig", 2000.0, names, si, np.array([1e-6 * y, u, r]))
+    path = amb.write_record(record, tmp_path / "axis.h5")
+    done = amb.identify_generic(path)
+    assert dict(done.record.columns) == {"displacement": "y_x", "drive": "u_x", "reference": "e_x"}
+    assert done.pole == pytest.approx(amb.identify_generic(driven).pole, rel=1e-6)
+
+
+COLUMNS = {
+    name: {
+        "time": "column 1",
+        "displacement": place,
+        "drive": f"column {drive} [A]",
+        "voltage": f"column {drive + 1}",
+        "reference": reference,
+    }
+    for name, place, drive, reference in (
+        ("levitador_dataset_chirp_20251217_210058.txt", "column 2", 5, "column 7"),
+        ("levitador_dataset_multiescalon_20251217_210203.txt", "column 2", 5, "column 7"),
+        ("levitador_datos_levitador.txt", "column 3", 5, "column 2"),
+    )
+}
+
+
+@pytest.mark.parametrize("name", COLUMNS)
+def test_records_of_a_real_apparatus_are_refused_in_words(name):
+    with pytest.raises(
+        InvalidInput, match=r"(?s)rate is too low.*current does not belong"
+    ) as caught:
+        amb.identify_generic(RECORDS / name, columns=COLUMNS[name], travel=0.02)
+    assert ("did not levitate" in str(caught.value)) == ("multiescalon" not in name)
+
+
+def test_command(driven, tmp_path):
+    page = tmp_path / "axis.html"
+    run = CliRunner().invoke(main, ["identify", str(driven), "--generic", "-o", str(page)])
+    assert run.exit_code == 0 and "Verdict: identified" in run.output
+    assert "What was not fitted" in page.read_text("utf-8")
+    words = ["identify", "--generic", str(driven), "--json", "--gap", "1 mm", "--bias", "1 A"]
+    run = CliRunner().invoke(main, words)
+    said = json.loads(run.stdout)
+    assert run.exit_code == 1 and said["findings"][0]["code"] == "force-law"
+    name, columns = next(iter(COLUMNS.items()))
+    words = [word for what, place in columns.items() for word in (f"--{what}", place)]
+    run = CliRunner().invoke(
+        main, ["identify", "--generic", str(RECORDS / name), *words, "--travel", "20 mm"]
+    )
+    assert run.exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"actuator": "none?"}, "actuator is"),
+        ({"between": (0.0, 0.1)}, "at least 500"),
+        ({"gap": 1e-3}, "lacks the current"),
+        ({"columns": {"displacement": "z"}}, "no column 'z'"),
+        ({"columns": {"speed": "z"}}, "a column is"),
+        ({"travel": -1.0}, "travel is"),
+        ({"mass": 0.0}, "mass is"),
+    ],
+)
+def test_bad_input(driven, options, words):
+    with pytest.raises(InvalidInput, match=words):
+        amb.identify_generic(driven, **options)
