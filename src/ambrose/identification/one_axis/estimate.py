@@ -134,7 +134,8 @@ def estimate(
     watched = z if reference is not None and z is not None else u
     stride = _stride(fit)
     chance, followed = _follows_direct(fit, watched, stride)
-    way, plant, errors = "direct", fit.unknowns[:count], fit.errors
+    way, errors = "direct", fit.errors
+    plant = fit.unknowns[:count]
     agree = None if second is None else _agree(fit, second)
     believed = white >= LEVEL and chance >= LEVEL and (agree is None or agree >= _PART)
     if not believed and reference is not None and second is not None:
@@ -146,7 +147,8 @@ def estimate(
             stride,
         )
         if free[0] >= LEVEL:
-            way, plant, errors = "instruments", second.plant, second.errors
+            way, errors = "instruments", second.errors
+            plant = second.plant
             formal = second.covariance
             chance, followed = free
     settled = [_half(fit, part, y, u, z, way) for part in _halves(len(y))]
@@ -158,7 +160,8 @@ def estimate(
     stretch = larger / np.maximum(noise, 1e-300)
     scale = _scale(structure, rate, spread, size)
     prediction = _predict(structure, parts[0], fit.loss, y, u, rate, spread)
-    outside, beside, beside_deviations = 0.0, None, None
+    outside = 0.0
+    beside = beside_deviations = None
     if second is not None:
         spreads = np.sqrt(np.diag(second.covariance))
         outside = abs(float(second.plant[GAIN])) / max(float(spreads[GAIN]), 1e-300)
