@@ -8,15 +8,25 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from benchmarks import waveforms
 
 from ambrose import identify
+from ambrose.core.response import simulate
+from ambrose.core.sampling import c2d
+from ambrose.core.statespace import select
 from ambrose.identification.output_error import closed_loop
-from ambrose.identification.output_error.magnetic_force import _further_terms, _terms
+from ambrose.identification.output_error.magnetic_force import _further_terms, _joined, _terms
 from ambrose.identification.output_error.problem import FitOptions, build_experiment
+from ambrose.law.loop import closed_loop as looped
+from ambrose.law.loop import match_controller
 from ambrose.law.pid import pid_controller
+from ambrose.machine.description import OperatingPoint
+from ambrose.model.assemble import assemble
 from ambrose.model.effects import magnet
 from ambrose.model.effects.loaded_magnet import slopes
+from ambrose.model.reduce import free_mode_reduction
 from ambrose.model.static_load import operating_magnets
+from ambrose.record.record import Record
 from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import Unbalance
 from ambrose.rig.scenario import load_scenario
@@ -82,10 +92,57 @@ def test_values_are_those_of_small_motion_and_loads_are_found(speed):
     assert found.remarks[1:] == ()  # the load is the machine file's
 
 
-def test_without_a_load_nothing_is_taken_out():
-    """Cubic terms alone are too like changed parameters to be told from them."""
-    found = identify(RIG, record(0.0, weight=False)[0], LAW, unknown=UNKNOWN)
-    assert found.magnets is None and found.remarks == ()
+@pytest.mark.campaign
+def test_without_a_load_the_cubic_terms_alone_are_taken_out():
+    """A rotor that stands upright: what they make beyond changed parameters tells their size."""
+    data, _ = record(0.0, weight=False)
+    upright = replace(RIG, gravity_direction=None)
+    linear = closed_loop.fit(build_experiment(upright, data, LAW, UNKNOWN, FitOptions()))
+    found = identify(upright, data, LAW, unknown=UNKNOWN)
+    truth = np.array(
+        [
+            value
+            for name in ("force_per_current", "negative_stiffness")
+            for magnets in operating_magnets(upright)
+            for value in getattr(magnets.coefficients, name)
+        ]
+    )
+    assert np.abs(linear.values / truth - 1).max() > 0.0015
+    assert np.abs(found.result.values / truth - 1).max() < 0.001
+    assert (np.abs(found.result.values - truth) < 3 * found.result.standard_deviations).all()
+    assert found.magnets.cubic == pytest.approx(1, abs=0.2) and found.magnets.loads == {}
+    assert "no static load" in found.remarks[0]
+
+
+@pytest.mark.campaign
+def test_nothing_is_taken_out_of_linear_magnets():
+    """Their records say that the cubic terms are none, and the values stay those of the fit."""
+    plant = free_mode_reduction(assemble(RIG, OperatingPoint()), 3)
+    loop = looped(plant, c2d(match_controller(LAW, plant), 1e-4, "tustin", delay=1e-4))
+    names = [f"{kind}_{axis}" for kind in "ey" for axis in plant.axes]
+    e = np.stack([0.2 * waveforms.prbs(9, 10, 8000, shift=127 * i) for i in range(4)])
+    y = simulate(select(loop, names[:4], names[4:]), e)
+    y = y + 5e-8 * np.random.default_rng(1).standard_normal(y.shape)
+    units = ("A",) * 4 + ("m",) * 4
+    whole = Record("seal-rig", 1e4, tuple(names), units, np.vstack([e, y]), plant.point)
+    found = identify(RIG, whole, LAW, unknown=UNKNOWN)
+    linear = closed_loop.fit(build_experiment(RIG, whole, LAW, UNKNOWN, FitOptions()))
+    assert found.magnets is None
+    assert np.abs(found.result.values / linear.values - 1).max() < 1e-12
+    assert (found.result.standard_deviations >= linear.standard_deviations).all()
+
+
+def test_amplitudes_are_joined_as_in_closed_form():
+    """Two independent amplitudes: means weighted by the inverse variances; one without a signal
+    stays zero and adds nothing.
+    """
+    found, variances = np.array([0.8, 0.0, 0.4]), np.array([0.09, np.inf, 0.01])
+    a, P = _joined(found, np.diag(variances))
+    for j, (mean, sigma) in ((0, (0.0, 2.0)), (2, (1.0, 0.5))):
+        weight = 1 / sigma**2 + 1 / variances[j]
+        assert a[j] == pytest.approx((mean / sigma**2 + found[j] / variances[j]) / weight)
+        assert P[j, j] == pytest.approx(1 / weight)
+    assert a[1] == 0.0 and not P[1].any() and not P[:, 1].any()
 
 
 def test_terms_are_the_derivatives_of_the_force():

@@ -7,6 +7,12 @@ Rugh 1981). So what they do to the outputs is known but for a few amplitudes: th
 every axis, and one for the cubic terms of all, which is 1 if the magnets are as in the machine
 file. Those are found by one step of least squares beside the parameters; values fitted to what is
 then left are those of small motion.
+
+Where the excitation is weak the record says little about the amplitudes, and cubic terms resemble
+changed parameters. So what magnets can do is known beforehand: no static load to within half a bias
+current, and cubic terms of one to within a half, from none at all to twice the file's in two
+standard deviations (they go with the square of gap and bias; iron takes from them). Both are
+joined, and what stays unknown widens the parameters' intervals.
 """
 
 from __future__ import annotations
@@ -16,7 +22,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import scipy.special
 
 from ambrose.core.checks import AmbroseError
 from ambrose.core.frequency import frequency_response
@@ -58,20 +63,27 @@ _PIECE = 65_536  # samples at a time
 _GRID = 7  # points of current and of displacement, on which the terms are fitted
 # of i and x
 _POWERS = np.array([(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)])
-# standard deviations from which on the nonlinearity is believed, and within which it may differ
-# from the file's
+# known beforehand of the amplitudes, mean and standard deviation; assumed
+_LOADS, _CUBIC = (0.0, 0.5 / _LOAD), (1.0, 0.5)
+# standard deviations within which the amplitudes may differ from what magnets can do
 _CERTAIN = 4.0
 # by so much more the cubic terms may differ from the file's, and so many bias currents a load may
 # have
 _OFF = 1.0
+_ALIKE = 1e-8  # of the largest: what signals have of their own, below which it is rounding
+_UNTOLD = 1e6  # variance of amplitudes that a record says nothing of
+_SAID = 2.0  # standard deviations from which on a static load is told
+# of a parameter's standard deviation: a change by the nonlinearity that is not worth another fit
+_SMALL = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MagneticForce:
-    """loads {axis: static current [A]}, cubic terms (1: as in the machine file), amplitudes (a +
-    1,) of the candidates, and the share of what the linear model left that they explain. widening
-    (q,): variances that their own uncertainty adds to the fitted parameters'. responses: one (p, k)
-    per record in the fitted signals, SI.
+    """loads {axis: static current [A]} that the records tell, cubic terms (1: as in the machine
+    file), amplitudes (a + 1,) of the candidates, and the share of what the linear model left that
+    they explain. widening (q,): variances that their own uncertainty adds to the fitted
+    parameters'; moved (q,): what the last step of the amplitudes makes of the parameters, to first
+    order. responses: one (p, k) per record in the fitted signals, SI.
     """
 
     loads: Mapping[str, float]
@@ -79,6 +91,7 @@ class MagneticForce:
     amplitudes: np.ndarray
     explains: float
     widening: np.ndarray
+    moved: np.ndarray
     signals: tuple[str, ...]
     responses: tuple[np.ndarray, ...]
 
@@ -112,10 +125,11 @@ class MagneticForce:
     def words(self) -> str:
         """One sentence without its stop."""
         loads = ", ".join(f"{value:.3g} A on {axis}" for axis, value in self.loads.items())
+        loads = f"static loads of about {loads}" if loads else "no static load"
         return (
             f"the magnets' own nonlinearity makes {100 * self.explains:.3g} % of the linear "
             "model's residual and is taken out: "
-            f"static loads of about {loads}, cubic terms {self.cubic:.2g} times the machine file's"
+            f"{loads}, cubic terms {self.cubic:.2g} times the machine file's"
         )
 
 
@@ -127,8 +141,7 @@ def magnetic_force(
     result: ParameterEstimate,
     before: MagneticForce | None = None,
 ) -> MagneticForce | None:
-    """What the magnets add to a fit of the linear loop; None where it is not certain, or not what
-    magnets do.
+    """What the magnets add to a fit of the linear loop; None where it is not what magnets do.
 
     records: those of ``experiment``, of which ``result`` is the fit; ``before`` is out of them
     already, and in what is found.
@@ -162,34 +175,51 @@ def magnetic_force(
     # no magnet follows from these coefficients, or the loop with a whole delay is none that runs
     except AmbroseError:
         return None
-    step, covariance, widening, gained = _step(
-        *_normal(experiment, result.values, waves), len(result.values)
-    )
-    amplitudes = step if before is None else before.amplitudes + step
-    if not _plausible(amplitudes, covariance):
+    found = _step(*_normal(experiment, result.values, waves), len(result.values))
+    taken = np.zeros(len(found.amplitudes)) if before is None else before.amplitudes
+    told = taken + found.amplitudes
+    if not _plausible(told, found.covariance) or _linear(told, found.covariance):
         return None
+    amplitudes, covariance = _joined(told, found.covariance)
     axes = plants[0].axes
     bias = [_bias(plants[0], j) for j in range(len(axes))]
+    sure = np.abs(amplitudes) > _SAID * np.sqrt(np.diag(covariance))
     loads = {
-        axis: float(_LOAD * i_0 * amplitude)
-        for axis, i_0, amplitude in zip(axes, bias, amplitudes, strict=False)
+        axis: float(_LOAD * i_0 * amplitudes[j])
+        for j, (axis, i_0) in enumerate(zip(axes, bias, strict=True))
+        if sure[j]
     }
     responses = tuple(
         experiment.sizes[:, None] * np.tensordot(amplitudes.astype(np.float32), wave, 1)
         for wave in waves
     )
-    explains = gained if before is None else before.explains
     return MagneticForce(
-        loads, float(amplitudes[-1]), amplitudes, explains, widening, experiment.signals, responses
+        loads,
+        float(amplitudes[-1]),
+        amplitudes,
+        found.gained if before is None else before.explains,
+        np.einsum("qb,bc,qc->q", found.moved, covariance, found.moved),
+        found.moved @ (amplitudes - taken),
+        experiment.signals,
+        responses,
     )
 
 
-def _step(
-    H: np.ndarray, middle: np.ndarray, g: np.ndarray, cost: float, q: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """The best amplitudes (b,) beside q parameters, their covariance (b, b), the variances (q,)
-    that this adds to the parameters', and the share of the cost that is gained; zero where a signal
-    is.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Step:
+    """The best step of the amplitudes (b,) beside q parameters, its covariance (b, b), what an
+    amplitude makes of the parameters (q, b), and the share of the cost that is gained.
+    """
+
+    amplitudes: np.ndarray
+    covariance: np.ndarray
+    moved: np.ndarray
+    gained: float
+
+
+def _step(H: np.ndarray, middle: np.ndarray, g: np.ndarray, cost: float, q: int) -> _Step:
+    """By least squares, with the normal equations of ``_normal``; zero where a signal is, of an
+    infinite variance.
     """
     size = np.sqrt(np.diag(H))
     parameters, extra = (
@@ -204,48 +234,58 @@ def _step(
     both = np.concatenate([parameters, extra])
     unit = np.outer(size[extra], size[extra])
 
-    # pseudo-inverse: the signals may depend on each other
-    inverse = (
-        np.linalg.pinv(
-            (H[np.ix_(extra, extra)] - H[np.ix_(extra, parameters)] @ X) / unit,
-            rcond=1e-8,
-            hermitian=True,
-        )
-        / unit
+    # of what depends on each other, in units of the signals' sizes, only what is there is told
+    left, vectors = np.linalg.eigh(
+        (H[np.ix_(extra, extra)] - H[np.ix_(extra, parameters)] @ X) / unit
     )
+    there = left > _ALIKE * left.max(initial=0.0)
+    inverse = (vectors[:, there] / left[there]) @ vectors[:, there].T / unit
+    untold = _UNTOLD * vectors[:, ~there] @ vectors[:, ~there].T * size[extra].max(initial=0.0) ** 2
 
     # sandwich: the slope is W' J'r with W = [-X; I]
-    step_covariance = inverse @ W.T @ middle[np.ix_(both, both)] @ W @ inverse
-    step, covariance = np.zeros(len(H) - q), np.zeros((len(H) - q, len(H) - q))
+    step_covariance = inverse @ W.T @ middle[np.ix_(both, both)] @ W @ inverse + untold / unit
+    b = len(H) - q
+    step, covariance = np.zeros(b), np.diag(np.full(b, np.inf))
     step[extra - q] = inverse @ slope
     covariance[np.ix_(extra - q, extra - q)] = step_covariance
-    return (
-        step,
-        covariance,
-        np.einsum("qb,bc,qc->q", X, step_covariance, X),
-        float(slope @ inverse @ slope) / cost,
-    )
+
+    # the parameters take -X a of a signal that is there and not fitted: taking it out moves them
+    moved = np.zeros((q, b))
+    moved[:, extra - q] = -X
+    return _Step(step, covariance, moved, float(slope @ inverse @ slope) / cost)
 
 
 def _plausible(amplitudes: np.ndarray, covariance: np.ndarray) -> bool:
-    """Whether noise cannot make it, and magnets can. Cubic terms resemble changed parameters: the
-    quadratic ones must tell.
-    """
-    even, deviations = np.flatnonzero(np.diag(covariance)[:-1] > 0), np.sqrt(np.diag(covariance))
-    if not len(even):
-        return False
-
-    # a' Cov^-1 a of the quadratic ones is chi^2 for noise; as rare as _CERTAIN deviations
-    statistic = (
-        amplitudes[even]
-        @ np.linalg.pinv(covariance[np.ix_(even, even)], hermitian=True)
-        @ amplitudes[even]
-    )
-    certain = scipy.special.chdtrc(len(even), statistic) < 2 * scipy.special.ndtr(-_CERTAIN)
+    """Whether magnets can make it: loads below a bias current, cubic terms about the file's."""
+    deviations = np.sqrt(np.diag(covariance))
     loads = np.abs(amplitudes[:-1]) <= _OFF / _LOAD + _CERTAIN * deviations[:-1]
-    return bool(
-        certain and loads.all() and abs(amplitudes[-1] - 1) <= _OFF + _CERTAIN * deviations[-1]
-    )
+    return bool(loads.all() and abs(amplitudes[-1] - 1) <= _OFF + _CERTAIN * deviations[-1])
+
+
+def _linear(amplitudes: np.ndarray, covariance: np.ndarray) -> bool:
+    """Whether the record holds nothing of it although it would show: a linear simulation's."""
+    deviations = np.sqrt(np.diag(covariance))
+    none = (np.abs(amplitudes) <= _CERTAIN * deviations).all()
+    return bool(none and abs(amplitudes[-1] - 1) > _CERTAIN * deviations[-1])
+
+
+def _joined(amplitudes: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Amplitudes (b,) and their covariance (b, b), with what is known of them beforehand.
+
+    P^-1 = S^-1 + P_0^-1 and a = P (S^-1 a_found + P_0^-1 a_0), as gains, K = P_0 (P_0 + S)^-1:
+    a = a_0 + K (a_found - a_0), P = (I - K) P_0. What has no signal keeps its zero.
+    """
+    told = np.isfinite(np.diag(covariance))
+    mean = np.full(len(amplitudes), _LOADS[0])
+    deviation = np.full(len(amplitudes), _LOADS[1])
+    mean[-1], deviation[-1] = _CUBIC
+    a, P = np.zeros_like(amplitudes), np.zeros_like(covariance)
+    at = np.ix_(told, told)
+    before = np.diag(deviation[told] ** 2)
+    K = np.linalg.solve(before + covariance[at], before).T
+    a[told] = mean[told] + K @ (amplitudes - mean)[told]
+    P[at] = before - K @ before
+    return a, P
 
 
 def _normal(
@@ -328,6 +368,13 @@ def without_magnets(
     for _ in range(_PASSES):
         further = magnetic_force(machine, kept[0], controller, kept[1], kept[2], force)
         if further is None:
+            break
+        if (np.abs(further.moved) < _SMALL * kept[2].standard_deviations).all():
+            # another fit would find the same: what it would change is in the interval
+            extra = np.sqrt(further.widening + further.moved**2)
+            if force is None:
+                return None, *kept[:2], result.widened(np.hypot(result.standard_deviations, extra))
+            force = replace(force, widening=extra**2)
             break
         cleaned = further.less(records)
         try:
