@@ -53,6 +53,7 @@ class Code(StrEnum):
     # most of what the model leaves of a signal is one frequency, which is not excited
     TONE = "tone"
     BURST = "burst"  # a short time in which a signal leaves the model
+    OTHER_LOAD = "other-load"  # a mean current that carries another thrust (collar_place.py)
     # A seal over pressure (seal/by_pressure.py)
     SEAL_SCATTER = "seal-scatter"  # a point off the line through the others
     # Static loads (static_load/identify.py)

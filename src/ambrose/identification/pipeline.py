@@ -35,8 +35,10 @@ from ambrose.identification.result import (
 )
 from ambrose.identification.seal.pipeline import identify_seal
 from ambrose.identification.static_load import identify as static_load
+from ambrose.identification.validation.collar_place import at_place
 from ambrose.identification.validation.repeatability import of_estimates
 from ambrose.law.law import LawLike, law_of
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import TIMING
 from ambrose.options import choose, either
@@ -87,6 +89,8 @@ def identify(
     start = _start_values(chosen.start) if isinstance(chosen, LoopMethod) else None
     unknown = _paths(chosen.unknown) if isinstance(chosen, LoopMethod) else ()
     measured, names = _read(records, progress)
+    if isinstance(machine, AxialMachine):
+        machine = at_place(machine, measured)
     provenance = provenance or Provenance(names)
     seal_form = chosen.seal_form if isinstance(chosen, ClosedLoop) else None
     if seal_form is not None:  # those without pressure first, as they are numbered

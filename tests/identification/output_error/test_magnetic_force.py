@@ -137,12 +137,17 @@ def test_amplitudes_are_joined_as_in_closed_form():
     stays zero and adds nothing.
     """
     found, variances = np.array([0.8, 0.0, 0.4]), np.array([0.09, np.inf, 0.01])
-    a, P = _joined(found, np.diag(variances))
+    a, P, believed = _joined(found, np.diag(variances))
+    assert believed
     for j, (mean, sigma) in ((0, (0.0, 2.0)), (2, (1.0, 0.5))):
         weight = 1 / sigma**2 + 1 / variances[j]
         assert a[j] == pytest.approx((mean / sigma**2 + found[j] / variances[j]) / weight)
         assert P[j, j] == pytest.approx(1 / weight)
     assert a[1] == 0.0 and not P[1].any() and not P[:, 1].any()
+
+    # cubic terms of minus eight times the file's are no magnet's: what is known beforehand stays
+    a, P, believed = _joined(np.array([0.0, 0.0, -8.0]), np.diag([0.01, 0.01, 1.0]))
+    assert not believed and a.tolist() == [0, 0, 1] and P[2, 2] == 0.25
 
 
 def test_terms_are_the_derivatives_of_the_force():

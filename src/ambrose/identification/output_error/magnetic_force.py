@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy.special
 
 from ambrose.core.checks import AmbroseError
 from ambrose.core.frequency import frequency_response
@@ -44,6 +45,7 @@ from ambrose.identification.output_error.problem import (
 )
 from ambrose.identification.output_error.residual_analysis import residual_scores
 from ambrose.identification.output_error.statistics import TurningWave
+from ambrose.identification.output_error.thrust_force import thrust_responses
 from ambrose.identification.parameters import plant_at
 from ambrose.law.law import LawLike
 from ambrose.law.loop import closed_loop
@@ -52,7 +54,7 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
 from ambrose.model.effects import magnet
 from ambrose.model.plant import Plant
-from ambrose.model.static_load import operating_magnets
+from ambrose.model.static_load import magnet_coefficients, operating_magnets
 from ambrose.record.record import Record
 
 _LOAD = 0.25  # of the bias current: the load that amplitude 1 of a quadratic signal stands for
@@ -65,11 +67,8 @@ _GRID = 7  # points of current and of displacement, on which the terms are fitte
 _POWERS = np.array([(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)])
 # known beforehand of the amplitudes, mean and standard deviation; assumed
 _LOADS, _CUBIC = (0.0, 0.5 / _LOAD), (1.0, 0.5)
-# standard deviations within which the amplitudes may differ from what magnets can do
-_CERTAIN = 4.0
-# by so much more the cubic terms may differ from the file's, and so many bias currents a load may
-# have
-_OFF = 1.0
+_CERTAIN = 4.0  # standard deviations from which on a record says that there is, or is not
+_RARE = 0.01  # as rare as this among magnets: something else made it
 _ALIKE = 1e-8  # of the largest: what signals have of their own, below which it is rounding
 _UNTOLD = 1e6  # variance of amplitudes that a record says nothing of
 _SAID = 2.0  # standard deviations from which on a static load is told
@@ -83,7 +82,8 @@ class MagneticForce:
     file), amplitudes (a + 1,) of the candidates, and the share of what the linear model left that
     they explain. widening (q,): variances that their own uncertainty adds to the fitted
     parameters'; moved (q,): what the last step of the amplitudes makes of the parameters, to first
-    order. responses: one (p, k) per record in the fitted signals, SI.
+    order. believed: they are those of magnets; else they are what magnets would make. responses:
+    one (p, k) per record in the fitted signals, SI.
     """
 
     loads: Mapping[str, float]
@@ -92,6 +92,7 @@ class MagneticForce:
     explains: float
     widening: np.ndarray
     moved: np.ndarray
+    believed: bool
     signals: tuple[str, ...]
     responses: tuple[np.ndarray, ...]
 
@@ -126,10 +127,12 @@ class MagneticForce:
         """One sentence without its stop."""
         loads = ", ".join(f"{value:.3g} A on {axis}" for axis, value in self.loads.items())
         loads = f"static loads of about {loads}" if loads else "no static load"
+        sizes = f"{loads}, cubic terms {self.cubic:.2g} times the machine file's"
+        if len(self.amplitudes) == 1:  # of a thrust bearing at its place, in one
+            sizes = f"it is {self.cubic:.2g} times that of the machine file's magnets"
         return (
             f"the magnets' own nonlinearity makes {100 * self.explains:.3g} % of the linear "
-            "model's residual and is taken out: "
-            f"{loads}, cubic terms {self.cubic:.2g} times the machine file's"
+            f"model's residual and is taken out: {sizes}"
         )
 
 
@@ -141,13 +144,12 @@ def magnetic_force(
     result: ParameterEstimate,
     before: MagneticForce | None = None,
 ) -> MagneticForce | None:
-    """What the magnets add to a fit of the linear loop; None where it is not what magnets do.
+    """What the magnets add to a fit of the linear loop; None where the record shows that they add
+    nothing, or no magnet follows from the coefficients.
 
     records: those of ``experiment``, of which ``result`` is the fit; ``before`` is out of them
     already, and in what is found.
     """
-    if isinstance(machine, AxialMachine):
-        return None  # the lag of its core is not in the magnets' force law
     by_path = dict(zip(result.paths, result.values.tolist(), strict=True))
     delay = (
         by_path.get(CONTROLLER_DELAY, experiment.options.computing_delay * experiment.dt)
@@ -166,10 +168,11 @@ def magnetic_force(
             turning = _turning_motion(
                 plant, law, record.dt, [wave for wave in result.turning if wave.record == number]
             )
+            driven = (plant, law, record, model.excitations, experiment.signals)
             waves.append(
-                nonlinear_responses(
-                    plant, law, record, model.excitations, experiment.signals, turning
-                )
+                thrust_responses(*driven, _thrust_coefficients(plant, values), turning)
+                if isinstance(machine, AxialMachine)
+                else nonlinear_responses(*driven, turning)
             )
             waves[-1] /= experiment.sizes[:, None].astype(np.float32)
     # no magnet follows from these coefficients, or the loop with a whole delay is none that runs
@@ -178,15 +181,13 @@ def magnetic_force(
     found = _step(*_normal(experiment, result.values, waves), len(result.values))
     taken = np.zeros(len(found.amplitudes)) if before is None else before.amplitudes
     told = taken + found.amplitudes
-    if not _plausible(told, found.covariance) or _linear(told, found.covariance):
+    if _linear(told, found.covariance):
         return None
-    amplitudes, covariance = _joined(told, found.covariance)
-    axes = plants[0].axes
-    bias = [_bias(plants[0], j) for j in range(len(axes))]
+    amplitudes, covariance, believed = _joined(told, found.covariance)
     sure = np.abs(amplitudes) > _SAID * np.sqrt(np.diag(covariance))
     loads = {
-        axis: float(_LOAD * i_0 * amplitudes[j])
-        for j, (axis, i_0) in enumerate(zip(axes, bias, strict=True))
+        plants[0].axes[j]: float(_LOAD * _bias(plants[0], j) * amplitudes[j])
+        for j in range(len(amplitudes) - 1)
         if sure[j]
     }
     responses = tuple(
@@ -200,8 +201,19 @@ def magnetic_force(
         found.gained if before is None else before.explains,
         np.einsum("qb,bc,qc->q", found.moved, covariance, found.moved),
         found.moved @ (amplitudes - taken),
+        believed,
         experiment.signals,
         responses,
+    )
+
+
+def _thrust_coefficients(plant: Plant, values: Mapping[str, float]) -> tuple[float, float]:
+    """k_i [N/A] and k_s [N/m] of the thrust magnets, as far as they were found."""
+    found = {parse_parameter(path).quantity: value for path, value in values.items()}
+    k_i, k_s = magnet_coefficients(plant.machine, plant.point)
+    return (
+        found.get("force_per_current", float(k_i[0])),
+        found.get("negative_stiffness", float(k_s[0])),
     )
 
 
@@ -255,13 +267,6 @@ def _step(H: np.ndarray, middle: np.ndarray, g: np.ndarray, cost: float, q: int)
     return _Step(step, covariance, moved, float(slope @ inverse @ slope) / cost)
 
 
-def _plausible(amplitudes: np.ndarray, covariance: np.ndarray) -> bool:
-    """Whether magnets can make it: loads below a bias current, cubic terms about the file's."""
-    deviations = np.sqrt(np.diag(covariance))
-    loads = np.abs(amplitudes[:-1]) <= _OFF / _LOAD + _CERTAIN * deviations[:-1]
-    return bool(loads.all() and abs(amplitudes[-1] - 1) <= _OFF + _CERTAIN * deviations[-1])
-
-
 def _linear(amplitudes: np.ndarray, covariance: np.ndarray) -> bool:
     """Whether the record holds nothing of it although it would show: a linear simulation's."""
     deviations = np.sqrt(np.diag(covariance))
@@ -269,23 +274,27 @@ def _linear(amplitudes: np.ndarray, covariance: np.ndarray) -> bool:
     return bool(none and abs(amplitudes[-1] - 1) > _CERTAIN * deviations[-1])
 
 
-def _joined(amplitudes: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Amplitudes (b,) and their covariance (b, b), with what is known of them beforehand.
+def _joined(amplitudes: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Amplitudes (b,) and their covariance (b, b) with what is known of them beforehand, and
+    whether both agree; where they do not, what is known beforehand alone.
 
     P^-1 = S^-1 + P_0^-1 and a = P (S^-1 a_found + P_0^-1 a_0), as gains, K = P_0 (P_0 + S)^-1:
-    a = a_0 + K (a_found - a_0), P = (I - K) P_0. What has no signal keeps its zero.
+    a = a_0 + K (a_found - a_0), P = (I - K) P_0. They agree where (a_found - a_0)' (P_0 + S)^-1
+    (a_found - a_0), chi^2 among magnets, is not too large. What has no signal keeps its zero.
     """
     told = np.isfinite(np.diag(covariance))
     mean = np.full(len(amplitudes), _LOADS[0])
     deviation = np.full(len(amplitudes), _LOADS[1])
     mean[-1], deviation[-1] = _CUBIC
+    before, off = np.diag(deviation[told] ** 2), (amplitudes - mean)[told]
+    both = before + covariance[np.ix_(told, told)]
+    believed = bool(scipy.special.chdtrc(told.sum(), off @ np.linalg.solve(both, off)) > _RARE)
+    K = np.linalg.solve(both, before).T if believed else np.zeros_like(before)
+
     a, P = np.zeros_like(amplitudes), np.zeros_like(covariance)
-    at = np.ix_(told, told)
-    before = np.diag(deviation[told] ** 2)
-    K = np.linalg.solve(before + covariance[at], before).T
-    a[told] = mean[told] + K @ (amplitudes - mean)[told]
-    P[at] = before - K @ before
-    return a, P
+    a[told] = mean[told] + K @ off
+    P[np.ix_(told, told)] = before - K @ before
+    return a, P, believed
 
 
 def _normal(
@@ -369,8 +378,9 @@ def without_magnets(
         further = magnetic_force(machine, kept[0], controller, kept[1], kept[2], force)
         if further is None:
             break
-        if (np.abs(further.moved) < _SMALL * kept[2].standard_deviations).all():
-            # another fit would find the same: what it would change is in the interval
+        small = (np.abs(further.moved) < _SMALL * kept[2].standard_deviations).all()
+        if small or not further.believed:
+            # another fit would find the same, or cannot be trusted: its change is in the interval
             extra = np.sqrt(further.widening + further.moved**2)
             if force is None:
                 return None, *kept[:2], result.widened(np.hypot(result.standard_deviations, extra))

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ambrose.identification.validation.collar_place import at_place
 from ambrose.machine.axial import AxialMachine
 from ambrose.machine.machine import Machine
 from ambrose.model.effects.loaded_magnet import LoadedMagnet, slopes, with_coefficients
@@ -25,9 +26,12 @@ _CARRIED = 0.1  # of the current that the weight needs, below which a record's m
 def machine_at_load(machine: Machine, records: Sequence[Record]) -> Machine:
     """The machine with the coefficients of its magnets at the mean currents, u_ or i_ of the first
     record that has them, and as far off the magnets' centre as the rotor hangs through there; as it
-    is, where the records hold no currents, or hold them without their mean.
+    is, where the records hold no currents, or hold them without their mean. The axis along the
+    shaft: with the collar at its mean place.
     """
-    means = {} if isinstance(machine, AxialMachine) else _means(records)
+    if isinstance(machine, AxialMachine):
+        return at_place(machine, records)
+    means = _means(records)
     if not means or _without_mean(machine, means, _bias(records)):
         return machine
     bias, bearings = _bias(records), list(machine.bearings)

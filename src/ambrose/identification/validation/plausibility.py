@@ -12,7 +12,9 @@ from ambrose.identification.data_quality.channels import compared_responses
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.parameters import COVERAGE, half_width
+from ambrose.identification.validation.collar_place import thrust_findings
 from ambrose.identification.validation.simulated_output import SimulatedOutput
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
 
@@ -42,9 +44,24 @@ def diagnose_result(
         *_signs(result),
         *_sizes(machine, result),
         *_common_factor(result),
+        *_thrust(machine, result, outputs),
         *diagnose_outputs(machine, outputs),
     ]
     return tuple(sorted(findings, key=lambda finding: finding.severity != ERROR))
+
+
+def _thrust(
+    machine: Machine, result: ParameterEstimate, outputs: Sequence[SimulatedOutput]
+) -> Iterator[Finding]:
+    if not isinstance(machine, AxialMachine):
+        return
+    values = {
+        parse_parameter(path).quantity: float(value)
+        for path, value in zip(result.paths, result.values, strict=True)
+        if path not in TIMING
+    }
+    records = [output.record for output in outputs]
+    yield from thrust_findings(machine, values, result.point, records)
 
 
 def diagnose_outputs(
