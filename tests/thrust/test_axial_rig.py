@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,10 @@ from scipy.integrate import solve_ivp
 import ambrose as amb
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import StateSpace
+from ambrose.identification.findings import Code
 from ambrose.machine.file.toml import dumps_machine, load_machine
 from ambrose.machine.file.update import save_machine
-from ambrose.model.axial.magnet import at_point, core_lags, sides
+from ambrose.model.axial.magnet import at_point, core_lags, loaded, sides
 from ambrose.rig.disturbances import Failure, Pulse
 from ambrose.rig.scenario import Scenario, load_scenario
 
@@ -133,6 +135,46 @@ def test_a_record_tells_the_magnets_and_the_file_takes_them(tmp_path):
     save_machine(found, path)
     assert load_machine(f"{path}#axial") == found
     assert load_machine(path).bearings == known.whole.bearings
+
+
+@pytest.mark.parametrize("amplitude", [0.1, 0.3])
+def test_a_collar_that_the_thrust_holds_off_centre_is_identified_where_it_stands(amplitude):
+    """Without integral action; the magnets' own bend, which goes with the square of the excitation,
+    is taken out. Against the slopes of the rig's circuit at the collar's mean place.
+    """
+    corner = 'permeability = 600\ncore_corner = "18 Hz"'
+    axial = machine({"permeability = 600": corner}).axial
+    law = amb.design(
+        replace(axial, controller=replace(axial.controller, integral_time=None)), "pid"
+    )
+    prbs = load_scenario("prbs")
+    sequences = tuple(replace(item, amplitude=amplitude) for item in prbs.sequences)
+    run = amb.simulate(axial, law, replace(prbs, sequences=sequences), point="rated")
+    place = float(run.record["q_T_z"].mean())
+    assert abs(place) > 5e-6
+    done = amb.identify(axial, run.record, law)
+    at, load = at_point(axial, axial.operation.points[3]), axial.conditions[3].load
+    wanted = loaded(axial.thrust, load, place)
+    found = dict(zip(done.result.paths, done.result.values, strict=True))
+    k_i, k_s = (
+        found["thrust_bearing.T.force_per_current"],
+        found["thrust_bearing.T.negative_stiffness"],
+    )
+    assert abs(wanted.stiffness / at.stiffness - 1) > 0.005  # what the place makes
+    assert k_i == pytest.approx(wanted.force_per_current, rel=1e-3)
+    assert k_s == pytest.approx(wanted.stiffness, rel=1e-3)
+    assert not done.findings
+
+
+def test_a_record_under_another_thrust_than_its_point_states_is_told():
+    corner = 'permeability = 600\ncore_corner = "18 Hz"'
+    axial = machine({"permeability = 600": corner}).axial
+    law = amb.design(axial, "pid")
+    run = amb.simulate(axial, law, "prbs", point="rated")
+    conditions = tuple(replace(item, load=0.5 * item.load) for item in axial.conditions)
+    done = amb.identify(replace(axial, conditions=conditions), run.record, law)
+    assert Code.OTHER_LOAD in [item.code for item in done.findings]
+    assert not done.passed
 
 
 def test_the_example_lifts_off_and_stands_its_worst_day():

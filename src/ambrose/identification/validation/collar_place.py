@@ -77,8 +77,8 @@ def thrust_findings(
     """A warning where the magnets that were found, {quantity: value}, would carry another force
     with the recorded mean current than the thrust of the operating point.
     """
-    (axis,), part, at = machine.axes, machine.thrust, machine.condition(point)
-    nominal = at_point(machine, point)
+    (axis,), at = machine.axes, machine.condition(point)
+    part, nominal = machine.thrust, at_point(machine, point)
     k_i = values.get("force_per_current", nominal.force_per_current)
     k_s = values.get("negative_stiffness", nominal.stiffness)
     try:
