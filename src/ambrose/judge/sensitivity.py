@@ -117,6 +117,13 @@ def sensitivity_checks(
     return checks, curves
 
 
+def sensitivity_curve(response: LoopResponse, requirements: Requirements) -> Curve:
+    """The output sensitivity alone, the maximum singular value first, with its limits."""
+    quantity = _QUANTITIES[0]
+    labels = ("max", *response.axes)
+    return _curve(quantity, response, quantity.rows(response), labels, requirements)
+
+
 def _roll_off(
     response: LoopResponse, evaluator: Evaluator, requirements: Requirements, corner: float
 ) -> Check:

@@ -60,9 +60,14 @@ class PulseResponse:
         return np.where(last < 0.9 * len(self.time), settled, np.inf)
 
 
-def pulse_response(closed: StateSpace, plant: Plant, pulse: Pulse = CURRENT_PULSE) -> PulseResponse:
+def pulse_response(
+    closed: StateSpace,
+    plant: Plant,
+    pulse: Pulse = CURRENT_PULSE,
+    longest: float = _LONGEST_RECORD,
+) -> PulseResponse:
     """The closed loop's exact response to the pulse on every axis in turn, recorded until it has
-    settled (at most 4 s).
+    settled (a quarter of a second at least, ``longest`` [s] at most).
 
     closed: ``law.loop.closed_loop``; sampled loops keep their own sample time. Raises
     NumericalFailure when unstable.
@@ -85,9 +90,9 @@ def pulse_response(closed: StateSpace, plant: Plant, pulse: Pulse = CURRENT_PULS
         response = PulseResponse(
             np.arange(samples) * dt, stacked[:, 0], stacked[:, 1], stacked[:, 2], pulse
         )
-        if record >= _LONGEST_RECORD or np.isfinite(response.settling()).all():
+        if record >= longest or np.isfinite(response.settling()).all():
             return response
-        record = min(4 * record, _LONGEST_RECORD)
+        record = min(4 * record, longest)
 
 
 def pulse_checks(

@@ -10,12 +10,18 @@ from __future__ import annotations
 import html
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 import numpy as np
+
+from ambrose.report.plain_figure import PlainFigure
+
+_bare = ContextVar("bare", default=False)
 
 INK = "#1c2329"
 MUTED = "#66717b"
@@ -126,7 +132,8 @@ def dress(figure: Any, height: int, *, legend: bool, lines: int = 0) -> Any:
     """
     room = 24 + 16 * lines
     top = room + (28 if legend else 2)
-    figure.layout.template = _template()
+    if not isinstance(figure, PlainFigure):
+        figure.layout.template = _template()
     figure.update_layout(
         height=height + top + 48,
         margin={"l": 62, "r": 18, "t": top, "b": 48},
@@ -156,6 +163,18 @@ def dress(figure: Any, height: int, *, legend: bool, lines: int = 0) -> Any:
         dragmode="zoom",
     )
     return figure
+
+
+@contextmanager
+def bare() -> Iterator[None]:
+    """Figures of one plot area that are made within are ``PlainFigure``: for who draws them without
+    plotly, and at once.
+    """
+    token = _bare.set(True)
+    try:
+        yield
+    finally:
+        _bare.reset(token)
 
 
 @cache
@@ -210,6 +229,8 @@ def heading(
 
 def subplots(rows: int, cols: int, **options: Any) -> Any:
     """A figure with a grid of plots, as plotly's make_subplots."""
+    if _bare.get() and rows == cols == 1:
+        return PlainFigure()
     from plotly.subplots import make_subplots
 
     return make_subplots(rows=rows, cols=cols, **options)

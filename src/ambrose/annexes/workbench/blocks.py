@@ -38,9 +38,16 @@ def _cell(cell: Cell) -> dict[str, str]:
     return {"text": f"{cell.symbol} {cell.text}".strip(), "mark": cell.mark}
 
 
-def picture(key: str, svg: str, title: str = "", caption: str = "") -> Block:
-    """A drawing."""
-    return {"key": key, "kind": "picture", "title": title, "svg": svg, "caption": caption}
+def picture(key: str, svg: str, title: str = "", caption: str = "", half: bool = False) -> Block:
+    """A drawing; half: another may stand beside it."""
+    return {
+        "key": key,
+        "kind": "picture",
+        "title": title,
+        "svg": svg,
+        "caption": caption,
+        "half": half,
+    }
 
 
 def page(key: str, name: str, title: str) -> Block:

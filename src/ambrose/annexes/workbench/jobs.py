@@ -25,18 +25,19 @@ from ambrose.annexes.workbench.project import MACHINE, Project, slug
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.atomic_write import make_folder, write_json
 
-# words of a command; {controller} and {record} are files that the page names
+# words of a command; what stands in braces the page names
 KINDS: dict[str, tuple[str, ...]] = {
     "check": ("check", MACHINE),
-    "design-pid": ("synthesize", MACHINE, "--method", "pid", "-o", "controllers/pid.json"),
-    "design-tuned": ("synthesize", MACHINE, "--method", "tuned", "-o", "controllers/tuned.json"),
+    "design": ("synthesize", MACHINE, "--method", "{method}", "-o", "controllers/{method}.json"),
     "verify": ("verify", MACHINE, "--controller", "{controller}"),
     "identify": (
         *("identify", MACHINE, "{record}", "--controller", "{controller}"),
         *("-o", "machines/identified.toml", "--report", "reports/identify.html"),
     ),
 }
+# what a page may put into them: files of a folder, or some words
 _FOLDERS = {"controller": "controllers", "record": "records"}
+CHOICES: dict[str, tuple[str, ...]] = {"method": ("pid", "tuned", "hinf", "mu")}
 _PATIENCE = 0.6  # [s] from the request to end to the kill
 _UNDER_WAY = ("waiting", "running")
 _SHOWN = 3  # of a screen's commands
@@ -134,13 +135,18 @@ class Jobs:
         kind = said.get("kind")
         if not isinstance(kind, str) or kind not in KINDS:
             raise InvalidInput(f"there is no such job; choose one of {', '.join(KINDS)}")
-        given = {}
+        given: dict[str, Any] = {}
         for field, folder in _FOLDERS.items():
             if f"{{{field}}}" in KINDS[kind]:
                 path = self._project.path(folder, said.get(field))
                 if not path.is_file():
                     raise InvalidInput(f"{path.name} is not in {folder}; choose one that is")
                 given[field] = self._project.relative(path)
+        for field, options in CHOICES.items():
+            if any(f"{{{field}}}" in word for word in KINDS[kind]):
+                if said.get(field) not in options:
+                    raise InvalidInput(f"the {field} must be one of {', '.join(options)}")
+                given[field] = said[field]
         return tuple(word.format(**given) for word in KINDS[kind])
 
     async def cancel(self, name: object) -> None:

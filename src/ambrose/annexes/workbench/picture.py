@@ -36,6 +36,7 @@ _VARIABLES = {
 }
 _LETTER = 0.55  # mean width of a letter over its height
 _ROW = 18  # [px] of the legend
+_MANY = 2000  # points of a line that are thinned before they are drawn
 _TICK = 12  # [px], height of the numbers at the axes
 
 
@@ -239,6 +240,8 @@ class _Drawing:
             around = [*ys, base, base]
             yield _line([*xs, xs[-1], xs[0]], around, {"width": 0}, str(trace.get("fillcolor")))
         if "lines" in mode:
+            if not trace.get("fill"):
+                xs, ys = _thinned(xs, ys)
             filled = trace.get("fill") == "toself"
             fill = str(trace.get("fillcolor") or "none") if filled else "none"
             yield _line(xs, ys, trace.get("line") or {}, fill)
@@ -354,7 +357,8 @@ def _line(xs: Any, ys: Any, line: dict[str, Any], fill: str = "none") -> str:
     width = line.get("width", 1.5)
     parts = []
     pen = "M"
-    for x, y in zip(np.clip(xs, -1e5, 1e5), np.clip(ys, -1e5, 1e5), strict=True):
+    points = np.clip(np.stack([xs, ys], axis=1).astype(float), -1e5, 1e5).tolist()
+    for x, y in points:
         if not (math.isfinite(x) and math.isfinite(y)):
             pen = "M"
             continue
@@ -366,6 +370,16 @@ def _line(xs: Any, ys: Any, line: dict[str, Any], fill: str = "none") -> str:
         f'<path d="{"".join(parts)}" fill="{_paint(fill)}" stroke="{stroke}" '
         f'stroke-width="{float(width):g}"{dash}/>'
     )
+
+
+def _thinned(xs: np.ndarray, ys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A line over ascending x with at most the lowest and the highest point of every pixel."""
+    if len(xs) < _MANY or not (np.diff(xs) >= 0).all() or not np.isfinite(ys).all():
+        return xs, ys
+    starts = np.flatnonzero(np.diff(np.floor(xs), prepend=-np.inf))
+    low, high = np.minimum.reduceat(ys, starts), np.maximum.reduceat(ys, starts)
+    middle = xs[starts]
+    return np.repeat(middle, 2), np.stack([low, high], axis=1).ravel()
 
 
 def _dash(text: str) -> str:

@@ -20,6 +20,7 @@ Answer = Callable[[Project, Mapping[str, Any]], dict[str, Any]]
 # modules of this package, in the order of the work; None: the page has a script of its own for it
 TITLES: dict[str, str] = {
     "machine": "Machine",
+    "controllers": "Controllers",
     "live": "Live rig",
     "jobs": "Jobs",
 }

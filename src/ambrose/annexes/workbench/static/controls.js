@@ -41,12 +41,12 @@ export function field(spec, change, act) {
     else input.value = main && log ? Math.log10(now) : now;
     told();
   };
-  let waiting = null; // a slider asks at most ten times a second
-  input.addEventListener(main ? "input" : "change", tried(() => {
+  let [waiting, last] = [null, 0]; // a slider asks at once, then at most ten times a second
+  const tell = tried(() => { [waiting, last] = [null, performance.now()]; return change(value()); });
+  input.addEventListener(main ? "input" : "change", () => {
     told();
-    if (!main) return change(value());
-    waiting ??= setTimeout(() => { waiting = null; tried(change)(value()); }, 100);
-  }));
+    waiting ??= setTimeout(tell, main ? Math.max(0, last + 100 - performance.now()) : 0);
+  });
   put(spec.value);
   const label = make("label", { className: kind }, spec.label, main ? beside : "", input, main ? "" : beside);
   return { name, value, label,

@@ -73,7 +73,7 @@ export const screen = (name) => async (place) => {
     const body = DRAW[block.kind](block, act);
     const [whole, head] = block.folded ? ["details", "summary"] : ["section", "h2"];
     const title = make(head, { className: block.tone || "" }, block.title);
-    const panel = make(whole, { className: "panel" }, block.title ? title : "", body);
+    const panel = make(whole, { className: block.half ? "panel half" : "panel" }, block.title && title, body);
     panel.open = had?.panel.open;
     const held = had && [...had.panel.querySelectorAll("button")].indexOf(document.activeElement);
     if (had) had.panel.replaceWith(panel);

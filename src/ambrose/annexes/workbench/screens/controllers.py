@@ -1,0 +1,247 @@
+"""The controller bench: the filters of a PID as sliders, what they do at every operating point, up
+to four controllers side by side, the designs as jobs.
+
+While a slider moves, the loop is judged on plants that are reduced to the modes that matter, so
+that the curves follow the hand; what is kept is judged on the full plant first, and says how.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from ambrose.annexes.workbench import blocks
+from ambrose.annexes.workbench.blocks import Block, Refusal
+from ambrose.annexes.workbench.given import width, word
+from ambrose.annexes.workbench.jobs import CHOICES
+from ambrose.annexes.workbench.picture import svg
+from ambrose.annexes.workbench.project import MACHINE, Project, slug
+from ambrose.annexes.workbench.screens import Screen
+from ambrose.annexes.workbench.sliders import fields_of, python_of, settings_with
+from ambrose.core.checks import InvalidInput
+from ambrose.judge.controller_file import read_controller, write_controller
+from ambrose.judge.criteria import zone
+from ambrose.judge.glance import Glance, glance
+from ambrose.judge.plants import full_plants
+from ambrose.law.law import Law, law_of
+from ambrose.law.pid import first_settings, pid_controller
+from ambrose.law.timing import machine_timing, timing_of
+from ambrose.machine.controller import PidSettings
+from ambrose.machine.criteria import SENSITIVITY
+from ambrose.machine.file.toml import loads_machine, read_machine_text
+from ambrose.machine.machine import Machine, require_magnets
+from ambrose.model.plant import Plant
+from ambrose.model.reduce import default_bending_modes, reduce
+from ambrose.report import tables, theme
+from ambrose.report.figures.curves import figure
+from ambrose.report.figures.nyquist import nyquist_figure
+from ambrose.report.page import Cell
+
+_MOST = 4  # controllers that are compared
+_SLIDERS = "the sliders"
+_kept: dict[str, tuple[Machine, tuple[Plant, ...]]] = {}  # of the last text, with reduced plants
+
+
+def _bench(project: Project) -> tuple[Machine, tuple[Plant, ...]]:
+    """The machine and its reduced plants, made once for a text of the file."""
+    text = read_machine_text(project.machine)
+    if text not in _kept:
+        machine = loads_machine(text, MACHINE)
+        require_magnets(machine)
+        plants = tuple(reduce(p, default_bending_modes(p)) for p in full_plants(machine))
+        _kept.clear()
+        _kept[text] = machine, plants
+    return _kept[text]
+
+
+def _settings(machine: Machine) -> PidSettings:
+    """Those of the machine file, or a PID to start from."""
+    return machine.reference or first_settings(machine)
+
+
+def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Sliders, curves, what to compare, what to design."""
+    machine, plants = _bench(project)
+    settings = _settings(machine)
+    names = project.names("controllers")
+    compared = [blocks.field(f"with.{name}", name, False, "check") for name in names]
+    points = ["every point", *(plant.point.label for plant in plants)]
+    at = blocks.choice("at", "Loci and curves at", points)
+    hint = (
+        "The values of the machine file's [controller]; a decade to both sides. "
+        f"Compare with up to {_MOST - 1} controllers of the folder."
+    )
+    if machine.reference is None:
+        hint = f"The file has no [controller]: a PID to start from. {hint}"
+    named = blocks.field("name", "Name", "bench")
+    form = blocks.form(
+        "sliders",
+        [*fields_of(settings, machine.axes), at, *compared, named],
+        [
+            blocks.button("Judge on the full plant", "judge", main=False),
+            blocks.button("Save as controller", "save"),
+        ],
+        f"PID of {machine.name}",
+        live="look",
+        hint=hint,
+    )
+    methods = blocks.choice("method", "Method", CHOICES["method"], "tuned")
+    design = blocks.form("design", [methods], [blocks.job("Design", "design")], "Design one")
+    looked = _look(project, given)
+    return blocks.content([form, *looked["blocks"], design], jobs=["synthesize"])
+
+
+def _look(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
+    """What the sliders do, beside the controllers that are compared."""
+    machine, plants = _bench(project)
+    settings = settings_with(_settings(machine), given)
+    laws: dict[str, Law] = {_SLIDERS: law_of(pid_controller(settings, machine))}
+    for name in _chosen(project, given):
+        laws[name] = law_of(read_controller(project.path("controllers", name)))
+    seen = {
+        name: [
+            _glance(law, plant, machine, settings if name == _SLIDERS else None)
+            for plant in plants
+            if law.covers(plant)
+        ]
+        for name, law in laws.items()
+    }
+    at = word(given, "at")
+    wanted = [plant.point.label for plant in plants]
+    if at in wanted:
+        wanted = [at]
+    elif len(laws) > 1:  # a colour for each controller: one point at a time
+        wanted = wanted[:1]
+    shown = [
+        (label if len(laws) == 1 else name, look)
+        for name, looks in seen.items()
+        for look in looks
+        if (label := look.stability.label) in wanted and look.sensitivity is not None
+    ]
+    place = "" if len(wanted) > 1 or len(plants) == 1 else f" at {wanted[0]}"
+    first = plants[0].bending_modes or 0
+    note = f"On the plant with {first} bending modes per plane; Judge asks the full one."
+    pictures = _pictures(shown, machine, width(given), place) if shown else []
+    return blocks.content(
+        [_table(seen, plants, note), *pictures, _same(machine, given, settings)], whole=False
+    )
+
+
+def _chosen(project: Project, given: Mapping[str, Any]) -> list[str]:
+    names = [name for name in project.names("controllers") if given.get(f"with.{name}") is True]
+    if len(names) >= _MOST:
+        raise InvalidInput(f"{_MOST} controllers at most are compared, the sliders among them")
+    return names
+
+
+def _glance(law: Law, plant: Plant, machine: Machine, settings: PidSettings | None) -> Glance:
+    """As it runs: of the sliders with the file's timing, of a file with its own."""
+    if settings is not None:
+        return glance(plant, law, machine_timing(replace(machine, controller=settings)))
+    return glance(plant, law, timing_of(machine, law))
+
+
+def _table(seen: Mapping[str, Sequence[Glance]], plants: Sequence[Plant], note: str) -> Block:
+    """Peak and zone of every controller at every point."""
+    labels = [plant.point.label for plant in plants]
+    rows = []
+    for name, looks in seen.items():
+        cells = {look.stability.label: _cell(look) for look in looks}
+        rows.append((name, *(cells.get(label, Cell("not covered", "muted")) for label in labels)))
+    title = "Largest sensitivity, zone of ISO 14839-3"
+    known = blocks.rows_table(title, ("controller", *labels), rows)
+    return blocks.table("peaks", replace(known, note=note))
+
+
+def _cell(look: Glance) -> Cell:
+    if look.sensitivity is None:
+        rate = look.stability.abscissa
+        return Cell(f"unstable, {rate:+.3g} 1/s", "fail")
+    letter = zone(SENSITIVITY, look.peak)
+    return Cell(f"{look.peak:.3g}, zone {letter}", "pass" if letter in {"A", "B"} else "fail")
+
+
+def _pictures(
+    shown: Sequence[tuple[str, Glance]], machine: Machine, wide: int, place: str
+) -> list[Block]:
+    """Sensitivity, loci and pulse, side by side where there is room."""
+    beside = min(max((wide + 46) // 446, 1), 3)  # panels of 430 px and more, 16 px between them
+    each = (wide + 46) // beside - 46
+    with theme.bare():
+        sensitivities = [(label, look.sensitivity) for label, look in shown if look.sensitivity]
+        pulses = [(label, look.pulse) for label, look in shown if look.pulse]
+        loci = [(label, look.loci) for label, look in shown if look.loci is not None]
+        limit = machine.requirements.sensitivity_peak or SENSITIVITY.limits[0].value
+        drawn = {
+            "sensitivity": (figure(sensitivities), f"Sensitivity, largest of the axes{place}"),
+            "loci": (nyquist_figure(loci, limit), f"Loci of all axes{place}"),
+            "pulse": (figure(pulses), f"Displacement after a short current{place}"),
+        }
+        return [
+            blocks.picture(key, svg(drawing, each, title, key), title, half=True)
+            for key, (drawing, title) in drawn.items()
+        ]
+
+
+def _same(machine: Machine, given: Mapping[str, Any], settings: PidSettings) -> Block:
+    lines = [
+        "from dataclasses import replace",
+        "from ambrose.synthesis.pid import pid_synthesis",
+        f'machine = amb.load_machine("{MACHINE}")',
+    ]
+    if machine.reference is None:
+        lines.append("from ambrose.law.pid import first_settings")
+        lines.append("settings = first_settings(machine)")
+    else:
+        lines.append("settings = machine.controller")
+    lines += python_of(_settings(machine), given)
+    lines.append("controller = pid_synthesis(amb.assemble(machine), settings)")
+    lines.append("amb.verify(machine, controller, tolerances=False)")
+    return blocks.same(f"ambrose synthesize {MACHINE} --method pid -o controllers/pid.json", *lines)
+
+
+def _synthesis(project: Project, given: Mapping[str, Any]) -> tuple[Machine, Any]:
+    """The controller of the sliders, certified on the full plant."""
+    from ambrose.model.assemble import assemble
+    from ambrose.synthesis.pid import pid_synthesis
+
+    machine, _ = _bench(project)
+    settings = settings_with(_settings(machine), given)
+    return machine, pid_synthesis(assemble(machine), settings)
+
+
+def _judge(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
+    """The verdict on the full plant at every operating point, tolerances left out."""
+    from ambrose.judge.verdict import verify_controller
+
+    machine, result = _synthesis(project, given)
+    verified = verify_controller(machine, result, tolerances=False)
+    overview = tables.overview_tables([checks for _, checks in verified.labelled])
+    found = [
+        blocks.table(f"verdict-{i}", replace(item, title=f"Full plant: {item.title}"))
+        for i, item in enumerate(overview)
+    ]
+    return blocks.content(
+        found, whole=False, told=f"The loop that was judged is {verified.timing}."
+    )
+
+
+def _save(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
+    """The controller of the sliders as a file, with its certificate."""
+    name = word(given, "name")
+    with_field = {"name": "letters, digits, _ and -, such as bench-2"}
+    try:
+        path = project.path("controllers", f"{slug(name, 'controller')}.json")
+    except InvalidInput as error:
+        raise Refusal(str(error), with_field) from None
+    if path.exists():
+        taken = f"{path.name} exists already; choose another name"
+        raise Refusal(taken, {"name": taken})
+    machine, result = _synthesis(project, given)
+    write_controller(path, result, machine)
+    told = f"controllers/{path.name} is written: {result.verdict}."
+    return {**show(project, given), "told": told}
+
+
+SCREEN = Screen(show, {"look": _look, "judge": _judge, "save": _save})
