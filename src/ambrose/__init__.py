@@ -17,6 +17,7 @@ _HOME = {
     **dict.fromkeys(
         (
             "assemble",
+            "check_record",
             "design",
             "export",
             "identify",
@@ -48,6 +49,7 @@ _HOME = {
     "Verification": "judge.verification",
     "Trace": "rig.trace",
     "Identification": "identification.result",
+    "RecordCheck": "identification.record_check",
     "GenericIdentification": "identification.one_axis.result",
     **{
         name: f"synthesis.methods.{name.lower()}"

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from ambrose.code.pipeline import Delivery
     from ambrose.code.targets import Target
     from ambrose.identification.one_axis.result import GenericIdentification
+    from ambrose.identification.record_check import RecordCheck
     from ambrose.identification.result import Identification
     from ambrose.judge.result import Synthesis
     from ambrose.judge.verification import Verification
@@ -248,6 +249,19 @@ def identify(
 
     law = None if controller is None else controller_of(controller)
     return identified(machine_of(machine), records, law, **options)
+
+
+def check_record(record: Any, machine: Machine | str | None = None, **options: Any) -> RecordCheck:
+    """Whether a record can be used, and for what: its contents, findings about its signals, and
+    every use with what the record lacks for it.
+
+    record: a Record, or the path of one or of a text table of one axis. machine: whose record it is
+    (None: not known). options: columns, sample_rate_hz [Hz], travel [m], as for identify_generic.
+    Raises InvalidInput for a file that cannot be read.
+    """
+    from ambrose.identification.record_check import check_record as checked
+
+    return checked(record, None if machine is None else machine_of(machine), **options)
 
 
 def identify_generic(record: Any, **options: Any) -> GenericIdentification:

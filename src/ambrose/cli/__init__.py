@@ -23,6 +23,7 @@ from ambrose.cli.identify import identify
 from ambrose.cli.identify_generic import identify_generic
 from ambrose.cli.map import map_command
 from ambrose.cli.new import new
+from ambrose.cli.record_check import record_check
 from ambrose.cli.seal import seal
 from ambrose.cli.simulate import simulate
 from ambrose.cli.study import study_command
@@ -152,6 +153,7 @@ GROUPS: dict[str, dict[str, click.Command]] = {
         "study": study_command,
     },
     "Site": {
+        "record check": record_check,
         "identify": identify,
         "identify --generic": identify_generic,
         "convert": convert,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
 
 import click
 
+from ambrose.cli.options import AXIS_COLUMNS, axis_columns
 from ambrose.terminal import (
     AS_JSON,
     GroupedCommand,
@@ -20,32 +20,16 @@ from ambrose.terminal import (
     say_json,
 )
 
-# identification/one_axis/axis_record.py, which is not imported for --help
-_COLUMNS = ("displacement", "drive", "reference", "current", "voltage", "time")
-_HELP = {
-    "displacement": "Of the axis; default: y, y_<axis>.",
-    "drive": "What the plant is driven by, a current best; default: u, u_<axis>.",
-    "reference": "What drives the loop from outside; default: r, e, yd, e_<axis>, r_<axis>.",
-    "current": "Of the coil; default: i, i_<axis>.",
-    "voltage": "Of the coil, to see whether the current belongs to it.",
-    "time": "Default: t, time.",
-}
 _GROUPS = {
     "": ("between", "travel", "actuator", "output"),
-    'Columns (a name, or "column 2"; "column 2 [um]" with a unit; "none")': _COLUMNS,
+    'Columns (a name, or "column 2"; "column 2 [um]" with a unit; "none")': AXIS_COLUMNS,
     "Force law F = c (i/s)^2": ("hanging", "gap", "bias", "mass"),
 }
 
 
-def _columns(command: Any) -> Any:
-    for name in reversed(_COLUMNS):
-        command = click.option(f"--{name}", metavar="COLUMN", help=_HELP[name])(command)
-    return command
-
-
 @click.command("identify --generic", cls=GroupedCommand, groups=_GROUPS)
 @click.argument("record", type=click.Path(path_type=Path))
-@_columns
+@axis_columns
 @click.option("--rate-hz", type=float, help="Of a text table without times.")
 @click.option("--between", type=(float, float), metavar="START STOP", help="Seconds to use.")
 @click.option(

@@ -37,6 +37,17 @@ _TYPES: dict[str, tuple[Any, int]] = {
     "tuple[float, float]": (float, 2),
 }
 
+# identification/one_axis/axis_record.py, which is not imported for --help
+AXIS_COLUMNS = ("displacement", "drive", "reference", "current", "voltage", "time")
+_AXIS_HELP = {
+    "displacement": "Of the axis; default: y, y_<axis>.",
+    "drive": "What the plant is driven by, a current best; default: u, u_<axis>.",
+    "reference": "What drives the loop from outside; default: r, e, yd, e_<axis>, r_<axis>.",
+    "current": "Of the coil; default: i, i_<axis>.",
+    "voltage": "Of the coil, to see whether the current belongs to it.",
+    "time": "Default: t, time.",
+}
+
 
 def options_from(kinds: Kinds) -> Callable[[Any], Any]:
     """Decorator of a command: a flag for every option that any of the classes has."""
@@ -129,3 +140,10 @@ def _read(item: Field[Any], value: Any, flag: str) -> Any:
     if known.convert is None:
         return value
     return tuple(map(known.convert, value)) if isinstance(value, tuple) else known.convert(value)
+
+
+def axis_columns(command: Any) -> Any:
+    """Decorator of a command: a flag for every column of a record of one axis."""
+    for name in reversed(AXIS_COLUMNS):
+        command = click.option(f"--{name}", metavar="COLUMN", help=_AXIS_HELP[name])(command)
+    return command

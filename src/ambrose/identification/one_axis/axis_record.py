@@ -108,17 +108,22 @@ def read_axis(
     path = check_path(source, "record")
     check_source(path, "record")
     try:
-        if path.suffix.lower() in _TABLES and not _is_own(path):
+        if is_text_table(path):
             return _of_table(path, wanted, sample_rate_hz)
         return _of_record(read_record(path), wanted, path.name)
     except InvalidInput as error:
         raise InvalidInput(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
 
 
-def _is_own(path: Path) -> bool:
-    """Whether a text file says that it is a record of this package."""
+def is_text_table(path: Path) -> bool:
+    """Whether it is a text table that does not say that it is a record of this package. Raises
+    InvalidInput for a file that cannot be read.
+    """
+    check_source(path, "record")
+    if path.suffix.lower() not in _TABLES:
+        return False
     with path.open("rb") as file:
-        return path.suffix.lower() == ".csv" and b"ambrose-record" in file.read(400)
+        return path.suffix.lower() != ".csv" or b"ambrose-record" not in file.read(400)
 
 
 def _of_record(record: Record, wanted: dict[str, str], name: str) -> AxisRecord:

@@ -1,0 +1,278 @@
+"""Whether a record can be used, and for what: before anybody spends a day on it.
+
+check = check_record("run.h5", "seal-rig")
+check.uses                                  # a Use each: usable, and why not
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ambrose.core.checks import InvalidInput, check_path
+from ambrose.core.presentation import Presented
+from ambrose.identification.data_quality.one_axis import coarse_steps, dead_channels
+from ambrose.identification.data_quality.signals import flat_tops, signal_findings
+from ambrose.identification.findings import ERROR, WARNING, Code, Finding
+from ambrose.identification.one_axis.axis_record import is_text_table, read_axis
+from ambrose.identification.one_axis.identify import identify_generic
+from ambrose.machine.machine import Machine
+from ambrose.machine.messages import BULLET
+from ambrose.record.files import read_record
+from ambrose.record.record import Record
+
+_SHORT = 0.5  # s, below it a record holds few periods of a rigid mode; assumed
+_MEASURED = ("y", "u", "i")
+# what it can be used for: command, kinds of signal at every axis, at one at least, what is better
+_MACHINE_USES = (
+    ("the machine's parameters", "identify", "y", "e", "u"),
+    ("beyond the model", "identify --method youla", "yue", "", ""),
+    ("force per current from loads", "identify --method static", "i", "f", ""),
+    ("frequency responses", "frf", "y", "erf", "u"),
+    ("acceptance", "accept", "y", "er", ""),
+    ("balancing", "balance", "y", "", "u"),
+)
+_WORDS = {
+    "y": "displacements y_<axis>",
+    "u": "controller outputs u_<axis>",
+    "e": "excitations e_<axis>",
+    "r": "references r_<axis>",
+    "f": "forces f_<port>",
+    "i": "currents i_<axis>",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Use:
+    """One use: what for, by which command, whether the record serves, and why (not)."""
+
+    purpose: str
+    command: str
+    usable: bool
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class RecordCheck(Presented):
+    """What a record holds (words by name), what is wrong with its signals, and what it is good
+    for.
+    """
+
+    name: str
+    contents: tuple[tuple[str, str], ...]
+    findings: tuple[Finding, ...]
+    uses: tuple[Use, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether it serves for anything, and no signal is useless."""
+        wrong = any(finding.severity == ERROR for finding in self.findings)
+        return not wrong and any(use.usable for use in self.uses)
+
+    def facts(self) -> dict[str, Any]:
+        good = [use.command for use in self.uses if use.usable]
+        return {"name": self.name, "usable for": good, "findings": len(self.findings)}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return {
+            "record": self.name,
+            "passed": self.passed,
+            "contents": dict(self.contents),
+            "findings": [
+                {"code": str(item.code), "severity": item.severity, "text": str(item)}
+                for item in self.findings
+            ],
+            "uses": [
+                {
+                    "purpose": use.purpose,
+                    "command": use.command,
+                    "usable": use.usable,
+                    "reason": use.reason,
+                }
+                for use in self.uses
+            ],
+        }
+
+
+def check_record(
+    source: Any,
+    machine: Machine | None = None,
+    *,
+    columns: Mapping[str, str] | None = None,
+    sample_rate_hz: float | None = None,
+    travel: float | None = None,
+) -> RecordCheck:
+    """Whether a record can be used, and for what.
+
+    source: a path (a record, or a text table of one axis) or a Record. machine: whose record it is,
+    None: not known, then the axes are those of its displacements. columns, sample_rate_hz [Hz],
+    travel [m]: as for ``identify_generic``. Raises InvalidInput for a file that cannot be read.
+    """
+    if not isinstance(source, Record) and is_text_table(check_path(source, "record")):
+        return _check_table(source, columns, sample_rate_hz, travel)
+    record = source if isinstance(source, Record) else read_record(source)
+    name = record.machine if isinstance(source, Record) else check_path(source, "record").name
+    axes = _axes(record) if machine is None else tuple(machine.axes)
+    generic = {"columns": columns, "travel": travel}
+    return RecordCheck(
+        name,
+        _contents(record),
+        tuple(_findings(record, machine)),
+        (
+            *(_use(record, axes, row) for row in _MACHINE_USES),
+            _generic_use(source, record, axes, generic),
+        ),
+    )
+
+
+def _check_table(
+    source: Any,
+    columns: Mapping[str, str] | None,
+    sample_rate_hz: float | None,
+    travel: float | None,
+) -> RecordCheck:
+    """A text table of another program: one axis, or nothing before a column map says what is in
+    it.
+    """
+    axis = read_axis(source, columns=dict(columns or {}), sample_rate_hz=sample_rate_hz)
+    seconds = len(axis.position) / axis.rate
+    contents = (
+        ("columns", ", ".join(f"{what} {name}" for what, name in axis.columns)),
+        ("samples", f"{len(axis.position)}, {seconds:.6g} s at {axis.rate:.6g} Hz"),
+        ("displacement", _range(axis.position, "m")),
+        ("drive", _range(axis.drive, axis.unit)),
+    )
+    given = {"columns": columns, "sample_rate_hz": sample_rate_hz, "travel": travel}
+    others = Use(
+        "anything of a machine",
+        "identify, frf, accept",
+        False,
+        "a text table names no axes; write it as a record with ambrose convert --columns",
+    )
+    return RecordCheck(axis.name, contents, (), (_tried(source, given), others))
+
+
+def _tried(source: Any, given: Mapping[str, Any]) -> Use:
+    """One axis, tried: fitting is quick, and nothing else tells whether noise drove the loop."""
+    try:
+        done = identify_generic(source, **given)
+    except InvalidInput as refusal:
+        reason = "; ".join(str(refusal).split(BULLET))
+        return Use("one axis, controller unknown", "identify --generic", False, reason)
+    doubts = "; ".join(finding.what for finding in done.findings)
+    words = f"{done.verdict}: pole {done.pole:.4g} rad/s +- {done.values[0].half_width:.2g}"
+    good = done.verdict == "identified"
+    return Use(
+        "one axis, controller unknown",
+        "identify --generic",
+        good,
+        f"{words}; {doubts}" if doubts else words,
+    )
+
+
+def _generic_use(
+    source: Any, record: Record, axes: tuple[str, ...], given: Mapping[str, Any]
+) -> Use:
+    named = bool(given["columns"])
+    if len(axes) > 1 and not named:
+        reason = (
+            f"{len(axes)} axes; name one, such as --displacement y_{axes[0]} --drive u_{axes[0]}; "
+            "it lacks what couples them"
+        )
+        return Use("one axis, controller unknown", "identify --generic", False, reason)
+    return _tried(source, given)
+
+
+def _axes(record: Record) -> tuple[str, ...]:
+    return tuple(name[2:] for name in record.signals if name.startswith("y_"))
+
+
+def _contents(record: Record) -> tuple[tuple[str, str], ...]:
+    seconds = record.values.shape[1] * record.dt
+    words = f"{record.values.shape[1]}, {seconds:.6g} s at {record.sample_rate_hz:.6g} Hz"
+    rows = [("machine", record.machine), ("point", str(record.point)), ("samples", words)]
+    rows += [
+        (name, _range(row, unit))
+        for name, unit, row in zip(record.signals, record.units, record.values, strict=True)
+    ]
+    return tuple(rows)
+
+
+def _range(values: np.ndarray, unit: str) -> str:
+    return f"{values.min():.4g} to {values.max():.4g} {unit}, rms {values.std():.3g} about its mean"
+
+
+def _findings(record: Record, machine: Machine | None) -> Iterator[Finding]:
+    """What the signals show by themselves; with a machine also its limits."""
+    seconds = record.values.shape[1] * record.dt
+    if seconds < _SHORT:
+        yield Finding(
+            Code.NO_RESPONSE,
+            WARNING,
+            "the record is short",
+            f"{seconds:.3g} s hold few periods of the slowest modes",
+            "record two seconds and more",
+        )
+    if machine is not None:
+        unknown = [name for name in _axes(record) if name not in machine.axes]
+        if unknown:
+            yield Finding(
+                Code.MIXED_CHANNELS,
+                ERROR,
+                f"the axes {', '.join(unknown)} are none of the machine's",
+                f"it has {', '.join(machine.axes)}",
+                "rename the signals, or give the machine that was recorded",
+            )
+        yield from signal_findings(machine, record, 1, excited="")
+    measured = {
+        name: record[name] for name in record.signals if name.partition("_")[0] in _MEASURED
+    }
+    if machine is None:
+        yield from dead_channels(measured)
+        yield from _clipped(measured)
+    yield from coarse_steps({name: row for name, row in measured.items() if np.ptp(row) > 0})
+
+
+def _clipped(measured: Mapping[str, np.ndarray]) -> Iterator[Finding]:
+    for name, values in measured.items():
+        count, level = flat_tops(values)
+        if count and len(np.unique(values)) > 3:
+            yield Finding(
+                Code.CLIPPED,
+                WARNING,
+                f"{name} is clipped",
+                f"{count} samples lie at {level:.4g}, in flat tops",
+                "reduce the excitation, or widen the range of the sensor or the converter",
+            )
+
+
+def _use(record: Record, axes: tuple[str, ...], row: tuple[str, str, str, str, str]) -> Use:
+    """Whether the signals are there; and, for balancing, whether it turns."""
+    purpose, command, every, one, better = row
+    missing = [
+        _WORDS[kind] + (f" ({', '.join(lacking)})" if len(lacking) < len(axes) else "")
+        for kind in every
+        if (lacking := [axis for axis in axes if not _moves(record, f"{kind}_{axis}")]) or not axes
+    ]
+    driven = [
+        name
+        for name in record.signals
+        if name[:1] in one and name[1:2] == "_" and not name.startswith("f_magnet_")
+    ]
+    if one and not any(_moves(record, name) for name in driven):
+        what = " or ".join(_WORDS[kind] for kind in one)
+        missing.append(f"{what} that {'never change' if driven else 'are not recorded'}")
+    if command == "balance" and not record.point.speed:
+        missing.append("a speed: it stands still")
+    if missing:
+        return Use(purpose, command, False, f"it lacks {', '.join(missing)}")
+    lacks = [axis for axis in axes if better and not _moves(record, f"{better}_{axis}")]
+    return Use(purpose, command, True, f"better with {_WORDS[better]}" if lacks else "")
+
+
+def _moves(record: Record, name: str) -> bool:
+    return name in record.signals and bool(np.ptp(record[name]) > 0)
