@@ -1,4 +1,4 @@
-"""What a landing will be like: whirl before any simulation."""
+"""What a landing will be like: whirl before any simulation, one drop, and many of them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ambrose.annexes.touchdown.campaign import Campaign
+from ambrose.annexes.touchdown.campaign import drops as many_drops
+from ambrose.annexes.touchdown.drop import Drop, Fall, brake_of, build, case_of, run, slip_of
 from ambrose.annexes.touchdown.fallen import FallenRotor, fallen_rotor
+from ambrose.annexes.touchdown.run_down import RunDown, run_down
+from ambrose.annexes.touchdown.verdict import Row, judge_landing
 from ambrose.annexes.touchdown.whip import (
     Whip,
     WhipCurve,
@@ -23,11 +28,25 @@ from ambrose.core.presentation import Presented
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
+from ambrose.model.unbalance import residual_unbalance
 
 WHIP_MODEL = (
     "linear rotor without its magnets, touchdown bearing at its clearance and in steady slip, one "
     "friction coefficient (that of high sliding speed), mount without its stop"
 )
+HEADS = (
+    ("architecture", "the tables of the machine file"),
+    ("functional requirements", "[bearing.touchdown.limits]"),
+    ("rotordynamic design", "whip map, drops"),
+    ("environment", "not covered"),
+    ("events that cause contact", "loss of power alone; others not covered"),
+    ("failure modes", "whirl, overload, heat; wear not covered"),
+    ("sizing and simulation", "drops, landings allowed"),
+    ("acceptance test plan with instrumentation", "not covered"),
+    ("inspection in service", "landings allowed; inspection not covered"),
+)
+LONGEST = 30.0  # [s] of a drop
+_LOG = 6000  # rows of the one drop
 _LOWEST = 2 * np.pi  # [rad/s]
 _HIGHEST = 6000 * np.pi  # [rad/s] unless the rotor rolls at less
 _POINTS = 240  # of a curve
@@ -77,7 +96,9 @@ class Landing(Presented):
     """A machine's landing at an operating point.
 
     whips: where whip settles at the machine's friction, by kind. curves: what whip needs over its
-    frequency. whip_map: edges over friction and mount.
+    frequency. whip_map: edges over friction and mount. drop, fall: the machine as written down,
+    with its residual unbalance; down: until it stands. campaign: many drops, None where none were
+    asked for. rows: what landings cost, over the campaign or else over the one drop.
     """
 
     _FACTS: ClassVar = ("machine=machine_name", "point=point_name", "worst=worst_whip")
@@ -88,6 +109,18 @@ class Landing(Presented):
     whips: tuple[Whip, ...]
     curves: tuple[WhipCurve, ...]
     whip_map: WhipMap
+    drop: Drop
+    duration: float
+    fall: Fall
+    down: RunDown
+    campaign: Campaign | None
+    rows: tuple[Row, ...]
+
+    @property
+    def passed(self) -> bool | None:
+        """Whether every row with a limit holds; None where the file states no limit."""
+        judged = [row.passed for row in self.rows if row.passed is not None]
+        return all(judged) if judged else None
 
     @property
     def machine_name(self) -> str:
@@ -119,7 +152,40 @@ class Landing(Presented):
             "whip_model": WHIP_MODEL,
             "whips": [whip.to_dict() for whip in self.whips],
             "whip_map": self.whip_map.to_dict(),
+            "drop": fall_data(self),
+            "run_down": self.down.to_dict(),
+            "campaign": None if self.campaign is None else self.campaign.to_dict(),
+            "rows": [row.to_dict() for row in self.rows],
+            "passed": self.passed,
+            "iso_14839_5": [dict(zip(("head", "here"), head, strict=True)) for head in HEADS],
         }
+
+
+def fall_data(result: Landing) -> dict[str, Any]:
+    """The one drop as plain data, SI; times of what never came are null."""
+    plain: dict[str, Any] = {
+        "duration": result.duration,
+        "speed": result.drop.speed,
+        "speed_at_end": float(result.fall.log[-1, 1]),
+    }
+    for name, row, slip in zip(
+        result.fallen.names, result.fall.figures, result.fall.energy, strict=False
+    ):
+        plain[name] = {
+            "first_contact": float(row[0]) if row[0] >= 0 else None,
+            "first_force_peak": float(row[1]),
+            "largest_force": float(row[2]),
+            "largest_element_load": float(row[3]),
+            "time_in_contact": float(row[4]),
+            "largest_displacement": float(row[5]),
+            "turns_against_spin": float(row[6] / (2 * np.pi)),
+            "turns_with_spin": float(row[7] / (2 * np.pi)),
+            "largest_race_speed": float(row[10]),
+            "slip_energy": float(slip),
+        }
+    for name, share in zip(result.fallen.seal_names, result.fall.seals, strict=True):
+        plain[name] = {"largest_displacement_over_gap": float(share)}
+    return plain
 
 
 def worst_of(whips: tuple[Whip, ...]) -> Whip:
@@ -132,14 +198,28 @@ def landing(
     machine: Machine,
     point: OperatingPoint | str | None = None,
     *,
+    drops: int = 0,
+    duration: float = 0.4,
+    seed: int = 1,
+    bending_modes: int = 2,
+    workers: int | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Landing:
     """How a machine lands in its touchdown bearings after its magnets have lost their power.
 
-    point: the operating point at which they do, or its label; default: the fastest one. progress:
-    is told every stage. Raises InvalidInput where a bearing has no touchdown_gap, a seal is
-    narrower than it, or the rotor does not turn.
+    point: the operating point at which they do, or its label; default: the fastest one. drops: how
+    many with other friction, mount, unbalance and speed, drawn from ``seed``. duration [s] of each
+    drop, after which the rest of the run-down is estimated. bending_modes: per plane in drops.
+    workers: processors (None: all). progress: is told every stage. Raises InvalidInput where a
+    bearing has no touchdown_gap, a seal is narrower than it, or the rotor does not turn.
     """
+    if drops < 0 or bending_modes < 0:
+        raise InvalidInput("drops and bending_modes must not be negative; 0 drops are none")
+    if not 0 < duration <= LONGEST:
+        raise InvalidInput(
+            f"the duration of a drop is {duration:g} s, but must be above 0 and at most "
+            f"{LONGEST:g} s; 0.4 s shows whether it whirls"
+        )
     if point is None:
         chosen = max(machine.operation.envelope, key=lambda item: item.speed)
     else:
@@ -158,8 +238,51 @@ def landing(
     whips = _different([_settled(fallen, curve) for curve in curves])
     progress("whip over friction and mount")
     worst = worst_of(whips)
-    whip_map = _mapped(fallen, worst.kind, frequency[::2], rotor[::2])
-    return Landing(machine, chosen, fallen, whips, curves, whip_map)
+    whip_map = _mapped(fallen, worst.kind, frequency[::3], rotor[::3])
+    moving = fallen_rotor(machine, chosen, bending_modes)
+    progress("one drop (compiled once per computer)")
+    left = residual_unbalance(machine)
+    b = len(moving.names)
+    shares = (0.0,) * b if left is None else tuple(left.moment * part for part in left.share)
+    drop = Drop(chosen.speed, shares, (0.0,) * b)
+    rig, dt = build(machine, moving)
+    case, state = case_of(moving, rig, drop, brake_of(machine))
+    fall = run(rig, case, state, duration, dt, rows=_LOG)
+    down = run_down(moving, float(fall.log[-1, 1]), brake_of(machine), rig.windage)
+    campaign = None
+    if drops:
+        progress(f"{drops:,} drops")
+        campaign = many_drops(
+            machine,
+            moving,
+            shares,
+            drops,
+            duration=duration,
+            seed=seed,
+            workers=workers,
+            progress=progress,
+        )
+    figures, slip = fall.figures[None], slip_of(moving, fall)[None]
+    seals = fall.seals[None]
+    if campaign is not None:
+        figures, slip = campaign.figures, campaign.slip
+        seals = campaign.seals
+    force, load = figures[:, :, 2], figures[:, :, 3]
+    rows = judge_landing(machine, moving, force, load, slip, figures[:, :, 5], seals, down.slip / b)
+    return Landing(
+        machine,
+        chosen,
+        moving,
+        whips,
+        curves,
+        whip_map,
+        drop,
+        duration,
+        fall,
+        down,
+        campaign,
+        rows,
+    )
 
 
 def _rolling(fallen: FallenRotor) -> list[float]:

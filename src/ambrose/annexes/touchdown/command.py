@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import click
@@ -22,25 +23,53 @@ from ambrose.terminal import (
 @click.command("landing")
 @MACHINE
 @click.option("--point", help="The operating point of the power loss; default: the fastest one.")
+@click.option(
+    "--drops",
+    type=click.IntRange(0, 1_000_000),
+    default=0,
+    show_default=True,
+    help="Drops over friction, mount, unbalance and speed.",
+)
+@click.option("--duration", type=float, default=0.4, show_default=True, help="Of a drop [s].")
+@click.option("--seed", type=int, default=1, show_default=True, help="Of the drops.")
+@click.option("--workers", type=click.IntRange(1, 256), help="Default: one for each processor.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="The page (*.html).")
 @AS_JSON
-def landing_command(machine: str, point: str | None, output: Path | None, as_json: bool) -> None:
-    """Landing in the touchdown bearings: whip before any simulation.
+def landing_command(
+    machine: str,
+    point: str | None,
+    drops: int,
+    duration: float,
+    seed: int,
+    workers: int | None,
+    output: Path | None,
+    as_json: bool,
+) -> None:
+    """Landing in the touchdown bearings: whip before any simulation, then drops.
 
     Backward whip from the receptances of the rotor without its magnets and of the touchdown
-    bearings with their mounts: at which friction, how fast, with which force.
+    bearings: at which friction, how fast, with which force. One drop as the file states it; many
+    over what nobody knows. Exit status 1: a limit of [bearing.touchdown.limits] fails.
     """
     from ambrose.annexes.touchdown.analysis import WHIP_MODEL, landing
 
     description = load(machine)
     claim(page=output)
     with progress_shown(as_json) as progress:
-        result = landing(description, point, progress=progress)
+        result = landing(
+            description,
+            point,
+            drops=drops,
+            duration=duration,
+            seed=seed,
+            workers=workers,
+            progress=progress,
+        )
         failure = kept_page(result, output, progress=progress)
     if as_json:
         say_json(result.to_dict())
     else:
-        from ambrose.annexes.touchdown.page import whip_rows
+        from ambrose.annexes.touchdown.page import cost_rows, verdict_text, whip_rows
 
         print_table(
             f"{description.name}: backward whip at {result.point_name}",
@@ -48,5 +77,18 @@ def landing_command(machine: str, point: str | None, output: Path | None, as_jso
             whip_rows(result),
         )
         say(f"Model: {WHIP_MODEL}.")
+        print_table(
+            "landing",
+            ("place", "quantity", "value", "limit", "verdict"),
+            cost_rows(result),
+        )
+        if result.campaign is not None:
+            share = 100 * result.campaign.whirls.mean()
+            say(
+                f"{share:.3g} % of {drops:,} drops whirl (three turns against the spin, nonlinear "
+                f"model); {result.campaign.wall:.0f} s."
+            )
+        say(f"Result: {verdict_text(result)}.")
     if failure is not None:
         raise failure
+    sys.exit(1 if result.passed is False else 0)

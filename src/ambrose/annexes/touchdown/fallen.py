@@ -129,17 +129,20 @@ def stator_receptance(numbers: Bearing, w: float, load: float = 0.0) -> complex:
 
 
 def elements_deflection(numbers: Bearing, load: float) -> float:
-    """The deflection [m] of the rolling elements under a load [N] above zero: bisection of
-    ``element_force``, whose front row alone would bend as (F / K)^(2/3).
+    """The deflection [m] of the rolling elements under a load [N] above zero, the inverse of
+    ``element_force``.
     """
-    low, high = 0.0, (load / numbers.hertz) ** (2 / 3)
-    for _ in range(60):
-        middle = (low + high) / 2
-        if element_force(middle, numbers.hertz, numbers.preload) < load:
-            low = middle
-        else:
-            high = middle
-    return (low + high) / 2
+    K, p = numbers.hertz, numbers.preload
+    alone = (load / K) ** (2 / 3) - p  # the row behind is off: F = K (p + d)^1.5
+    if alone >= p:
+        return alone
+    # both rows: Newton's method from the slope at the centre, 3 K sqrt(p)
+    deflection = load / (3 * K * math.sqrt(p))
+    for _ in range(8):
+        front, back = p + deflection, max(p - deflection, 0.0)
+        slope = 1.5 * K * (math.sqrt(front) + math.sqrt(back))
+        deflection -= (element_force(deflection, K, p) - load) / slope
+    return deflection
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -36,7 +36,9 @@ from ambrose.annexes.touchdown.fallen import Bearing, FallenRotor, stator_recept
 
 MOST_FRICTION = 2.0  # beyond any pair of dry metals
 _NEWTON, _CLOSE = 12, 1e-10  # steps, and the change that ends them
-_LOADS = 3  # rounds in which rolling elements take the stiffness of their load
+# rounds in which rolling elements take the stiffness of their load, from rigid ones on: a soft
+# start would look like a rotor that nothing holds
+_LOADS, _RIGID = 6, 1e9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,7 +140,7 @@ def alone(
 
 def _needed(rotor: complex, w: float, bearing: Bearing) -> tuple[float, float]:
     """(mu, N) of (3); NaN where there is no whip."""
-    force = 0.0
+    force = _RIGID
     for _ in range(_LOADS):
         A = rotor + stator_receptance(bearing, w, force)
         if A.real >= 0:
@@ -167,7 +169,7 @@ def edge_alone(fallen: FallenRotor, index: int, mu: float, curve: WhipCurve) -> 
 
     def joint(w: float) -> complex:
         rotor = fallen.receptance(w)[index, index]
-        A = rotor + stator_receptance(bearing, w)
+        A = rotor + stator_receptance(bearing, w, _RIGID)
         for _ in range(_LOADS if bearing.race_mass else 0):
             load = bearing.clearance / max(room(A), 1e-3 / bearing.stiffness)
             A = rotor + stator_receptance(bearing, w, load)
@@ -204,9 +206,11 @@ def together(
     force = np.full((len(frequency), count), np.nan)
     clearance = np.array([bearing.clearance for bearing in bearings])
     unknown = np.array([0.0, *angles[1:]])
-    load = np.zeros(count)
+    load = np.full(count, _RIGID)
     for i, w in enumerate(frequency):
-        for _ in range(_LOADS):
+        # the load of the frequency before is close already
+        known = i > 0 and bool(np.isfinite(force[i - 1]).all())
+        for _ in range(1 if known else _LOADS):
             stator = [
                 stator_receptance(b, float(w), n) for b, n in zip(bearings, load, strict=True)
             ]
@@ -220,10 +224,12 @@ def together(
             if np.isfinite(friction).any():
                 break  # the branch ends: beyond the joint resonance
             unknown = np.array([0.0, *angles[1:]])
-            load = np.zeros(count)
+            load = np.full(count, _RIGID)
             continue
         friction[i] = max(np.tan(unknown[0]), 0.0)
         force[i] = load
+        if friction[i] > MOST_FRICTION:
+            break
     return WhipCurve(kind, tuple(range(count)), frequency, friction, force)
 
 

@@ -1,0 +1,146 @@
+"""Drops against closed forms: the fall, the first blow, the balance of energy, the edge of whip."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ambrose.annexes.touchdown.arrays import Case
+from ambrose.annexes.touchdown.drop import Drop, case_of, rig_of, run
+from ambrose.annexes.touchdown.fallen import element_force
+from ambrose.annexes.touchdown.whip import alone, edge_alone, receptances
+from free_mass import CLEARANCE, bush, polynomial_edge, rotor
+
+G, M = 9.80665, 12.0
+
+
+def one_mass(bearing, speed=0.0, weight=G, inertia=1e9):
+    """One mass in one bearing; so much inertia that its speed stays."""
+    fallen = rotor(M * np.eye(2), [np.eye(2)], [bearing])
+    return replace(fallen, weight=np.array([0.0, -M * weight]), speed=speed, polar_inertia=inertia)
+
+
+def fixed(stiffness, friction=0.0, **more):
+    """A bush fixed in the housing."""
+    return bush(1.0, 0.0)._replace(
+        stiffness=stiffness, friction=friction, static_friction=friction, ring_mass=0.0, **more
+    )
+
+
+def drop_of(fallen, duration, *, rows=0, dt=None, tally=True):
+    rig, step = rig_of(fallen, tally=tally)
+    case, state = case_of(fallen, rig, Drop(fallen.speed, (0.0,), (0.0,)), 0.0)
+    return run(rig, case, state, duration, step if dt is None else dt, rows=rows), rig, state
+
+
+@pytest.mark.parametrize("k", [1e7, 1e8])
+def test_fall_and_first_blow(k):
+    """t = sqrt(2 c/g), F/(m g) = 1 + sqrt(1 + 2 k c/(m g))."""
+    fall, _, _ = drop_of(one_mass(fixed(k)), 0.012, dt=1e-6)
+    assert fall.figures[0, 0] == pytest.approx(math.sqrt(2 * CLEARANCE / G), rel=1e-3)
+    blow = M * G * (1 + math.sqrt(1 + 2 * k * CLEARANCE / (M * G)))
+    assert fall.figures[0, [1, 2]] == pytest.approx([blow, blow], rel=1e-3)
+
+
+def energy(fallen, bearing, z):
+    """All energy [J] that a state holds: n = 2, one bearing."""
+    x, v = z[0:2], z[2:4]
+    race, ring, race_v, ring_v = z[4:6], z[6:8], z[8:10], z[10:12]
+    moving = M * v @ v + bearing.race_mass * race_v @ race_v + bearing.ring_mass * ring_v @ ring_v
+    turning = fallen.polar_inertia * z[13] ** 2 + bearing.race_inertia * z[12] ** 2
+    depth = max(np.hypot(*(x - race)) - bearing.clearance, 0.0)
+    way = np.hypot(*ring)
+    stop = max(way - bearing.travel, 0.0)
+    springs = bearing.stiffness * depth**2 + bearing.mount_stiffness * way**2
+    springs += bearing.stop_stiffness * stop**2
+    d = np.linspace(0, np.hypot(*(race - ring)), 4001)
+    balls = np.trapezoid([element_force(v, bearing.hertz, bearing.preload) for v in d], d)
+    return (moving + turning + springs) / 2 + balls + M * G * x[1]
+
+
+def test_balance_of_energy():
+    """What the state has lost is what contact, elements, mount, drag and slip took; the race spins
+    up meanwhile, and the ring meets its stop.
+    """
+    bearing = bush(2e6, 3e3, mass=0.4, contact=5e7)._replace(
+        damping=5e3,
+        static_friction=0.3,
+        race_mass=0.3,
+        race_inertia=2e-4,
+        hertz=1e10,
+        preload=2e-6,
+        element_damping=500.0,
+        drag=0.05,
+        drag_arm=1e-4,
+        travel=5e-5,
+        stop_stiffness=2e8,
+    )
+    fallen = one_mass(bearing, speed=500.0, inertia=0.02)
+    errors = []
+    for dt in (2e-6, 1e-6):
+        fall, _, state = drop_of(fallen, 0.1, dt=dt)
+        before, after = (energy(fallen, bearing, z) for z in (state, fall.state))
+        errors.append(abs(before - after - fall.energy.sum()) / fall.energy.sum())
+    assert fall.energy[:4].min() > 0  # slip, contact, elements, mount
+    assert fall.figures[0, 11] > 5e-5
+    assert fall.figures[0, 10] > 100
+    assert errors[1] < 1e-4
+    # all slip turns the race: J (W_0 - W) = I w + what drag took
+    torque = fallen.polar_inertia * (500.0 - fall.state[13])
+    assert torque > bearing.race_inertia * fall.state[12] > 0
+
+
+@pytest.mark.parametrize(("k", "d", "mu"), [(2e7, 5e3, 0.2), (4e6, 3e3, 0.4)])
+def test_whip_settles_at_the_edge(k, d, mu):
+    """A mass thrown around slowly against its spin ends at the polynomial's frequency, within
+    2 %.
+    """
+    bearing = bush(k, d, mass=0.05, contact=2e9)
+    bearing = bearing._replace(damping=3e3, friction=mu, static_friction=mu)
+    fallen = one_mass(bearing, speed=2e4, weight=0.0)
+    rig, dt = rig_of(fallen)
+    case = Case(np.zeros(2), np.zeros(2), 1.0, 1.0, 1.0, 0.0)
+    edge = polynomial_edge(M, k, d, mu)
+    _, state = case_of(fallen, rig, Drop(fallen.speed, (0.0,), (0.0,)), 0.0)
+    state[0], state[3] = CLEARANCE, -0.4 * edge * CLEARANCE
+    fall = run(rig, case, state, 0.5, dt)
+    assert fall.figures[0, 6] > 4 * 2 * math.pi  # turns against the spin
+    assert 2 * math.pi / fall.figures[0, 9] == pytest.approx(edge, rel=0.02)
+    # in contact all the time, at the force of the edge (soft contact apart)
+    assert fall.figures[0, 4] > 0.45
+
+
+def test_whip_of_race_elements_and_ring():
+    """The chain of race, elements under load, ring and mount: the edge of its receptances. A race
+    that is too heavy to spin up slips on.
+    """
+    bearing = bush(1e7, 4e3, mass=0.4, contact=5e8)._replace(
+        damping=3e3,
+        friction=0.3,
+        static_friction=0.3,
+        race_mass=0.3,
+        race_inertia=1e9,
+        hertz=3e9,
+        preload=2e-6,
+        element_damping=500.0,
+    )
+    fallen = one_mass(bearing, speed=2e4, weight=0.0)
+    w = np.geomspace(20, 5e3, 200)
+    curve = alone("A", 0, w, receptances(fallen, w)[:, 0, 0], bearing)
+    edge, force = edge_alone(fallen, 0, 0.3, curve)
+    rig, dt = rig_of(fallen)
+    case, state = case_of(fallen, rig, Drop(fallen.speed, (0.0,), (0.0,)), 0.0)
+    state[0], state[3] = CLEARANCE, -0.4 * edge * CLEARANCE
+    fall = run(rig, case, state, 0.5, dt, rows=200)
+    assert 2 * math.pi / fall.figures[0, 9] == pytest.approx(edge, rel=0.02)
+    assert fall.log[-1, 4] == pytest.approx(force, rel=0.05)
+
+
+def test_steps_converge():
+    """Half the step: the blow changes by less than a thousandth."""
+    bearing = bush(2e7, 5e3, mass=0.5, contact=1e8)._replace(damping=1e4, friction=0.1)
+    fallen = one_mass(bearing, speed=800.0)
+    _, dt = rig_of(fallen)
+    coarse, fine = (drop_of(fallen, 0.03, dt=dt / part)[0] for part in (1, 4))
+    assert coarse.figures[0, 2] == pytest.approx(fine.figures[0, 2], rel=2e-3)

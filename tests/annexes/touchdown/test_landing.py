@@ -1,0 +1,128 @@
+"""The front door: one drop and many of a machine, what they cost, the page, the command."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import ambrose as amb
+from ambrose.annexes.touchdown.campaign import draw, drops
+from ambrose.annexes.touchdown.fallen import fallen_rotor
+from ambrose.annexes.touchdown.run_down import run_down
+from ambrose.cli import main
+from ambrose.core.checks import InvalidInput
+from ambrose.machine.file.toml import dumps_machine
+from ambrose.machine.touchdown import (
+    CoastDown,
+    Touchdown,
+    TouchdownLimits,
+    TouchdownMount,
+    TouchdownRace,
+)
+from ambrose.report.page import page_of, render
+
+G = 9.80665
+
+
+def blower(**limits):
+    """The overhung blower with race, mount and limits."""
+    machine = amb.load_machine("overhung-blower")
+    race = TouchdownRace(0.3, 4e-4, 1.5e8, 2e3, static_capacity=3e4)
+    table = Touchdown(
+        race=race, mount=TouchdownMount(0.5, 2e7, 5e3, 2e-4), limits=TouchdownLimits(**limits)
+    )
+    bearings = tuple(replace(item, touchdown=table) for item in machine.bearings)
+    return replace(machine, bearings=bearings, coast_down=CoastDown(brake_torque=1.0))
+
+
+@pytest.fixture(scope="module")
+def landed():
+    return amb.landing(
+        blower(landings=2, max_force=1e5, energy=2e4, static_factor=0.1, temperature=500.0),
+        drops=12,
+        duration=0.04,
+        seed=3,
+        workers=2,
+    )
+
+
+def test_one_drop(landed):
+    """Both ends fall through the clearance; the largest of many figures agree with the log."""
+    figures, log = landed.fall.figures, landed.fall.log
+    assert figures[:, 0] == pytest.approx(np.sqrt(2 * 2e-4 / G), rel=0.1)  # unbalance turns it
+    for k in range(2):
+        assert log[:, 4 + 8 * k].max() == pytest.approx(figures[k, 2], rel=0.02)
+        assert np.hypot(log[:, 2 + 8 * k], log[:, 3 + 8 * k]).max() <= figures[k, 5] * (1 + 1e-9)
+    assert log[-1, 0] == pytest.approx(0.04, rel=1e-2)
+    assert 0 < log[-1, 5] < landed.point.speed  # a race spins up
+    assert landed.fall.log[-1, 1] < landed.point.speed
+
+
+def test_campaign_is_the_same_on_any_number_of_processors(landed):
+    shares = landed.drop.unbalance
+    again = drops(landed.machine, landed.fallen, shares, 12, duration=0.04, seed=3, workers=1)
+    assert np.array_equal(again.figures, landed.campaign.figures)
+    assert np.array_equal(again.slip, landed.campaign.slip)
+    assert not np.array_equal(draw(landed.fallen, 12, 3)[0], draw(landed.fallen, 12, 4)[0])
+
+
+def test_rows_against_limits(landed):
+    rows = {(row.name, row.place): row for row in landed.rows}
+    place = "impeller-side"
+    k = landed.fallen.names.index(place)
+    assert rows["force", place].value == landed.campaign.force[:, k].max()
+    factor = 3e4 / landed.campaign.load[:, k].max()
+    assert rows["static_factor", place].value == pytest.approx(factor)
+    # adiabatic: m c dT = slip
+    hottest = 293.15 + landed.campaign.slip[:, k].max() / (0.3 * 460)
+    assert rows["temperature", place].value == pytest.approx(hottest)
+    allowed = int(2e4 / landed.campaign.slip[:, k].mean())
+    assert rows["landings", place].value == allowed
+    assert landed.passed
+    plain = json.loads(json.dumps(landed.to_dict(), allow_nan=False))
+    assert len(plain["iso_14839_5"]) == 9
+    assert plain["campaign"]["drops"] == 12
+
+
+def test_run_down_of_a_brake_alone():
+    """J W = M t; nothing slips on a race."""
+    fallen = fallen_rotor(blower(), amb.load_machine("overhung-blower").operation.nominal)
+    free = [item._replace(drag=0.0, drag_arm=0.0) for item in fallen.bearings]
+    down = run_down(replace(fallen, bearings=tuple(free)), 800.0, 2.0, 0.0)
+    assert down.time == pytest.approx(fallen.polar_inertia * 800 / 2, rel=1e-9)
+    assert down.slip == 0
+    assert down.taken == pytest.approx(fallen.polar_inertia * 800**2 / 2, rel=1e-6)
+
+
+def test_page_and_command(landed, tmp_path):
+    html = render(page_of(landed))
+    for words in ("Slow motion", "Many drops", "ISO 14839-5", "no statement on stability"):
+        assert words in html
+    path = tmp_path / "weak.toml"
+    machine = amb.load_machine("overhung-blower")  # in fixed bushes
+    weak = Touchdown(limits=TouchdownLimits(max_force=1.0))
+    bearings = tuple(replace(item, touchdown=weak) for item in machine.bearings)
+    path.write_text(dumps_machine(replace(machine, bearings=bearings)))
+    done = CliRunner().invoke(main, ["landing", str(path), "--duration", "0.02", "--json"])
+    assert done.exit_code == 1
+    assert json.loads(done.stdout)["passed"] is False
+
+
+def test_refusals():
+    with pytest.raises(InvalidInput, match="duration of a drop is 0 s"):
+        amb.landing(blower(), duration=0.0)
+    with pytest.raises(InvalidInput, match=r"friction is -0\.1"):
+        machine = blower()
+        part = replace(machine.bearings[0], touchdown=Touchdown(friction=-0.1))
+        replace(machine, bearings=(part, machine.bearings[1]))
+    with pytest.raises(InvalidInput, match="static_factor needs the load rating"):
+        machine = blower()
+        bare = Touchdown(limits=TouchdownLimits(static_factor=2.0))
+        part = replace(machine.bearings[0], touchdown=bare)
+        replace(machine, bearings=(part, machine.bearings[1]))
+    with pytest.raises(InvalidInput, match=r"static_friction is 0\.1"):
+        machine = blower()
+        part = replace(machine.bearings[0], touchdown=Touchdown(static_friction=0.1))
+        replace(machine, bearings=(part, machine.bearings[1]))
