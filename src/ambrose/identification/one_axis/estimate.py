@@ -41,6 +41,8 @@ ACTUATORS = ("auto", "none", "lag")
 LEVEL = 0.01  # probability below which a test of the residual fails
 _PART = 0.001  # and below which the two estimates do not agree
 _LAG_SHOWS = 3.84  # of twice the gain in log-likelihood, chi-squared with one freedom at 5 %
+_COLOUR_SHOWS = 5.99  # with two freedoms
+_ROOTS = (0.95, 0.4)  # of the larger noise model, from which it is searched
 _WHITE_LAGS = 20
 _FLOOR = 0.2  # of a deviation: what two estimates may always differ by
 
@@ -49,9 +51,10 @@ _FLOOR = 0.2  # of a deviation: what two estimates may always differ by
 class Estimate:
     """The plant (m,) in SI, a [1/s^2], b [m/s^2 per unit of u], tau [s] and T [s] with a lag.
 
-    deviations (m,): the larger of ``formal`` and of ``halves``, half the difference of both halves
-    of the record (each (m,)); covariance (m, m) to match. formal holds what an actuator would
-    change that the record does not show. way: "direct" or "instruments". white,
+    deviations (m,): the larger of ``formal`` and of ``halves``, what the scatter between both
+    halves of the record makes of it (each (m,)); covariance (m, m) to match. formal holds what an
+    actuator would change that the record does not show. apart (m,): the halves' difference over its
+    own deviation. way: "direct" or "instruments". white,
     follows: probability by chance of the residual's colour, and of its following what drives the
     loop (of u's past where no reference was recorded), with the shares of its variance; agree: of
     the difference between both ways; None: not known. outside: |b| of the second way over its
@@ -78,6 +81,7 @@ class Estimate:
     prediction: Prediction
     scale: np.ndarray
     spread: float  # of y [m]
+    apart: np.ndarray
     settled: bool  # whether the searches, over the record and its halves, ended in a minimum
 
     @property
@@ -152,10 +156,13 @@ def estimate(
             formal = second.covariance
             chance, followed = free
     settled = [_half(fit, part, y, u, z, way) for part in _halves(len(y))]
-    parts = [unknowns for unknowns, _ in settled]
-    scatter = np.abs(parts[1][:count] - parts[0][:count]) / 2
+    parts = [unknowns for unknowns, _, _ in settled]
     noise = np.sqrt(np.diag(formal))
     deviations = np.hypot(noise, _difference(fit, other))
+    # the halves part by so many of their own deviations, which may be unequal (a chirp's are)
+    own = np.sqrt(settled[0][1] ** 2 + settled[1][1] ** 2)
+    apart = np.abs(parts[1][:count] - parts[0][:count]) / np.maximum(own, 1e-300)
+    scatter = apart * noise
     larger = np.maximum(deviations, scatter)
     stretch = larger / np.maximum(noise, 1e-300)
     scale = _scale(structure, rate, spread, size)
@@ -187,7 +194,8 @@ def estimate(
         prediction,
         scale,
         spread,
-        fit.converged and all(converged for _, converged in settled),
+        apart,
+        fit.converged and all(converged for _, _, converged in settled),
     )
 
 
@@ -213,36 +221,44 @@ def _difference(fit: Fit, other: Fit | None) -> np.ndarray:
 
 
 def _smallest(y: np.ndarray, u: np.ndarray, actuator: str) -> tuple[Fit, Fit | None, float, float]:
-    """The first structure, by size, whose residual is white; else the one with the best of
-    Schwarz's criterion. Second: the same with an actuator, where that was tried and does not show.
+    """The first structure, by size, whose residual is white and to which a larger noise model adds
+    nothing; else the one with the best of Schwarz's criterion. Second: the same with an actuator,
+    where that was tried and does not show.
     """
     plain = fit_plainest(y, u)
-    tried = []
+    before = _log_likelihood(plain)
+    tried: list[tuple[Fit, Fit | None, float, float]] = []
     for colour in COLOURS:
         if colour:
-            plain = _refit(plain, Structure(False, colour), y, u)
+            larger = Structure(False, colour)
+            plain = min(
+                (_refit(plain, larger, y, u, root) for root in _ROOTS), key=lambda item: item.loss
+            )
+            gain = 2 * _log_likelihood(plain) - 2 * before
+            if tried[-1][2] >= LEVEL and gain < _COLOUR_SHOWS:
+                return tried[-1]
+        before = _log_likelihood(plain)
         fit, other = plain, None
         if actuator != "none":
             lagged = _refit(plain, Structure(True, colour), y, u)
-            gain = 2 * _log_likelihood(lagged) - 2 * _log_likelihood(plain)
-            if actuator == "lag" or gain > _LAG_SHOWS:
+            if actuator == "lag" or 2 * (_log_likelihood(lagged) - before) > _LAG_SHOWS:
                 fit = lagged
             else:
                 other = lagged
-        white, share = whiteness(fit)
-        tried.append((fit, other, white, share))
-        if white >= LEVEL:
-            return tried[-1]
-    return min(tried, key=lambda item: item[0].criterion)
+        tried.append((fit, other, *whiteness(fit)))
+    return next(
+        (item for item in reversed(tried) if item[2] >= LEVEL),
+        min(tried, key=lambda item: item[0].criterion),
+    )
 
 
 def _log_likelihood(fit: Fit) -> float:
     return -len(fit.counted) / 2 * float(np.log(fit.loss))
 
 
-def _refit(fit: Fit, structure: Structure, y: np.ndarray, u: np.ndarray) -> Fit:
+def _refit(fit: Fit, structure: Structure, y: np.ndarray, u: np.ndarray, root: float = 0.5) -> Fit:
     """A larger structure, searched from the smaller one's values, over the same samples."""
-    return fit_from(structure, enlarge(fit, structure), y, u, fit.first)
+    return fit_from(structure, enlarge(fit, structure, root), y, u, fit.first)
 
 
 def whiteness(fit: Fit) -> tuple[float, float]:
@@ -297,15 +313,21 @@ def _halves(n: int) -> tuple[slice, slice]:
 
 def _half(
     fit: Fit, part: slice, y: np.ndarray, u: np.ndarray, z: np.ndarray | None, way: str
-) -> tuple[np.ndarray, bool]:
-    """The unknowns from one half of the record, and whether the search ended in a minimum."""
+) -> tuple[np.ndarray, np.ndarray, bool]:
+    """The unknowns from one half of the record, the plant's deviations (m,), and whether the search
+    ended in a minimum.
+    """
     structure = fit.structure
     first = settled_after(structure.split(fit.unknowns)[2][1:], len(y[part]))
     half = fit_from(structure, fit.unknowns, y[part], u[part], first)
     unknowns = half.unknowns.copy()
+    count = structure.plant
+    covariance = _direct_covariance(half)[:count, :count]
     if way == "instruments" and z is not None:
-        unknowns[: structure.plant] = solve(half, y[part], u[part], z[part]).plant
-    return unknowns, half.converged
+        second = solve(half, y[part], u[part], z[part])
+        unknowns[:count] = second.plant
+        covariance = second.covariance
+    return unknowns, np.sqrt(np.diag(covariance)), half.converged
 
 
 def _predict(

@@ -28,7 +28,7 @@ IDENTIFIED, OTHER = "identified", "not this model"
 _LEAST_RATE = 10.0  # samples per time constant 1/p, as of the first look; assumed
 _DRIVEN = 5.0  # |b| over its deviation by what drives the loop from outside, at least; assumed
 _WIDE = 0.5  # half-width over value
-_PARTED = 3.0  # half the halves' difference over the formal deviation
+_PARTED = 3.3  # deviations between the halves: 1 of 1000 by chance
 _EXCESS = 1.5  # error of the prediction over what the model expects of it; assumed
 _DRIVE_IT = (
     "add a binary sequence or sines, a few times the noise, to the reference or to u while it "
@@ -75,12 +75,12 @@ def identify_generic(
     refuse(findings)
     moving = axis.reference is not None and np.ptp(axis.reference) > 0
     reference = axis.reference if moving else None
+    driving = outside_part(axis.position, axis.drive) if reference is None else reference
+    if driving is None:
+        raise InvalidInput(str(_undriven()))
     done = estimate(axis.position, axis.drive, axis.rate, reference, actuator=actuator)
     values = plant_values(done, axis.unit, mass)
-    driving = reference if reference is not None else outside_part(axis.position, axis.drive)
-    frequency, value, chance = coherence_with(
-        axis.drive if driving is None else driving, axis.position, axis.rate, values[0].value
-    )
+    frequency, value, chance = coherence_with(driving, axis.position, axis.rate, values[0].value)
     rows: tuple[LawRow, ...] = ()
     if law is not None:
         rows = compare_law(
@@ -113,20 +113,20 @@ def _law(
     return ForceLaw(gap, current, hanging)
 
 
+def _undriven() -> Finding:
+    return Finding(
+        Code.NO_EXCITATION,
+        ERROR,
+        "nothing drives the loop from outside",
+        "u follows from the displacement and from its own past to rounding, so that the record "
+        "tells the controller (y over u is near -1/K where noise drives the loop), not the plant",
+        _DRIVE_IT,
+    )
+
+
 def _unusable(result: GenericIdentification, referenced: bool) -> Iterator[Finding]:
     """What only the fit shows, and without which its values mean nothing."""
     done, rate = result.estimate, result.record.rate
-    if done.second is None:
-        yield Finding(
-            Code.NO_EXCITATION,
-            ERROR,
-            "nothing drives the loop from outside",
-            "u follows from the displacement and from its own past to rounding, so that the record "
-            "tells the controller (y over u is near -1/K where noise drives the loop), not the "
-            "plant",
-            _DRIVE_IT,
-        )
-        return
     if done.outside < _DRIVEN:
         evidence = (
             f"by the {'reference' if referenced else 'part of u that y does not make'} alone the "
@@ -194,7 +194,7 @@ def _doubts(
             f"delay {1e3 * delay.value:.3g} +- {1e3 * delay.half_width:.2g} ms",
             "record both at the same instants, u as it is set",
         )
-    for item in values:
+    for place, item in enumerate(values):
         if item.name in {"pole", "gain"} and item.half_width > _WIDE * abs(item.value):
             yield Finding(
                 Code.HARDLY_VISIBLE,
@@ -203,12 +203,12 @@ def _doubts(
                 f"{item.value:.3g} {item.unit} +- {item.half_width:.2g}",
                 "drive the loop harder or for longer, about the pole",
             )
-        if item.name != "pole" and item.halves > _PARTED * item.formal:
+        if 0 < place <= done.structure.plant and done.apart[place - 1] > _PARTED:
             yield Finding(
                 Code.SCATTER,
                 WARNING,
                 f"both halves of the record disagree about the {item.name}",
-                f"the interval is theirs, {item.halves / item.formal:.2g} times the formal one",
+                f"by {done.apart[place - 1]:.2g} deviations; the interval holds it",
                 "something changed meanwhile (working point, temperature); identify the halves "
                 "apart",
             )

@@ -46,10 +46,13 @@ class Instrumented:
 
 
 def outside_part(y: np.ndarray, u: np.ndarray) -> np.ndarray | None:
-    """What of u (n,) no linear law makes of y up to now and of u's past; None: nothing of it.
+    """What of u (n,) no linear law makes of y up to now and of u's past, over u's deviation; None:
+    nothing of it.
 
     It is the innovation of the reference, and knows nothing of the noise before it.
     """
+    y = (y - y.mean()) / y.std()
+    u = (u - u.mean()) / u.std()
     depth = max(_OWN, _SEEN)
     n = len(y)
     columns = [np.ones(n - depth)]
@@ -58,7 +61,7 @@ def outside_part(y: np.ndarray, u: np.ndarray) -> np.ndarray | None:
     design = np.column_stack(columns)
     solution = np.linalg.lstsq(design, u[depth:], rcond=None)[0]
     left = u[depth:] - design @ solution
-    if left.std() < _ROUNDING * u.std():
+    if left.std() < _ROUNDING:
         return None
     return np.concatenate([np.zeros(depth), left])
 

@@ -32,6 +32,7 @@ from scipy.signal import lfilter
 
 STIFFNESS, GAIN, DELAY, LAG = range(4)  # places of a, b, tau and T among the unknowns
 _AHEAD = -0.8  # samples, the smallest delay
+_SLOWEST = 0.998  # root of the noise model: a predictor forgets its start in 500 samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,4 +159,4 @@ def admissible(structure: Structure, unknowns: np.ndarray) -> bool:
         return False
     if structure.lag and not 1e-3 < plant[LAG] < 200:
         return False
-    return largest_root(C) < 0.99999 and largest_root(D) < 0.99999
+    return largest_root(C) < _SLOWEST and largest_root(D) < _SLOWEST

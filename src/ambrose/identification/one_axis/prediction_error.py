@@ -86,9 +86,10 @@ def fit_from(
             break
     jacobian = sensitivities(structure, unknowns, y, u)[first:]
     whole = innovations(structure, unknowns, y, u)
-    # at a minimum the errors are orthogonal to every column
-    size = np.sqrt((jacobian**2).sum(axis=0) * np.sum(whole[first:] ** 2)) + 1e-300
-    cosine = float(np.abs(jacobian.T @ whole[first:] / size).max())
+    # at a minimum the errors are orthogonal to what the plant's unknowns would change
+    columns = jacobian[:, : structure.plant]
+    size = np.sqrt((columns**2).sum(axis=0) * np.sum(whole[first:] ** 2)) + 1e-300
+    cosine = float(np.abs(columns.T @ whole[first:] / size).max())
     return Fit(structure, unknowns, whole, jacobian, first, loss, cosine < _ORTHOGONAL)
 
 
@@ -173,16 +174,16 @@ def settled_after(noise: np.ndarray, n: int) -> int:
     return int(min(n // 10, 30 + 5 / max(1 - root, 1e-6)))
 
 
-def enlarge(fit: Fit, structure: Structure) -> np.ndarray:
-    """The unknowns of a larger structure that predicts alike, but for the actuator."""
+def enlarge(fit: Fit, structure: Structure, root: float = 0.5) -> np.ndarray:
+    """The unknowns of a larger structure that predicts alike, but for the actuator: C and D get the
+    same root, which the search parts.
+    """
     plant, constant, C, D = fit.structure.split(fit.unknowns)
     values = list(plant)
     if structure.lag and not fit.structure.lag:
         share = max(0.2 * values[DELAY], 0.2)
         values[DELAY] = max(values[DELAY] - share, 0.05)
         values.append(share)
-    more = structure.colour - fit.structure.colour
-    if more:
-        extra = np.array([1.0, -0.5]) if more == 1 else np.array([1.0, -0.9, 0.2])
-        C, D = np.convolve(C, extra), np.convolve(D, extra)
+    for _ in range(structure.colour - fit.structure.colour):
+        C, D = np.convolve(C, [1.0, -root]), np.convolve(D, [1.0, -root])
     return np.concatenate([values, [constant], C[1:], D[1:]])

@@ -54,7 +54,7 @@ def values_table(done: GenericIdentification) -> Table:
         )
     note = (
         "y'' = a y + b u(t - tau), p = sqrt(a), 95 %. The interval is the larger of the formal one "
-        "and of half the difference between both halves of the record. Second way: instruments, "
+        "and of what both halves of the record differ by. Second way: instruments, "
         "without a noise model. Without an actuator the delay holds all lags."
     )
     columns = ("Quantity", "Value", "Formal", "Halves", "Second way")
