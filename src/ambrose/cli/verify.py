@@ -16,6 +16,7 @@ from ambrose.terminal import (
     GroupedCommand,
     claim,
     kept,
+    kept_page,
     load,
     load_controller,
     print_checks,
@@ -26,7 +27,7 @@ from ambrose.terminal import (
 )
 
 _GROUPS = {
-    "": ("path", "everywhere", "everything"),
+    "": ("path", "everywhere", "report", "everything"),
     "The loop as it runs": ("rate_hz", "delay_samples"),
     "Proofs while the machine moves": ("pressure_rate", "pressure_error", "speed_rate"),
 }
@@ -70,6 +71,12 @@ _GROUPS = {
     "well; default: none is tried.",
 )
 @click.option(
+    "--report",
+    type=click.Path(path_type=Path),
+    default=None,
+    help="A page: verdicts, curves of all operating points, every check.",
+)
+@click.option(
     "--page",
     type=click.Path(path_type=Path),
     default=None,
@@ -87,6 +94,7 @@ def verify(
     pressure_rate: str | None,
     pressure_error: str | None,
     speed_rate: float | None,
+    report: Path | None,
     page: Path | None,
     everything: bool,
     as_json: bool,
@@ -116,7 +124,7 @@ def verify(
             raise invalid(
                 "--page", str(page), "given for a controller with a synchronous block", remedy
             )
-        claim(page=page)
+    claim(page=page, report=report)
     if speed_rate is not None:
         check_positive(speed_rate, "--speed-rate", "give the fastest run-up in rad/s^2")
     motion = Motion(fastest, error or 0.0, speed_rate)
@@ -138,8 +146,9 @@ def verify(
         from ambrose.report.page import write
         from ambrose.report.synchronous import synchronous_page
 
-        report = synchronous_page(description, result.synchronous, loop=result.timing)
-        failure = kept(lambda path: write(report, path), page)
+        blocks = synchronous_page(description, result.synchronous, loop=result.timing)
+        failure = kept(lambda path: write(blocks, path), page)
+    failure = kept_page(result, report, description, called="report") or failure
     if as_json:
         say_json({"machine": description.name, **result.to_dict()})
     else:

@@ -3,11 +3,13 @@
 import asyncio
 import json
 import os
+import re
 
 import pytest
 
 pytest.importorskip("starlette", reason="the extra workbench is not installed")
 
+from ambrose.annexes.workbench import uploads
 from ambrose.annexes.workbench.project import Project
 from ambrose.annexes.workbench.screens import answer
 from ambrose.annexes.workbench.server import build
@@ -170,6 +172,71 @@ def test_too_much_is_not_read(place):
     parts = [b'{"machine": "seal-rig", "x": "', *[b"y" * 100_000] * 12, b'"}']
     assert browser.ask("POST", BEGIN, parts).status == 413
     assert not (folder / "machine.toml").exists()
+
+
+def test_a_file_is_taken_under_a_name_that_it_can_have(place):
+    _, _, browser, folder = place
+    (folder / "records").unlink()
+    sent = browser.ask("PUT", "/api/files/records/My run (2).csv", [b"a,b", b"\n1,2\n"])
+    assert sent.data == {"file": "My-run-2.csv"}
+    again = browser.ask("PUT", "/api/files/records/My run (2).csv", b"other")
+    assert again.data == {"file": "My-run-2-2.csv"}
+    assert (folder / "records" / "My-run-2.csv").read_bytes() == b"a,b\n1,2\n"
+    assert sorted(p.name for p in (folder / "records").iterdir()) == [
+        "My-run-2-2.csv",
+        "My-run-2.csv",
+    ]
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/api/files/records/x.exe",
+        "/api/files/records/x",
+        "/api/files/machines/x.toml",
+        "/api/files/reports/x.html",
+        "/api/files/jobs/x.json",
+        "/api/files/../x.h5",
+        "/api/files/records/../../x.h5",
+        "/api/files/records/a/b.h5",
+        "/api/files/records/x.h5",  # the folder is a link that leads out
+    ],
+)
+def test_no_other_file_is_taken(place, path):
+    _, _, browser, folder = place
+    answer = browser.ask("PUT", path, b"x" * 100)
+    assert answer.status in {400, 404}
+    assert sorted(p.name for p in folder.parent.iterdir()) == ["project", "secret.json"]
+
+
+def test_names_of_uploads_stay_inside(place):
+    _, _, browser, folder = place
+    (folder / "records").unlink()
+    for name in ("..%2f..%2fx.h5", "<img src=x>.h5", ".h5.h5", "\u202e.h5", "a" * 300 + ".h5"):
+        assert browser.ask("PUT", f"/api/files/records/{name}", b"x").status == 200
+    names = [p.name for p in (folder / "records").iterdir()]
+    assert len(names) == 5
+    assert all(re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}\.h5", name) for name in names)
+
+
+def test_a_file_that_is_too_large_leaves_nothing(place, monkeypatch):
+    _, _, browser, folder = place
+    (folder / "records").unlink()
+    monkeypatch.setitem(uploads.LIMITS, "records", 1000)
+    for headers in ({"content-length": "1001"}, {}):
+        sent = browser.ask("PUT", "/api/files/records/x.h5", [b"y" * 600] * 2, headers)
+        assert sent.status == 413
+    assert not list(folder.glob("records/*"))
+
+
+@pytest.mark.parametrize("attack", [*FOREIGN, "no origin"])
+def test_a_stranger_sends_no_file(place, attack):
+    _, _, browser, folder = place
+    (folder / "records").unlink()
+    headers, _ = {**FOREIGN, "no origin": ({"origin": None}, 403)}[attack]
+    for method, path in (("PUT", "/api/files/records/x.h5"), ("POST", "/api/screens/machine")):
+        assert browser.ask(method, path, b"{}", headers).status in {401, 403, 421}
+    assert not (folder / "records").exists()
 
 
 @pytest.mark.parametrize(

@@ -144,13 +144,34 @@ def test_a_server_that_is_killed_takes_its_jobs_along_and_finds_them_again(
         {"kind": "verify", "controller": "../machine.toml"},
         {"kind": "identify", "controller": "pid.json", "record": "x.h5"},
         {"again": "check-1"},
+        {"kind": "design", "method": "--help"},
+        {"kind": "design", "method": ["pid"]},
+        {"kind": "verify", "controller": "mine.json", "pressure_rate": "--help"},
+        {"kind": "verify", "controller": "mine.json", "speed_rate": "1; rm"},
+        {"kind": "export", "controller": "mine.json", "target": "../c", "arithmetic": "double"},
     ],
 )
 def test_what_is_no_job_is_refused(project, said):
     jobs = Jobs(project)
+    project.path("controllers", "mine.json").write_text("{}")
     with pytest.raises(InvalidInput):
         jobs.start(said)
     assert jobs.listing() == []
+
+
+def test_what_a_page_says_stands_in_the_command(project):
+    jobs = Jobs(project, workers=0)
+    project.path("controllers", "mine.json").write_text("{}")
+    project.path("records", "run.csv").write_text("")
+    said = {"controller": "mine.json", "record": "run.csv", "unknown": " bearing.*.x  seal.k "}
+    assert jobs._words({"kind": "identify", **said})[2:9] == (
+        *("records/run.csv", "--controller", "controllers/mine.json"),
+        *("--unknown", "bearing.*.x", "--unknown", "seal.k"),
+    )
+    words = jobs._words({"kind": "verify", **said, "pressure_rate": "", "speed_rate": "20"})
+    assert words[-4:] == ("--report", "reports/verify.html", "--speed-rate", "20")
+    export = {"kind": "export", **said, "target": "c", "arithmetic": "float"}
+    assert jobs._words(export)[-2:] == ("-o", "code/c-float")
 
 
 def test_states_of_strangers_are_not_read(project):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import re
 import shlex
 import signal
 import sys
@@ -29,18 +30,39 @@ from ambrose.machine.atomic_write import make_folder, write_json
 KINDS: dict[str, tuple[str, ...]] = {
     "check": ("check", MACHINE),
     "design": ("synthesize", MACHINE, "--method", "{method}", "-o", "controllers/{method}.json"),
-    "verify": ("verify", MACHINE, "--controller", "{controller}"),
+    "verify": (
+        *("verify", MACHINE, "--controller", "{controller}", "--report", "reports/verify.html"),
+        *("--pressure-rate", "{pressure_rate}", "--speed-rate", "{speed_rate}"),
+    ),
+    "map": ("map", MACHINE, "--controller", "{controller}", "-o", "reports/map.html"),
     "identify": (
         *("identify", MACHINE, "{record}", "--controller", "{controller}"),
+        *("--unknown", "{unknown}"),
         *("-o", "machines/identified.toml", "--report", "reports/identify.html"),
     ),
+    "accept": ("accept", MACHINE, "{controller}", "{record}", "-o", "reports/accept.html"),
+    "export": (
+        *("export", "{controller}", "--to", "{target}", "--arithmetic", "{arithmetic}"),
+        *("--machine", MACHINE, "--rate-hz", "{rate}", "-o", "code/{target}-{arithmetic}"),
+    ),
 }
-# what a page may put into them: files of a folder, or some words
+# what a page may put into them: files of a folder, some words, what is left out where it is empty
 _FOLDERS = {"controller": "controllers", "record": "records"}
-CHOICES: dict[str, tuple[str, ...]] = {"method": ("pid", "tuned", "hinf", "mu")}
+CHOICES: dict[str, tuple[str, ...]] = {
+    "method": ("pid", "tuned", "hinf", "mu"),
+    "target": ("c", "mat", "fmu", "st"),
+    "arithmetic": ("double", "float", "fixed32", "fixed16"),
+}
+_FREE = {
+    "pressure_rate": r"\d[\d.eE+-]* *[A-Za-z/]*",
+    "speed_rate": r"\d[\d.eE+-]*",
+    "rate": r"\d[\d.eE+]*",
+    "unknown": r"[A-Za-z*][\w.* -]*",
+}
 _PATIENCE = 0.6  # [s] from the request to end to the kill
 _UNDER_WAY = ("waiting", "running")
 _SHOWN = 3  # of a screen's commands
+_LONGEST = 200  # characters of a field
 _TAIL = 4000  # bytes of a log that the page shows
 _CHILD = "ambrose.annexes.workbench.child"
 
@@ -123,7 +145,7 @@ class Jobs:
         """A job of a kind, or again one that is over. Raises InvalidInput."""
         again = said.get("again")
         words = self._named(again).words if again else self._words(said)
-        for folder in ("controllers", "machines", "reports"):
+        for folder in ("controllers", "machines", "reports", "code"):
             self._project.folder(folder)
         number = 1 + max([int(name.rpartition("-")[2]) for name in self._jobs], default=0)
         job = Job(f"{words[0]}-{number}", words)
@@ -132,22 +154,38 @@ class Jobs:
         self._fill()
 
     def _words(self, said: Mapping[str, Any]) -> tuple[str, ...]:
+        """The words of a command with what the page says. Raises InvalidInput."""
         kind = said.get("kind")
         if not isinstance(kind, str) or kind not in KINDS:
             raise InvalidInput(f"there is no such job; choose one of {', '.join(KINDS)}")
-        given: dict[str, Any] = {}
-        for field, folder in _FOLDERS.items():
-            if f"{{{field}}}" in KINDS[kind]:
-                path = self._project.path(folder, said.get(field))
-                if not path.is_file():
-                    raise InvalidInput(f"{path.name} is not in {folder}; choose one that is")
-                given[field] = self._project.relative(path)
-        for field, options in CHOICES.items():
-            if any(f"{{{field}}}" in word for word in KINDS[kind]):
-                if said.get(field) not in options:
-                    raise InvalidInput(f"the {field} must be one of {', '.join(options)}")
-                given[field] = said[field]
-        return tuple(word.format(**given) for word in KINDS[kind])
+        words: list[str] = []
+        for word in KINDS[kind]:
+            name = word.strip("{}")
+            if word != f"{{{name}}}":
+                given = {key: self._chosen(key, said) for key in CHOICES if f"{{{key}}}" in word}
+                words.append(word.format(**given))
+            elif name in _FOLDERS:
+                words.append(self._file(name, said))
+            elif name in CHOICES:
+                words.append(self._chosen(name, said))
+            else:
+                # an option for each word; none where there is no word
+                option = words.pop()
+                words += [part for each in _free(name, said) for part in (option, each)]
+        return tuple(words)
+
+    def _file(self, field: str, said: Mapping[str, Any]) -> str:
+        """A file of the project that is there, as a command line in its folder writes it."""
+        path = self._project.path(_FOLDERS[field], said.get(field))
+        if not path.is_file():
+            raise InvalidInput(f"{path.name} is not in {_FOLDERS[field]}; choose one that is")
+        return self._project.relative(path)
+
+    def _chosen(self, field: str, said: Mapping[str, Any]) -> str:
+        value = said.get(field)
+        if not isinstance(value, str) or value not in CHOICES[field]:
+            raise InvalidInput(f"the {field} must be one of {', '.join(CHOICES[field])}")
+        return value
 
     async def cancel(self, name: object) -> None:
         """The job ends within a second, with all that it started. Raises InvalidInput."""
@@ -230,3 +268,17 @@ class Jobs:
                 return log.read().decode("utf-8", "replace")
         except OSError:
             return ""
+
+
+def _free(field: str, said: Mapping[str, Any]) -> list[str]:
+    """What was written into a field, none where it is empty; no word that looks like an option."""
+    value = said.get(field, "")
+    text = value.strip() if isinstance(value, str) else "?"
+    if not text:
+        return []
+    if len(text) > _LONGEST or not re.fullmatch(_FREE[field], text):
+        raise InvalidInput(
+            f"{field.replace('_', ' ')} is {text[:40]!r}, which cannot be read; correct it or "
+            "leave it empty"
+        )
+    return text.split() if field == "unknown" else [text]

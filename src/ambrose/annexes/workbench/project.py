@@ -1,6 +1,6 @@
 """A project is a folder of ordinary files: what the page does, the command line reads.
 
-    machine.toml   controllers/*.json   records/*.h5   runs/*.h5   reports/*.html   jobs/*/
+    machine.toml   controllers/*.json   records/*.h5   reports/*.html   code/*/   jobs/*/
 
 Nothing is kept elsewhere. A name from a page is a slug and an ending that its kind knows; no name
 leads out of the folder, also not through a symbolic link.
@@ -22,6 +22,7 @@ KINDS: dict[str, tuple[str, ...]] = {
     "machines": (".toml",),
     "records": (".h5", ".csv", ".hdf5", ".mat", ".tdms", ".uff", ".unv", ".txt", ".toml"),
     "runs": (".h5",),
+    "code": (".zip",),
     "reports": (".html", ".json"),
 }
 _SLUG = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")
@@ -91,9 +92,12 @@ class Project:
                 continue
         return found
 
-    def free(self, kind: str, stem: str) -> Path:
-        """A path of a kind at which nothing stands yet: the stem, with a number where need be."""
-        ending = KINDS[kind][0]
+    def free(self, kind: str, stem: str, ending: str = "") -> Path:
+        """A path of a kind at which nothing stands yet: the stem, with a number where need be.
+
+        ending: another one than the first of the kind.
+        """
+        ending = ending or KINDS[kind][0]
         number = 1
         path = self.path(kind, stem + ending)
         while os.path.lexists(path):

@@ -19,10 +19,10 @@ from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, R
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
-from ambrose.annexes.workbench import blocks
+from ambrose.annexes.workbench import blocks, uploads
 from ambrose.annexes.workbench.blocks import Refusal
 from ambrose.annexes.workbench.desk import Desk
-from ambrose.annexes.workbench.guard import PAGE_POLICY, App, Guard
+from ambrose.annexes.workbench.guard import BODY, PAGE_POLICY, App, Guard
 from ambrose.annexes.workbench.jobs import Jobs
 from ambrose.annexes.workbench.project import Project
 from ambrose.annexes.workbench.screens import TITLES
@@ -80,6 +80,12 @@ def build(
         path = project.path(request.path_params["kind"], request.path_params["name"])
         return await asyncio.to_thread(_file, path)
 
+    async def take(request: Request) -> Response:
+        kind, name = request.path_params["kind"], request.path_params["name"]
+        path = await asyncio.to_thread(uploads.place, project, kind, name)
+        await uploads.receive(path, request.stream())
+        return JSONResponse({"file": path.name})
+
     async def list_jobs(request: Request) -> Response:
         found = jobs.shown((await _content(request)).get("of"))
         return JSONResponse({"blocks": found, "ended": jobs.ended()})
@@ -108,6 +114,7 @@ def build(
         Route("/api/screens/{name}", screen, methods=["POST"]),
         Route("/api/screens/{name}/{action}", screen, methods=["POST"]),
         Route("/files/{kind}/{name}", file),
+        Route("/api/files/{kind}/{name}", take, methods=["PUT"]),
         Route("/api/jobs", list_jobs, methods=["POST"]),
         Route("/api/jobs/start", start_job, methods=["POST"]),
         Route("/api/jobs/cancel", cancel_job, methods=["POST"]),
@@ -120,7 +127,7 @@ def build(
     }
     app = Starlette(routes=routes, lifespan=lifespan, exception_handlers=refusals)
     app.router.redirect_slashes = False
-    return Guard(app, hosts, announce)
+    return Guard(app, hosts, announce, lambda path: uploads.limit(path) or BODY)
 
 
 async def _refused(request: Request, error: Exception) -> Response:

@@ -20,8 +20,13 @@ Answer = Callable[[Project, Mapping[str, Any]], dict[str, Any]]
 # modules of this package, in the order of the work; None: the page has a script of its own for it
 TITLES: dict[str, str] = {
     "machine": "Machine",
+    "records": "Records",
+    "identification": "Identification",
     "controllers": "Controllers",
+    "envelope": "Envelope",
     "live": "Live rig",
+    "acceptance": "Acceptance",
+    "deploy": "Deploy",
     "jobs": "Jobs",
 }
 OWN = ("live", "jobs")

@@ -1,0 +1,45 @@
+"""A page of the reports as blocks of a screen: its verdicts, its pictures, its tables."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ambrose.annexes.workbench import blocks
+from ambrose.annexes.workbench.blocks import Block
+from ambrose.annexes.workbench.picture import svg
+from ambrose.report.page import Cell, Figure, Page
+
+_DRAWN = {"scatter", "scattergl"}  # kinds of traces that ``picture`` knows
+_MANY = 300_000  # letters of a picture that is left to the page itself
+
+
+def blocks_of(page: Page, width: int, *, tables: bool = True) -> list[Block]:
+    """Verdicts first, then every section; pictures that are no lines are left to the page."""
+    found = []
+    if page.verdicts:
+        rows = [(Cell(v.label, v.mark), v.text) for v in page.verdicts]
+        title = "Verdicts"
+        if page.result is not None:
+            title = page.result.text[:1].upper() + page.result.text[1:]
+        found.append(blocks.table("verdicts", blocks.rows_table(title, ("what", "verdict"), rows)))
+    for i, section in enumerate(page.sections):
+        found += _pictures(f"section-{i}", section.figures, width)
+        for k, known in enumerate(section.tables if tables else ()):
+            found.append(blocks.table(f"section-{i}-table-{k}", known, folded=section.folded))
+    return found
+
+
+def _pictures(key: str, figures: tuple[Figure, ...], width: int) -> list[Block]:
+    found = []
+    for k, item in enumerate(figures):
+        if not _is_drawn(item.picture):
+            continue
+        drawing = svg(item.picture, width, item.title, f"{key}-{k}")
+        if len(drawing) < _MANY:
+            found.append(blocks.picture(f"{key}-{k}", drawing, item.title, item.caption))
+    return found
+
+
+def _is_drawn(picture: Any) -> bool:
+    moves = bool(getattr(picture, "frames", ()))
+    return not moves and all(str(trace.type) in _DRAWN for trace in picture.data)

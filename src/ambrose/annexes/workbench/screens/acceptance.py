@@ -1,0 +1,50 @@
+"""Acceptance: the loop measured on the running machine over what was predicted, a page to sign."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ambrose.annexes.workbench import blocks
+from ambrose.annexes.workbench.project import MACHINE, Project
+from ambrose.annexes.workbench.screens import Screen
+from ambrose.annexes.workbench.screens.records import OWN
+
+_PAGE = "accept.html"
+
+
+def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
+    """The record and its controller, the job, the page."""
+    records = [name for name in project.names("records") if name.endswith(OWN)]
+    controllers = project.names("controllers")
+    hint = (
+        "A record of the running machine with excitation on every axis, also from the live rig, "
+        "and the controller that ran."
+    )
+    form = blocks.form(
+        "accept",
+        [
+            blocks.choice("record", "Record", records),
+            blocks.choice("controller", "Controller that ran", controllers),
+        ],
+        [blocks.job("Measure and judge", "accept")],
+        "Accept the machine",
+        hint=hint,
+    )
+    record = records[0] if records else "record.h5"
+    controller = controllers[0] if controllers else "pid.json"
+    same = blocks.same(
+        f"ambrose accept {MACHINE} controllers/{controller} records/{record} -o reports/{_PAGE}",
+        "from ambrose.annexes.site.acceptance import accept",
+        f'machine = amb.load_machine("{MACHINE}")',
+        f'law = amb.read_controller("controllers/{controller}")',
+        f'accepted = accept(machine, law, ["records/{record}"])',
+        "print(accepted.passed)",
+    )
+    found = [form, same]
+    if _PAGE in project.names("reports"):
+        found.append(blocks.page("page", _PAGE, "The page to sign: open it alone and print it"))
+    return blocks.content(found, jobs=["accept"])
+
+
+SCREEN = Screen(show)

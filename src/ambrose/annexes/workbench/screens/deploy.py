@@ -1,0 +1,124 @@
+"""Deploy: a controller as code for its target, the code's own test on this computer, a file to take
+along.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ambrose.annexes.workbench import blocks
+from ambrose.annexes.workbench.blocks import Refusal
+from ambrose.annexes.workbench.given import word
+from ambrose.annexes.workbench.jobs import CHOICES
+from ambrose.annexes.workbench.project import MACHINE, Project, slug
+from ambrose.annexes.workbench.screens import Screen
+from ambrose.machine.atomic_write import draft_of
+
+_SECONDS = 30.0  # of compiler and test, each
+_FILES = 200  # of a folder of code
+
+
+def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
+    """The export as a job; of every folder of code its files, its test, its archive."""
+    names = project.names("controllers")
+    form = blocks.form(
+        "export",
+        [
+            blocks.choice("controller", "Controller", names),
+            blocks.choice("target", "Target", CHOICES["target"], "c"),
+            blocks.choice("arithmetic", "Arithmetic", CHOICES["arithmetic"], "double"),
+            blocks.field("rate", "Sample rate [Hz], default: the file's"),
+        ],
+        [blocks.job("Export", "export")],
+        "Write code",
+        hint="The loop is verified as it will run before anything is written.",
+    )
+    controller = names[0] if names else "pid.json"
+    same = blocks.same(
+        f"ambrose export controllers/{controller} --to c --machine {MACHINE} -o code/c",
+        f'amb.export("controllers/{controller}", "code/c", to="c", machine="{MACHINE}")',
+    )
+    folders = [_folder(project, name) for name in code_folders(project)]
+    return blocks.content([form, same, *(b for part in folders for b in part)], jobs=["export"])
+
+
+def code_folders(project: Project) -> list[str]:
+    """The folders of code, by name."""
+    root = project.folder("code")
+    return sorted(path.name for path in root.iterdir() if path.is_dir() and not path.is_symlink())
+
+
+def _folder(project: Project, name: str) -> list[blocks.Block]:
+    """What a folder of code holds and what can be done with it."""
+    files = _files(project, name)
+    rows = [(path.name, f"{path.stat().st_size} bytes") for path in files]
+    buttons = [blocks.button("Pack", "pack", main=False, code=name)]
+    if any(path.name.endswith("_test.c") for path in files):
+        buttons.insert(0, blocks.button("Self test", "test", code=name))
+    table = blocks.rows_table(f"code/{name}", ("file", "size"), rows)
+    found = [blocks.table(f"files-{name}", table), blocks.form(f"do-{name}", (), buttons)]
+    if f"{name}.zip" in project.names("code"):
+        address = f"/files/code/{name}.zip"
+        found.append(blocks.link(f"zip-{name}", address, f"Download {name}.zip"))
+    return found
+
+
+def _files(project: Project, name: str) -> list[Path]:
+    """The ordinary files of a folder of code. Raises InvalidInput for another name."""
+    root = project.folder("code") / slug(name, "folder of code")
+    if not root.is_dir() or root.is_symlink():
+        raise Refusal(f"there is no code/{name}; export it first")
+    found = [path for path in sorted(root.iterdir()) if path.is_file() and not path.is_symlink()]
+    return found[:_FILES]
+
+
+def _test(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
+    """The code's own test, compiled and run in a folder of its own."""
+    name = word(given, "code")
+    files = _files(project, name)
+    sources = [path for path in files if path.suffix == ".c"]
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None:
+        raise Refusal("there is no C compiler on this computer; install one, such as gcc")
+    words = ["-std=c99", "-O2", "-o", "test", *(str(path) for path in sources), "-lm"]
+    with tempfile.TemporaryDirectory(prefix="ambrose-") as folder:
+        built = _run([compiler, *words], folder)
+        ran = _run([str(Path(folder, "test"))], folder) if built.returncode == 0 else built
+    text = (ran.stdout + ran.stderr)[-4000:].strip()
+    good = ran.returncode == 0
+    said = text or ("every sample agrees" if good else f"status {ran.returncode}")
+    title = f"Self test of code/{name}: {'passed' if good else 'failed'}"
+    tone = "good" if good else "bad"
+    command = f"cc -std=c99 -O2 -o test code/{name}/*.c -lm && ./test"
+    same = {"Command line": command}
+    shown = blocks.form(f"test-{name}", (), (), title, tone=tone, log=said, same=same)
+    return blocks.content([shown], whole=False)
+
+
+def _run(words: list[str], folder: str) -> subprocess.CompletedProcess[str]:
+    try:
+        return subprocess.run(
+            words, cwd=folder, capture_output=True, text=True, timeout=_SECONDS, check=False
+        )
+    except subprocess.TimeoutExpired:
+        raise Refusal(f"the test took longer than {_SECONDS:g} s and was ended") from None
+
+
+def _pack(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
+    """A folder of code as one archive beside it."""
+    name = word(given, "code")
+    path = project.path("code", f"{name}.zip")
+    files = _files(project, name)
+    with draft_of(path, "archive") as draft, zipfile.ZipFile(draft, "w") as archive:
+        for file in files:
+            archive.write(file, f"{name}/{file.name}", zipfile.ZIP_DEFLATED)
+    return {**show(project, given), "told": f"code/{path.name} is written."}
+
+
+SCREEN = Screen(show, {"test": _test, "pack": _pack})

@@ -1,0 +1,171 @@
+"""Records: a file is dropped, its columns are mapped where they are another program's, and it is
+seen and judged against the machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ambrose.annexes.workbench import blocks, pages
+from ambrose.annexes.workbench.blocks import Block, Refusal
+from ambrose.annexes.workbench.given import texts, width, word
+from ambrose.annexes.workbench.project import MACHINE, Project
+from ambrose.annexes.workbench.screens import Screen
+from ambrose.core.checks import InvalidInput
+from ambrose.machine.file.toml import load_machine, written
+from ambrose.machine.machine import Machine
+from ambrose.record.column_map import read_columns
+from ambrose.record.files import read_record, write_record
+from ambrose.record.foreign import read_foreign
+from ambrose.report.record import record_page
+
+OWN = (".h5", ".hdf5", ".csv")
+_KINDS = {"y": "um", "e": "A", "u": "A", "i": "A"}  # of signals of an axis, and usual units
+_FIELDS = 500
+
+
+def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
+    """The files there are, and the one that is looked at."""
+    names = [name for name in project.names("records") if not name.endswith(".toml")]
+    chosen = word(given, "file")
+    if chosen not in names:
+        chosen = names[0] if names else ""
+    drop = blocks.field("drop", "Drop a record here, or choose a file", kind="file", to="records")
+    fields = [drop]
+    if names:
+        known = blocks.choice("file", "Record", names, chosen)
+        fields.append({**known, "action": "look"})
+    hint = "Records of the live rig stand here too. Other programs' files: MATLAB, TDMS, text, UFF."
+    found = [blocks.form("files", fields, title="Records", hint=hint)]
+    if chosen:
+        found += _looked(project, chosen, width(given))
+    return blocks.content(found)
+
+
+def _looked(project: Project, name: str, wide: int) -> list[Block]:
+    """A record with its verdicts and pictures, or what is wrong with it."""
+    path = project.path("records", name)
+    machine = load_machine(project.machine)
+    if path.suffix.lower() not in OWN:
+        return [_mapping(path, machine)]
+    try:
+        record = read_record(path)
+        page = record_page(record, machine)
+    except InvalidInput as error:
+        said = str(error).replace(f"{path.parent}/", "")
+        refused = blocks.words("refused", said, f"{name} is no record of this machine", "bad")
+        return [refused, *([_mapping(path, machine)] if path.suffix == ".csv" else [])]
+    report = f"reports/{path.stem}.html"
+    same = blocks.same(
+        f"ambrose identify {MACHINE} records/{name} --controller controllers/pid.json",
+        "from ambrose.report.page import page_of, write",
+        f'machine = amb.load_machine("{MACHINE}")',
+        f'record = amb.read_record("records/{name}")',
+        f'write(page_of(record, machine), "{report}")',
+    )
+    return [*pages.blocks_of(page, wide), same]
+
+
+def _mapping(path: Path, machine: Machine) -> Block:
+    """Which variable of the file is which signal; what is left empty is left out."""
+    fields = [
+        blocks.field("rate", "Sample rate [Hz], where the file has none"),
+        blocks.field("time", "Variable of the times, where there is one"),
+        blocks.field("time.unit", "Unit of the times", "s"),
+        blocks.field("speed", "Speed", "0 rpm"),
+        blocks.field("pressure", "Seal pressure", "0 bar"),
+    ]
+    for kind, unit in _KINDS.items():
+        for axis in machine.axes:
+            name = f"{kind}_{axis}"
+            fields.append(blocks.field(f"from.{name}", f"{name} is"))
+            fields.append(blocks.field(f"unit.{name}", f"Unit of {name}", unit))
+    return blocks.form(
+        "mapping",
+        [*fields, blocks.field("source", "File", path.name)],
+        [blocks.button("Read it", "map")],
+        f"{path.name}: which column is what",
+        hint=f"{_listing(path)} A factor may stand before the name, such as -127 * probe.",
+    )
+
+
+def _listing(path: Path) -> str:
+    """What the file holds, in the words of its reader."""
+    absent = {"name": "y_A", "source": "?", "unit": "m"}
+    point = {"speed": 0, "seal_pressure": 0}
+    asked = {"machine": "?", "sample_rate_hz": 1, "point": point, "signal": [absent]}
+    try:
+        read_foreign(path, asked)
+    except InvalidInput as error:
+        return str(error).replace(f"{path.parent}/", "")
+    return ""
+
+
+def _map(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
+    """The column map beside the file, and the record that it gives."""
+    path = project.path("records", given.get("source"))
+    said = {key: text.strip() for key, text in texts(given, _FIELDS).items()}
+    machine = load_machine(project.machine)
+    document: dict[str, Any] = {
+        "machine": machine.name,
+        "point": {"speed": said.get("speed", ""), "seal_pressure": said.get("pressure", "")},
+        "signal": [_signal(name, said) for name in _names(machine) if said.get(f"from.{name}")],
+    }
+    if said.get("rate"):
+        document["sample_rate_hz"] = _number(said["rate"])
+    if said.get("time"):
+        document["time"] = {"source": said["time"], "unit": said.get("time.unit", "s")}
+    try:
+        columns = read_columns(document, "the columns")
+        record = read_foreign(path, columns)
+    except InvalidInput as error:
+        raise Refusal(str(error).replace(f"{path.parent}/", "")) from None
+    target = project.free("records", path.stem)
+    kept = project.free("records", f"{target.stem}-columns", ".toml")
+    _write_map(kept, document)
+    write_record(record, target)
+    told = f"records/{target.name} and records/{kept.name} are written."
+    return {**show(project, {**given, "file": target.name}), "told": told}
+
+
+def _names(machine: Machine) -> list[str]:
+    return [f"{kind}_{axis}" for kind in _KINDS for axis in machine.axes]
+
+
+def _signal(name: str, said: Mapping[str, str]) -> dict[str, Any]:
+    factor, star, source = said[f"from.{name}"].partition("*")
+    known: dict[str, Any] = {"name": name, "source": (source if star else factor).strip()}
+    if star:
+        known["scale"] = _number(factor)
+    if unit := said.get(f"unit.{name}", ""):
+        known["unit"] = unit
+    return known
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise Refusal(f"{text[:40]!r} is no number; write it as 10000 or -1.5e-3") from None
+
+
+def _write_map(path: Path, document: Mapping[str, Any]) -> None:
+    """A column map as its file."""
+    from ambrose.machine.atomic_write import write_text
+
+    lines = []
+    tables = []
+    for key, value in document.items():
+        if isinstance(value, dict):
+            tables += [f"\n[{key}]", *(f"{k} = {written(v)}" for k, v in value.items())]
+        elif isinstance(value, list):
+            for entry in value:
+                tables += [f"\n[[{key}]]", *(f"{k} = {written(v)}" for k, v in entry.items())]
+        else:
+            lines.append(f"{key} = {written(value)}")
+    write_text(path, "\n".join([*lines, *tables]) + "\n", "column map")
+
+
+SCREEN = Screen(show, {"look": show, "map": _map})

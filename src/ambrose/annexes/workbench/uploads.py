@@ -1,0 +1,54 @@
+"""Files that a page sends: into a folder of the project, under a name that it can have, of limited
+size; what is in them is looked at later, by readers in a process of their own.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+from collections.abc import AsyncIterator
+from contextlib import suppress
+from pathlib import Path
+
+from ambrose.annexes.workbench.project import KINDS, Project
+from ambrose.core.checks import InvalidInput
+
+# bytes of a file of a kind that is taken
+LIMITS = {"records": 500_000_000, "controllers": 64_000_000}
+_PREFIX = "/api/files/"
+
+
+def limit(path: str) -> int | None:
+    """The largest body for an address; None where no file is taken."""
+    kind, slash, _ = path.removeprefix(_PREFIX).partition("/")
+    return LIMITS.get(kind) if path.startswith(_PREFIX) and slash else None
+
+
+def place(project: Project, kind: str, name: str) -> Path:
+    """Where a file of that name will stand, beside those that are there. Raises InvalidInput."""
+    if kind not in LIMITS:
+        raise InvalidInput(
+            f"no files are taken for {kind[:60]!r}; send them to {' or '.join(LIMITS)}"
+        )
+    stem, ending = os.path.splitext(name)
+    if ending.lower() not in KINDS[kind]:
+        raise InvalidInput(f"{name[:60]!r} is none of {', '.join(KINDS[kind])}; choose such a file")
+    plain = re.sub(r"[^A-Za-z0-9_-]+", "-", stem).strip("-_")[:50] or "file"
+    return project.free(kind, plain, ending.lower())
+
+
+async def receive(path: Path, body: AsyncIterator[bytes]) -> Path:
+    """A body as the file at ``path``, complete or not at all."""
+    handle, draft = tempfile.mkstemp(prefix=".coming-", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            async for part in body:
+                file.write(part)
+        os.link(draft, path)  # refuses a name that was taken meanwhile
+    except FileExistsError:
+        raise InvalidInput(f"{path.name} was written by another meanwhile; send it again") from None
+    finally:
+        with suppress(OSError):
+            os.unlink(draft)
+    return path

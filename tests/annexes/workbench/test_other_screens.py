@@ -1,0 +1,134 @@
+"""Records, identification, envelope, acceptance, deploy: what they show, what they write."""
+
+import json
+import shutil
+import tomllib
+import zipfile
+
+import numpy as np
+import pytest
+
+pytest.importorskip("starlette", reason="the extra workbench is not installed")
+
+import ambrose as amb
+from ambrose.annexes.workbench.blocks import Refusal
+from ambrose.annexes.workbench.project import Project, begin
+from ambrose.annexes.workbench.screens import OWN, TITLES, answer
+from ambrose.machine.description import OperatingPoint
+from ambrose.record.files import read_record, write_record
+from ambrose.record.record import Record
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory):
+    made = Project(tmp_path_factory.mktemp("project"))
+    begin(made, "two-disc-rotor")
+    return made
+
+
+@pytest.fixture(scope="module")
+def axes(project):
+    return amb.load_machine(project.machine).axes
+
+
+def ask(project, screen, action="", **given):
+    told = answer(project, screen, action, {"width": 700, **given})
+    return told, {block["key"]: block for block in told["blocks"]}
+
+
+@pytest.mark.parametrize("screen", [name for name in TITLES if name not in OWN])
+def test_every_screen_shows_what_does_the_same(tmp_path, screen):
+    folder = Project(tmp_path)
+    begin(folder, "two-disc-rotor")
+    told, _ = ask(folder, screen)
+    assert json.loads(json.dumps(told)) == told
+    same = [block for block in told["blocks"] if block["kind"] == "same"]
+    if screen != "records":  # which has nothing to show yet
+        ((lines),) = [block["lines"] for block in same]
+        assert lines["Command line"].startswith("ambrose ")
+        compile(lines["Python"], screen, "exec")
+
+
+def test_a_record_is_seen_and_judged(project, axes):
+    time = np.arange(2000) / 10e3
+    y = [30e-6 * np.sin(300 * time + k) for k in range(len(axes))]
+    names = tuple(f"y_{axis}" for axis in axes)
+    units = ("m",) * len(axes)
+    point = OperatingPoint(0.0, 0.0, label="rest")
+    record = Record("two-disc-rotor", 10e3, names, units, np.array(y), point)
+    write_record(record, project.path("records", "run.h5"))
+    _, blocks = ask(project, "records")
+    words = " ".join(cell["text"] for row in blocks["verdicts"]["rows"] for cell in row)
+    # sin^2(a) + sin^2(a + 1) is 1 + cos(1) at most
+    assert f"{30 * np.sqrt(1 + np.cos(1)):.1f}" in words
+    assert any(block["kind"] == "picture" for block in blocks.values())
+    project.path("records", "broken.csv").write_text("<b>no record</b>")
+    _, blocks = ask(project, "records", "look", file="broken.csv")
+    assert "refused" in blocks
+
+
+def test_columns_of_a_foreign_file_are_mapped(project, axes):
+    time = np.arange(400) / 5e3
+    probe = np.sin(700 * time)
+    rows = "\n".join(f"{t:.6f} {v:.9f} {-v:.9f}" for t, v in zip(time, probe, strict=True))
+    project.path("records", "logger.txt").write_text(f"t one two\n{rows}\n")
+    _, blocks = ask(project, "records", "look", file="logger.txt")
+    # the reader names what there is
+    assert "one" in blocks["mapping"]["hint"]
+    given = {"source": "logger.txt", "time": "t", "time.unit": "s"}
+    given |= {"speed": "0 rpm", "pressure": "0 bar"}
+    given |= {f"from.y_{axes[0]}": "one", f"unit.y_{axes[0]}": "um"}
+    given |= {f"from.y_{axes[1]}": "-2 * two", f"unit.y_{axes[1]}": "um"}
+    told, _ = ask(project, "records", "map", **given)
+    assert "records/logger.h5" in told["told"]
+    record = read_record(project.path("records", "logger.h5"))
+    np.testing.assert_allclose(record[f"y_{axes[0]}"], 1e-6 * probe, atol=1e-14)
+    np.testing.assert_allclose(record[f"y_{axes[1]}"], 2e-6 * probe, atol=1e-14)
+    assert record.sample_rate_hz == pytest.approx(5e3)
+    columns = tomllib.loads((project.root / "records" / "logger-columns.toml").read_text())
+    assert columns["signal"][1]["scale"] == -2.0
+    with pytest.raises(Refusal, match="three"):
+        ask(project, "records", "map", **{**given, f"from.y_{axes[0]}": "three"})
+    with pytest.raises(Refusal, match="is no number"):
+        ask(project, "records", "map", **{**given, f"from.y_{axes[0]}": "x * one"})
+
+
+def test_an_identified_machine_is_written_back_and_the_old_one_kept(project):
+    before = project.machine.read_text("utf-8")
+    with pytest.raises(Refusal, match="identify first"):
+        ask(project, "identification", "back")
+    new = "# identified\n" + before
+    project.path("machines", "identified.toml").write_text(new)
+    told, _ = ask(project, "identification", "back")
+    assert project.machine.read_text("utf-8") == new
+    assert project.path("machines", "before.toml").read_text("utf-8") == before
+    assert "machines/before.toml" in told["told"]
+    project.path("machines", "identified.toml").write_text("[machine]\n")
+    with pytest.raises(Refusal):
+        ask(project, "identification", "back")
+    assert project.machine.read_text("utf-8") == new
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_code_is_tested_and_packed(project):
+    folder = project.folder("code") / "c-double"
+    folder.mkdir()
+    (folder / "x.h").write_text("int one(void);\n")
+    (folder / "x.c").write_text('#include "x.h"\nint one(void) { return 1; }\n')
+    test = '#include <stdio.h>\n#include "x.h"\nint main(void) { puts("%s"); return one() - %d; }\n'
+    (folder / "x_test.c").write_text(test % ("ran <b>", 1))
+    (folder / "secret").symlink_to(project.machine)
+    _, blocks = ask(project, "deploy", "test", code="c-double")
+    ran = blocks["test-c-double"]
+    assert ran["tone"] == "good"
+    assert ran["log"] == "ran <b>"
+    (folder / "x_test.c").write_text(test % ("ran", 2))
+    assert ask(project, "deploy", "test", code="c-double")[1]["test-c-double"]["tone"] == "bad"
+    _, blocks = ask(project, "deploy", "pack", code="c-double")
+    assert blocks["zip-c-double"]["href"] == "/files/code/c-double.zip"
+    with zipfile.ZipFile(project.path("code", "c-double.zip")) as archive:
+        names = archive.namelist()
+    assert names == [f"c-double/{name}" for name in ("x.c", "x.h", "x_test.c")]
+    for name in ("../records", "absent", "c-double/..", 3):
+        with pytest.raises((Refusal, amb.InvalidInput)):
+            ask(project, "deploy", "test", code=name)
