@@ -8,7 +8,7 @@ from typing import Any
 
 from ambrose.core.statespace import poles
 from ambrose.judge.unavoidable import beyond_reach, unavoidable_sensitivity
-from ambrose.machine.axial import AxialMachine
+from ambrose.machine.axial import AxialMachine, in_file
 from ambrose.machine.criteria import demand
 from ambrose.model.assemble import assemble
 from ambrose.model.axial.half_order import CORNER
@@ -100,7 +100,7 @@ def _doubts(machine: AxialMachine, margin: float | None) -> Iterator[str]:
                 f"N; {_SPARE:g} times the load and more is usual"
             )
     if margin is not None and margin < 1:
-        yield below_stiffness(margin)
+        yield in_file(machine, below_stiffness(margin))
 
 
 def axial_rows(facts: dict[str, Any], quantity: Any) -> list[tuple[str, str]]:

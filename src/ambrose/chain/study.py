@@ -23,7 +23,7 @@ from ambrose.judge.checks import Curve, check_columns
 from ambrose.judge.plants import Progress, campbell_map, full_plants, plant_gain
 from ambrose.judge.result import Status, Synthesis
 from ambrose.machine.atomic_write import make_folder, set_aside, write_json
-from ambrose.machine.axial import AxialMachine
+from ambrose.machine.axial import AxialMachine, in_file
 from ambrose.machine.claim import claimed
 from ambrose.machine.machine import Machine, require_magnets
 from ambrose.model.plant import Plant
@@ -249,12 +249,10 @@ def _candidates(plants: tuple[Plant, ...], directory: Path, progress: Progress) 
             progress(f"{name}: no controller; {error}")
             failed.append((name, str(error)))
     if not candidates:
-        machine = plants[0].machine.name
-        why = (
-            "; ".join(f"{name}: {text}" for name, text in failed)
-            or "it has no [controller] and no [weights]; add one"
-        )
-        raise InvalidInput(f"no controller for machine {machine!r}: {why}")
+        machine = plants[0].machine
+        none = in_file(machine, "it has no [controller] and no [weights]; add one")
+        why = "; ".join(f"{name}: {text}" for name, text in failed) or none
+        raise InvalidInput(f"no controller for machine {machine.name!r}: {why}")
     return candidates, failed
 
 

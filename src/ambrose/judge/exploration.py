@@ -31,6 +31,7 @@ from ambrose.law.law import Law, LawAt, LawLike, law_of
 from ambrose.law.loop import closed_loop, match_controller, running_law
 from ambrose.law.scheduling import SPEED
 from ambrose.law.timing import Timing, timing_of
+from ambrose.machine.axial import AxialMachine, across_the_shaft
 from ambrose.machine.criteria import TWO_PI
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
@@ -41,6 +42,7 @@ from ambrose.model.unbalance import residual_unbalance
 from ambrose.model.uncertainty import tolerances_around
 
 PARTS = ("poles", "campbell", "pulses", "unbalance")
+ALONG = ("pulses",)  # what there is of a machine's axis along the shaft
 OVER = {"speed": "rad/s", "pressure": "Pa"}
 _STANDING = 9  # speeds along the range at which stability is judged
 _VALUES, _SPEEDS = 21, 24  # of a map, and of the unbalance over the tolerances
@@ -165,10 +167,10 @@ def explore(
     """A controller over the range of a machine, around an operating point (None: the one designs
     are made for).
 
-    parts: some of PARTS. reach: of a map, {"pressure": (0.0, 4e5)} [Pa], "speed" [rad/s] (None:
-    zero to twice the largest pressure, to 1.2 times the top speed). bound: an upper bound beside
-    the worst unbalance found, which takes longer. rate [Hz], delay_samples: of the sampled loop.
-    Raises InvalidInput.
+    parts: some of PARTS (along the shaft ALONG alone). reach: of a map, {"pressure": (0.0, 4e5)}
+    [Pa], "speed" [rad/s] (None: zero to twice the largest pressure, to 1.2 times the top speed).
+    bound: an upper bound beside the worst unbalance found, which takes longer. rate [Hz],
+    delay_samples: of the sampled loop. Raises InvalidInput.
     """
     unknown = [part for part in parts if part not in PARTS]
     if unknown or not parts:
@@ -184,6 +186,10 @@ def explore(
                 "ascending, of speed or pressure",
                 remedy,
             )
+    if isinstance(machine, AxialMachine):
+        parts = ALONG if tuple(parts) == PARTS and not reach else parts
+        if set(parts) - set(ALONG) or reach:
+            across_the_shaft(machine, "nothing along it follows speed, pressure or unbalance")
     law = law_of(controller)
     timing = timing_of(machine, law, rate, delay_samples)
     at = chosen_point(machine, point) or machine.operation.design

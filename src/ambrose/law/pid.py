@@ -15,6 +15,7 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, check_finite, invalid
 from ambrose.core.statespace import StateSpace
 from ambrose.law.filters import bank, chain, check_sections, section_matrix
+from ambrose.machine.axial import in_file
 from ambrose.machine.controller import (
     CONTROLLER_COORDINATES,
     MODES,
@@ -73,9 +74,9 @@ def first_settings(machine: Machine) -> PidSettings:
     """
     k_i, k_s = magnet_coefficients(machine, machine.operation.design)
     if not (k_i > 0).all() or not (k_s > 0).all():
+        remedy = in_file(machine, "add a [controller] table")
         raise InvalidInput(
-            f"machine {machine.name!r} has magnets without force or stiffness; add a [controller] "
-            "table"
+            f"machine {machine.name!r} has magnets without force or stiffness; {remedy}"
         )
     # w_0^2 = n k_s/m, of the axis along the shaft n = 1
     mass = mass_properties(finite_element_rotor(machine)).mass

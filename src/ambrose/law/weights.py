@@ -25,6 +25,7 @@ from ambrose.core.statespace import (
     static_gain,
     transfer_function,
 )
+from ambrose.machine.axial import in_file
 from ambrose.machine.description import DesignWeights
 from ambrose.machine.machine import Machine
 
@@ -187,8 +188,10 @@ def machine_weights(machine: Machine | DesignWeights) -> Weights:
     """
     settings = machine.weights if isinstance(machine, Machine) else machine
     if settings is None:
-        name = machine.name if isinstance(machine, Machine) else ""
-        raise InvalidInput(f"machine {name!r} has no weights; add a [weights] table to its file")
+        if not isinstance(machine, Machine):
+            raise InvalidInput("there are no weights; give DesignWeights")
+        remedy = in_file(machine, "add a [weights] table to its file")
+        raise InvalidInput(f"machine {machine.name!r} has no weights; {remedy}")
     return Weights(
         performance_weight(settings.peak, settings.bandwidth, settings.low_frequency_error),
         control_weight(

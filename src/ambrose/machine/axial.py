@@ -8,6 +8,7 @@ sensor's target grows with heat, each also with the collar off centre by as much
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -17,6 +18,7 @@ from ambrose.machine.controller import PidSettings
 from ambrose.machine.description import (
     Amplifier,
     DesignWeights,
+    MachineDescription,
     OperatingPoint,
     Operation,
     Requirements,
@@ -28,6 +30,9 @@ from ambrose.machine.thrust import AxialRequirements, ThrustBearing
 from ambrose.machine.validation.machine import InvalidMachine
 from ambrose.machine.validation.thrust import axial_problems
 
+# where the name of a table begins that the axis has of its own, and what stands before it
+_TABLES = re.compile(r"(?<=\[)(?=(?:controller|weights|requirements|tolerance)\b)")
+_OWN = "thrust_bearing."
 SUFFIX = "#axial"  # of the machine's name, as of its file's address
 AXIS = "_z"
 
@@ -122,6 +127,28 @@ class AxialMachine(Machine):
             "points": len(self.operation.points),
             "tolerances": len(self.tolerances),
         }
+
+
+def in_file(machine: MachineDescription, words: str) -> str:
+    """Words that name tables of the machine file, with those of the axis where it is the machine:
+    "[weights]" is its "[thrust_bearing.weights]".
+    """
+    if not isinstance(machine, AxialMachine):
+        return words
+    return re.sub(
+        r"(\[\[?)(?=(?:controller|weights|requirements|tolerance)\b)", rf"\1{_OWN}", words
+    )
+
+
+def across_the_shaft(machine: Machine, what: str, remedy: str = "") -> None:
+    """Refuses the axis along the shaft for a verb of the radial axes.
+
+    what: why it is theirs alone, as a clause; remedy: what to do instead (default: to take the
+    machine without #axial). Raises InvalidInput.
+    """
+    if isinstance(machine, AxialMachine):
+        remedy = remedy or f'take the machine without "{SUFFIX}"'
+        raise InvalidInput(f"{machine.name} is the axis along the shaft, but {what}; {remedy}")
 
 
 def axial_machine(machine: Machine) -> AxialMachine:

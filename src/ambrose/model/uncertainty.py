@@ -18,7 +18,7 @@ from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.lft import GeneralizedPlant, RealBlock, close_uncertainty
 from ambrose.core.statespace import StateSpace, append, connect, rename, select, static_gain
 from ambrose.machine.attachment import attached
-from ambrose.machine.axial import AxialMachine
+from ambrose.machine.axial import AxialMachine, in_file
 from ambrose.machine.description import Amplifier, Tolerance
 from ambrose.machine.parameters import BENDING, Parameter, find_uncertain
 from ambrose.machine.seals import Seal
@@ -70,10 +70,8 @@ def uncertain(plant: Plant, tolerances: Sequence[Tolerance] | None = None) -> Ge
     machine = plant.machine
     tolerances = machine.tolerances if tolerances is None else tuple(tolerances)
     if not tolerances:
-        raise InvalidInput(
-            f"machine {machine.name!r} has no tolerance; add a [[tolerance]] with parameter and "
-            "relative"
-        )
+        remedy = in_file(machine, "add a [[tolerance]] with parameter and relative")
+        raise InvalidInput(f"machine {machine.name!r} has no tolerance; {remedy}")
     rows, sums = [], force_sums(machine)
     moved: list[RealBlock] = []
     blocks: list[RealBlock] = []

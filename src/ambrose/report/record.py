@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.judge.checks import Curve
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.machine import Machine
 from ambrose.record.record import Record
 from ambrose.report import theme, units
@@ -554,6 +555,10 @@ _NEAR = (
     "the limit of the controller's "
     "output; a coil current with straight flanks, or one that lags behind, shows the amplifier."
 )
+_NEAR_ALONG = (
+    "Three periods of the strongest motion. Flat tops are the limit of the controller's output; a "
+    "coil current with straight flanks, or one that lags behind, shows the amplifier."
+)
 _MOTION = (
     "Press play: the axis of the rotor over three revolutions (at standstill: three periods) "
     "around the largest motion, seen "
@@ -580,23 +585,18 @@ def record_page(
     record = source.record if isinstance(source, Trace) else source
     places, speed = stations(record, machine), rotor_speed(record, scenario)
     label = record.point.label or "record"
-    motion = [
-        _over_time(radius_curve(record, places, machine), label),
-        Figure("Orbits", orbit_figure(record, places, speed), _ORBITS),
-    ]
-    spectra = waterfall_figure(record, places, speed)
-    if spectra is not None:
-        motion.append(Figure("Waterfall: whirl over time and frequency", spectra, _WATERFALL))
-    if len(places) > 1:
-        motion.append(
-            Figure("The rotor in motion", rotor_animation(record, places, machine, speed), _MOTION)
-        )
+    along = isinstance(machine, AxialMachine)
+    motion = [_over_time(radius_curve(record, places, machine), label)]
+    if not along:  # along the shaft nothing goes around
+        motion += _around(record, places, machine, speed)
     curves = {curve.name: _over_time(curve, label) for curve in signal_curves(record, machine)}
     first = "record.u" if "record.u" in curves else "record.i"
     effort = [curves.pop(name) for name in (first, "record.f_magnet") if name in curves]
-    near = zoomed_curves(record, machine, window(record, places, speed, largest(places)[1]))
+    turning = np.zeros_like(speed) if along else speed
+    near = zoomed_curves(record, machine, window(record, places, turning, largest(places)[1]))
     if near:
-        effort.insert(1, Figure("Currents around the largest motion", figure(near), _NEAR))
+        words = _NEAR_ALONG if along else _NEAR
+        effort.insert(1, Figure("Currents around the largest motion", figure(near), words))
     sections = (
         Section("Motion", "", tuple(motion)),
         Section("Currents and forces", "", tuple(effort)),
@@ -613,6 +613,21 @@ def record_page(
         date,
         result=_result(verdicts),
     )
+
+
+def _around(
+    record: Record, places: Sequence[Station], machine: Machine, speed: np.ndarray
+) -> list[Figure]:
+    """What goes around the bearings' middle: orbits, whirl over time, the rotor in motion."""
+    figures = [Figure("Orbits", orbit_figure(record, places, speed), _ORBITS)]
+    spectra = waterfall_figure(record, places, speed)
+    if spectra is not None:
+        figures.append(Figure("Waterfall: whirl over time and frequency", spectra, _WATERFALL))
+    if len(places) > 1:
+        figures.append(
+            Figure("The rotor in motion", rotor_animation(record, places, machine, speed), _MOTION)
+        )
+    return figures
 
 
 def _result(verdicts: tuple[Verdict, ...]) -> Verdict | None:

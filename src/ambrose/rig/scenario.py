@@ -236,12 +236,42 @@ class Scenario(Presented):
             return found
         (axis,) = machine.axes
         along = {name: along_shaft(getattr(found, name), axis) for name, _ in _TABLES.values()}
-        # unbalance, speed and seal pressure do not act along the shaft
-        still: dict[str, Any] = dict.fromkeys(
-            ("unbalances", "pressures", "pressure_sensors", "speed_changes"), ()
-        )
+        still: dict[str, Any] = dict.fromkeys(_ACROSS, ())
         still |= dict.fromkeys(("speed", "to_speed", "ramp"))
-        return replace(found, **{**along, **still})
+        left = replace(found, **{**along, **still})
+        if not left.acts and self.disturbs:
+            acting = [name for name in _bundled_names() if load_scenario(name).acts_along]
+            raise InvalidInput(
+                f"scenario {self.name} does nothing along the shaft of {machine.name}: unbalance, "
+                "speed, seal pressure and what is along a bearing's second direction are across "
+                f"it; take one that acts, such as {', '.join(acting)}"
+            )
+        return left
+
+    @property
+    def acts(self) -> bool:
+        """Whether something pushes, fails, or is lifted."""
+        return bool(self.all_windows or self.failures) or self.initial != LEVITATED
+
+    @property
+    def disturbs(self) -> bool:
+        """Whether something happens, on whatever axes."""
+        changes = any(getattr(self, name) for name in _ACROSS)
+        return self.acts or changes or self.to_speed is not None
+
+    @property
+    def acts_along(self) -> bool:
+        """Whether something of it acts on the axis along the shaft, too."""
+        pushing = any(not item.signal.endswith("_eta") for item in self.all_windows)
+        failing = any(not (item.axis or "").endswith("_eta") for item in self.failures)
+        return pushing or failing or self.initial != LEVITATED
+
+    @property
+    def across(self) -> tuple[str, ...]:
+        """What of it is across the shaft, and left out along it, in words."""
+        parts = ["unbalance"] if self.unbalances else []
+        parts += ["speed"] if self.speed is not None else []
+        return (*parts, *(["seal pressure"] if self.pressures else []))
 
     def at_bearings(self, bearings: Sequence[str], machine: Machine | None = None) -> Scenario:
         """The same with these bearings, and with the machine's numbers. Raises InvalidInput where
@@ -264,6 +294,7 @@ class Scenario(Presented):
         return float(np.interp(time, *self.speed_knots))
 
 
+_ACROSS = ("unbalances", "pressures", "pressure_sensors", "speed_changes")  # the shaft
 _TABLES: dict[str, tuple[str, type[Any]]] = {
     "pulse": ("pulses", Pulse),
     "sine": ("sines", Sine),

@@ -8,8 +8,11 @@ trace = simulate_scenario(machine, controller, "levitation")
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
+
+import numpy as np
 
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import invalid
@@ -88,6 +91,7 @@ def simulate_scenario(
     plant = machine if isinstance(machine, Plant) else None
     described = machine.machine if isinstance(machine, Plant) else machine
     events = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    across = events.across if isinstance(described, AxialMachine) else ()
     events, where = events.on(described), chosen_point(described, point)
     timing = timing_of(described, law, rate, delay_samples)
     blocks = blocks_of(described, law)
@@ -110,7 +114,8 @@ def simulate_scenario(
             progress("assembling the plant")
             plant = assemble(described, where or described.operation.nominal)
         progress(f"simulating {events.name}")
-        return _warned(simulate_linear(plant, law, events, timing), described, events, plant.point)
+        trace = simulate_linear(plant, law, events, timing)
+        return _warned(trace, described, events, plant.point, across=across)
     if timing is not None:
         rig.setdefault("computing_delay", timing.delay_samples)
         events = (
@@ -134,7 +139,7 @@ def simulate_scenario(
         raise invalid("fallback", "given", "left out", "no law along the shaft follows a pressure")
     if fallback is None:
         trace = virtual_rig.run(described, law, events, point=start, progress=progress, **rig)
-        return _warned(trace, described, events, start, rig.get("bending_modes"))
+        return _warned(trace, described, events, start, rig.get("bending_modes"), across=across)
     sample = sample_time(law, described, events.sample_time)
     schedule, other = check_pair(law, fallback)
     stuck = math.inf if stuck_after is None else stuck_after
@@ -155,14 +160,17 @@ def _warned(
     events: Scenario,
     point: OperatingPoint | None,
     bending_modes: int | None = ALL_MODES,
+    across: Sequence[str] = (),
 ) -> Trace:
     """The trace, its text with what a reader should know: a speed beyond the machine's own; the
     lowest bending mode that the rig lacks though the sensitivity is judged there (bending_modes as
-    for ``virtual_rig.run``).
+    for ``virtual_rig.run``); what is across the axis that ran.
     """
     at = point or machine.operation.nominal
     fastest = max(events.speed_knots[1], default=at.speed)
     words = [beyond] if (beyond := beyond_top_speed(machine, fastest)) else []
+    if across:
+        words.append(f"along the shaft, without the scenario's {', '.join(across)}")
     count = RIG_MODES if bending_modes is None else bending_modes
     judged = judged_bending(machine)
     if len(judged) > count:
@@ -212,7 +220,8 @@ def simulate_linear(
     if events.speed is not None and events.speed_at(0.0) != plant.point.speed:
         turning = assemble(plant.machine, replace(plant.point, speed=events.speed_at(0.0)))
         plant = turning if plant.bending_modes is None else reduce(turning, plant.bending_modes)
-    gaps = [b.touchdown_gap for b in plant.machine.bearings if b.touchdown_gap is not None]
+    known = [b.touchdown_gap for b in plant.machine.axis_bearings if b.touchdown_gap is not None]
+    gaps = [float(np.min(gap)) for gap in known]  # along the shaft (left, right)
     return linear.run(
         closed_loop(plant, running_law(controller, plant, timing)),
         events,

@@ -20,6 +20,7 @@ from ambrose.law.law import law_of
 from ambrose.law.loop import closed_loop
 from ambrose.law.pid import channel_chains
 from ambrose.law.timing import DEFAULT, Timing
+from ambrose.machine.axial import in_file
 from ambrose.machine.criteria import SENSITIVITY, demand
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
@@ -205,7 +206,7 @@ def why_unstable(
     runs = runs if timing is None else timing.in_loop(runs)
     margin = stiffness_margin(plant.machine) if method == "pid" else None
     if margin is not None and margin < 1:
-        return below_stiffness(margin)
+        return in_file(plant.machine, below_stiffness(margin))
     available = bending_modes_of(plant.rotor_model)
     modes = free_modes(plant.rotor_model, min(_TRIED, available)).frequencies[4::2] / _TWO_PI
     for count in range(min(_TRIED, available) + 1):
@@ -224,10 +225,8 @@ def why_unstable(
                 if own is not None and own.channels
                 else "a [[controller.notch]]"
             )
-            return (
-                f"{what} is driven unstable by the [controller]; add {notch} there, or use method "
-                "tuned"
-            )
+            remedy = in_file(plant.machine, f"the [controller]; add {notch} there")
+            return f"{what} is driven unstable by {remedy}, or use method tuned"
         if kept > bending_modes:
             return (
                 f"{what} is not in the design model; design with --bending-modes {kept}, or use "

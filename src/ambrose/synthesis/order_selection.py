@@ -22,6 +22,7 @@ from ambrose.judge.result import Status, Synthesis
 from ambrose.law.design_problem import apply_delay, design_plant, design_tolerances, open_model
 from ambrose.law.timing import Timing
 from ambrose.law.weights import machine_weights
+from ambrose.machine.axial import in_file
 from ambrose.model.plant import Plant
 from ambrose.model.reduce import reduce
 from ambrose.model.uncertainty import perturbed
@@ -169,7 +170,8 @@ def sampled_sensitivity(plant: Plant, timing: Timing) -> Measure:
     """
     names = [tolerance.parameter for tolerance in design_tolerances(plant.machine)]
     if not names:
-        raise invalid("the machine's tolerances", "none", "at least one", "add a [[tolerance]]")
+        remedy = in_file(plant.machine, "add a [[tolerance]]")
+        raise invalid("the machine's tolerances", "none", "at least one", remedy)
     points = _points(len(names))
     plants = [perturbed(plant, dict(zip(names, point.tolist(), strict=True))) for point in points]
 

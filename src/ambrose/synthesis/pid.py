@@ -10,6 +10,7 @@ from ambrose.judge.certificate import certify
 from ambrose.judge.result import Status, Synthesis
 from ambrose.law.pid import pid_controller
 from ambrose.law.timing import Timing, machine_timing
+from ambrose.machine.axial import in_file
 from ambrose.machine.controller import (
     PidSettings,
 )
@@ -36,10 +37,8 @@ def continuous_pid(plant: Plant, settings: PidSettings | None = None) -> Synthes
     """``pid_synthesis`` without the loop as it runs. Raises InvalidInput."""
     settings = plant.machine.reference if settings is None else settings
     if settings is None:
-        raise InvalidInput(
-            f"machine {plant.machine.name!r} has no reference controller; add a [controller] with "
-            "its gain or pass PidSettings"
-        )
+        remedy = in_file(plant.machine, "add a [controller] with its gain or pass PidSettings")
+        raise InvalidInput(f"machine {plant.machine.name!r} has no reference controller; {remedy}")
     law = pid_controller(settings, plant.machine)
     certificate = certify(plant, law)
     status = Status.VERIFIED if certificate.stable else Status.UNSTABLE

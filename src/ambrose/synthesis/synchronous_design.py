@@ -49,6 +49,7 @@ from ambrose.law.synchronous import (
 )
 from ambrose.law.synchronous_pencils import loop_pencils, prove_interval
 from ambrose.law.synchronous_table import BlockTable, block_of, block_table
+from ambrose.machine.axial import across_the_shaft
 from ambrose.machine.criteria import TWO_PI
 from ambrose.machine.machine import Machine
 from ambrose.machine.synchronous import SYNCHRONOUS_UPDATES, Synchronous
@@ -145,6 +146,7 @@ def design_synchronous(
     loop is unstable without the block, for a time constant below what the poles allow, or where no
     band is left.
     """
+    across_the_shaft(machine, "a synchronous block is for what turns with the rotor")
     if mode not in MODES:
         raise invalid(
             "the mode of the synchronous block",

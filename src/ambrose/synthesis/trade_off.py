@@ -19,6 +19,7 @@ from ambrose.core.time_limit import TimeLimit
 from ambrose.judge.envelope import envelope_of
 from ambrose.judge.result import Synthesis
 from ambrose.law.pid import first_settings, pid_controller
+from ambrose.machine.axial import across_the_shaft
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import suggestion
 from ambrose.machine.units import DIMENSIONS, read_quantity
@@ -100,6 +101,8 @@ def trade_off(
     is tuned (no bank); time_limit [s] of computing for each sensitivity aimed at. Ctrl-C keeps the
     values that are done. Raises InvalidInput.
     """
+    if over == "unbalance_orbit":
+        across_the_shaft(machine, "unbalance turns across it")
     method = (method or Tuned()).without_bank().on(machine)
     wanted = _checked(over, values)
     start = pid_controller(machine.reference or first_settings(machine), machine)

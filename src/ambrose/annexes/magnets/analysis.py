@@ -11,6 +11,7 @@ import numpy as np
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput
 from ambrose.core.presentation import Presented
+from ambrose.machine.axial import across_the_shaft
 from ambrose.machine.description import MagneticBearing, Tolerance
 from ambrose.machine.machine import Machine
 from ambrose.machine.magnet import Magnet
@@ -123,6 +124,11 @@ def magnet_sheets(
     which the force law is compared with its straight line. Raises InvalidInput where no magnet has
     a geometry, or the share is not between 0 and 1.
     """
+    across_the_shaft(
+        machine,
+        "the sheets are those of radial magnets",
+        "ambrose check of it tells those of the axis: k_i, k_s, core, capacity",
+    )
     names = [item.name for item in machine.bearings]
     if bearing is not None and bearing not in names:
         raise InvalidInput(

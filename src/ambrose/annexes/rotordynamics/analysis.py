@@ -32,6 +32,7 @@ from ambrose.judge.stability import judge_stability
 from ambrose.law.law import LawLike, law_of
 from ambrose.law.timing import Timing, timing_of
 from ambrose.machine.attachment import attached
+from ambrose.machine.axial import across_the_shaft
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
@@ -70,6 +71,7 @@ def lateral(
     line per stage. Raises InvalidInput for a machine at rest, for a trip speed below the running
     speeds and where a table does not reach it.
     """
+    across_the_shaft(machine, "a lateral analysis is of the motion across it")
     chosen = _point(machine, point)
     running = machine.requirements.running_speeds
     lowest, highest = running or (chosen.speed, chosen.speed)

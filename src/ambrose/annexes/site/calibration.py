@@ -26,6 +26,7 @@ from ambrose.core.presentation import Presented
 from ambrose.identification.excitation import signal_rows
 from ambrose.identification.frf.phasors import Step
 from ambrose.identification.validation.operating_load import load_doubt, machine_at_load
+from ambrose.machine.axial import across_the_shaft
 from ambrose.machine.description import Pair
 from ambrose.machine.machine import Machine
 from ambrose.machine.stator import Runout, Sensor
@@ -101,6 +102,7 @@ def calibrate(
     same at rest, one record or several at other bias currents or positions. settle [s]: left out at
     the beginning of every record. Raises InvalidInput.
     """
+    across_the_shaft(machine, "these tests go around it")
     if find not in {"gain", "clearance"}:
         raise invalid(
             "find", repr(find), '"gain" or "clearance"', "the other of the two must be known"

@@ -13,11 +13,12 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from ambrose.annexes.sizing.guarantee import RESERVE, Trial, attempt, tuning_job
-from ambrose.annexes.sizing.magnets import Size
+from ambrose.annexes.sizing.magnets import SIZES, Size
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.presentation import Presented, data_frame
 from ambrose.judge.result import Synthesis
+from ambrose.machine.axial import across_the_shaft, in_file
 from ambrose.machine.description import Tolerance
 from ambrose.machine.machine import Machine, require_magnets
 from ambrose.model.assemble import assemble
@@ -121,6 +122,8 @@ def least(
             f"one of {', '.join(LEVERS)}",
             "gain is the thesis' minimum control action",
         )
+    if lever in {"area", "bias", "bandwidth"}:
+        across_the_shaft(machine, SIZES)
     if lever == "gain":
         return _least_gain(machine, method, time_limit, progress)
     if lever == "weight":
@@ -172,10 +175,8 @@ def _heaviest(machine: Machine, method: Tuned, progress: Callable[[str], None]) 
     """Bisection over the control weight of mu designs; mu grows with it."""
     weights = machine.weights
     if weights is None or weights.control_level is None or not machine.tolerances:
-        raise InvalidInput(
-            "lever weight needs [weights] with control_level, and a [[tolerance]]; add them, or "
-            "take lever gain"
-        )
+        needs = in_file(machine, "[weights] with control_level, and a [[tolerance]]")
+        raise InvalidInput(f"lever weight needs {needs}; add them, or take lever gain")
     found: dict[float, Synthesis] = {}
     mu_method = Mu(
         rate=method.rate,

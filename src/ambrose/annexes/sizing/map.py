@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from ambrose.annexes.sizing.guarantee import RESERVE, Trial, attempt
-from ambrose.annexes.sizing.magnets import Size
+from ambrose.annexes.sizing.magnets import SIZES, Size
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.presentation import Presented, data_frame
+from ambrose.machine.axial import across_the_shaft
 from ambrose.machine.machine import Machine, require_magnets
 from ambrose.synthesis.methods.tuned import Tuned
 
@@ -142,6 +143,7 @@ def size(
     reserve [-]: force at the largest control current over static load, at least. time_limit [s] of
     computing for each. Ctrl-C keeps the sizes that are done. Raises InvalidInput.
     """
+    across_the_shaft(machine, SIZES)
     require_magnets(machine)
     method = (method or Tuned()).without_bank().on(machine)
     check_positive(

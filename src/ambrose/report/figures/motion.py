@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.machine import Machine
 from ambrose.model.ports import Port, measured_ports, ports
 from ambrose.record.record import Record
@@ -66,10 +67,12 @@ class Station:
 
 def stations(record: Record, machine: Machine) -> tuple[Station, ...]:
     """The stations whose two directions the record holds, bearings first: rotor displacements q_,
-    else the sensors' y_.
+    else the sensors' y_. Of the axis along the shaft, its two sides.
 
     Raises InvalidInput where the record has neither.
     """
+    if isinstance(machine, AxialMachine):
+        return _sides(record, machine)
     gaps = {bearing.name: bearing.touchdown_gap for bearing in machine.bearings}
     places = [(pair, "q", False) for pair in _pairs(ports(machine))]
     if not any(
@@ -103,6 +106,32 @@ def stations(record: Record, machine: Machine) -> tuple[Station, ...]:
             f"{wanted}"
         )
     return tuple(result)
+
+
+def _sides(record: Record, machine: AxialMachine) -> tuple[Station, ...]:
+    """How far the collar is to the left of its middle, and to the right: each has its own stop."""
+    part, (axis,) = machine.thrust, machine.axes
+    name = next((f"{kind}_{axis}" for kind in "qy" if f"{kind}_{axis}" in record.signals), None)
+    if name is None:
+        raise InvalidInput(
+            f"the record of {record.machine} holds no displacement along the shaft; it needs "
+            f"y_{axis}"
+        )
+    z, stops = record[name], part.touchdown_gap or (None, None)
+    nothing, sensor = np.zeros(len(z)), name.startswith("y")
+    ways = zip(("left", "right"), (-z, z), stops, strict=True)
+    return tuple(
+        Station(
+            f"{part.name} to the {side}",
+            part.position,
+            np.maximum(way, 0.0),
+            nothing,
+            gap=stop,
+            bearing=True,
+            at_sensor=sensor,
+        )
+        for side, way, stop in ways
+    )
 
 
 def rotor_speed(record: Record, scenario: Scenario | None = None) -> np.ndarray:

@@ -110,14 +110,19 @@ class Lpv(Method):
         """Whether the operating points around the plant's give a range of speeds to schedule
         over.
         """
-        return _range_of_speeds(plant) and plant.machine.weights is not None
+        from ambrose.machine.axial import AxialMachine
+
+        along = isinstance(plant.machine, AxialMachine)
+        return not along and _range_of_speeds(plant) and plant.machine.weights is not None
 
     def design(self, plant: Plant, progress: Progress) -> Synthesis:
         import numpy as np
 
         from ambrose.annexes.scheduled.lpv.machine import POINTS, POINTS_OF_TWO, design_schedule
         from ambrose.law.scheduling import BOTH
+        from ambrose.machine.axial import across_the_shaft
 
+        across_the_shaft(plant.machine, "no law along it follows speed or pressure", "take mu")
         asked = self.schedules or ((_varied(plant), None, None),)
         along, points = (asked[0][0], POINTS) if len(asked) == 1 else (BOTH, POINTS_OF_TWO)
         grid = tuple(np.linspace(*limits, points) for _, limits, _ in asked if limits is not None)

@@ -14,11 +14,19 @@ from ambrose.judge.motion import Motion, Progress
 from ambrose.law.law import Law
 from ambrose.law.scheduling import PRESSURE, SPEED
 from ambrose.law.timing import Timing
+from ambrose.machine.axial import across_the_shaft
 from ambrose.machine.machine import Machine
 
 
 def refuse(machine: Machine, law: Law, motion: Motion) -> None:
     """Raises InvalidInput where a law cannot be examined along the motion that is asked for."""
+    if motion.speed_rate is not None:
+        across_the_shaft(
+            machine, "nothing along it follows the speed", "leave the speed's rate out"
+        )
+    if motion.pressure_rate is not None:
+        remedy = "leave the pressure's rate out; the process thrust changes within load_time"
+        across_the_shaft(machine, "nothing along it follows the seals' pressure", remedy)
     _over_pressure(law, motion.pressure_error)
     if motion.speed_rate is not None:
         _speed_spans(machine, law)

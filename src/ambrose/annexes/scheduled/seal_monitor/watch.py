@@ -23,6 +23,7 @@ from ambrose.identification.findings import Code
 from ambrose.identification.output_error.problem import check_machine
 from ambrose.identification.parameters import nominal_values, reduced_plant
 from ambrose.law.law import LawLike
+from ambrose.machine.axial import across_the_shaft
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.seals import Seal, not_straight
@@ -238,6 +239,7 @@ def monitor(
 
 
 def _watched(machine: Machine, name: str | None) -> Seal:
+    across_the_shaft(machine, "the seals are watched across it")
     names = [item.name for item in machine.seals]
     if not names:
         raise InvalidInput(

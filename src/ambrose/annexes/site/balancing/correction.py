@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.annexes.site.balancing.influence import NONE, Influence, influence, source_of_currents
-from ambrose.annexes.site.balancing.vectors import revolution
+from ambrose.annexes.site.balancing.vectors import UNBALANCE, revolution
 from ambrose.annexes.site.balancing.weighted_fit import ILL, LEAST, circle_of_95, weighted_fit
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.core.presentation import Presented
@@ -29,6 +29,7 @@ from ambrose.identification.parameters import COVERAGE
 from ambrose.identification.validation.operating_load import load_doubt, machine_at_load
 from ambrose.law.law import LawLike
 from ambrose.law.timing import timing_of
+from ambrose.machine.axial import across_the_shaft
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import suggestion
 from ambrose.model.assemble import assemble
@@ -213,6 +214,7 @@ def balance(
     u_<axis> nor i_<axis>, and for 1x as it will be measured. settle [s]: left out at the beginning
     of every record. Raises InvalidInput.
     """
+    across_the_shaft(machine, UNBALANCE)
     names = tuple(planes)
     if not names:
         raise InvalidInput(

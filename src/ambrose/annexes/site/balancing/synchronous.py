@@ -24,12 +24,14 @@ import numpy as np
 
 from ambrose.annexes.site.balancing.amplitude_table import AmplitudeTable
 from ambrose.annexes.site.balancing.correction import Balancing, Row
+from ambrose.annexes.site.balancing.vectors import UNBALANCE
 from ambrose.annexes.site.balancing.weighted_fit import ILL, LEAST, circle_of_95, weighted_fit
 from ambrose.core.checks import InvalidInput, check_positive, check_shape, invalid
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import select
 from ambrose.identification.parameters import COVERAGE
 from ambrose.law.synchronous import Condition, SynchronousLoop
+from ambrose.machine.axial import across_the_shaft
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import suggestion
 from ambrose.model.assemble import assemble
@@ -88,6 +90,7 @@ def balance_amplitudes(
     point's). The covariance holds the scatter of the readings, the misfit between axes and speeds,
     and the tolerances of the machine file. Raises InvalidInput.
     """
+    across_the_shaft(machine, UNBALANCE)
     radii = {
         name: check_positive(r, f"the radius of plane {name}", "give it in m")
         for name, r in planes.items()

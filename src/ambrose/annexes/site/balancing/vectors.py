@@ -14,6 +14,7 @@ from ambrose.identification.frf.phasors import Phasors, Step, phasors
 from ambrose.identification.output_error.synchronous import synchronous_of
 from ambrose.record.record import Record
 
+UNBALANCE = "unbalance turns across it"  # why no axis along the shaft is balanced
 # [rad] by which what turns may leave the stated speed over the record, where no mark is recorded
 _OFF = 0.5
 _STEADY = 0.1  # [rad] by which the angle may leave a straight line over the time

@@ -1,0 +1,152 @@
+"""Every verb on the axis along the shaft: an answer that makes sense for one axis, or a refusal in
+a sentence; never a traceback.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import ambrose as amb
+from ambrose.cli import main
+from ambrose.core.checks import InvalidInput
+from ambrose.judge.controller_file import write_controller
+from ambrose.machine.file.toml import dumps_machine
+from ambrose.record.files import read_record, write_record
+from ambrose.report.figures.motion import stations
+from ambrose.report.record import record_page
+from ambrose.rig.scenario import Scenario, bundled_scenarios, load_scenario
+from ambrose.rig.trial import simulate_scenario
+from ambrose.synthesis.pid import pid_synthesis
+
+sys.path.insert(0, str(Path(__file__).parent))
+from rotor import machine
+
+THRUSTS = ("largest thrust", "thrust range")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """five.toml, pid.json and step.h5, from the linear loop."""
+    folder = tmp_path_factory.mktemp("axial")
+    axial = machine().axial
+    law = pid_synthesis(amb.assemble(axial, "rest"))
+    (folder / "five.toml").write_text(dumps_machine(machine()))
+    write_controller(folder / "pid.json", law, axial)
+    trace = simulate_scenario(axial, law, "thrust-step", linear=True, point="rated")
+    write_record(trace.record, folder / "step.h5")
+    (folder / "now.csv").write_text("speed_rpm,axis,amplitude_um_0p,angle_deg\n9000,T_z,12,38\n")
+    return folder
+
+
+def run(folder, line):
+    """``ambrose`` in that folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        return CliRunner().invoke(main, re.split(r" (?! )", line))
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "size five.toml#axial",
+        "size five.toml#axial --least bias",
+        "size five.toml#axial --least area",
+        "magnet five.toml#axial -o p.html",
+        "lateral five.toml#axial --controller pid.json",
+        "balance five.toml#axial step.h5 --plane T=9cm --controller pid.json",
+        "balance five.toml#axial --plane T=9cm --amplitudes now.csv",
+        "bias five.toml#axial step.h5",
+        "calibrate five.toml#axial --circle step.h5",
+        "calibrate five.toml#axial --levitated step.h5",
+        "calibrate five.toml#axial --slow-roll step.h5",
+        "monitor five.toml#axial pid.json step.h5",
+        "seal five.toml#axial step.h5",
+        "verify five.toml#axial --controller pid.json --speed-rate 10",
+        "map five.toml#axial --controller pid.json --what campbell",
+        "map five.toml#axial --controller pid.json --what unbalance",
+        "map five.toml#axial --controller pid.json --speed-rpm 0 1000",
+        "trade-off five.toml#axial --over unbalance_orbit --values 10um,20um",
+        "synthesize five.toml#axial --method pid --synchronous current-free",
+        "synthesize five.toml#axial --method lpv",
+    ],
+)
+def test_what_is_of_the_radial_axes_is_refused_in_a_sentence(folder, line):
+    done = run(folder, line)
+    assert done.exit_code == 2
+    assert "expander#axial is the axis along the shaft, but " in done.stderr
+    assert "Traceback" not in done.output
+
+
+@pytest.mark.parametrize("method", ["hinf", "mu"])
+def test_missing_weights_are_named_where_the_axis_has_them(folder, method):
+    done = run(folder, f"synthesize five.toml#axial --method {method}")
+    assert done.exit_code == 2
+    assert "add a [thrust_bearing.weights] table" in done.stderr
+
+
+def test_a_map_of_the_axis_is_its_pulses(folder):
+    from ambrose.judge.exploration import explore
+
+    axial = machine().axial
+    found = explore(axial, pid_synthesis(amb.assemble(axial, "rest")).law, rate=2e4)
+    assert found.pulses is not None
+    assert (found.maps, found.campbell, found.unbalance) == ((), (), None)
+
+
+@pytest.mark.parametrize("name", bundled_scenarios())
+def test_a_scenario_acts_along_the_shaft_or_is_refused(name):
+    scenario, axial = load_scenario(name), machine().axial
+    if scenario.acts_along:
+        assert scenario.on(axial).acts
+        assert not (scenario.on(axial).unbalances or scenario.on(axial).pressures)
+        return
+    assert name in {"unbalance", "run-up"}
+    with pytest.raises(InvalidInput, match=rf"scenario {name} does nothing along .*surge"):
+        scenario.on(axial)
+
+
+def test_what_turns_is_left_out_with_a_word(folder):
+    axial = machine().axial
+    law = pid_synthesis(amb.assemble(axial, "rest"))
+    push = replace(load_scenario("thrust-step"), name="push", duration=0.2, speed=300.0)
+    trace = simulate_scenario(axial, law, push, linear=True, point="rated")
+    assert "along the shaft, without the scenario's speed" in trace.text
+    quiet = Scenario("turning", 0.1, speed=300.0)
+    assert not quiet.on(axial).acts  # nothing was asked to act
+
+
+@pytest.mark.parametrize("kept", ["q", "y"])
+def test_the_page_of_a_record_has_both_stops_and_no_orbits(folder, kept):
+    """A collar at -30 um beyond a left stop of 25 um, by which alone the page fails."""
+    stops = {'touchdown_gap = "0.25 mm"': 'touchdown_gap = ["0.025 mm", "0.25 mm"]'}
+    axial = machine({**stops, '["-20 um", "40 um"]': '["-20 um", "10 um"]'}).axial
+    record = read_record(folder / "step.h5").select([f"{kept}_T_z", "u_T_z"])
+    values = record.values.copy()
+    values[0] = np.linspace(0.0, -30e-6, values.shape[1])
+    moved = replace(record, values=values)
+    left, right = stations(moved, axial)
+    assert (left.gap, right.gap) == (25e-6, 250e-6)
+    assert left.radius.max() == pytest.approx(30e-6)
+    assert right.radius.max() == 0.0
+    page = record_page(moved, axial)
+    titles = [figure.title for section in page.sections for figure in section.figures]
+    assert "Distance from the middle of the bearing" in titles
+    assert not {"Orbits", "The rotor in motion"} & set(titles)
+    (touch,) = (verdict for verdict in page.verdicts if verdict.label == "Touchdown")
+    assert touch.passed is False
+    assert "T to the left" in touch.text
+
+
+@pytest.mark.campaign  # draws a page
+def test_a_simulation_of_the_axis_writes_its_page(folder):
+    line = "simulate five.toml#axial --controller pid.json --scenario thrust-step --linear"
+    done = run(folder, f"{line} --point rated --report step.html")
+    assert done.exit_code == 0, done.output
+    assert "Distance from the middle of the bearing" in (folder / "step.html").read_text()
