@@ -62,13 +62,15 @@ def levitate(
     colour=0.0,
     step=0.0,
     drive_noise=0.0,
+    mode=0.0,
     seed=0,
 ):
     """Times (n,), displacement [m], drive [A] and reference [A], each (n, runs).
 
     sensor [m], white; force [m/s^2 over sqrt(Hz)], white; colour [m/s^2]: of a force with a time
     constant of 50 samples; step [m]: of the displacement's converter; drive_noise [A]: of the
-    record of u alone.
+    record of u alone; mode [rad/s]: a bending mode, damped by 2 %, that the drive moves a tenth as
+    much as the body, seen by the sensor.
     """
     truth = truth or Truth()
     rng = np.random.default_rng(seed)
@@ -78,6 +80,13 @@ def levitate(
         G = np.array([0, 0, 1 / truth.lag])
     else:
         F, G = np.array([[0.0, 1.0], [a, 0.0]]), np.array([0.0, b])
+    if mode:
+        n_body = len(F)
+        F = np.block([[F, np.zeros((n_body, 2))], [np.zeros((2, n_body)), np.zeros((2, 2))]])
+        F[-2:, -2:] = [[0, 1], [-(mode**2), -0.04 * mode]]
+        if truth.lag:
+            F[-1, 2] = 0.1 * b
+        G = np.append(G, [0, 0 if truth.lag else 0.1 * b])
     whole = int(truth.delay * truth.rate)
     part = truth.delay - whole * h
     before, late = _step(F, G, part)
@@ -95,7 +104,7 @@ def levitate(
     slope, last, push = np.zeros(runs), np.zeros(runs), np.zeros(runs)
     y, u = np.empty((n, runs)), np.empty((n, runs))
     for k in range(n):
-        seen = x[0] + sensor * rng.standard_normal(runs)
+        seen = x[0] + (x[-2] if mode else 0.0) + sensor * rng.standard_normal(runs)
         if step:
             seen = np.round(seen / step) * step
         slope = memory * slope + (1 - memory) * (seen - last) / h
@@ -113,7 +122,7 @@ def levitate(
 
 def hang(n=8000, rate=2000.0, gap=5e-3, mass=0.02, constant=1e-4, amplitude=3e-5, seed=0):
     """Times, distance [m], current [A], reference [m], each (n,): m y'' = m g - c (i/y)^2 under a PD
-    with a binary reference, by small steps of Euler's; noise of 1 um.
+    with a binary reference, by leapfrog steps; noise of 1 um.
     """
     rng = np.random.default_rng(seed)
     fine, level = 10, gap * np.sqrt(9.81 * mass / constant)
@@ -128,6 +137,7 @@ def hang(n=8000, rate=2000.0, gap=5e-3, mass=0.02, constant=1e-4, amplitude=3e-5
         current = level * (1 + 600 * (seen - aim) + 6 * slope)
         rows.append((k / rate, seen, current, aim))
         for _ in range(fine):
+            y += v / (2 * rate * fine)
             v += (9.81 - constant / mass * (current / y) ** 2) / (rate * fine)
-            y += v / (rate * fine)
+            y += v / (2 * rate * fine)
     return np.array(rows).T

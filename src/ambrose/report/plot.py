@@ -22,6 +22,7 @@ from ambrose.core.mu.bounds import MuBounds, MuPeak
 from ambrose.core.scheduled import AND, ScheduledSystem
 from ambrose.core.statespace import StateSpace, as_statespace, poles, select
 from ambrose.identification.frf.spectral import Frf
+from ambrose.identification.one_axis.result import GenericIdentification
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.result import Identification
 from ambrose.identification.seal.result import SealFit, averaged
@@ -46,6 +47,7 @@ from ambrose.report.figures.poles import pole_zero_map
 from ambrose.report.figures.rotor_drawing import machine_drawing
 from ambrose.report.figures.seals import frequency_figure, response_figure
 from ambrose.report.identification.figures import change_figure
+from ambrose.report.identification.one_axis import prediction_figure
 from ambrose.report.identification.page import seal_figure
 from ambrose.report.identification.static_load import line_figure
 from ambrose.report.record import record_figure
@@ -322,6 +324,11 @@ def _static(result: StaticLoad) -> Any:
 @plot.register
 def _residual(result: ResidualIdentification) -> Any:
     return _titled(residual_figure(result), "Residual system S: measured and identified")
+
+
+@plot.register
+def _generic(done: GenericIdentification) -> Any:
+    return _titled(prediction_figure(done), f"{done.record.name}: what was not fitted")
 
 
 @plot.register

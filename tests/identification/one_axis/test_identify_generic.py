@@ -66,6 +66,7 @@ def test_what_is_true_is_found(driven):
         assert abs(item.value - truth) < 1.5 * item.half_width
         assert item.half_width == max(item.formal, item.halves) < 0.15 * truth
     assert done.coherence_in_band > 0.5
+    assert "not fitted" in amb.plot(done).layout.title.text
     assert done.estimate.prediction.error < 0.7 * done.estimate.prediction.still
 
 
@@ -107,6 +108,18 @@ def test_a_hanging_body_follows_the_force_law(tmp_path):
     assert done.value("k_s").value == pytest.approx(0.02 * done.value("stiffness").value)
     other = amb.identify_generic(path, gap=8e-3, current=float(i.mean()))
     assert [finding.code for finding in other.findings] == [Code.FORCE_LAW]
+
+
+def test_a_large_motion_shows_the_curvature_and_the_interval_holds_the_tangent():
+    """c/m (i/y)^2 with c/m = 0.005: the tangent at the mean of both, by hand."""
+    _, y, i, aim = hang(amplitude=3e-4)
+    done = amb.identify_generic(
+        amb.Record("rig", 2000.0, ("y_x", "u_x", "r_x"), ("m", "A", "m"), np.array([y, i, aim]))
+    )
+    assert Code.CURVED in {finding.code for finding in done.findings}
+    gain = 2 * 0.005 * i.mean() / y.mean() ** 2
+    for name, truth in {"gain": -gain, "stiffness": gain * i.mean() / y.mean()}.items():
+        assert abs(done.value(name).value - truth) < done.value(name).half_width
 
 
 def test_a_rate_that_is_too_low_is_seen_by_the_fit(tmp_path):

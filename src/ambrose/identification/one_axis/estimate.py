@@ -11,6 +11,7 @@ from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
+from ambrose.identification.one_axis.curvature import curvature
 from ambrose.identification.one_axis.instruments import (
     Instrumented,
     disagreement,
@@ -53,12 +54,13 @@ class Estimate:
 
     deviations (m,): the larger of ``formal`` and of ``halves``, what the scatter between both
     halves of the record makes of it (each (m,)); covariance (m, m) to match. formal holds what an
-    actuator would change that the record does not show. apart (m,): the halves' difference over its
-    own deviation. way: "direct" or "instruments". white,
-    follows: probability by chance of the residual's colour, and of its following what drives the
-    loop (of u's past where no reference was recorded), with the shares of its variance; agree: of
-    the difference between both ways; None: not known. outside: |b| of the second way over its
-    deviation, 0 where nothing drives the loop from outside.
+    actuator would change that the record does not show, and the magnet's curvature where it shows.
+    apart (m,): the halves' difference over its own deviation. curved: probability by chance of the
+    curvature; bend (m,): what it changes, 0 where it does not show. way: "direct" or
+    "instruments". white, follows: probability by chance of the residual's colour, and of its
+    following what drives the loop (of u's past where no reference was recorded), with the shares of
+    its variance; agree: of the difference between both ways; None: not known. outside: |b| of the
+    second way over its deviation, 0 where nothing drives the loop from outside.
     """
 
     structure: Structure
@@ -82,6 +84,8 @@ class Estimate:
     scale: np.ndarray
     spread: float  # of y [m]
     apart: np.ndarray
+    curved: float
+    bend: np.ndarray
     settled: bool  # whether the searches, over the record and its halves, ended in a minimum
 
     @property
@@ -158,7 +162,9 @@ def estimate(
     settled = [_half(fit, part, y, u, z, way) for part in _halves(len(y))]
     parts = [unknowns for unknowns, _, _ in settled]
     noise = np.sqrt(np.diag(formal))
-    deviations = np.hypot(noise, _difference(fit, other))
+    curved, tangent = curvature(fit, y, u)
+    bend = np.abs(tangent) if curved < _PART else np.zeros(count)
+    deviations = np.sqrt(noise**2 + _difference(fit, other) ** 2 + bend**2)
     # the halves part by so many of their own deviations, which may be unequal (a chirp's are)
     own = np.sqrt(settled[0][1] ** 2 + settled[1][1] ** 2)
     apart = np.abs(parts[1][:count] - parts[0][:count]) / np.maximum(own, 1e-300)
@@ -195,6 +201,8 @@ def estimate(
         scale,
         spread,
         apart,
+        curved,
+        bend * scale,
         fit.converged and all(converged for _, _, converged in settled),
     )
 

@@ -29,6 +29,7 @@ _LEAST_RATE = 10.0  # samples per time constant 1/p, as of the first look; assum
 _DRIVEN = 5.0  # |b| over its deviation by what drives the loop from outside, at least; assumed
 _WIDE = 0.5  # half-width over value
 _PARTED = 3.3  # deviations between the halves: 1 of 1000 by chance
+_BENT = 2.0  # %, by which a or b may differ at the tangent
 _EXCESS = 1.5  # error of the prediction over what the model expects of it; assumed
 _DRIVE_IT = (
     "add a binary sequence or sines, a few times the noise, to the reference or to u while it "
@@ -212,6 +213,16 @@ def _doubts(
                 "something changed meanwhile (working point, temperature); identify the halves "
                 "apart",
             )
+    share = 100 * done.bend[:2] / np.abs(done.plant[:2])
+    if share.max() > _BENT:
+        yield Finding(
+            Code.CURVED,
+            WARNING,
+            "the motion is large for the magnet: its curvature shows",
+            f"at the tangent a differs by {share[0]:.2g} %, b by {share[1]:.2g} %; the intervals "
+            "hold it",
+            "record with smaller motion",
+        )
     ahead = done.prediction
     if ahead.excess > _EXCESS:
         yield Finding(

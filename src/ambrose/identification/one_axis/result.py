@@ -116,6 +116,7 @@ class GenericIdentification(Presented):
                 "follows": done.follows,
                 "share_that_follows": done.follows_share,
                 "both_ways_agree": done.agree,
+                "straight": done.curved,
             },
             "prediction": {
                 "ahead_s": ahead.horizon,

@@ -108,6 +108,11 @@ def questions_table(done: GenericIdentification) -> Table:
             _mark(None if tried.agree is None or not direct else tried.agree >= 0.001),
         ),
         (
+            "Straight",
+            f"chance of the curvature seen {units.number(tried.curved, 2)}",
+            _mark(True if tried.curved >= 0.001 else None),
+        ),
+        (
             "Driven from outside",
             f"gain over its deviation {units.number(tried.outside, 3)}, by the {outside}",
             _mark(tried.outside >= 5),
@@ -166,7 +171,7 @@ def generic_page(done: GenericIdentification, *, date: str = "") -> Page:
     words = "one unstable pole pair, a gain and a delay explain the record"
     verdicts = (
         Verdict("Model", known, words if known else "not this model"),
-        Verdict("Prediction", done.estimate.prediction.excess <= 1.5, "of the second half"),
+        Verdict("Prediction", done.estimate.prediction.excess <= 1.5, _predicted(done)),
     )
     count = len(done.findings)
     facts = (
@@ -186,6 +191,12 @@ def generic_page(done: GenericIdentification, *, date: str = "") -> Page:
     )
 
 
+def _predicted(done: GenericIdentification) -> str:
+    ahead = done.estimate.prediction
+    error, promised = units.quantity(ahead.error, "m"), units.quantity(ahead.expected, "m")
+    return f"the second half, from the first: error {error}, promised {promised}"
+
+
 def prediction_figure(done: GenericIdentification) -> Any:
     """Measured and predicted displacement over the beginning of the second half."""
     ahead = done.estimate.prediction
@@ -195,7 +206,7 @@ def prediction_figure(done: GenericIdentification) -> Any:
     looks = theme.overlay_styles(("measured", "predicted"))
     for label, values in (("measured", ahead.measured), ("predicted", ahead.predicted)):
         line = {"color": looks[label].colour, "width": looks[label].width}
-        theme.scatter(figure, place, ahead.times, factor * values, label, line=line)
+        theme.scatter(figure, place, ahead.times, factor * values, label, shown=True, line=line)
     figure.update_xaxes(title_text="Time [s]", row=1, col=1)
     figure.update_yaxes(title_text=f"Displacement about its mean [{unit}]", row=1, col=1)
     return theme.dress(figure, 260, legend=True)
