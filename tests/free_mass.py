@@ -46,6 +46,7 @@ def rotor(mass_matrix, rows, bearings):
         (),
         np.zeros(0),
         np.zeros((0, 2, n)),
+        np.zeros((2 * len(bearings), n)),
     )
 
 

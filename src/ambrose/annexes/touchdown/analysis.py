@@ -12,6 +12,13 @@ from ambrose.annexes.touchdown.campaign import Campaign
 from ambrose.annexes.touchdown.campaign import drops as many_drops
 from ambrose.annexes.touchdown.drop import Drop, Fall, brake_of, build, case_of, run, slip_of
 from ambrose.annexes.touchdown.fallen import FallenRotor, fallen_rotor
+from ambrose.annexes.touchdown.relevitation import (
+    Recovery,
+    held_states,
+    recovery_of,
+    sampled_law,
+    with_magnets,
+)
 from ambrose.annexes.touchdown.run_down import RunDown, run_down
 from ambrose.annexes.touchdown.verdict import Row, judge_landing
 from ambrose.annexes.touchdown.whip import (
@@ -25,6 +32,7 @@ from ambrose.annexes.touchdown.whip import (
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput
 from ambrose.core.presentation import Presented
+from ambrose.law.law import LawLike
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
@@ -97,7 +105,8 @@ class Landing(Presented):
 
     whips: where whip settles at the machine's friction, by kind. curves: what whip needs over its
     frequency. whip_map: edges over friction and mount. drop, fall: the machine as written down,
-    with its residual unbalance; down: until it stands. campaign: many drops, None where none were
+    with its residual unbalance; down: until it stands. recovery: with the magnets on
+    again, None where no controller was given. campaign: many drops, None where none were
     asked for. rows: what landings cost, over the campaign or else over the one drop.
     """
 
@@ -113,6 +122,7 @@ class Landing(Presented):
     duration: float
     fall: Fall
     down: RunDown
+    recovery: Recovery | None
     campaign: Campaign | None
     rows: tuple[Row, ...]
 
@@ -154,6 +164,7 @@ class Landing(Presented):
             "whip_map": self.whip_map.to_dict(),
             "drop": fall_data(self),
             "run_down": self.down.to_dict(),
+            "recovery": None if self.recovery is None else self.recovery.to_dict(),
             "campaign": None if self.campaign is None else self.campaign.to_dict(),
             "rows": [row.to_dict() for row in self.rows],
             "passed": self.passed,
@@ -202,6 +213,8 @@ def landing(
     duration: float = 0.4,
     seed: int = 1,
     bending_modes: int = 2,
+    law: LawLike | None = None,
+    power_back: float = 0.1,
     workers: int | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Landing:
@@ -210,8 +223,10 @@ def landing(
     point: the operating point at which they do, or its label; default: the fastest one. drops: how
     many with other friction, mount, unbalance and speed, drawn from ``seed``. duration [s] of each
     drop, after which the rest of the run-down is estimated. bending_modes: per plane in drops.
-    workers: processors (None: all). progress: is told every stage. Raises InvalidInput where a
-    bearing has no touchdown_gap, a seal is narrower than it, or the rotor does not turn.
+    law: a controller under which the magnets come on again ``power_back`` [s] after they were lost,
+    in another drop that goes on for ``duration`` after that. workers: processors (None: all).
+    progress: is told every stage. Raises InvalidInput where a bearing has no touchdown_gap, a seal
+    is narrower than it, or the rotor does not turn.
     """
     if drops < 0 or bending_modes < 0:
         raise InvalidInput("drops and bending_modes must not be negative; 0 drops are none")
@@ -240,6 +255,10 @@ def landing(
     worst = worst_of(whips)
     whip_map = _mapped(fallen, worst.kind, frequency[::3], rotor[::3])
     moving = fallen_rotor(machine, chosen, bending_modes)
+    if power_back < 0:
+        raise InvalidInput(
+            f"power_back is {power_back:g} s, but must not be negative; 0 is at once"
+        )
     progress("one drop (compiled once per computer)")
     left = residual_unbalance(machine)
     b = len(moving.names)
@@ -249,6 +268,10 @@ def landing(
     case, state = case_of(moving, rig, drop, brake_of(machine))
     fall = run(rig, case, state, duration, dt, rows=_LOG)
     down = run_down(moving, float(fall.log[-1, 1]), brake_of(machine), rig.windage)
+    recovery = None
+    if law is not None:
+        progress("the magnets come on again")
+        recovery = _recovered(machine, moving, chosen, law, drop, power_back, duration)
     campaign = None
     if drops:
         progress(f"{drops:,} drops")
@@ -269,6 +292,9 @@ def landing(
         seals = campaign.seals
     force, load = figures[:, :, 2], figures[:, :, 3]
     rows = judge_landing(machine, moving, force, load, slip, figures[:, :, 5], seals, down.slip / b)
+    if recovery is not None:
+        title = "power to the last contact"
+        rows = (*rows, Row("recovery", "all", title, recovery.time, "s", "<=", duration))
     return Landing(
         machine,
         chosen,
@@ -280,9 +306,29 @@ def landing(
         duration,
         fall,
         down,
+        recovery,
         campaign,
         rows,
     )
+
+
+def _recovered(
+    machine: Machine,
+    moving: FallenRotor,
+    point: OperatingPoint,
+    law: LawLike,
+    drop: Drop,
+    start: float,
+    duration: float,
+) -> Recovery:
+    """One drop with the magnets on again."""
+    rig, dt = build(machine, moving)
+    arrays, dt = sampled_law(machine, law, point, dt)
+    case, state = case_of(moving, rig, drop, brake_of(machine))
+    rig = with_magnets(machine, moving, rig, point)
+    held = held_states(machine, moving, arrays, point)
+    fall = run(rig, case, state, start + duration, dt, law=arrays, held=held, start=start)
+    return recovery_of(fall, start, start + duration)
 
 
 def _rolling(fallen: FallenRotor) -> list[float]:

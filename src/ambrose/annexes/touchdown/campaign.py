@@ -43,7 +43,7 @@ class Campaign:
     """Drops d of one machine at b bearings.
 
     cases (d, 4): factors on friction, mount stiffness and damping, and speed [rad/s]; angles (d, b)
-    of the unbalance [rad]. figures (d, b, 12) as in ``drop.Fall``; slip (d, b) [J]; seals (d, s):
+    of the unbalance [rad]. figures (d, b, 14) as in ``drop.Fall``; slip (d, b) [J]; seals (d, s):
     largest displacement over the gap. duration [s] of every drop; wall [s] that all took.
     """
 

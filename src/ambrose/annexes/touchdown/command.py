@@ -13,6 +13,7 @@ from ambrose.terminal import (
     claim,
     kept_page,
     load,
+    load_controller,
     print_table,
     progress_shown,
     say,
@@ -32,6 +33,18 @@ from ambrose.terminal import (
 )
 @click.option("--duration", type=float, default=0.4, show_default=True, help="Of a drop [s].")
 @click.option("--seed", type=int, default=1, show_default=True, help="Of the drops.")
+@click.option(
+    "--controller",
+    type=click.Path(path_type=Path),
+    help="Another drop in which the magnets come on again under this controller (*.json).",
+)
+@click.option(
+    "--power-back",
+    type=float,
+    default=0.1,
+    show_default=True,
+    help="With --controller: when they do [s].",
+)
 @click.option("--workers", type=click.IntRange(1, 256), help="Default: one for each processor.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="The page (*.html).")
 @AS_JSON
@@ -41,6 +54,8 @@ def landing_command(
     drops: int,
     duration: float,
     seed: int,
+    controller: Path | None,
+    power_back: float,
     workers: int | None,
     output: Path | None,
     as_json: bool,
@@ -54,6 +69,7 @@ def landing_command(
     from ambrose.annexes.touchdown.analysis import WHIP_MODEL, landing
 
     description = load(machine)
+    law = None if controller is None else load_controller(controller, description)
     claim(page=output)
     with progress_shown(as_json) as progress:
         result = landing(
@@ -62,6 +78,8 @@ def landing_command(
             drops=drops,
             duration=duration,
             seed=seed,
+            law=law,
+            power_back=power_back,
             workers=workers,
             progress=progress,
         )

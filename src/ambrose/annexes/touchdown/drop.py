@@ -28,7 +28,7 @@ from ambrose.model.effects import magnet
 from ambrose.model.effects.rotor import STANDARD_GRAVITY
 from ambrose.model.plant import top_speed
 
-FIGURES = 12  # per bearing, see drop_kernel
+FIGURES = 14  # per bearing, see drop_kernel
 _LOSSES = 7
 # [rad] per step of the fastest oscillation: in contact, and of race and ring alone, which count for
 # little while the rotor flies
@@ -55,7 +55,7 @@ class Drop:
 class Fall:
     """What a drop gave.
 
-    figures (b, 12) and seals (s,), as the kernel has them (squares as lengths); energy (b + 7,)
+    figures (b, 14) and seals (s,), as the kernel has them (squares as lengths); energy (b + 7,)
     [J]: slip per bearing, contact, elements, mounts, rotor, drag, coast-down, magnets. state: the
     last one. log (t, 2 + 8 b): time, speed, and per bearing x, y, normal force, spin of the race,
     x, y of what is met, slip energy, load of the elements.
@@ -268,16 +268,20 @@ def run(
     *,
     rows: int = 0,
     law: SampledLaw | None = None,
+    held: np.ndarray | None = None,
     start: float = math.inf,
 ) -> Fall:
-    """One drop of ``duration`` [s]; rows: of its log, at most. law: from ``start`` [s] on. Raises
+    """One drop of ``duration`` [s]; rows: of its log, at most. law: from ``start`` [s] on, with its
+    states ``held``. Raises
     NumericalFailure where the motion overflows.
     """
     b = len(rig.bearings)
     steps = math.ceil(duration / dt)
     every = -(-steps // rows) if rows else 0
-    held = no_law(2 * b) if law is None else law
-    work = room(rig, len(held.A))
+    control = no_law(2 * b) if law is None else law
+    work = room(rig, len(control.A))
+    if held is not None:
+        work.states[0] = held
     figures, seals = np.zeros((b, FIGURES)), np.zeros(len(rig.seals))
     figures[:, 0] = -1.0
     log = np.full((rows, 2 + 8 * b), np.nan)
@@ -286,7 +290,7 @@ def run(
     work.place[:, 4:6] = rig.rows @ state[n : 2 * n]
     z = state.copy()
     first = _FAR if not math.isfinite(start) else round(start / dt)
-    done = compiled()(rig, held, case, z, steps, dt, first, every, work, figures, seals, log)
+    done = compiled()(rig, control, case, z, steps, dt, first, every, work, figures, seals, log)
     if done < steps:
         raise NumericalFailure(
             f"the drop overflowed after {done * dt:.4g} s; look for a mass or inertia in "

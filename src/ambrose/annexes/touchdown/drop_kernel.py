@@ -222,10 +222,11 @@ def entry_point(fingerprint: int) -> Any:
         """One drop of ``steps`` steps of dt [s]; z ends as its last state. start: step at which the
         magnets are on again. every: steps per row of log (0: none).
 
-        figures (b, 12): first contact [s], first force peak [N], largest force [N], largest load of
+        figures (b, 14): first contact [s], first force peak [N], largest force [N], largest load of
         the elements, time in contact [s], largest displacement [m], turns against the spin and with
         it without going back, fastest and last whole turn against the spin [s], largest spin of
-        the race [rad/s], largest displacement of the ring [m]. places (s,): largest displacement at
+        the race [rad/s], largest displacement of the ring [m], last contact [s], largest force [N]
+        with the magnets on. places (s,): largest displacement at
         the seals over their gap. Returns the steps done: fewer where the state overflowed.
         """
         assert fingerprint
@@ -320,6 +321,9 @@ def entry_point(fingerprint: int) -> Any:
                     if figures[k, 0] < 0.0:
                         figures[k, 0] = now - h
                     figures[k, 4] += h
+                    figures[k, 12] = now
+                    if powered:
+                        figures[k, 13] = max(figures[k, 13], N)
                     figures[k, 2] = max(figures[k, 2], N)
                     if work.place[k, 3] == 0.0:
                         figures[k, 1] = max(figures[k, 1], N)

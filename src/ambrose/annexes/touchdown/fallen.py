@@ -29,6 +29,7 @@ from ambrose.model.effects.rotor import (
     gravity_load,
     mass_properties,
 )
+from ambrose.model.ports import measured_ports
 from ambrose.model.static_load import magnet_coefficients
 
 RIGID = math.inf  # stiffness of what is not there
@@ -152,7 +153,8 @@ class FallenRotor:
     rows (b, 2, n): displacement along the global x and y at every touchdown bearing; weight (n,)
     [N] along its coordinates (zero without gravity); mass [kg] and polar_inertia [kg m2] of the
     rotor. speed [rad/s] of the operating point. seal_names, seal_gaps (s,) [m] (radial) and
-    seal_rows (s, 2, n): where else it must not touch.
+    seal_rows (s, 2, n): where else it must not touch. sensor_rows (2b, n): what the sensors of
+    every axis read.
     """
 
     names: tuple[str, ...]
@@ -169,6 +171,7 @@ class FallenRotor:
     seal_names: tuple[str, ...]
     seal_gaps: np.ndarray
     seal_rows: np.ndarray
+    sensor_rows: np.ndarray
 
     def receptance(self, w: float) -> np.ndarray:
         """Backward receptances (b, b) [m/N] at w [rad/s]: forces and displacements that circle
@@ -223,6 +226,10 @@ def fallen_rotor(
         for k, angle in enumerate((0.0, math.pi / 2)):
             line = displacement_row(rotor, position, angle) @ modes.shapes
             seal_rows[i, k, : len(line)] = line
+    sensors = np.zeros((len(machine.axes), count))
+    for i, port in enumerate(measured_ports(machine)):
+        line = displacement_row(rotor, port.position, port.direction) @ modes.shapes
+        sensors[i, : len(line)] = line
     properties = mass_properties(rotor)
     return FallenRotor(
         tuple(bearing.name for bearing in machine.bearings),
@@ -239,6 +246,7 @@ def fallen_rotor(
         tuple(name for name, _, _ in seals),
         np.array([gap for _, _, gap in seals]),
         seal_rows,
+        sensors,
     )
 
 

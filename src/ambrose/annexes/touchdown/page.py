@@ -147,6 +147,8 @@ def _valued(value: float, unit: str) -> str:
         return f"{value / 1e3:.3g} kN"
     if unit == "K":
         return f"{value - 273.15:.4g} °C"
+    if unit == "s":
+        return f"{1e3 * value:.4g} ms"
     return f"{value:.4g}" if unit == "-" else f"{value:.4g} {unit}"
 
 
@@ -195,6 +197,13 @@ def drop_section(result: Landing) -> Section:
     down = result.down
     stands = f"{down.time:.4g} s" if np.isfinite(down.time) else "no time: nothing slows it"
     note = f"After these {result.duration:g} s the rotor stands within {stands} (estimated)."
+    if result.recovery is not None:
+        at, back = 1e3 * result.recovery.start, result.recovery.time
+        found = f"free of contact {1e3 * back:.4g} ms later" if np.isfinite(back) else "not free"
+        note += (
+            f" Power back after {at:.4g} ms in another drop: {found}, at most "
+            f"{result.recovery.force / 1e3:.3g} kN; no statement on stability."
+        )
     table = Table("As the machine is written down", columns, tuple(rows), note)
     slow = FRAME_TIME * FRAMES / (1e3 * SHOWN)
     pictures = (
