@@ -11,7 +11,6 @@ from __future__ import annotations
 import codecs
 import errno
 import io
-import json
 import os
 import re
 import sys
@@ -241,7 +240,10 @@ def say_json(content: Any, *, unless_said: bool = False) -> None:
     own.
     """
     if not (unless_said and _said):
-        say(json.dumps(content))
+        # --help does without numpy, which the package of this imports
+        from ambrose.core.presentation import json_text
+
+        say(json_text(content))
         _said.append(True)
 
 

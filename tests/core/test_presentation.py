@@ -2,19 +2,30 @@
 file.
 """
 
+import ast
 import json
+import math
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import ambrose
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.lft import ComplexBlock, FullBlock, GeneralizedPlant, RealBlock
 from ambrose.core.mu.bounds import mu_bounds, mu_peak
 from ambrose.core.norms import hinf_norm
-from ambrose.core.presentation import Presented, data_frame, html_table, to_plain, with_unit
+from ambrose.core.presentation import (
+    Presented,
+    data_frame,
+    html_table,
+    json_text,
+    to_plain,
+    with_unit,
+)
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.core.statespace import StateSpace
 
@@ -110,3 +121,37 @@ def test_frame_without_pandas(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(InvalidInput, match="pip install pandas"):
         data_frame({"y": [1.0]})
+
+
+# JSON that only this package reads again, or that hashes; schemas hold no result
+_INWARD = {
+    "annexes/campaigns/plan.py",
+    "annexes/campaigns/run.py",
+    "annexes/rotordynamics/json_schema.py",
+    "judge/controller_file.py",
+    "judge/result.py",
+    "machine/file/json_schema.py",
+    "record/apart.py",
+    "record/stream.py",
+}
+
+
+def test_json_of_the_package_has_no_infinity_and_no_nan():
+    """RFC 8259, section 6: "Numeric values that cannot be represented in the grammar below (such as
+    Infinity and NaN) are not permitted".
+    """
+    text = json_text({"gain": math.inf, "rows": [math.nan, 1.0], "array": np.array([-np.inf])})
+    assert json.loads(text) == {"gain": "inf", "rows": ["nan", 1.0], "array": ["-inf"]}
+    package = Path(ambrose.__file__).parent
+    writers = {
+        path.relative_to(package).as_posix()
+        for path in package.rglob("*.py")
+        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(call, ast.Call)
+        and isinstance(call.func, ast.Attribute)
+        and call.func.attr in {"dump", "dumps"}
+        and isinstance(call.func.value, ast.Name)
+        and call.func.value.id == "json"
+        and not any(word.arg == "allow_nan" for word in call.keywords)
+    }
+    assert writers <= _INWARD, "take core.presentation.json_text"

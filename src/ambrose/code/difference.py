@@ -11,7 +11,6 @@ tables says which of the two a unit holds.
 
 from __future__ import annotations
 
-import json
 import re
 import struct
 import zlib
@@ -21,6 +20,7 @@ from itertools import zip_longest
 from typing import Any
 
 from ambrose.core.checks import InvalidInput
+from ambrose.core.presentation import json_text
 
 # static const real from_error[NI][NX] = {{1.0, -2.5e-3}, ...};
 _TABLE = re.compile(r"static const (\w+) (\w+)((?:\[\w+\])+) =[^{;]*(\{[^;]*\});")
@@ -80,7 +80,7 @@ class Difference:
     def files(self) -> dict[str, str]:
         """{name: text} of the difference and of the way back."""
         both = {DIFFERENCE: self, BACK: self.reversed()}
-        return {name: json.dumps(item.to_dict(), indent=1) + "\n" for name, item in both.items()}
+        return {name: json_text(item.to_dict(), indent=1) + "\n" for name, item in both.items()}
 
     def apply(self, source: str) -> str:
         """A C file with the changes in its tables. Raises InvalidInput where it does not hold the

@@ -5,6 +5,7 @@ file.
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 from collections.abc import Iterable, Mapping
 from html import escape
@@ -126,6 +127,13 @@ def data_frame(columns: Mapping[str, Any], index: str | None = None) -> Any:
         ) from error
     frame = pd.DataFrame(dict(columns))
     return frame if index is None else frame.set_index(index)
+
+
+def json_text(content: Any, **form: Any) -> str:
+    """Any content as JSON text that every reader takes: ``to_plain``, so that no Infinity and no
+    NaN stands in it. form: indent and the like, of json.dumps.
+    """
+    return json.dumps(to_plain(content), allow_nan=False, **form)
 
 
 def to_plain(value: Any) -> Any:

@@ -5,7 +5,6 @@ together: all or none.
 from __future__ import annotations
 
 import io
-import json
 import os
 import shutil
 import uuid
@@ -15,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ambrose.core.checks import InvalidInput, check_path, invalid
-from ambrose.core.presentation import to_plain
+from ambrose.core.presentation import json_text
 from ambrose.machine.claim import claimed
 from ambrose.machine.ordinary_file import refuse_special
 
@@ -139,7 +138,7 @@ def write_json(path: str | os.PathLike[str], content: Any, what: str = "result f
     """``content`` as a JSON file in one step, infinities and NaN as strings. Raises
     InvalidInput.
     """
-    return write_text(path, json.dumps(to_plain(content), indent=1) + "\n", what)
+    return write_text(path, json_text(content, indent=1) + "\n", what)
 
 
 def write_files(

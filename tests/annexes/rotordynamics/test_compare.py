@@ -74,6 +74,20 @@ def test_closed_forms_lie_beside_ours(analysis, tmp_path):
     assert len(found.to_frame()) == 6
 
 
+def test_where_no_row_has_a_partner_nothing_was_compared(analysis, tmp_path):
+    """ "Largest difference 0 %", status 0, had been said of it."""
+    mine, theirs = tmp_path / "mine.json", tmp_path / "theirs.csv"
+    mine.write_text(json.dumps(dict(analysis.to_dict())))
+    theirs.write_text("kind,speed [rpm]\ncritical,1\ncritical,2\n")
+    found = amb.compare(analysis, theirs)
+    assert found.largest_percent is None
+    assert not found.compared and found.passed is False
+    done = CliRunner().invoke(main, ["compare", str(mine), str(theirs)])
+    assert done.exit_code == 1
+    assert "nothing was compared: none of the 2 rows has a partner" in done.output
+    assert "largest difference" not in done.output
+
+
 def test_a_tenth_more_is_a_tenth_more(analysis, tmp_path):
     peak, amplitude, *_ = closed_form(analysis)
     path = tmp_path / "t.csv"

@@ -10,7 +10,6 @@ from it, starting at the machine of the file.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +22,7 @@ from ambrose.annexes.campaigns.plan import Case, Plan
 from ambrose.core.arguments import annotations_of, unfit
 from ambrose.core.checks import AmbroseError, InvalidInput, UnstableSystem
 from ambrose.core.frequency import largest_gain
-from ambrose.core.presentation import to_plain
+from ambrose.core.presentation import json_text, to_plain
 from ambrose.core.statespace import StateSpace, poles
 from ambrose.core.worst_case.loop import BoxLoop, default_grid, gains, unstable_poles
 from ambrose.judge import nominal
@@ -392,4 +391,4 @@ _TASKS: dict[str, Callable[[Subject], dict[str, Any]]] = {
 
 def line_of(row: Row) -> str:
     """A row as one line of JSON."""
-    return json.dumps({"key": row.key, "failure": row.failure, "values": dict(row.values)})
+    return json_text({"key": row.key, "failure": row.failure, "values": dict(row.values)})

@@ -150,7 +150,7 @@ def compare_command(mine: Path, theirs: Path, within: float | None, as_json: boo
     MINE is the lateral.json of `ambrose lateral --data`; THEIRS a table (*.csv) with the columns
     kind (critical, mode or response), speed [rpm], amplitude [um p-p], amplification [-],
     log_decrement [-] or damping_ratio [%], whirl, probe, case, label, or another lateral.json.
-    Exit status 1: with --within, a row differs by more or has no partner.
+    Exit status 1: no row has a partner; with --within, a row differs by more or has none.
     """
     from ambrose.annexes.rotordynamics.comparison import compare
 
@@ -171,14 +171,17 @@ def print_comparison(result: Comparison) -> None:
         ("where", "quantity", "theirs", "ours", "ours less theirs", ""),
         [comparison_texts(pair) for pair in result.pairs],
     )
-    say(f"largest difference {result.largest_percent:.3g} %")
+    if not result.compared:
+        what = f"none of the {len(result.pairs)} rows has a partner" if result.pairs else "no row"
+        say(f"nothing was compared: {what}; see the remarks beside them, and their units")
+        return
+    if result.largest_percent is not None:
+        say(f"largest difference {result.largest_percent:.3g} %")
     if result.unpaired:
         say(f"{len(result.unpaired)} rows without a partner")
 
 
 def _write(result: Any, path: Path) -> None:
-    import json
+    from ambrose.machine.atomic_write import write_json
 
-    from ambrose.machine.atomic_write import write_text
-
-    write_text(path, json.dumps(dict(result.to_dict()), indent=1) + "\n", "lateral analysis")
+    write_json(path, dict(result.to_dict()), "lateral analysis")

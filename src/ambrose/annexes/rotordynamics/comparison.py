@@ -85,16 +85,26 @@ class Comparison(Presented):
         return tuple(pair for pair in self.pairs if pair.ours is None)
 
     @property
-    def largest_percent(self) -> float:
-        """The largest difference [%] of all pairs."""
-        return max((abs(p.percent) for p in self.pairs if p.percent is not None), default=0.0)
+    def compared(self) -> bool:
+        """Whether any row has a partner."""
+        return len(self.unpaired) < len(self.pairs)
+
+    @property
+    def largest_percent(self) -> float | None:
+        """The largest difference [%] of all pairs; None where there is none in per cent."""
+        shares = (abs(p.percent) for p in self.pairs if p.percent is not None)
+        return max(shares, default=None)
 
     @property
     def passed(self) -> bool | None:
-        """Whether every row has a partner within ``within``; None without one."""
+        """Whether every row has a partner within ``within``; None without a ``within``, but where
+        nothing was compared that failed.
+        """
+        if not self.compared:
+            return False
         if self.within is None:
             return None
-        return not self.unpaired and self.largest_percent <= self.within
+        return not self.unpaired and (self.largest_percent or 0.0) <= self.within
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, ready for JSON."""

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from ambrose.annexes.rotordynamics.analysis import lateral
 from ambrose.judge.plants import Progress
 from ambrose.judge.result import Synthesis
-from ambrose.machine.atomic_write import write_text
+from ambrose.machine.atomic_write import write_json
 from ambrose.machine.machine import Machine
 from ambrose.report.page import page_of, write
 
@@ -24,6 +23,5 @@ def write_lateral(
         return
     progress("lateral analysis")
     result = lateral(machine, synthesis)
-    text = json.dumps(dict(result.to_dict()), indent=1) + "\n"
-    write_text(directory / "lateral.json", text, "lateral analysis")
+    write_json(directory / "lateral.json", dict(result.to_dict()), "lateral analysis")
     write(page_of(result), directory / "lateral.html")

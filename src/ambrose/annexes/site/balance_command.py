@@ -82,7 +82,7 @@ def balance(
     from ambrose.annexes.site.balancing.synchronous import balance_amplitudes, grown
     from ambrose.annexes.site.balancing_page import balancing_tables, in_words
 
-    _check_sources(records, trials, controller, amplitudes, since)
+    _check_sources(records, trials, amplitudes, since)
     description = load(machine)
     radii = {
         name: _read(text, "--plane", "length", f"{name}=80 mm") for name, text in map(_pair, planes)
@@ -93,7 +93,11 @@ def balance(
         axes = description.axes
         earlier = None if since is None else read_amplitudes(since, axes)
         result = balance_amplitudes(
-            description, read_amplitudes(amplitudes, axes), radii, before=earlier
+            description,
+            read_amplitudes(amplitudes, axes),
+            radii,
+            before=earlier,
+            controller=law,
         )
         passed = result.passed if since is None else not grown(result)
     else:
@@ -115,7 +119,6 @@ def balance(
 def _check_sources(
     records: tuple[Path, ...],
     trials: tuple[tuple[str, str], ...],
-    controller: Path | None,
     amplitudes: Path | None,
     since: Path | None,
 ) -> None:
@@ -130,12 +133,11 @@ def _check_sources(
         if not records:
             raise InvalidInput("no record is given; name one, or a table with --amplitudes")
         return
-    beside = {"a record": records, "--trial": trials, "--controller": controller}
-    for name, value in beside.items():
+    for name, value in {"a record": records, "--trial": trials}.items():
         if value:
             raise InvalidInput(
-                f"{name} is given beside --amplitudes; a table of amplitudes needs neither records "
-                "nor the controller, leave it out"
+                f"{name} is given beside --amplitudes; a table of amplitudes needs no record, "
+                "leave it out"
             )
 
 

@@ -73,7 +73,9 @@ def in_words(result: Balancing) -> list[str]:
     lines = [
         f"Coefficients: {result.method}; condition of the matrix {units.number(result.condition)}; "
         f"their error, by the misfit: {units.number(100 * result.model_error, 2)} %",
-        f"1x falls to {units.number(100 * result.remaining, 2)} % or less (95 %)",
+        "1x is zero in every row: there is nothing to lower"
+        if result.remaining is None
+        else f"1x falls to {units.number(100 * result.remaining, 2)} % or less (95 %)",
     ]
     now, then = result.grade(np.abs(result.correction)), result.grade(result.uncertainty)
     if now is not None and then is not None and result.allowed is not None:

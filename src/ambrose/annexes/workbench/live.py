@@ -9,7 +9,6 @@ pushed, so that a page which missed frames knows it all.
 
 from __future__ import annotations
 
-import json
 import math
 import struct
 import time
@@ -23,6 +22,7 @@ from ambrose.annexes.workbench import blocks
 from ambrose.annexes.workbench.blocks import Block
 from ambrose.annexes.workbench.project import Project, slug
 from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.presentation import json_text
 from ambrose.machine.criteria import CLEARANCE
 
 if TYPE_CHECKING:
@@ -409,7 +409,7 @@ ACTIONS: dict[str, Callable[[LiveSession, Mapping[str, Any]], None]] = {
 
 def _packed(head: Mapping[str, Any], samples: np.ndarray) -> bytes:
     """One message: see the top of this file."""
-    text = json.dumps(head).encode()
+    text = json_text(head).encode()
     text += b" " * (-len(text) % 4)
     return struct.pack("<I", len(text)) + text + np.ascontiguousarray(samples, "<f4").tobytes()
 

@@ -19,6 +19,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from ambrose.annexes.workbench.live import LiveSession, starting_form
 from ambrose.annexes.workbench.project import Project
 from ambrose.core.checks import AmbroseError
+from ambrose.core.presentation import json_text
 
 FRAMES = 40.0  # a second
 _LONGEST = 4000  # characters of what a page says
@@ -51,7 +52,7 @@ class _Viewer:
 
     async def tell(self, **content: Any) -> None:
         """A message in words or data, beside the frames."""
-        await self.socket.send_text(json.dumps(content))
+        await self.socket.send_text(json_text(content))
 
 
 class LiveRoom:

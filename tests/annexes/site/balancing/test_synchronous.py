@@ -2,10 +2,14 @@
 virtual rig.
 """
 
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import ambrose as amb
 from ambrose.annexes.site.balancing.amplitude_table import read_amplitudes
 from ambrose.annexes.site.balancing.synchronous import (
     balance_amplitudes,
@@ -17,7 +21,9 @@ from ambrose.code.c.compiler import has_compiler
 from ambrose.core.checks import InvalidInput
 from ambrose.law.pid import pid_controller
 from ambrose.law.synchronous import Condition, forward_patterns, synchronous_loop
+from ambrose.law.synchronous_block import BlockLaw, SynchronousBlock, SynchronousLaw
 from ambrose.machine.file.toml import load_machine
+from ambrose.machine.synchronous import Synchronous
 
 REST = Condition(0.0)
 TRUE = np.array([40e-6, 28e-6 * np.exp(1.0j)])
@@ -143,7 +149,6 @@ def test_a_growing_unbalance_is_told_and_a_constant_one_is_not(loop, tmp_path):
         ([], "no record is given"),
         (["--since", "a.csv"], "--since is a.csv, but must be given with --amplitudes"),
         (["--amplitudes", "a.csv", "b.h5"], "a record is given beside --amplitudes"),
-        (["--amplitudes", "a.csv", "--controller", "c.json"], "--controller is given beside"),
     ],
 )
 def test_the_command_refuses_what_does_not_go_together(more, message):
@@ -168,6 +173,83 @@ def test_a_table_that_is_none_is_refused_with_its_line(loop, tmp_path, lines, me
     path.write_text(lines)
     with pytest.raises(InvalidInput, match=message):
         read_amplitudes(path, loop.machine.axes)
+
+
+def test_nothing_that_changed_is_told_and_leaves_no_infinity(loop, tmp_path):
+    """JSON has no Infinity (RFC 8259, section 6)."""
+    now = written(tmp_path / "now.csv", loop, [800.0], TRUE)
+    same = balanced(loop, now, now)
+    assert same.remaining is None and not same.passed and not grown(same)
+    planes = ["--plane", "upper=80 mm", "--plane", "lower=80 mm"]
+    line = ["balance", "flywheel", "--amplitudes", str(now), "--since", str(now), *planes]
+    told = CliRunner().invoke(main, [*line, "--json"])
+    assert told.exit_code == 0
+
+    def no_constant(name):
+        raise AssertionError(name)
+
+    assert json.loads(told.stdout, parse_constant=no_constant)["remaining"] is None
+    assert "there is nothing to lower" in CliRunner().invoke(main, line).output
+
+
+def with_blocks(loop, *blocks):
+    machine = loop.machine
+    return replace(machine, controller=replace(machine.controller, synchronous=blocks))
+
+
+def test_amplitudes_are_of_speeds_at_which_a_block_is_on(loop, tmp_path):
+    planes = {"upper": 0.1, "lower": 0.1}
+    axes = loop.machine.axes
+    high, low = (
+        read_amplitudes(written(tmp_path / "a.csv", loop, [speed], TRUE), axes)
+        for speed in (1000.0, 800.0)
+    )
+    top = loop.machine.operation.speed_range[1]
+    assert 800.0 < top < 1000.0
+    with pytest.raises(InvalidInput, match=r"above the machine's own: 9,549\.3 rpm is 10"):
+        balance_amplitudes(loop.machine, high, planes)
+    told = balance_amplitudes(loop.machine, low, planes)
+    assert "is not checked" in told.notes[0]
+    free, damping = (
+        Synchronous("current-free", (850.0, 900.0), 0.5),
+        Synchronous("damping", (700.0, 840.0), 0.5, leak=1.0),
+    )
+    machine = with_blocks(loop, free, damping)
+    with pytest.raises(InvalidInput, match=r"7639.4 rpm, .* machine file is on \(8116.9 to 8594"):
+        balance_amplitudes(machine, low, planes)
+    with pytest.raises(InvalidInput, match="has no current-free block"):
+        balance_amplitudes(with_blocks(loop, damping), low, planes)
+    # the controller that ran stands before the file's
+    law = amb.design(amb.assemble(machine), "pid")
+    wide = replace(law, synchronous=(Synchronous("current-free", (700.0, 850.0), 0.5),))
+    told = balance_amplitudes(machine, low, planes, controller=wide)
+    assert "not checked" not in told.notes[0]
+    assert told.correction == pytest.approx(-TRUE, rel=1e-5)
+    with pytest.raises(InvalidInput, match="the controller has no current-free block"):
+        balance_amplitudes(machine, low, planes, controller=law)
+
+
+def test_re_and_im_of_a_blocks_state_become_the_table_as_the_page_says(loop, tmp_path):
+    """A block in a loop that is one sample of gain -1: y turns as A exp(j theta), theta from the
+    pulse; amplitude_um_0p = 1e6 |re + j im|, angle_deg that of re + j im, both without a sign.
+    """
+    speed, dt, turning = 800.0, 1e-4, np.array([12e-6 * np.exp(0.6j), 5e-6 * np.exp(-2j), 0, 1e-6])
+    drive = np.eye(4, dtype=complex)[None]
+    law = BlockLaw(np.array([speed]), drive, (700.0, 900.0), 40.0, np.full(4, 1e-4), ramp=0.01)
+    block, period = SynchronousBlock(SynchronousLaw((law,), dt)), 2 * np.pi / speed
+    for k in range(8_000):
+        since = (k * dt) % period  # of the last pulse
+        y = np.real(turning * np.exp(1j * speed * since))
+        block.step(since if since < dt else -1.0, -y)
+    state = block.running[0].a
+    re, im = state.real, state.imag
+    lines = [
+        f"{speed * 30 / np.pi},{axis},{1e6 * np.hypot(x, y)},{np.degrees(np.arctan2(y, x))}\n"
+        for axis, x, y in zip(loop.machine.axes, re, im, strict=True)
+    ]
+    (tmp_path / "now.csv").write_text(HEAD + "".join(lines))
+    read = read_amplitudes(tmp_path / "now.csv", loop.machine.axes)
+    assert read.values[0] == pytest.approx(turning, abs=0.02e-6)
 
 
 def test_tables_without_a_common_speed_are_no_change(loop, tmp_path):

@@ -111,12 +111,13 @@ class Balancing(Presented):
         return self.factor * np.sqrt(np.real(np.diag(self.covariance)))
 
     @property
-    def remaining(self) -> float:
+    def remaining(self) -> float | None:
         """Predicted 1x after over before, root mean square over all rows, at the outer end of the
-        intervals.
+        intervals; None where nothing turns with the rotor.
         """
+        before = float(np.linalg.norm([row.before for row in self.rows]))
         left = np.array([abs(row.after) + row.radius for row in self.rows])
-        return float(np.linalg.norm(left) / np.linalg.norm([row.before for row in self.rows]))
+        return float(np.linalg.norm(left)) / before if before else None
 
     @property
     def passed(self) -> bool:
@@ -124,7 +125,9 @@ class Balancing(Presented):
         vibration falls with 95 %.
         """
         known = self.runout_found or bool(self.runout.any())
-        return self.condition <= ILL and self.remaining < 1 and known and self.trusted
+        left = self.remaining
+        falls = left is not None and left < 1
+        return self.condition <= ILL and falls and known and self.trusted
 
     def grade(self, moments: np.ndarray) -> float | None:
         """Balance quality G [m/s] at the balancing speed of planes with these moments (p,) [kg m]

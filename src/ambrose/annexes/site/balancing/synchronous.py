@@ -30,13 +30,14 @@ from ambrose.core.checks import InvalidInput, check_positive, check_shape, inval
 from ambrose.core.frequency import frequency_response
 from ambrose.core.statespace import select
 from ambrose.identification.parameters import COVERAGE
+from ambrose.law.law import LawLike, law_of
 from ambrose.law.synchronous import Condition, SynchronousLoop
 from ambrose.machine.axial import across_the_shaft
 from ambrose.machine.machine import Machine
 from ambrose.machine.messages import suggestion
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.sensor import runout_phasors
-from ambrose.model.plant import Plant
+from ambrose.model.plant import Plant, beyond_top_speed
 from ambrose.model.ports import ports
 from ambrose.model.unbalance import residual_unbalance
 from ambrose.model.uncertainty import perturbed, tolerances_around
@@ -45,6 +46,10 @@ APART = 1.3  # least ratio of speeds that tells run-out from unbalance
 _NO_CURRENT = (
     "the amplitudes are taken as those of converged blocks of mode current-free: no 1x current"
 )
+
+
+_UNCHECKED = "that one was on is not checked (--controller names the one that ran)"
+_RPM = 30 / np.pi
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,14 +86,16 @@ def balance_amplitudes(
     *,
     before: AmplitudeTable | None = None,
     pressure: float | None = None,
+    controller: LawLike | None = None,
 ) -> Balancing:
     """Correction masses from amplitudes of converged current-free blocks.
 
     planes: bearings, couplings, seals or discs, each with the radius [m] where masses go. before:
     an earlier table; what is balanced is then what has come since, and ``grown`` of the result
     tells whether it is more than its own uncertainty. pressure [Pa]: of the seals (None: the design
-    point's). The covariance holds the scatter of the readings, the misfit between axes and speeds,
-    and the tolerances of the machine file. Raises InvalidInput.
+    point's). controller: whose blocks they are (None: the machine file's). The covariance holds the
+    scatter of the readings, the misfit between axes and speeds, and the tolerances of the machine
+    file. Raises InvalidInput, also for a speed at which no current-free block is on.
     """
     across_the_shaft(machine, UNBALANCE)
     radii = {
@@ -100,6 +107,7 @@ def balance_amplitudes(
             "no correction plane is given; name a bearing, disc, seal or coupling of the machine, "
             "and a radius"
         )
+    known = _check_speeds(machine, amplitudes, controller)
     names, table = tuple(radii), amplitudes if before is None else amplitudes.since(before)
     design = machine.operation.design
     at = replace(
@@ -134,7 +142,7 @@ def balance_amplitudes(
         for axis, b, c, r in zip(machine.axes, turning, left, radius, strict=True):
             rows.append(Row(axis, float(speed), complex(b), complex(c), float(r)))
 
-    notes = [_NO_CURRENT]
+    notes = [_NO_CURRENT if known else f"{_NO_CURRENT}; {_UNCHECKED}"]
     if first.condition > ILL:
         notes.append(
             f"the unknowns are hardly told apart (condition {first.condition:.3g}): read another "
@@ -168,6 +176,41 @@ def balance_amplitudes(
         return result
     # a change has no balance quality: what was there before is not known
     return replace(result, allowed=None, notes=(*notes, *_growth(result)))
+
+
+def _check_speeds(machine: Machine, table: AmplitudeTable, controller: LawLike | None) -> bool:
+    """Whether it is known where the blocks are on; every speed of the table is there then.
+
+    Raises InvalidInput for a speed that no current-free block is on at, or that is above the
+    machine's own.
+    """
+    settings = machine.controller
+    if controller is not None:
+        blocks, whose = law_of(controller).synchronous, "the controller"
+    else:
+        blocks, whose = () if settings is None else settings.synchronous, "the machine file"
+    for speed in map(float, table.speeds):
+        if beyond := beyond_top_speed(machine, speed):
+            raise InvalidInput(
+                f"the amplitudes hold a speed above the machine's own: {beyond}; correct speed_rpm"
+            )
+    if controller is None and not blocks:
+        return False
+    free = [b for b in blocks if b.mode == "current-free" and b.harmonic == 1]
+    if not free:
+        raise InvalidInput(
+            f"{whose} has no current-free block, and other amplitudes are not the rotor's own; "
+            "balance from records, or give the controller that ran"
+        )
+    for speed in map(float, table.speeds):
+        if not any(block.band[0] <= speed <= block.band[1] for block in free):
+            bands = ", ".join("{:.5g} to {:.5g}".format(*np.array(b.band) * _RPM) for b in free)
+            raise InvalidInput(
+                f"a line of the amplitudes is at {speed * _RPM:.5g} rpm, where no current-free "
+                f"block of {whose} is on ({bands} rpm); leave it out, or give the controller that "
+                "ran"
+            )
+    return True
 
 
 def grown(result: Balancing) -> bool:

@@ -47,7 +47,7 @@ from ambrose.judge.verdict import verify_controller
 from ambrose.judge.verification import Verification
 from ambrose.law.law import LawLike
 from ambrose.law.timing import Timing, timing_of
-from ambrose.machine.atomic_write import make_folder, write_text
+from ambrose.machine.atomic_write import make_folder, write_json, write_text
 from ambrose.machine.claim import claimed
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.file.update import machine_text
@@ -162,8 +162,7 @@ def retune(
         if chain.steps[-1].passed is not False and not _none_given(accept_from):
             _accepted(chain, accept_from)
         done = chain.result()
-        text = json.dumps({"began": began, **done.to_dict()}, indent=1)
-        write_text(folder / STATE, text + "\n", "state of the retuning")
+        write_json(folder / STATE, {"began": began, **done.to_dict()}, "state of the retuning")
     return done
 
 
