@@ -14,7 +14,10 @@ from ambrose.identification.data_quality.diagnosis import diagnose_records
 from ambrose.identification.findings import WARNING, Code, Finding, refuse
 from ambrose.identification.output_error import closed_loop
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
-from ambrose.identification.output_error.magnetic_force import without_magnets
+from ambrose.identification.output_error.magnetic_force import (
+    with_magnets_unsure,
+    without_magnets,
+)
 from ambrose.identification.output_error.problem import (
     FitOptions,
     build_experiment,
@@ -24,6 +27,7 @@ from ambrose.identification.parameters import COVERAGE, magnet_paths, plant_at, 
 from ambrose.identification.result import LoopIdentification
 from ambrose.identification.validation.plausibility import delay_findings, diagnose_result
 from ambrose.identification.validation.repeatability import of_estimates
+from ambrose.identification.validation.rotor_place import standing
 from ambrose.identification.validation.simulated_output import simulate_outputs
 from ambrose.identification.validation.suspects import Suspect, explained, judged, suspects
 from ambrose.identification.youla import identify as youla
@@ -136,12 +140,15 @@ def identify_loop(
             magnets, records, experiment, result = without_magnets(
                 machine, records, controller, experiment, result
             )
+        elif result.converged:
+            result = with_magnets_unsure(machine, records, controller, experiment, result)
     else:
         residual = youla.identify(
             machine, records, controller, unknown, start=start, **asdict(options)
         )
         result = residual.estimate
         experiment = build_experiment(machine, records, controller, unknown, FitOptions(**setup))
+        result = with_magnets_unsure(machine, records, controller, experiment, result)
     progress("checking the result")
     outputs = simulate_outputs(experiment, records, result.values)
     # no longer relevant
@@ -160,6 +167,10 @@ def identify_loop(
     if not result.adequate and not any(finding.code == Code.OTHER_DELAY for finding in checks):
         # what was taken out went by the wrong one
         checks += _other_delay(machine, measured, controller, result, options)
+    loads = {} if magnets is None else magnets.loads
+    stood = standing(machine, measured, result, loads, options.bending_modes)
+    if stood is not None:
+        result = stood.carried(result)
     done = LoopIdentification(
         given=machine,
         machine=machine,
@@ -169,6 +180,7 @@ def identify_loop(
         controller=controller,
         residual=residual,
         magnets=magnets,
+        standing=stood,
         **setup,
     )
     if measured_delay is not None:

@@ -22,6 +22,7 @@ from ambrose.identification.seal.by_pressure import SealByPressure
 from ambrose.identification.static_load.identify import StaticLoad
 from ambrose.identification.validation.operating_load import load_remarks
 from ambrose.identification.validation.repeatability import Repeats
+from ambrose.identification.validation.rotor_place import Standing
 from ambrose.identification.validation.simulated_output import SimulatedOutput
 from ambrose.identification.youla.identify import ResidualIdentification
 from ambrose.law.law import LawLike
@@ -224,7 +225,8 @@ class LoopIdentification(Identification):
     (None: the method was "closed-loop"). seal: the seal's coefficients at every pressure, all else
     as in ``result``, where they were asked for. magnets: the nonlinearity that was taken out of the
     records beforehand (None: it was not certain, or the method another). seen_delay [samples]: of u
-    behind the controller, taken as known although it was asked for.
+    behind the controller, taken as known although it was asked for. standing: where the rotor stood
+    off the sensors' zero, to which the values are carried (None: it stood there).
     """
 
     result: ParameterEstimate
@@ -236,6 +238,7 @@ class LoopIdentification(Identification):
     seal: SealByPressure | None = None
     magnets: MagneticForce | None = None
     seen_delay: int | None = None
+    standing: Standing | None = None
 
     @property
     def method(self) -> str:
@@ -247,7 +250,11 @@ class LoopIdentification(Identification):
         stop; no doubts.
         """
         loads = {} if self.magnets is None else self.magnets.loads
-        remarks = load_remarks(self.given, [output.record for output in self.outputs], loads)
+        at_zero = {} if self.standing is None else self.standing.currents
+        records = [output.record for output in self.outputs]
+        remarks = load_remarks(self.given, records, loads, at_zero)
+        if self.standing is not None and self.standing.words:
+            remarks = (self.standing.words, *remarks)
         if self.seen_delay is not None:
             remarks = (
                 f"u follows the controller after {self.seen_delay} samples, which was taken as "

@@ -409,6 +409,23 @@ def without_magnets(
     return force, kept[0], kept[1], kept[2].widened(sure)
 
 
+def with_magnets_unsure(
+    machine: Machine,
+    records: Sequence[Record],
+    controller: LawLike,
+    experiment: Experiment,
+    result: ParameterEstimate,
+) -> ParameterEstimate:
+    """An estimate from which nothing is taken out (another method's, or over lines of a spectrum),
+    with intervals that hold what the magnets' nonlinearity may make of it.
+    """
+    force = magnetic_force(machine, records, controller, experiment, result)
+    if force is None:
+        return result
+    extra = np.sqrt(force.widening + force.moved**2)
+    return result.widened(np.hypot(result.standard_deviations, extra))
+
+
 def _further_terms(result: ParameterEstimate, values: np.ndarray) -> np.ndarray:
     """Standard deviations (q,) for what is left of the nonlinearity: a part of the change, relative
     the largest of its kind.

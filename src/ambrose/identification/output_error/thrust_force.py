@@ -138,7 +138,7 @@ def _side_beyond(
 
 def _meets(side: Side, flux: np.ndarray | float, gap: np.ndarray | float) -> np.ndarray:
     """G(phi, g) [A]."""
-    iron = side.iron
+    iron: np.ndarray | float = side.iron
     if not np.isinf(side.flux_limit):
         iron = (
             side.iron

@@ -25,7 +25,7 @@ _CARRIED = 0.1  # of the current that the weight needs, below which a record's m
 
 def machine_at_load(machine: Machine, records: Sequence[Record]) -> Machine:
     """The machine with the coefficients of its magnets at the mean currents, u_ or i_ of the first
-    record that has them, and as far off the magnets' centre as the rotor hangs through there; as it
+    record that has them, and as far off the magnets' centre as the rotor stands there; as it
     is, where the records hold no currents, or hold them without their mean. The axis along the
     shaft: with the collar at its mean place.
     """
@@ -35,25 +35,29 @@ def machine_at_load(machine: Machine, records: Sequence[Record]) -> Machine:
     if not means or _without_mean(machine, means, _bias(records)):
         return machine
     bias, bearings = _bias(records), list(machine.bearings)
-    for j, (item, coefficients) in enumerate(_at_currents(machine, means, bias)):
+    stands = _displaced(machine, records)
+    for j, (item, coefficients) in enumerate(_at_currents(machine, means, bias, stands)):
         if coefficients is not None and item.parameters is not None:
             bearings[j] = with_coefficients(bearings[j], item.parameters[0], coefficients)
     return replace(machine, bearings=tuple(bearings))
 
 
 def load_remarks(
-    machine: Machine, records: Sequence[Record], loads: Mapping[str, float] | None = None
+    machine: Machine,
+    records: Sequence[Record],
+    loads: Mapping[str, float] | None = None,
+    at_zero: Mapping[str, float] | None = None,
 ) -> tuple[str, ...]:
     """A sentence for each axis whose mean current changes k_i or k_s by over 1 % against the load
     of the machine file: u_ or i_ of the first record that has it, else the one of ``loads`` {axis:
-    [A]}.
+    [A]}; ``at_zero`` {axis: [A]}, where the rotor stood off the sensors' zero, before all.
     """
     if isinstance(machine, AxialMachine):
         return ()  # its load is the process thrust, stated with the operating point
     means = _means(records)
     if _without_mean(machine, means, _bias(records)):
         means = {}
-    means = {**(loads or {}), **means}
+    means = {**(loads or {}), **means, **(at_zero or {})}
     at_bearings = zip(machine.bearings, _at_currents(machine, means, _bias(records)), strict=True)
     return tuple(
         text
@@ -90,6 +94,12 @@ def load_doubt(machine: Machine, records: Sequence[Record]) -> str:
     )
 
 
+def mean_currents(machine: Machine, record: Record) -> dict[str, float]:
+    """{axis: [A]} of a record's u_ or i_, as far as it has them; none where they hold no mean."""
+    means = _means([record])
+    return {} if _without_mean(machine, means, record.point.bias_current) else means
+
+
 def _bias(records: Sequence[Record]) -> float | None:
     """The bias current [A] of the records, which is one for all; None: the bearings' own."""
     return records[0].point.bias_current if records else None
@@ -103,6 +113,16 @@ def _means(records: Iterable[Record]) -> dict[str, float]:
                 if name.startswith(prefix):
                     means.setdefault(name.removeprefix(prefix), float(record[name].mean()))
     return means
+
+
+def _displaced(machine: Machine, records: Sequence[Record]) -> np.ndarray:
+    """Mean displacements (b, 2) [m] of the first record, zero where it has none: at the sensors,
+    taken for those at the magnets.
+    """
+    names = [f"y_{axis}" for axis in machine.axes]
+    signals = records[0].signals if records else ()
+    rows = [float(records[0][name].mean()) if name in signals else 0.0 for name in names]
+    return np.array(rows).reshape(-1, 2)
 
 
 def _without_mean(machine: Machine, means: Mapping[str, float], bias: float | None) -> bool:
@@ -123,13 +143,17 @@ def _without_mean(machine: Machine, means: Mapping[str, float], bias: float | No
 
 
 def _at_currents(
-    machine: Machine, means: Mapping[str, float], bias: float | None
+    machine: Machine,
+    means: Mapping[str, float],
+    bias: float | None,
+    stands: np.ndarray | float = 0.0,
 ) -> Iterator[tuple[LoadedMagnet, MagnetCoefficients | None]]:
     """Every bearing's magnets as the machine file lets them work, and their coefficients at mean
-    currents; None where it has none of them, or no magnet follows from the file.
+    currents and ``stands`` (b, 2) [m] off the sensors' zero; None where it has none of them, or no
+    magnet follows from the file.
     """
-    magnets = operating_magnets(machine, bias)
-    for bearing, item, place in zip(machine.bearings, magnets, static_sag(machine)[0], strict=True):
+    magnets, places = operating_magnets(machine, bias), static_sag(machine)[0] + stands
+    for bearing, item, place in zip(machine.bearings, magnets, places, strict=True):
         axes = [f"{bearing.name}_{way}" for way in ("zeta", "eta")]
         if item.parameters is None or not any(axis in means for axis in axes):
             yield item, None
