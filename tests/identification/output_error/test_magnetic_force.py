@@ -137,17 +137,25 @@ def test_amplitudes_are_joined_as_in_closed_form():
     stays zero and adds nothing.
     """
     found, variances = np.array([0.8, 0.0, 0.4]), np.array([0.09, np.inf, 0.01])
-    a, P, believed = _joined(found, np.diag(variances))
+    a, P, believed = _joined(found, np.diag(variances), np.array([0.5, 0.0]))
     assert believed
-    for j, (mean, sigma) in ((0, (0.0, 2.0)), (2, (1.0, 0.5))):
+    for j, (mean, sigma) in ((0, (0.5, 0.4)), (2, (1.0, 0.5))):
         weight = 1 / sigma**2 + 1 / variances[j]
         assert a[j] == pytest.approx((mean / sigma**2 + found[j] / variances[j]) / weight)
         assert P[j, j] == pytest.approx(1 / weight)
     assert a[1] == 0.0 and not P[1].any() and not P[:, 1].any()
 
     # cubic terms of minus eight times the file's are no magnet's: what is known beforehand stays
-    a, P, believed = _joined(np.array([0.0, 0.0, -8.0]), np.diag([0.01, 0.01, 1.0]))
+    none = np.zeros(2)
+    a, P, believed = _joined(np.array([0.0, 0.0, -8.0]), np.diag([0.01, 0.01, 1.0]), none)
     assert not believed and a.tolist() == [0, 0, 1] and P[2, 2] == 0.25
+
+    # a load that the file does not state, but the record for certain
+    a, P, believed = _joined(np.array([2.0, 0.0, 1.1]), np.diag([1e-4, 1e-4, 0.01]), none)
+    assert believed and a[0] == pytest.approx(2.0, rel=1e-3)
+    # and one that may as well be noise
+    a, P, believed = _joined(np.array([3.0, 0.0, 1.1]), np.diag([0.6, 1e-4, 0.01]), none)
+    assert not believed
 
 
 def test_terms_are_the_derivatives_of_the_force():

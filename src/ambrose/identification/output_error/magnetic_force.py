@@ -9,8 +9,9 @@ file. Those are found by one step of least squares beside the parameters; values
 then left are those of small motion.
 
 Where the excitation is weak the record says little about the amplitudes, and cubic terms resemble
-changed parameters. So what magnets can do is known beforehand: no static load to within half a bias
-current, and cubic terms of one to within a half, from none at all to twice the file's in two
+changed parameters. So what magnets can do is known beforehand: the loads, as recorded mean currents
+or the file's weight say, to within a tenth of the bias current (any load, where a record is certain
+of another); cubic terms of one to within a half, from none at all to twice the file's in two
 standard deviations (they go with the square of gap and bias; iron takes from them). Both are
 joined, and what stays unknown widens the parameters' intervals.
 """
@@ -47,6 +48,7 @@ from ambrose.identification.output_error.residual_analysis import residual_score
 from ambrose.identification.output_error.statistics import TurningWave
 from ambrose.identification.output_error.thrust_force import thrust_responses
 from ambrose.identification.parameters import plant_at
+from ambrose.identification.validation.operating_load import recorded_means
 from ambrose.law.law import LawLike
 from ambrose.law.loop import closed_loop
 from ambrose.machine.axial import AxialMachine
@@ -65,8 +67,10 @@ _PIECE = 65_536  # samples at a time
 _GRID = 7  # points of current and of displacement, on which the terms are fitted
 # of i and x
 _POWERS = np.array([(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)])
-# known beforehand of the amplitudes, mean and standard deviation; assumed
-_LOADS, _CUBIC = (0.0, 0.5 / _LOAD), (1.0, 0.5)
+# known beforehand of the amplitudes, assumed: standard deviations of a load about the file's, and
+# of any load; mean and standard deviation of the cubic terms
+_NEAR, _ANY = 0.1 / _LOAD, 0.5 / _LOAD
+_CUBIC = (1.0, 0.5)
 _CERTAIN = 4.0  # standard deviations from which on a record says that there is, or is not
 _RARE = 0.01  # as rare as this among magnets: something else made it
 _ALIKE = 1e-8  # of the largest: what signals have of their own, below which it is rounding
@@ -183,9 +187,10 @@ def magnetic_force(
     told = taken + found.amplitudes
     if _linear(told, found.covariance):
         return None
-    amplitudes, covariance, believed = _joined(told, found.covariance)
+    loads = _loads(machine, plants[0], records)
+    amplitudes, covariance, believed = _joined(told, found.covariance, loads)
     sure = np.abs(amplitudes) > _SAID * np.sqrt(np.diag(covariance))
-    loads = {
+    carried = {
         plants[0].axes[j]: float(_LOAD * _bias(plants[0], j) * amplitudes[j])
         for j in range(len(amplitudes) - 1)
         if sure[j]
@@ -195,7 +200,7 @@ def magnetic_force(
         for wave in waves
     )
     return MagneticForce(
-        loads,
+        carried,
         float(amplitudes[-1]),
         amplitudes,
         found.gained if before is None else before.explains,
@@ -205,6 +210,20 @@ def magnetic_force(
         experiment.signals,
         responses,
     )
+
+
+def _loads(machine: Machine, plant: Plant, records: Sequence[Record]) -> np.ndarray:
+    """Loads (a,) in amplitudes as known beforehand: recorded mean currents, else those that carry
+    the file's weight; none along the shaft, whose point has its thrust.
+    """
+    if isinstance(machine, AxialMachine):
+        return np.zeros(0)
+    recorded = recorded_means(records)
+    by_file = (
+        i for item in operating_magnets(machine, plant.point.bias_current) for i in item.currents
+    )
+    currents = [recorded.get(axis, i) for axis, i in zip(plant.axes, by_file, strict=True)]
+    return np.array([i / (_LOAD * _bias(plant, j)) for j, i in enumerate(currents)])
 
 
 def _thrust_coefficients(plant: Plant, values: Mapping[str, float]) -> tuple[float, float]:
@@ -274,27 +293,42 @@ def _linear(amplitudes: np.ndarray, covariance: np.ndarray) -> bool:
     return bool(none and abs(amplitudes[-1] - 1) > _CERTAIN * deviations[-1])
 
 
-def _joined(amplitudes: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Amplitudes (b,) and their covariance (b, b) with what is known of them beforehand, and
-    whether both agree; where they do not, what is known beforehand alone.
+def _joined(
+    amplitudes: np.ndarray, covariance: np.ndarray, loads: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Amplitudes (b,) and their covariance (b, b) with what is known of them beforehand, the loads
+    (b - 1,) of ``_loads``, and whether both agree; where they do not, what is known beforehand
+    alone.
 
     P^-1 = S^-1 + P_0^-1 and a = P (S^-1 a_found + P_0^-1 a_0), as gains, K = P_0 (P_0 + S)^-1:
-    a = a_0 + K (a_found - a_0), P = (I - K) P_0. They agree where (a_found - a_0)' (P_0 + S)^-1
-    (a_found - a_0), chi^2 among magnets, is not too large. What has no signal keeps its zero.
+    a = a_0 + K (a_found - a_0), P = (I - K) P_0. What has no signal keeps its zero.
     """
     told = np.isfinite(np.diag(covariance))
-    mean = np.full(len(amplitudes), _LOADS[0])
-    deviation = np.full(len(amplitudes), _LOADS[1])
-    mean[-1], deviation[-1] = _CUBIC
-    before, off = np.diag(deviation[told] ** 2), (amplitudes - mean)[told]
-    both = before + covariance[np.ix_(told, told)]
-    believed = bool(scipy.special.chdtrc(told.sum(), off @ np.linalg.solve(both, off)) > _RARE)
-    K = np.linalg.solve(both, before).T if believed else np.zeros_like(before)
+    S, found = covariance[np.ix_(told, told)], amplitudes[told]
+    mean = np.append(loads, _CUBIC[0])[told]
+
+    # another load than that, but for certain: any load is as likely
+    P_0 = np.diag(np.append(np.full(len(loads), _NEAR), _CUBIC[1])[told] ** 2)
+    believed = _rare(found - mean, P_0 + S) > _RARE
+    even = slice(0, -1)
+    if not believed and _rare(found[even], S[even, even]) < 2 * scipy.special.ndtr(-_CERTAIN):
+        P_0 = np.diag(np.append(np.full(len(loads), _ANY), _CUBIC[1])[told] ** 2)
+        mean = np.append(np.zeros(len(loads)), _CUBIC[0])[told]
+        believed = _rare(found - mean, P_0 + S) > _RARE
+    K = np.linalg.solve(P_0 + S, P_0).T if believed else np.zeros_like(P_0)
 
     a, P = np.zeros_like(amplitudes), np.zeros_like(covariance)
-    a[told] = mean[told] + K @ off
-    P[np.ix_(told, told)] = before - K @ before
+    a[told] = mean + K @ (found - mean)
+    P[np.ix_(told, told)] = P_0 - K @ P_0
     return a, P, believed
+
+
+def _rare(off: np.ndarray, covariance: np.ndarray) -> float:
+    """Share of draws further off than this: chi^2 of off' covariance^-1 off."""
+    if not len(off):
+        return 1.0
+    statistic = off @ np.linalg.pinv(covariance, hermitian=True) @ off
+    return float(scipy.special.chdtrc(len(off), statistic))
 
 
 def _normal(

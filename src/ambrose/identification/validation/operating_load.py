@@ -31,7 +31,7 @@ def machine_at_load(machine: Machine, records: Sequence[Record]) -> Machine:
     """
     if isinstance(machine, AxialMachine):
         return at_place(machine, records)
-    means = _means(records)
+    means = recorded_means(records)
     if not means or _without_mean(machine, means, _bias(records)):
         return machine
     bias, bearings = _bias(records), list(machine.bearings)
@@ -54,7 +54,7 @@ def load_remarks(
     """
     if isinstance(machine, AxialMachine):
         return ()  # its load is the process thrust, stated with the operating point
-    means = _means(records)
+    means = recorded_means(records)
     if _without_mean(machine, means, _bias(records)):
         means = {}
     means = {**(loads or {}), **means, **(at_zero or {})}
@@ -72,7 +72,7 @@ def load_doubt(machine: Machine, records: Sequence[Record]) -> str:
     """
     if isinstance(machine, AxialMachine):
         return ""
-    means, bias = _means(records), _bias(records)
+    means, bias = recorded_means(records), _bias(records)
     needed = dict(
         zip(
             machine.axes,
@@ -96,7 +96,7 @@ def load_doubt(machine: Machine, records: Sequence[Record]) -> str:
 
 def mean_currents(machine: Machine, record: Record) -> dict[str, float]:
     """{axis: [A]} of a record's u_ or i_, as far as it has them; none where they hold no mean."""
-    means = _means([record])
+    means = recorded_means([record])
     return {} if _without_mean(machine, means, record.point.bias_current) else means
 
 
@@ -105,7 +105,8 @@ def _bias(records: Sequence[Record]) -> float | None:
     return records[0].point.bias_current if records else None
 
 
-def _means(records: Iterable[Record]) -> dict[str, float]:
+def recorded_means(records: Iterable[Record]) -> dict[str, float]:
+    """{axis: [A]} of u_ or i_ of the first record that has it."""
     means: dict[str, float] = {}
     for record in records:
         for prefix in ("u_", "i_"):
