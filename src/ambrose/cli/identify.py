@@ -82,7 +82,8 @@ def identify(
 
     RECORDS are *.h5 or *.csv files with the excitations e_<axis> and the displacements y_<axis>;
     with u_<axis> the controller is checked too. --method youla needs every u_<axis>; --method
-    static takes loads f_<port> and currents, and finds K_i. Exit status 1: done, but a warning says
+    static takes loads f_<port> and currents, and finds K_i. One axis without a machine file:
+    identify --generic RECORD. Exit status 1: done, but a warning says
     that the result is doubtful; 2: refused.
     """
     from ambrose.identification.pipeline import Provenance, check_controller

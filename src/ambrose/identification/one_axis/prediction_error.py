@@ -18,8 +18,9 @@ from ambrose.identification.one_axis.model import (
     largest_root,
 )
 
-_POLES = np.geomspace(0.004, 0.9, 9)  # rad/sample
+_POLES = np.geomspace(0.002, 0.9, 10)  # rad/sample
 _DELAYS = range(-1, 9)  # samples
+_ENOUGH = 20_000  # samples to begin from
 _STARTS = 3  # of the grid, from which the search begins
 _STEPS = 60
 _ORTHOGONAL = 3e-3  # cosine of the errors with a sensitivity, at most, in a minimum
@@ -127,6 +128,7 @@ def starts(y: np.ndarray, u: np.ndarray) -> list[np.ndarray]:
     every delay of whole samples, cosh p and b then follow by least squares.
     """
     found = []
+    y, u = y[:_ENOUGH], u[:_ENOUGH]
     ahead = np.append(u[1:], u[-1])
     for pole in _POLES:
         C = np.convolve([1.0, -np.exp(-pole)], [1.0, -np.exp(-pole)])
