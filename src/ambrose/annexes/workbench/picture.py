@@ -35,6 +35,7 @@ _VARIABLES = {
     "#b9c3cb": "--laminations",
 }
 _LETTER = 0.55  # mean width of a letter over its height
+_WIDE_LETTER = 0.58  # of words that may not be cut off
 _ROW = 18  # [px] of the legend
 _MANY = 2000  # points of a line that are thinned before they are drawn
 _TICK = 12  # [px], height of the numbers at the axes
@@ -164,7 +165,9 @@ class _Drawing:
         for row, x, trace in self.legend:
             y = 14 + _ROW * row
             yield _line([x, x + 26], [y - 4, y - 4], trace.get("line") or {})
-            yield _words(_plain(str(trace.get("name"))), x + 32, y, "start")
+            text = _plain(str(trace.get("name")))
+            size = min(13.0, (self.width - x - 34) / max(_WIDE_LETTER * len(text), 1.0))
+            yield _words(text, x + 32, y, "start", size=round(size, 1))
         yield "</svg>"
 
     def _areas(self) -> list[tuple[str, str]]:

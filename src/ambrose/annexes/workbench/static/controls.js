@@ -26,11 +26,12 @@ const TYPES = { check: "checkbox", file: "file", slider: "range" };
 export function field(spec, change, act) {
   const { name, kind, log } = spec;
   const known = kind === "slider" ? { min: spec.low, max: spec.high, step: (spec.high - spec.low) / 400 } : {};
-  const input = make(TAGS[kind] || "input", TAGS[kind] ? {} : { type: TYPES[kind] || "text", ...known },
+  if (!TAGS[kind]) known.type = TYPES[kind] || "text";
+  const input = make(TAGS[kind] || "input", { name, ...known },
     ...(spec.options || []).map((text) => make("option", { value: text }, text)));
   if (kind === "file") return { label: drop(spec, input, act) };
   const [main, check] = [kind === "slider", kind === "check"];
-  const beside = make(main ? "output" : "small", { className: main ? "" : "bad" });
+  const beside = make(main ? "span" : "small", { className: main ? "value" : "bad" });
   const value = () => {
     if (check) return input.checked;
     return main ? (log ? 10 ** Number(input.value) : Number(input.value)) : input.value;

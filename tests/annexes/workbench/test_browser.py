@@ -1,0 +1,296 @@
+"""The workbench in a browser: a tour from lift-off to code, every screen at both widths, two
+browsers, a server that is killed. With AMBROSE_PICTURES, a folder, the screens are left there.
+"""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("starlette", reason="the extra workbench is not installed")
+pytest.importorskip("playwright", reason="playwright is not installed")
+
+from playwright.sync_api import sync_playwright
+
+from ambrose.annexes.workbench.screens import TITLES
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+pytestmark = [
+    pytest.mark.campaign,
+    pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed"),
+]
+MACHINE = Path(__file__).parents[3] / "benchmarks" / "snapshot_files" / "small-rig.toml"
+PICTURES = os.environ.get("AMBROSE_PICTURES")
+LONG = 120_000  # [ms] of what is computed
+
+
+class Server:
+    """`ambrose workbench` of a folder, and the addresses that it prints."""
+
+    def __init__(self, folder):
+        words = [sys.executable, "-m", "ambrose", "workbench", str(folder), "--no-browser"]
+        self.begun = time.monotonic()
+        self.process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+        self.addresses = []
+        self.reader = threading.Thread(target=self._read, daemon=True)
+        self.reader.start()
+
+    def _read(self):
+        for line in self.process.stdout:
+            self.addresses += re.findall(r"http\S+", line)
+
+    def address(self):
+        """One that was not used yet."""
+        end = time.monotonic() + 30
+        while not self.addresses:
+            assert time.monotonic() < end and self.process.poll() is None
+            time.sleep(0.02)
+        return self.addresses.pop(0)
+
+    def end(self, number=signal.SIGINT):
+        self.process.send_signal(number)
+        status = self.process.wait(30)
+        self.reader.join()
+        self.process.stdout.close()
+        assert status == (0 if number == signal.SIGINT else -number)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    made = tmp_path_factory.mktemp("tour") / "rig"
+    made.mkdir()
+    shutil.copy(MACHINE, made / "machine.toml")
+    return made
+
+
+@pytest.fixture(scope="module")
+def server(folder):
+    made = Server(folder)
+    yield made
+    made.end()
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+def new_page(chromium, width=1400, **options):
+    """A page of a browser of its own, which fails the test that leaves a mistake in its console."""
+    context = chromium.new_context(viewport={"width": width, "height": 900}, **options)
+    page = context.new_page()
+    page.set_default_timeout(30_000)
+    page.mistakes = []
+    page.on("pageerror", lambda error: page.mistakes.append(str(error)))
+    page.on("console", lambda said: said.type == "error" and page.mistakes.append(f"{said.text}"))
+    return page
+
+
+def until(page, expression, arg=None, seconds=30):
+    """Until a script says yes; asked again and again, for the page's own rules forbid more."""
+    end = time.monotonic() + seconds
+    while not page.evaluate(expression, arg):
+        assert time.monotonic() < end, expression
+        page.wait_for_timeout(50)
+
+
+def go(page, screen):
+    page.evaluate(f"location.hash = '#{screen}'")
+    page.wait_for_selector(f"nav a[aria-current=page][href='#{screen}']")
+    page.wait_for_selector("main .panel")
+
+
+def job(page, button, command):
+    """Start a job from its screen and wait until it is over; its log."""
+    over = "([name]) => [...document.querySelectorAll('h2')].map((h) => h.textContent).find("
+    over += "(text) => text.startsWith(name) && !/: (waiting|running)/.test(text))"
+    assert page.evaluate(over, [f"{command}-"]) is None
+    page.get_by_role("button", name=button, exact=True).click()
+    until(page, over, [f"{command}-"], seconds=120)
+    log = page.locator("section", has=page.locator("h2", has_text=f"{command}-")).first
+    words = log.locator("pre").first.text_content()
+    assert ": done" in page.evaluate(over, [f"{command}-"]), words
+    return words
+
+
+@pytest.fixture(scope="module")
+def tour(chromium, server, folder):
+    """From lift-off to code, as a new user would; the page stays open."""
+    page = new_page(chromium)
+    page.goto(server.address())
+    page.wait_for_selector("h1")
+    first = time.monotonic() - server.begun
+    page.wait_for_selector("canvas", timeout=LONG)
+    until(page, "/frames\\s*[1-9]/.test(document.querySelector('.facts').textContent)")
+    return {"page": page, "first": first}
+
+
+def test_the_first_page_comes_at_once(tour):
+    assert tour["first"] < 4.0  # two seconds, on a computer that does nothing else
+
+
+def test_a_tour_from_lift_off_to_code(tour, folder):
+    page = tour["page"]
+    # knock it, and record it while it is shaken
+    page.locator("canvas").first.click(position={"x": 150, "y": 60})
+    if PICTURES:
+        page.wait_for_timeout(60)
+        page.screenshot(path=f"{PICTURES}/tour-live.png")
+    page.locator("[name=pace]").select_option("fast")
+    page.get_by_role("button", name="Excite", exact=True).click()
+    page.get_by_role("button", name="Record", exact=True).click()
+    until(
+        page,
+        "Number(/h5: ([\\d.]+) s/.exec(document.querySelector('.facts').textContent)?.[1]) > 4",
+    )
+    page.get_by_role("button", name="Stop recording").click()
+    page.get_by_role("button", name="Stop exciting").click()
+    page.locator("[name=pace]").select_option("real")
+    until(page, "!document.querySelector('.facts').textContent.includes('excited')")
+    (record,) = (folder / "records").glob("live-*.h5")
+    # see and judge it
+    go(page, "records")
+    page.wait_for_selector("td.pass")
+    assert record.name in page.locator("select").first.text_content()
+    # what it tells of the machine
+    go(page, "identification")
+    before = (folder / "machine.toml").read_text()
+    page.locator("[name=unknown]").fill(
+        "bearing.*.negative_stiffness.* bearing.*.force_per_current.*"
+    )
+    assert "Verdict:" in job(page, "Identify", "identify")
+    page.wait_for_selector("iframe")
+    page.get_by_role("button", name="Write back").click()
+    until(page, "document.querySelector('#note').textContent.includes('before.toml')")
+    assert (folder / "machines" / "before.toml").read_text() == before
+    assert (folder / "machine.toml").read_text() != before
+    # the machine's own sentence beside a field
+    go(page, "machine")
+    page.wait_for_selector("figure svg")
+    page.locator("summary", has_text="[[bearing]]").first.click()
+    gap = page.locator("[name='bearing.0.gap']")
+    gap.fill("3 kg")
+    kept = (folder / "machine.toml").read_bytes()
+    page.locator("details[open]").get_by_role("button", name="Save").first.click()
+    page.wait_for_selector("small.bad:not(:empty)")
+    assert "must be a length" in page.locator("small.bad:not(:empty)").first.text_content()
+    assert (folder / "machine.toml").read_bytes() == kept
+    # turn the PID by keyboard, keep what comes
+    go(page, "controllers")
+    page.wait_for_selector("figure svg")
+    was = page.locator("figure svg path").nth(40).get_attribute("d"), page.content()
+    page.locator("input[type=range]").first.press("ArrowRight")
+    until(page, "(was) => document.documentElement.outerHTML !== was", arg=was[1])
+    page.locator("[name=name]").fill("mine")
+    page.get_by_role("button", name="Save as controller").click()
+    until(page, "document.querySelector('#note').textContent.includes('mine.json')")
+    saved = json.loads((folder / "controllers" / "mine.json").read_text())
+    assert saved["status"] == "verified"
+    # judge, accept, write code
+    go(page, "envelope")
+    assert "every check" in job(page, "Verify", "verify")
+    go(page, "acceptance")
+    page.locator("[name=controller]").select_option("pid.json")
+    assert "The loop that was measured" in job(page, "Measure and judge", "accept")
+    go(page, "deploy")
+    page.locator("[name=rate]").fill("10000")
+    job(page, "Export", "export")
+    page.get_by_role("button", name="Self test").click()
+    page.wait_for_selector("h2.good", timeout=LONG)
+    page.get_by_role("button", name="Pack").click()
+    with page.expect_download() as download:
+        page.get_by_role("link", name="Download").click()
+    assert Path(download.value.path()).read_bytes()[:2] == b"PK"
+    # but for the field that was refused
+    assert [words for words in page.mistakes if "status of 400" not in words] == []
+
+
+@pytest.mark.parametrize("width, scheme", [(1400, "light"), (400, "dark")])
+def test_every_screen_fits(tour, server, chromium, width, scheme):
+    page = new_page(chromium, width, color_scheme=scheme, reduced_motion="reduce")
+    page.goto(server.address() + "#machine")
+    for screen in TITLES:
+        go(page, screen)
+        until(page, "!document.querySelector('main').textContent.includes('Looking')")
+        if screen == "live":
+            page.wait_for_selector("canvas", timeout=LONG)
+        # nothing sticks out, what is wide scrolls in itself
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert page.locator("summary, pre", has_text="ambrose").count() or screen in {"live"}
+        # every field can be reached and has a name
+        nameless = page.evaluate(
+            "[...document.querySelectorAll('input, select, textarea, button')].filter((e) =>"
+            " !e.labels?.length && !e.ariaLabel && !e.textContent).length"
+        )
+        assert nameless == 0
+        if PICTURES:
+            page.wait_for_timeout(1500 if screen == "live" else 200)
+            page.screenshot(path=f"{PICTURES}/{screen}-{width}-{scheme}.png", full_page=True)
+    assert page.mistakes == []
+    page.context.close()
+
+
+def test_two_browsers_see_one_project(tour, server, chromium, folder):
+    one, other = tour["page"], new_page(chromium)
+    other.goto(server.address() + "#machine")
+    go(one, "machine")
+    for page in (one, other):
+        page.wait_for_selector("figure svg")
+        page.locator("summary", has_text="The whole file").click()
+    texts = [page.locator("textarea") for page in (one, other)]
+    text = texts[0].input_value()
+    texts[0].fill("# by the first\n" + text)
+    texts[1].fill("# by the second\n" + text)
+    for page, word in ((one, "is saved"), (other, "changed meanwhile")):
+        page.locator("details[open]").get_by_role("button", name="Save").click()
+        until(
+            page, "(word) => document.querySelector('#note').textContent.includes(word)", arg=word
+        )
+    assert (folder / "machine.toml").read_text().startswith("# by the first")
+    assert texts[1].input_value().startswith("# by the second")  # nothing lost
+    other.get_by_role("button", name="Reload").click()
+    until(other, "document.querySelector('textarea').value.startsWith('# by the first')")
+    # one rig for both: what one turns, the other sees
+    for page in (one, other):
+        go(page, "live")
+        page.wait_for_selector("canvas", timeout=LONG)
+    one.locator("[name=gain]").press("ArrowRight")
+    until(
+        other,
+        "[...document.querySelectorAll('.value')].some((o) => /^1\\.0[1-9]/.test(o.textContent))",
+    )
+    other.context.close()
+
+
+def test_a_server_that_is_killed_comes_back_with_what_there_was(chromium, folder, tour):
+    server = Server(folder)
+    page = new_page(chromium)
+    page.goto(server.address() + "#live")
+    page.wait_for_selector("canvas", timeout=LONG)
+    page.evaluate(
+        "fetch('/api/jobs/start', { method: 'POST', body: JSON.stringify("
+        "{ kind: 'design', method: 'mu' }) })"
+    )
+    go(page, "jobs")
+    page.wait_for_selector("h2:has-text('running')")
+    server.end(signal.SIGKILL)
+    again = Server(folder)
+    page.goto(again.address() + "#jobs")
+    page.reload()
+    page.wait_for_selector("h2:has-text('synthesize-')")
+    words = page.locator("h2").all_text_contents()
+    assert [w for w in words if w.startswith("synthesize-") and ": stopped" in w]
+    assert [w for w in words if w.startswith("verify-") and ": done" in w]
+    page.context.close()
+    again.end()
