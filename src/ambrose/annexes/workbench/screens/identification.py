@@ -22,8 +22,8 @@ def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     records = [name for name in project.names("records") if name.endswith(OWN)]
     controllers = project.names("controllers")
     hint = (
-        "Unknown: names as tolerances have them, such as bearing.*.negative_stiffness.*, with spaces "
-        "between; what is usual where it is left empty. Choose the controller that ran."
+        "Unknown: names as tolerances have them, such as bearing.*.negative_stiffness.*, with "
+        "spaces between; what is usual where it is left empty. Choose the controller that ran."
     )
     fields = [
         blocks.choice("record", "Record", records),

@@ -24,7 +24,7 @@ const DRAW = {
 };
 
 export const screen = (name) => async (place) => {
-  const [shown, list] = [new Map(), make("div", {}, "Looking …")];
+  const [shown, list] = [new Map(), make("div", { className: "blocks" }, "Looking …")];
   let [stamp, line, waiting, jobs, ended, left] = ["", Promise.resolve(), null, [], 0, false];
   place.append(list);
   const run = async (to, values) => {
