@@ -180,8 +180,8 @@ def _generic_use(
     named = bool(given["columns"])
     if len(axes) > 1 and not named:
         reason = (
-            f"{len(axes)} axes; name one, such as --displacement y_{axes[0]} --drive u_{axes[0]}; "
-            "it lacks what couples them"
+            f"{len(axes)} axes; name one, such as --displacement y_{axes[0]}; it lacks what "
+            "couples them"
         )
         return Use("one axis, controller unknown", "identify --generic", False, reason)
     return _tried(source, given)

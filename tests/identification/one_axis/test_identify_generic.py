@@ -14,6 +14,7 @@ import ambrose as amb
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.identification.findings import Code
+from ambrose.identification.one_axis.axis_record import read_axis
 from ambrose.identification.one_axis.estimate import estimate
 from ambrose.identification.one_axis.model import input_polynomials, own_polynomial
 from one_axis_loop import Truth, hang, levitate
@@ -153,6 +154,17 @@ def test_records_of_this_package_are_read_by_their_signals(driven, tmp_path):
     done = amb.identify_generic(path)
     assert dict(done.record.columns) == {"displacement": "y_x", "drive": "u_x", "reference": "e_x"}
     assert done.pole == pytest.approx(amb.identify_generic(driven).pole, rel=1e-6)
+
+
+def test_the_axis_of_a_displacement_names_the_others():
+    rows = np.random.default_rng(0).standard_normal((6, 600))
+    names = ("y_A", "y_B", "u_A", "u_B", "e_B", "i_B")
+    record = amb.Record("rig", 1e3, names, ("m", "m", "A", "A", "A", "A"), rows)
+    with pytest.raises(InvalidInput, match="2 signals that may be the displacement"):
+        read_axis(record)
+    axis = read_axis(record, columns={"displacement": "y_B", "current": "none"})
+    assert dict(axis.columns) == {"displacement": "y_B", "drive": "u_B", "reference": "e_B"}
+    assert read_axis(record, columns={"displacement": "y_A"}).reference is None
 
 
 COLUMNS = {

@@ -127,28 +127,25 @@ def is_text_table(path: Path) -> bool:
 
 
 def _of_record(record: Record, wanted: dict[str, str], name: str) -> AxisRecord:
-    chosen = {}
-    if "voltage" in wanted and wanted["voltage"] != "none":
-        chosen["voltage"] = wanted["voltage"]
-    for what, prefix in _PREFIXES.items():
-        matches = [signal for signal in record.signals if signal.startswith(prefix)]
-        given = wanted.get(what, "")
-        if given == "none":
+    chosen = {what: given for what, given in wanted.items() if given and given != "none"}
+    chosen.pop("time", None)
+    alone = sum(signal.startswith("y_") for signal in record.signals) == 1
+    for what, prefixes in _PREFIXES.items():
+        if what in wanted:
             continue
-        if given:
-            chosen[what] = given
-        elif len(matches) == 1:
+        matches = [signal for signal in record.signals if signal.startswith(prefixes)]
+        # of several the axis's own, as its displacement names it
+        axis = chosen.get("displacement", "").partition("_")[2]
+        own = [signal for signal in matches if axis and signal.partition("_")[2] == axis]
+        if own:
+            chosen[what] = own[0]
+        elif len(matches) == 1 and alone:
             chosen[what] = matches[0]
         elif matches and what in _NEEDED:
             raise InvalidInput(
                 f"it has {len(matches)} signals that may be the {what} ({', '.join(matches)}); "
                 f"name the axis's own, {what} {matches[0]}"
             )
-    axis = chosen.get("displacement", "").removeprefix("y_")
-    for what in ("reference", "current"):
-        fitting = [s for s in record.signals if s.startswith(_PREFIXES[what]) and s.endswith(axis)]
-        if what not in chosen and axis and len(fitting) == 1 and wanted.get(what) != "none":
-            chosen[what] = fitting[0]
     _check_needed(chosen, list(record.signals))
     rows = {what: record[signal] for what, signal in chosen.items()}
     unit = record.units[record.signals.index(chosen["drive"])]
