@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 import ambrose as amb
-from ambrose.core.checks import AmbroseError
+from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.identification.parameters import nominal_values
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import TIMING
@@ -50,9 +50,11 @@ AMPLITUDE = 0.05  # of the bias current
 def truth(machine: Machine, rng: np.random.Generator) -> Machine:
     """The machine with magnets 5 to 25 % off, and worn seals."""
 
-    def off(values: tuple[float, ...]) -> tuple[float, ...]:
+    def off(values: tuple[float, float] | None) -> tuple[float, float]:
+        if values is None:
+            raise InvalidInput(f"{machine.name} states no coefficients of its magnets")
         factor = 1 + rng.choice([-1.0, 1.0]) * rng.uniform(0.05, 0.25)
-        return tuple(factor * value for value in values)
+        return factor * values[0], factor * values[1]
 
     bearings = tuple(
         replace(
@@ -96,13 +98,14 @@ def one(name: str, turning: bool, seed: int) -> dict[str, Any]:
     points = sorted(machine.operation.points, key=lambda point: point.speed)
     label = points[-1 if turning else 0].label
     rng = np.random.default_rng([seed, turning])
-    for _draw in range(1, DRAWS + 1):
+    draws = 0
+    record = None
+    while record is None:
+        draws += 1
+        if draws > DRAWS:
+            return {"outcome": f"none of {DRAWS} draws floats"}
         true = truth(machine, rng)
         record = recorded(true, law, label, seed)
-        if record is not None:
-            break
-    else:
-        return {"outcome": f"none of {DRAWS} draws floats"}
     begun = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         done = amb.retune(machine, record, law, folder)
@@ -110,7 +113,7 @@ def one(name: str, turning: bool, seed: int) -> dict[str, Any]:
         row = {
             "outcome": done.outcome,
             "stopped": done.stopped_at.words if done.stopped_at else "",
-            "draws": _draw,
+            "draws": draws,
             "seconds": round(spent, 1),
             "inside": _inside(true, done),
         }
