@@ -108,7 +108,7 @@ def one(name: str, turning: bool, seed: int) -> dict[str, Any]:
         record = recorded(true, law, label, seed)
     begun = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
-        done = amb.retune(machine, record, law, folder)
+        done = amb.retune(machine, record, law, folder, changed=True)
         spent = time.process_time() - begun
         row = {
             "outcome": done.outcome,

@@ -193,7 +193,7 @@ def export(
             lines = [*lines, "Fallback:", *provenance_lines(other, fixed)]
         judged: tuple[Checks, ...] = ()
         law: ControlBlock | ScheduledBlock | RunUnit = block
-        if around and machine is not None and isinstance(target, C):
+        if around and machine is not None and isinstance(target, C | Fmu):
             runs = (
                 synthesis if isinstance(deployment, ScheduledDeployment) else deployment.controller
             )

@@ -129,8 +129,8 @@ class Target(Options, ABC):
         raise invalid(
             "a controller with synchronous blocks",
             f"for the target {self.to!r}",
-            "for the target 'c'",
-            f"{self.beside}; write C, which runs both in one unit",
+            "for the target 'c' or 'fmu'",
+            f"{self.beside}; write C or an FMU, which run both in one unit",
         )
 
     def told(self, along: Scheduling) -> tuple[tuple[float | None, ...], tuple[float | None, ...]]:
@@ -277,6 +277,17 @@ class Fmu(Target):
         from ambrose.code.fmu.archive import generate_fmus
 
         return generate_fmus(block, self.arithmetic, lines, sources_only=self.sources_only)
+
+    def check_beside(self) -> None:
+        from ambrose.code.c.run import check_run_arithmetic
+
+        check_run_arithmetic(self.arithmetic)
+
+    def files_beside(self, unit: RunUnit, lines: Sequence[str]) -> Files:
+        """{name: content} of the block with its synchronous blocks."""
+        from ambrose.code.fmu.archive import generate_fmus
+
+        return generate_fmus(unit, self.arithmetic, lines, sources_only=self.sources_only)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

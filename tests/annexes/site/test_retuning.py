@@ -25,6 +25,7 @@ from ambrose.cli import main
 from ambrose.code.difference import checksum_of
 from ambrose.core.checks import InvalidInput
 from ambrose.law.timing import Timing
+from ambrose.machine.description import Tolerance
 from ambrose.report.page import render
 from ambrose.rig.disturbances import Prbs
 from ambrose.rig.scenario import Scenario
@@ -82,6 +83,25 @@ def test_nothing_to_change_is_an_answer_with_its_figures(tmp_path):
     assert "proved at all frequencies" in done.steps[-1].words
     assert not (tmp_path / "same" / CODE).exists()
     assert not any(abs(item.change) > 0.002 for item in done.moved)
+
+
+@pytest.mark.campaign
+def test_a_change_beyond_the_file_s_tolerances_is_doubted_unless_it_is_known(tmp_path):
+    narrow = replace(
+        machine(),
+        tolerances=tuple(
+            Tolerance(f"bearing.{b.name}.force_per_current.{way}", relative=0.05)
+            for b in machine().bearings
+            for way in ("zeta", "eta")
+        ),
+    )
+    given = (narrow, record(0.88), law())
+    done = amb.retune(*given, tmp_path / "doubted", unknown=UNKNOWN)
+    assert done.outcome == "stopped" and done.stopped_at.name == "identified"
+    assert "beyond its tolerance" in done.text and "go on with --changed" in done.text
+    done = amb.retune(*given, tmp_path / "known", unknown=UNKNOWN, changed=True)
+    assert done.steps[0].passed and done.steps[1].name == "changed"
+    assert all(item.beyond for item in done.moved)
 
 
 @pytest.mark.study

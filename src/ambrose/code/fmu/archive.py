@@ -14,15 +14,18 @@ import platform
 import uuid
 import zipfile
 from collections.abc import Mapping, Sequence
-from typing import get_args
+from dataclasses import replace
+from typing import cast, get_args
 
 from ambrose.code.block.names import check_identifier
 from ambrose.code.block.scheduled import ScheduledBlock
-from ambrose.code.c.code import Arithmetic, block_facts, generate
+from ambrose.code.c.code import Arithmetic, Precision, block_facts, generate
 from ambrose.code.c.compiler import COMPILERS, build_library, build_probe, find_compiler
+from ambrose.code.c.run import generate_run
 from ambrose.code.fmu.description import (
-    AnyBlock,
+    AnyLaw,
     Version,
+    base_of,
     build_description,
     model_description,
     references,
@@ -30,6 +33,7 @@ from ambrose.code.fmu.description import (
     variables,
 )
 from ambrose.code.rendering import render
+from ambrose.code.synchronous import RunUnit
 from ambrose.core.checks import InvalidInput, invalid
 
 # in templates/fmu_memory.h.j2, fmi2.c.j2, fmi3.c.j2
@@ -47,28 +51,29 @@ _FOLDERS = {  # (system, machine): folder of FMI 2.0, folder of FMI 3.0, suffix
 
 
 def generate_fmus(
-    block: AnyBlock,
+    law: AnyLaw,
     arithmetic: Arithmetic = "double",
     provenance: Sequence[str] = (),
     *,
     sources_only: bool = False,
 ) -> dict[str, bytes]:
-    """<name>_fmi2.fmu and <name>_fmi3.fmu.
+    """<name>_fmi2.fmu and <name>_fmi3.fmu of a controller's block, or of one with synchronous
+    blocks beside it, which are told the rotor's angle once a sample.
 
     arithmetic: of the code inside; the FMU's variables are in m and A in every case. sources_only:
     without a binary, for an importer that compiles. Raises InvalidInput, also where there is no C
     compiler, or it fails.
     """
     return {
-        f"{block.name}_fmi{v[0]}.fmu": generate_fmu(
-            block, v, arithmetic, provenance, sources_only=sources_only
+        f"{base_of(law).name}_fmi{v[0]}.fmu": generate_fmu(
+            law, v, arithmetic, provenance, sources_only=sources_only
         )
         for v in get_args(Version)
     }
 
 
 def generate_fmu(
-    block: AnyBlock,
+    law: AnyLaw,
     version: Version,
     arithmetic: Arithmetic = "double",
     provenance: Sequence[str] = (),
@@ -78,10 +83,10 @@ def generate_fmu(
     """One FMU as the bytes of its archive; equal input gives equal bytes where the compiler does.
     Arguments and errors: ``generate_fmus``.
     """
-    _check_names(block)
+    _check_names(law)
     if arithmetic == "float":
-        block = block.single()
-    code = generate_sources(block, version, arithmetic, provenance)
+        law = _single(law)
+    block, code = base_of(law), generate_sources(law, version, arithmetic, provenance)
     token = "{" + str(uuid.uuid5(_SPACE, "\n".join(code.values()))) + "}"
     code[f"fmi{version[0]}.c"] = code[f"fmi{version[0]}.c"].replace("TOKEN", token)
     text = (
@@ -89,44 +94,71 @@ def generate_fmu(
         f"{1 / block.sample_time:.9g} Hz"
     )
     archive: dict[str, str | bytes] = {
-        "modelDescription.xml": model_description(block, version, token, text)
+        "modelDescription.xml": model_description(law, version, token, text)
     }
     if not sources_only:
         place, suffix = _place(version)
-        archive[f"binaries/{place}/{block.name}.{suffix}"] = _compiled(block, version, code)
+        archive[f"binaries/{place}/{block.name}.{suffix}"] = _compiled(law, version, code)
     archive |= {f"sources/{name}": content for name, content in code.items()}
     if version == "3.0":
-        archive["sources/buildDescription.xml"] = build_description(block)
-    archive["documentation/index.html"] = _page(block, text, provenance)
+        archive["sources/buildDescription.xml"] = build_description(law)
+    archive["documentation/index.html"] = _page(law, text, provenance)
     return _zipped(archive)
 
 
+def _single(law: AnyLaw) -> AnyLaw:
+    """With the controller's tables in single precision."""
+    if isinstance(law, RunUnit):
+        return replace(law, base=law.base.single())
+    return law.single()
+
+
 def generate_sources(
-    block: AnyBlock, version: Version, arithmetic: Arithmetic, provenance: Sequence[str] = ()
+    law: AnyLaw, version: Version, arithmetic: Arithmetic, provenance: Sequence[str] = ()
 ) -> dict[str, str]:
     """The C of an FMU by name; in fmi2.c or fmi3.c the word TOKEN stands for the token."""
-    written = generate(block, arithmetic, provenance)
+    block, beside = base_of(law), isinstance(law, RunUnit)
+    if isinstance(law, RunUnit):
+        written = generate_run(law, cast("Precision", arithmetic), provenance)
+    else:
+        written = generate(law, arithmetic, provenance)
+    name, sync = block.name, f"{block.name.upper()}_SYNC"
     facts = {
         **block_facts(block),
         "fixed": arithmetic.startswith("fixed"),
         "token": "TOKEN",
-        "references": references(block).items(),
+        "references": references(law).items(),
+        "beside": beside,
+        # the unit that is stepped, and what it is told besides: the pulse, and what the caller sees
+        "unit": f"{name}_run" if beside else f"{name}_block",
+        "call": f"{name}_run" if beside else name,
+        "pulse": "memory_pulse(m), " if beside else "",
+        "marks": f"(m->contact ? {sync}_CONTACT : 0u) | (m->blocks_off ? {sync}_DISABLED : 0u), "
+        if beside
+        else "",
         "scheduled": isinstance(block, ScheduledBlock),
         "parameter": block.along.name if isinstance(block, ScheduledBlock) else "",
     }
     wrapper = f"fmi{version[0]}.c"
     return {
-        **{name: written[name] for name in (f"{block.name}.h", f"{block.name}.c")},
+        **{file: written[file] for file in _files(law)},
         f"{block.name}_fmu.h": render("fmu_memory.h.j2", facts),
         wrapper: render(f"{wrapper}.j2", facts),
     }
 
 
-def _check_names(block: AnyBlock) -> None:
+def _files(law: AnyLaw) -> tuple[str, ...]:
+    """The controller's files that are compiled, or included."""
+    name = base_of(law).name
+    ends = ("", "_sync", "_run") if isinstance(law, RunUnit) else ("",)
+    return tuple(f"{name}{end}.{kind}" for end in ends for kind in "hc")
+
+
+def _check_names(law: AnyLaw) -> None:
     """The variables' names differ from each other: a signal may not be called like a flag of the
     FMU.
     """
-    names = [v.name for v in variables(block)]
+    block, names = base_of(law), [v.name for v in variables(law)]
     for name in names:
         if names.count(name) > 1:
             raise invalid(
@@ -158,10 +190,10 @@ def _place(version: Version) -> tuple[str, str]:
     return folder, suffix
 
 
-def _compiled(block: AnyBlock, version: Version, code: Mapping[str, str]) -> bytes:
+def _compiled(law: AnyLaw, version: Version, code: Mapping[str, str]) -> bytes:
     """The shared library that the sources make here. Raises InvalidInput."""
     flags = ["-fvisibility=hidden"]
-    return build_library(check_compiler(), code, sources(block, version), flags, _REMEDY, "-lm")
+    return build_library(check_compiler(), code, sources(law, version), flags, _REMEDY, "-lm")
 
 
 def check_compiler() -> str:
@@ -177,19 +209,21 @@ def check_compiler() -> str:
     return compiler
 
 
-def _page(block: AnyBlock, text: str, provenance: Sequence[str]) -> str:
+def _page(law: AnyLaw, text: str, provenance: Sequence[str]) -> str:
+    block = base_of(law)
     late = "at once" if block.delay == 0 else f"{block.delay} sample(s) after the errors were set"
+    step = "one sample," if isinstance(law, RunUnit) else "a whole multiple of"
     lines = "".join(f"<li>{html.escape(line)}</li>" for line in provenance)
     rows = "".join(
         f"<tr><td>{html.escape(v.name)}</td><td>{v.causality}</td><td>{v.unit}</td><td>{html.escape(v.description)}</td></tr>"
-        for v in variables(block)
+        for v in variables(law)
     )
     return (
         '<!DOCTYPE html><html lang="en"><head><meta '
         f'charset="utf-8"><title>{block.name}</title></head><body>'
         f"<h1>{block.name}</h1><p>{html.escape(text)}. Currents leave {late}: connect it to the "
         "plant without another delay. "
-        f"Communication step: a whole multiple of {block.sample_time:.9g} s.</p>"
+        f"Communication step: {step} {block.sample_time:.9g} s.</p>"
         f"<table><tr><th>variable</th><th>kind</th><th>unit</th><th></th></tr>{rows}</table><ul>{lines}</ul></body></html>\n"
     )
 

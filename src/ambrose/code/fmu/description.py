@@ -13,6 +13,7 @@ from typing import Literal
 
 from ambrose.code.block.fixed import ControlBlock
 from ambrose.code.block.scheduled import ScheduledBlock
+from ambrose.code.synchronous import RunUnit
 from ambrose.version import __version__
 
 Version = Literal["2.0", "3.0"]
@@ -25,10 +26,23 @@ _BASE = {
     "s": {"s": "1"},
     "m": {"m": "1"},
     "A": {"A": "1"},
+    "rad": {"rad": "1"},
     "rad/s": {"s": "-1", "rad": "1"},
     "Pa": {"kg": "1", "m": "-1", "s": "-2"},
 }
+# of the synchronous blocks, in the order of their bits
+FAULTS = (
+    ("sync_lost", "no pulse of the key phasor for too long"),
+    ("sync_jump", "the speed jumps"),
+    ("sync_contact", "the rotor touches"),
+    ("sync_saturated", "a current is at its limit"),
+    ("sync_limit", "an amplitude is at its limit"),
+    ("sync_outside", "the speed is outside the table"),
+    ("sync_disabled", "the blocks are switched off"),
+    ("sync_input", "a reading is not usable"),
+)
 AnyBlock = ControlBlock | ScheduledBlock
+AnyLaw = AnyBlock | RunUnit  # the latter with synchronous blocks beside it
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +61,11 @@ class Variable:
     nominal: float | None = None
 
 
+def base_of(law: AnyLaw) -> AnyBlock:
+    """The controller's block."""
+    return law.base if isinstance(law, RunUnit) else law
+
+
 def flags(block: AnyBlock) -> tuple[tuple[str, str], ...]:
     """The status flags in the order of their bits, each with what it says."""
     if not isinstance(block, ScheduledBlock):
@@ -60,10 +79,12 @@ def flags(block: AnyBlock) -> tuple[tuple[str, str], ...]:
     )
 
 
-def variables(block: AnyBlock) -> tuple[Variable, ...]:
-    """Time, errors, their flags, [speed or pressure], [tracking, given currents], currents, status
-    flags, in the order of value references.
+def variables(law: AnyLaw) -> tuple[Variable, ...]:
+    """Time, errors, their flags, [speed or pressure], [the rotor's angle, contact, blocks off],
+    [tracking, given currents], currents, status flags, [faults of the blocks], in the order of
+    value references.
     """
+    block = base_of(law)
     found = [Variable("time", "real", "independent", "s", "simulation time")]
     for name, limit in zip(block.inputs, block.error_limit.tolist(), strict=True):
         text = f"reference - displacement, plausible within +-{limit:.9g} m"
@@ -81,6 +102,13 @@ def variables(block: AnyBlock) -> tuple[Variable, ...]:
         found.append(
             Variable(along.name, "real", "input", along.unit, text, repr(low), nominal=high)
         )
+    if isinstance(law, RunUnit):
+        text = "of the rotor, growing; a pulse of the key phasor comes at every whole turn"
+        found.append(Variable("angle", "real", "input", "rad", text, "0"))
+        text = "the rotor touches: the blocks let go"
+        found.append(Variable("contact", "boolean", "input", "", text, "false"))
+        text = "switch the synchronous blocks off"
+        found.append(Variable("blocks_off", "boolean", "input", "", text, "false"))
     if block.transfers:
         text = "follow the given currents (bumpless transfer) instead of controlling"
         found.append(Variable("tracking", "boolean", "input", "", text, "false"))
@@ -91,26 +119,31 @@ def variables(block: AnyBlock) -> tuple[Variable, ...]:
         found.append(
             Variable(name, "real", "output", "A", "control current", limit=limit, nominal=limit)
         )
-    found += [Variable(name, "boolean", "output", "", text) for name, text in flags(block)]
+    shown = (*flags(block), *(FAULTS if isinstance(law, RunUnit) else ()))
+    found += [Variable(name, "boolean", "output", "", text) for name, text in shown]
     return tuple(found)
 
 
-def references(block: AnyBlock) -> dict[str, int]:
+def references(law: AnyLaw) -> dict[str, int]:
     """The first value reference of each group of variables, by the label that the C uses."""
-    order = {v.name: i for i, v in enumerate(variables(block))}
+    block, order = base_of(law), {v.name: i for i, v in enumerate(variables(law))}
     first = {"ERROR": block.inputs[0], "VALID": f"valid_{block.inputs[0]}", "TRACKING": "tracking"}
     first |= {"GIVEN": f"given_{block.outputs[0]}", "CURRENT": block.outputs[0]}
     first |= {name.upper(): name for name, _ in FLAGS}
     first["LAST"] = flags(block)[-1][0]
     if isinstance(block, ScheduledBlock):
         first["TOLD"] = block.along.name
+    if isinstance(law, RunUnit):
+        first |= {"ANGLE": "angle", "TOUCHING": "contact", "BLOCKS_OFF": "blocks_off"}
+        first |= {"FAULT": FAULTS[0][0], "FAULT_LAST": FAULTS[-1][0]}
     return {label: order[name] for label, name in first.items() if name in order}
 
 
-def model_description(block: AnyBlock, version: Version, token: str, text: str) -> str:
+def model_description(law: AnyLaw, version: Version, token: str, text: str) -> str:
     """modelDescription.xml. token: the GUID (2.0) or instantiation token (3.0); text: the model in
     one line.
     """
+    block = base_of(law)
     three, step = version == "3.0", repr(block.sample_time)
     root = ET.Element(
         "fmiModelDescription",
@@ -140,49 +173,51 @@ def model_description(block: AnyBlock, version: Version, token: str, text: str) 
         simulation.set("fixedInternalStepSize", step)
     else:
         files = ET.SubElement(simulation, "SourceFiles")
-        for name in sources(block, version):
+        for name in sources(law, version):
             ET.SubElement(files, "File", name=name)
-    _units(root, block)
+    _units(root, law)
     categories = ET.SubElement(root, "LogCategories")
     ET.SubElement(
         categories, "Category", name="logStatusError", description="what was refused, and why"
     )
     ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1", stepSize=step)
-    _variables(root, block, three=three)
-    _structure(root, block, three=three)
+    _variables(root, law, three=three)
+    _structure(root, law, three=three)
     return _text(root)
 
 
-def build_description(block: AnyBlock) -> str:
+def build_description(law: AnyLaw) -> str:
     """sources/buildDescription.xml of FMI 3.0."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
-    configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=block.name)
+    configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=base_of(law).name)
     files = ET.SubElement(configuration, "SourceFileSet", language="C99")
-    for name in sources(block, "3.0"):
+    for name in sources(law, "3.0"):
         ET.SubElement(files, "SourceFile", name=name)
     return _text(root)
 
 
-def sources(block: AnyBlock, version: Version) -> tuple[str, str]:
+def sources(law: AnyLaw, version: Version) -> tuple[str, ...]:
     """The files to compile."""
-    return f"{block.name}.c", f"fmi{version[0]}.c"
+    name = base_of(law).name
+    beside = (f"{name}_sync.c", f"{name}_run.c") if isinstance(law, RunUnit) else ()
+    return (f"{name}.c", *beside, f"fmi{version[0]}.c")
 
 
-def _units(root: ET.Element, block: AnyBlock) -> None:
+def _units(root: ET.Element, law: AnyLaw) -> None:
     definitions = ET.SubElement(root, "UnitDefinitions")
-    for name in dict.fromkeys(v.unit for v in variables(block) if v.unit):
+    for name in dict.fromkeys(v.unit for v in variables(law) if v.unit):
         unit = ET.SubElement(definitions, "Unit", name=name)
         ET.SubElement(unit, "BaseUnit", _BASE[name])
         if name == "m":
             ET.SubElement(unit, "DisplayUnit", name="um", factor="1e6")
 
 
-def _variables(root: ET.Element, block: AnyBlock, *, three: bool) -> None:
+def _variables(root: ET.Element, law: AnyLaw, *, three: bool) -> None:
     """The variables with their types: attributes of one element in FMI 3.0, a child element in FMI
     2.0.
     """
     listed = ET.SubElement(root, "ModelVariables")
-    for reference, v in enumerate(variables(block)):
+    for reference, v in enumerate(variables(law)):
         common = {
             "name": v.name,
             "valueReference": str(reference),
@@ -205,7 +240,7 @@ def _variability(v: Variable) -> str:
     """
     return (
         "continuous"
-        if v.causality == "independent" or v.unit in {"m", "rad/s", "Pa"}
+        if v.causality == "independent" or v.unit in {"m", "rad", "rad/s", "Pa"}
         else "discrete"
     )
 
@@ -223,12 +258,12 @@ def _attributes(v: Variable) -> dict[str, str]:
     return found
 
 
-def _structure(root: ET.Element, block: AnyBlock, *, three: bool) -> None:
+def _structure(root: ET.Element, law: AnyLaw, *, three: bool) -> None:
     """Outputs depend on inputs at the same instant only where the design assumes that currents are
     set at once.
     """
-    listed = variables(block)
-    direct = [i for i, v in enumerate(listed) if v.causality == "input"] if block.delay == 0 else []
+    listed, late = variables(law), base_of(law).delay
+    direct = [i for i, v in enumerate(listed) if v.causality == "input"] if late == 0 else []
     outputs = [i for i, v in enumerate(listed) if v.causality == "output"]
     structure = ET.SubElement(root, "ModelStructure")
     if three:

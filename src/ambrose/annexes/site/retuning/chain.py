@@ -38,6 +38,7 @@ from ambrose.core.checks import (
     invalid,
     same_clock,
 )
+from ambrose.identification.findings import Code
 from ambrose.identification.parameters import COVERAGE, half_width
 from ambrose.identification.pipeline import identify
 from ambrose.identification.result import LoopIdentification, Provenance
@@ -116,6 +117,7 @@ def retune(
     bending_modes: int = 3,
     accept_from: Records = (),
     anyway: bool = False,
+    changed: bool = False,
     progress: Progress = _quiet,
 ) -> Retuning:
     """What a machine is now, whether its controller still does, and the proved, coded and tried
@@ -127,7 +129,9 @@ def retune(
     with the same arguments takes the design up again. unknown: what to identify, as for
     ``identify`` (empty: what is usual); bending_modes: per plane in the model that is fitted.
     accept_from: records with the new controller running, by
-    which the change is accepted. anyway: design a new one also where the running one meets every
+    which the change is accepted. changed: the machine is known to have changed beyond the file's
+    own tolerances (a magnet exchanged, a seal worn), so that values there are no doubt. anyway:
+    design a new one also where the running one meets every
     limit over the intervals. The identified intervals are the box that the controllers are judged
     over. Raises InvalidInput for what cannot be begun: a record of another machine or controller,
     one that carries nothing, a schedule in place of a fixed controller.
@@ -156,7 +160,8 @@ def retune(
         began = _begun(folder, given, running, names, (*wanted, f"{bending_modes} bending modes"))
         chain = _Chain(given, running, timing, folder, progress, [], {})
         fit = {"unknown": unknown, "bending_modes": bending_modes}
-        _identified(chain, measured, tuple(name for name, _ in names), fit, began)
+        files = tuple(name for name, _ in names)
+        _identified(chain, measured, files, fit, began, changed=changed)
         if chain.steps[-1].passed is not False and _needed(chain, anyway):
             _changed(chain)
         if chain.steps[-1].passed is not False and not _none_given(accept_from):
@@ -232,6 +237,8 @@ def _identified(
     names: tuple[str, ...],
     fit: dict[str, Any],
     began: dict[str, Any],
+    *,
+    changed: bool,
 ) -> None:
     """The record judged, the machine identified and written back with its intervals."""
     origin = Provenance(names, "the running controller", began["date"])
@@ -250,11 +257,14 @@ def _identified(
     write_text(chain.folder / IDENTIFIED, text, "machine file")
     chain.made["identification"] = done
     chain.made["moved"] = tuple(_moved(chain.given, done))
-    doubts = "; ".join(str(finding) for finding in done.findings)
+    left = [item for item in done.findings if not (changed and item.code == Code.FAR_FROM_FILE)]
+    doubts = "; ".join(str(finding) for finding in left)
+    if left and all(item.code == Code.FAR_FROM_FILE for item in left):
+        doubts += "; where the machine is known to have changed so, go on with --changed"
     count = len(done.result.paths)
     good = f"{count} parameters, {_widest(done)}; {done.verdict}"
     title = "The record is good and the machine is identified"
-    if not chain.say("identified", title, done.passed, doubts or good, IDENTIFIED):
+    if not chain.say("identified", title, not left, doubts or good, IDENTIFIED):
         return
     title = "What changed against the machine file"
     chain.say("changed", title, None, _in_words(chain.made["moved"]))

@@ -51,6 +51,11 @@ _WORDS = {True: "holds", False: "does not hold", None: "for information"}
     type=click.Path(path_type=Path),
     help="A record with the new controller running, to accept the change by (repeatable).",
 )
+@click.option(
+    "--changed",
+    is_flag=True,
+    help="The machine is known to have changed beyond the file's own tolerances.",
+)
 @click.option("--anyway", is_flag=True, help="Design a new one also where the running one does.")
 @click.option(
     "-o",
@@ -68,6 +73,7 @@ def retune(
     unknown: tuple[str, ...],
     bending_modes: int,
     after: tuple[Path, ...],
+    changed: bool,
     anyway: bool,
     output: Path,
     as_json: bool,
@@ -95,6 +101,7 @@ def retune(
             unknown=unknown,
             bending_modes=bending_modes,
             accept_from=after,
+            changed=changed,
             anyway=anyway,
             progress=progress,
         )
