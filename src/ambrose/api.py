@@ -124,7 +124,8 @@ def design(
         "synchronous_update": synchronous_update,
     }
     name = method if isinstance(method, str) else type(method).__name__.lower()
-    check_request(synchronous, name, {**more, "base": base})
+    described = machine.machine if isinstance(machine, PlantType) else machine_of(machine)
+    check_request(synchronous, name, {**more, "base": base}, described)
     if not isinstance(machine, PlantType):
         machine = assemble(machine, point)
     elif point is not None:

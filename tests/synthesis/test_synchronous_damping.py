@@ -6,7 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+import ambrose as amb
+from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.synchronous import block_loops, check_block
 from ambrose.judge.synchronous_bands import converged_at, unbalance_of, worst_orbits
@@ -76,8 +79,41 @@ def test_the_smallest_g_that_keeps_the_orbit_is_taken(damped, flywheel):
 
 def test_what_cannot_be_damped_is_refused(flywheel):
     machine, law = flywheel
-    with pytest.raises(InvalidInput, match="give them as the band of the block"):
+    with pytest.raises(InvalidInput, match="give them as its band"):
         design_synchronous(machine, law, "damping")
+    for method, options in (("pid", {}), ("tuned", {"order": 12})):
+        with pytest.raises(InvalidInput, match="give them with synchronous_band"):
+            amb.design(machine, method, synchronous="damping", **options)
+    line = ["synthesize", "flywheel", "--method", "pid", "--synchronous", "damping"]
+    told = CliRunner().invoke(main, line)
+    assert told.exit_code == 2
+    assert "give them with --synchronous-band" in told.output
+
+
+@pytest.mark.parametrize("band", [(350.0, 1200.0), (1100.0, 1200.0)])
+@pytest.mark.parametrize("mode", ["damping", "current-free"])
+def test_a_band_above_the_top_speed_is_refused_before_the_design(flywheel, band, mode):
+    """The flywheel turns at 9000 rpm at most, 942 rad/s; above, the loop had been called unstable,
+    and a band that reached there had been taken.
+    """
+    machine, law = flywheel
+    with pytest.raises(InvalidInput, match=r"at most the top speed of 942\.478 rad/s"):
+        design_synchronous(machine, law, mode, band=band)
+    with pytest.raises(InvalidInput, match=r"the band of the synchronous block is .* 942\.478"):
+        amb.design(machine, "mu", synchronous=mode, synchronous_band=band, progress=_never)
+
+
+def _never(stage):
+    raise AssertionError(stage)
+
+
+def test_no_pressure_is_named_on_a_machine_without_seals(damped):
+    assert not damped[2].machine.seals
+    assert "falls to" in damped[2].notes[0] and "pressure" not in damped[2].notes[0]
+
+
+def test_what_cannot_keep_the_orbit_is_refused(flywheel):
+    machine, law = flywheel
     impossible, _ = limited(machine, law, 1e-3)
     with pytest.raises(InvalidInput, match=r"does not keep the orbit|takes .* A at 1x"):
         design_synchronous(impossible, law, "damping", band=BAND)

@@ -322,7 +322,9 @@ def test_bad_input_is_one_sentence(change, words):
 
 def test_a_load_beyond_the_capacity_says_so():
     heavy = machine({'force = "120 N"': 'force = "500 N"'}).axial
-    with pytest.raises(InvalidInput, match=r"reaches 441.* N to the left.*500 N"):
+    with pytest.raises(
+        InvalidInput, match=r"#axial, operating point 'rated': .*reaches 441.* N to the left.*500 N"
+    ):
         assemble(heavy, "rated")
 
 
@@ -337,6 +339,38 @@ def test_the_axis_has_an_address(tmp_path):
     with pytest.raises(InvalidInput, match=r"move it into a \[\[thrust_bearing.tolerance\]\]"):
         tolerance = machine().axial.tolerances
         replace(machine(), tolerances=tolerance)
+
+
+def test_the_check_of_the_radial_axes_looks_along_the_shaft(tmp_path):
+    from click.testing import CliRunner
+
+    from ambrose.cli import main
+    from ambrose.machine.file.toml import dumps_machine
+
+    path, lines = tmp_path / "heavy.toml", []
+    for thrust in ("120 N", "500 N"):
+        path.write_text(dumps_machine(machine({'force = "120 N"': f'force = "{thrust}"'})))
+        told = CliRunner().invoke(main, ["check", str(path), "--json"])
+        doubts = [line for line in json.loads(told.stdout)["doubts"] if "along the shaft" in line]
+        lines.append(doubts)
+        assert told.exit_code == (1 if doubts else 0)
+    assert lines[0] == []
+    (line,) = lines[1]
+    assert "operating point 'rated': [[thrust_bearing]] T reaches 441" in line
+
+
+def test_coefficients_are_said_with_their_point():
+    """At the design point under its thrust, not "at rest"."""
+    from ambrose.chain.facts_in_words import rows_of
+    from ambrose.chain.plants import facts
+
+    axial = machine({'label = "rest"': 'label = "idle"'}).axial
+    for label, load in (("idle", 0.0), ("rated", 120.0)):
+        at = replace(axial, operation=replace(axial.operation, design_point=label))
+        (row,) = (text for name, text in rows_of(facts(at)) if name == "magnets")
+        assert row.endswith(f"at {label} under {load:g} N")
+        held = at_point(at, at.operation.design)
+        assert f"k_i {held.force_per_current:.4g} N/A" in row
 
 
 def test_the_example_is_plausible_along_every_axis():

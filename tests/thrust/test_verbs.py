@@ -84,6 +84,30 @@ def test_what_is_of_the_radial_axes_is_refused_in_a_sentence(folder, line):
     assert "Traceback" not in done.output
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "export pid.json --machine five.toml --to c -o code",
+        "export pid.json --machine five.toml --to mat -o code",
+        "verify five.toml --controller pid.json",
+        "simulate five.toml --controller pid.json --scenario force-step --linear",
+        "map five.toml --controller pid.json",
+    ],
+)
+def test_its_controller_on_the_radial_axes_is_told_the_address(folder, line):
+    done = run(folder, line)
+    assert done.exit_code == 2
+    assert 'of T_z, the axis along the shaft; add "#axial" to the machine' in done.stderr
+
+
+def test_a_radial_controller_along_the_shaft_is_told_the_address(folder):
+    radial = amb.design(amb.assemble(machine(), "rest"), "pid")
+    with pytest.raises(InvalidInput, match='take the machine without "#axial", expander'):
+        amb.verify(machine().axial, radial)
+    with pytest.raises(InvalidInput, match='take the machine without "#axial", expander'):
+        amb.export(radial, folder / "code", to="c", machine=machine().axial)
+
+
 @pytest.mark.parametrize("method", ["hinf", "mu"])
 def test_missing_weights_are_named_where_the_axis_has_them(folder, method):
     done = run(folder, f"synthesize five.toml#axial --method {method}")

@@ -6,10 +6,13 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
+from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import poles
 from ambrose.judge.unavoidable import beyond_reach, unavoidable_sensitivity
 from ambrose.machine.axial import AxialMachine, in_file
 from ambrose.machine.criteria import demand
+from ambrose.machine.machine import Machine
+from ambrose.machine.thrust import ThrustBearing
 from ambrose.model.assemble import assemble
 from ambrose.model.axial.half_order import CORNER
 from ambrose.model.axial.magnet import at_point, core_lags, sides, tilt_stiffness
@@ -42,6 +45,7 @@ def axial_facts(machine: AxialMachine) -> dict[str, Any]:
         "description": machine.description,
         "axis": machine.axes[0],
         "mass_kg": mass,
+        "at": {"point": machine.operation.design.label, "load_N": at.load},
         "k_i": at.force_per_current,
         "k_s": at.stiffness,
         "core_corner_rad_s": [
@@ -68,6 +72,20 @@ def axial_facts(machine: AxialMachine) -> dict[str, Any]:
         "doubts": [*_doubts(machine, margin), *([reach] if reach else [])],
         "remarks": [],
     }
+
+
+def along_doubts(machine: Machine) -> list[str]:
+    """What is implausible along the shaft of a machine with a thrust bearing, for those who check
+    the radial axes; nothing without one.
+    """
+    if not any(isinstance(part, ThrustBearing) for part in machine.effects):
+        return []
+    try:
+        axial: Any = machine.axial
+        lines = [*_doubts(axial, stiffness_margin(axial))]
+    except InvalidInput as error:
+        lines = [str(error)]
+    return [f"along the shaft: {line}" for line in lines]
 
 
 def _doubts(machine: AxialMachine, margin: float | None) -> Iterator[str]:
@@ -115,9 +133,11 @@ def axial_rows(facts: dict[str, Any], quantity: Any) -> list[tuple[str, str]]:
     left, right = facts["capacity_N"]
     low, high = facts["load_N"]
     margin, least = facts["stiffness_margin"], facts["least_sensitivity"]
+    point, thrust = facts["at"]["point"], facts["at"]["load_N"]
+    where = f"at {point or 'the design point'} under {thrust:.4g} N"
     return [
         ("rotor mass", quantity(facts["mass_kg"], "kg")),
-        ("magnets", f"k_i {facts['k_i']:.4g} N/A, k_s {facts['k_s'] / 1e6:.4g} N/um, at rest"),
+        ("magnets", f"k_i {facts['k_i']:.4g} N/A, k_s {facts['k_s'] / 1e6:.4g} N/um, {where}"),
         ("core", core),
         (
             "unstable pole",

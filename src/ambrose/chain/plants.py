@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from ambrose.chain.check import insight
-from ambrose.chain.check_axial import axial_facts
+from ambrose.chain.check_axial import along_doubts, axial_facts
 from ambrose.core.checks import named_failure
 from ambrose.core.statespace import poles
 from ambrose.machine.axial import AxialMachine
@@ -30,7 +30,7 @@ def facts(machine: Machine) -> dict[str, Any]:
     plant = assemble(machine)
     reduced = reduce_from(plant, 0)
     values = poles(plant.rotor)
-    return {
+    known = {
         "machine": machine.name,
         "description": machine.description,
         "mass_kg": properties.mass,
@@ -51,3 +51,5 @@ def facts(machine: Machine) -> dict[str, Any]:
             else assemble(machine, machine.operation.design)
         ),
     }
+    known["doubts"] = [*known["doubts"], *along_doubts(machine)]
+    return known

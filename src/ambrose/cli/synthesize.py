@@ -58,7 +58,7 @@ _METHOD_OPTION = "--method"
     nargs=2,
     default=None,
     help="With --synchronous: lowest and highest speed of the block in rad/s; default: a tenth of "
-    "the top speed to it.",
+    "the top speed to it; damping has none, give the speeds around the critical one.",
 )
 @click.option(
     "--synchronous-time",
@@ -133,7 +133,7 @@ def synthesize(
         "--synchronous-update": synchronous_update,
         "--base": base,
     }
-    check_request(synchronous, method, more, "--synchronous")
+    check_request(synchronous, method, more, description, "--synchronous")
     if machine_file is not None and getattr(chosen, "structure", None) not in {"pid", "filters"}:
         raise invalid(
             "--machine-file",

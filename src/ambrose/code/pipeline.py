@@ -41,7 +41,7 @@ from ambrose.core.statespace import StateSpace, rename
 from ambrose.judge.checks import Checks
 from ambrose.judge.result import Synthesis, synthesis_of
 from ambrose.law.law import LawLike, law_of
-from ambrose.law.loop import match_axes
+from ambrose.law.loop import check_side, match_axes
 from ambrose.law.scheduling import BOTH
 from ambrose.law.supervision import check_pair, supervision_limits
 from ambrose.law.timing import DEFAULT, timing_of
@@ -160,6 +160,8 @@ def export(
     synthesis = _synthesis(controller, machine)
     _check_target(synthesis, target)
     machine = bundled_machine(synthesis) if machine is None else machine
+    if machine is not None:
+        check_side((synthesis.scheduled or synthesis.controller).inputs, machine)
     around = blocks_beside(synthesis, machine, target)
     other = _fallback(fallback, synthesis, target, machine)
     running = _replaced(replaces, synthesis, target, machine, alone=not around)

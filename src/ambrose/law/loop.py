@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal
 
-from ambrose.core.checks import invalid
+from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import (
     ControllerLike,
@@ -19,7 +19,9 @@ from ambrose.core.statespace import (
 )
 from ambrose.law.law import LawLike, law_of
 from ambrose.law.timing import Timing
-from ambrose.machine.machine import require_magnets
+from ambrose.machine.axial import AXIS, SUFFIX, AxialMachine
+from ambrose.machine.machine import Machine, require_magnets
+from ambrose.machine.thrust import ThrustBearing
 from ambrose.model.plant import Plant
 
 
@@ -61,7 +63,31 @@ def match_controller(controller: LawLike, plant: Plant) -> StateSpace:
     or the names are those of other axes.
     """
     require_magnets(plant.machine)
-    return match_axes(law_of(controller).at(plant.point), plant.axes, repr(plant.machine.name))
+    law = law_of(controller).at(plant.point)
+    check_side(law.inputs, plant.machine)
+    return match_axes(law, plant.axes, repr(plant.machine.name))
+
+
+def check_side(inputs: Sequence[str], machine: Machine) -> None:
+    """Refuses a controller of the axis along the shaft on the radial axes of its machine, and the
+    other way round, by the names of its inputs. Raises InvalidInput.
+    """
+    whole = machine.whole if isinstance(machine, AxialMachine) else machine
+    parts = () if whole is None else whole.effects
+    thrust = next((part for part in parts if isinstance(part, ThrustBearing)), None)
+    if whole is None or thrust is None:
+        return
+    along, across = {f"err_{thrust.name}{AXIS}"}, {f"err_{axis}" for axis in whole.axes}
+    if whole is machine and set(inputs) == along:
+        raise InvalidInput(
+            f"this controller is of {thrust.name}{AXIS}, the axis along the shaft; add "
+            f'"{SUFFIX}" to the machine, {machine.name}{SUFFIX}'
+        )
+    if whole is not machine and set(inputs) == across:
+        raise InvalidInput(
+            f"this controller is of the radial axes {', '.join(whole.axes)}; take the machine "
+            f'without "{SUFFIX}", {whole.name}'
+        )
 
 
 def match_axes(controller: ControllerLike, axes: Sequence[str], machine: str = "") -> StateSpace:

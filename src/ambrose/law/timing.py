@@ -160,3 +160,19 @@ def _timing_of_law(law: Law, of_machine: Timing | None) -> Timing | None:
 
 def _delay(of_machine: Timing | None) -> int:
     return 1 if of_machine is None else of_machine.delay_samples
+
+
+def check_clock(dt: float, timing: Timing, what: str) -> None:
+    """Refuses records whose sample time dt [s] is not that of the loop; what: which records. Raises
+    InvalidInput.
+    """
+    if same_clock(dt, timing.sample_time):
+        return
+    slower = dt > timing.sample_time
+    remedy = "record every sample, or give" if slower else "give"
+    raise invalid(
+        f"the sample rate of {what}",
+        f"{1 / dt:g} Hz",
+        f"the controller's, {timing.rate:g} Hz",
+        f"{remedy} the controller that ran, or its sample_time in [controller]",
+    )

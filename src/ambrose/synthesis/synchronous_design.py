@@ -146,7 +146,6 @@ def design_synchronous(
     loop is unstable without the block, for a time constant below what the poles allow, or where no
     band is left.
     """
-    across_the_shaft(machine, "a synchronous block is for what turns with the rotor")
     if mode not in MODES:
         raise invalid(
             "the mode of the synchronous block",
@@ -159,21 +158,11 @@ def design_synchronous(
         raise invalid("update", repr(update), f"one of {known}", "choose one of them")
     if mode == DAMPING and band is None:
         raise InvalidInput(
-            "damping is for the speeds around a critical speed; give them as the band of the block"
+            "damping is for the speeds around a critical speed; give them as its band"
         )
     if time_constant is not None:
         check_positive(time_constant, "time_constant", "give 2/eps in seconds")
-    top = top_speed(machine)
-    if not top:
-        raise InvalidInput("the machine does not turn; give its [operation] a speed_range")
-    low, high = (_LOWEST * top, top) if band is None else band
-    if not 0 < low < high:
-        raise invalid(
-            "the band",
-            f"{low:g} to {high:g} rad/s",
-            "ascending, above 0",
-            "give lowest and highest speed",
-        )
+    low, high = band_of(machine, band)
     loop, at = synchronous_loop(machine, controller, rate, delay_samples), conditions(machine)
     progress("judging the loop without the block")
     check_base_loop(loop, at, low, high)
@@ -247,7 +236,7 @@ def design_synchronous(
                 continue
             pieces[-1] = replace(item, replacement=DAMPING)
             blocks = tuple(sorted((*blocks, *damped), key=lambda block: block.band))
-            notes.append(_damping_in_words(*wide, g))
+            notes.append(_damping_in_words(machine, *wide, g))
     return SynchronousDesign(
         machine,
         mode,
@@ -279,6 +268,25 @@ def check_base_loop(
                 "negative",
                 "design a controller that holds the machine there first (ambrose synthesize)",
             )
+
+
+def band_of(machine: Machine, band: tuple[float, float] | None) -> tuple[float, float]:
+    """The band of a block [rad/s]: as given, else from a tenth of the top speed to it. Raises
+    InvalidInput for one that the machine never turns in.
+    """
+    across_the_shaft(machine, "a synchronous block is for what turns with the rotor")
+    top = top_speed(machine)
+    if not top:
+        raise InvalidInput("the machine does not turn; give its [operation] a speed_range")
+    low, high = (_LOWEST * top, top) if band is None else band
+    if not 0 < low < high <= top * (1 + 1e-9):
+        raise invalid(
+            "the band of the synchronous block",
+            f"{low:g} to {high:g} rad/s",
+            f"ascending, above 0, and at most the top speed of {top:.6g} rad/s",
+            "correct it, or the speed_range of [operation]",
+        )
+    return low, high
 
 
 def _parts(low: float, high: float, left_out: Sequence[Forbidden]) -> list[tuple[float, float]]:
@@ -372,14 +380,15 @@ def _damping_design(
         float(angle),
         blocks[0].gain,
         float(limit),
-        (_damping_in_words(low, high, g),),
+        (_damping_in_words(loop.machine, low, high, g),),
     )
 
 
-def _damping_in_words(low: float, high: float, g: float) -> str:
+def _damping_in_words(machine: Machine, low: float, high: float, g: float) -> str:
+    where = ", at the pressure that T fits best" if machine.seals else ""
     return (
         f"damping from {low:.4g} to {high:.4g} rad/s: 1x falls to {1 / (1 + g):.0%} of what it is "
-        "without, at the pressure that T fits best"
+        f"without{where}"
     )
 
 
@@ -416,10 +425,15 @@ def in_words(item: Forbidden) -> str:
 
 
 def check_request(
-    synchronous: str | None, method: str, given: Mapping[str, Any], name: str = "synchronous"
+    synchronous: str | None,
+    method: str,
+    given: Mapping[str, Any],
+    machine: Machine,
+    name: str = "synchronous",
 ) -> None:
-    """What can be refused of a block that is asked for beside a design. given: the other options
-    by name, None where left out; name: what the block's own option is called. Raises InvalidInput.
+    """What can be refused of a block that is asked for beside a design, before that. given: the
+    other options by name, None where left out; name: what the block's own option is called. Raises
+    InvalidInput.
     """
     for option, value in given.items():
         if value is not None and synchronous is None:
@@ -435,11 +449,13 @@ def check_request(
         )
     if synchronous not in MODES:
         raise invalid(name, repr(synchronous), f"one of {', '.join(MODES)}", "choose one of them")
-    if synchronous == DAMPING and given.get(f"{name}_band", given.get(f"{name}-band")) is None:
+    band = given.get(f"{name}_band", given.get(f"{name}-band"))
+    if synchronous == DAMPING and band is None:
+        option = f"{name}{'-' if name.startswith('--') else '_'}band"
         raise InvalidInput(
-            f"{name} damping is for the speeds around a critical speed; give them as the block's "
-            "band"
+            f"{name} damping is for the speeds around a critical speed; give them with {option}"
         )
+    band_of(machine, band)
     for option, value in given.items():
         if option.endswith("time") and value is not None:
             check_positive(value, option, "give 2/eps in seconds")

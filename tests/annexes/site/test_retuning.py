@@ -170,14 +170,31 @@ def test_it_stops_where_the_record_is_not_to_be_believed(tmp_path):
     assert not (folder / CONTROLLER).exists()
 
 
+@pytest.mark.campaign
+def test_without_commands_another_controller_is_named_among_the_causes(tmp_path):
+    """A loop whose gain is 1.3 times the given controller's looks like a wrong scale of e."""
+    given = law().controller
+    stronger = replace(given, C=1.3 * given.C, D=1.3 * given.D)
+    with_u = record(1.0)
+    blind = with_u.select([name for name in with_u.signals if name[:2] != "u_"])
+    done = amb.retune(machine(), blind, stronger, tmp_path / "blind", unknown=UNKNOWN)
+    assert done.outcome == "stopped"
+    assert "no record holds u_<axis>, so that another controller" in done.steps[-1].words
+
+
 def test_refusals(tmp_path):
     with pytest.raises(InvalidInput, match="no record was given"):
         amb.retune(machine(), [], law(), tmp_path)
     slow = replace(record(1.0), sample_rate_hz=8000.0)
-    with pytest.raises(InvalidInput, match="sample rate of the record is 8000 Hz"):
+    with pytest.raises(InvalidInput, match=r"record 1 is 8000 Hz.* record every sample, or give"):
         amb.retune(machine(), slow, law(), tmp_path)
-    other = replace(record(1.0), machine="another")
-    with pytest.raises(InvalidInput, match="another"):
+    fast = replace(record(1.0), sample_rate_hz=20000.0)
+    with pytest.raises(InvalidInput, match=r"10000 Hz; give the controller that ran") as told:
+        amb.retune(machine(), fast, law(), tmp_path)
+    assert "every sample" not in str(told.value)
+    # another machine's record runs at another rate, too: it is the machine that is wrong
+    other = replace(fast, machine="another")
+    with pytest.raises(InvalidInput, match="the machine of record 1 is 'another'"):
         amb.retune(machine(), other, law(), tmp_path)
     assert not list(tmp_path.iterdir())
     result = CliRunner().invoke(main, ["retune", "--help"])

@@ -25,7 +25,7 @@ from ambrose.annexes.site.resolution import (
     predicted_resonances,
     risen,
 )
-from ambrose.core.checks import InvalidInput, invalid, same_clock
+from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.frequency import frequency_response
 from ambrose.core.presentation import Presented
 from ambrose.core.sampling import c2d
@@ -42,7 +42,7 @@ from ambrose.judge.checks import Check, Checks
 from ambrose.judge.criteria import holds, information, judge
 from ambrose.law.law import LawLike
 from ambrose.law.loop import running_law
-from ambrose.law.timing import Timing, timing_of
+from ambrose.law.timing import Timing, check_clock, timing_of
 from ambrose.machine.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, TWO_PI, Demand, demand
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
@@ -194,14 +194,8 @@ def accept(
     timing = timing_of(machine, controller) or Timing(read[0].dt)
     if delay_samples is not None:
         timing = Timing(timing.sample_time, delay_samples)
-    if not all(same_clock(record.dt, timing.sample_time) for record in read):
-        rates = ", ".join(sorted({f"{record.sample_rate_hz:g} Hz" for record in read}))
-        raise invalid(
-            "the sample rate of the records",
-            rates,
-            f"the controller's, {timing.rate:g} Hz",
-            "record every sample",
-        )
+    for number, record in enumerate(read, 1):
+        check_clock(record.dt, timing, f"record {number}")
     findings = screened(
         machine, read, controller, computing_delay=timing.delay_samples, excited="er"
     )

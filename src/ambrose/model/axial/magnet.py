@@ -203,9 +203,15 @@ def loaded(part: ThrustBearing, load: float, place: float) -> Loaded:
 
 
 def at_point(machine: AxialMachine, point: OperatingPoint) -> Loaded:
-    """The magnets at an operating point of the axis. Raises InvalidInput as ``loaded`` does."""
+    """The magnets at an operating point of the axis. Raises InvalidInput as ``loaded`` does, with
+    machine and point.
+    """
     condition: Condition = machine.condition(point)
-    return loaded(machine.thrust, condition.load, condition.place)
+    try:
+        return loaded(machine.thrust, condition.load, condition.place)
+    except InvalidInput as error:
+        label = point.label or condition.label
+        raise InvalidInput(f"{machine.name}, operating point {label!r}: {error}") from None
 
 
 def core_lags(part: ThrustBearing) -> tuple[Lags | None, Lags | None]:

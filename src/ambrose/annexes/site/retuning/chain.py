@@ -36,9 +36,9 @@ from ambrose.core.checks import (
     NumericalFailure,
     UnstableSystem,
     invalid,
-    same_clock,
 )
 from ambrose.identification.findings import Code
+from ambrose.identification.output_error.problem import check_machine
 from ambrose.identification.parameters import COVERAGE, half_width
 from ambrose.identification.pipeline import identify
 from ambrose.identification.result import LoopIdentification, Provenance
@@ -47,7 +47,7 @@ from ambrose.judge.result import Synthesis, synthesis_of
 from ambrose.judge.verdict import verify_controller
 from ambrose.judge.verification import Verification
 from ambrose.law.law import LawLike
-from ambrose.law.timing import Timing, timing_of
+from ambrose.law.timing import Timing, check_clock, timing_of
 from ambrose.machine.atomic_write import make_folder, write_json, write_text
 from ambrose.machine.claim import claimed
 from ambrose.machine.file.toml import machine_hash
@@ -194,14 +194,9 @@ def _timing(machine: Machine, running: Synthesis, records: Sequence[Record]) -> 
     Raises InvalidInput where it is another than the records'.
     """
     timing = timing_of(machine, running) or Timing(records[0].dt, 1, "the record's rate")
-    for record in records:
-        if not same_clock(record.dt, timing.sample_time):
-            raise invalid(
-                "the sample rate of the record",
-                f"{record.sample_rate_hz:g} Hz",
-                f"the controller's, {timing.rate:g} Hz",
-                "record every sample",
-            )
+    for number, record in enumerate(records, 1):
+        check_machine(machine, record, f"record {number}")
+        check_clock(record.dt, timing, f"record {number}")
     return timing
 
 
@@ -229,6 +224,12 @@ def _begun(
         return {**began, "date": str(kept["date"]) if same else today}
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return {**began, "date": today}
+
+
+_UNSEEN = (
+    "no record holds u_<axis>, so that another controller than the given one is not seen, and it "
+    "looks like a wrong scale of e and far values: give the one that ran, or record u"
+)
 
 
 def _identified(
@@ -261,6 +262,9 @@ def _identified(
     doubts = "; ".join(str(finding) for finding in left)
     if left and all(item.code == Code.FAR_FROM_FILE for item in left):
         doubts += "; where the machine is known to have changed so, go on with --changed"
+    commands = {f"u_{axis}" for axis in chain.given.axes}
+    if doubts and not any(commands & set(record.signals) for record in records):
+        doubts += f"; {_UNSEEN}"
     count = len(done.result.paths)
     good = f"{count} parameters, {_widest(done)}; {done.verdict}"
     title = "The record is good and the machine is identified"
