@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from ambrose.annexes.workbench.picture import svg
 from ambrose.judge.checks import Curve
 from ambrose.report import theme
 from ambrose.report.figures.curves import figure
 from ambrose.report.figures.nyquist import nyquist_figure
 from ambrose.report.plain_figure import PlainFigure
+from ambrose.report.svg import svg
 
 
 def pictures():

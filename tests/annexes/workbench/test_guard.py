@@ -193,7 +193,7 @@ def test_a_file_is_taken_under_a_name_that_it_can_have(place):
     [
         "/api/files/records/x.exe",
         "/api/files/records/x",
-        "/api/files/machines/x.toml",
+        "/api/files/machines/x.html",
         "/api/files/reports/x.html",
         "/api/files/jobs/x.json",
         "/api/files/../x.h5",

@@ -12,12 +12,12 @@ pytest.importorskip("starlette", reason="the extra workbench is not installed")
 
 from ambrose.annexes.workbench.blocks import Refusal
 from ambrose.annexes.workbench.desk import Desk
-from ambrose.annexes.workbench.picture import svg
 from ambrose.annexes.workbench.project import Project, begin
 from ambrose.annexes.workbench.screens import answer
 from ambrose.annexes.workbench.screens.machine import fields_of
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.file.toml import bundled_machines, load_machine
+from ambrose.report.svg import svg
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -151,6 +151,35 @@ def test_names_never_become_markup(project):
     drawing = ElementTree.fromstring(blocks["drawing"]["svg"])
     assert not list(drawing.iter(f"{SVG}script"))
     assert blocks["drawing"]["caption"] == hostile
+
+
+def test_a_machine_is_made_or_taken_from_a_file(tmp_path):
+    empty = Project(tmp_path)
+    _, blocks = shown(empty)
+    assert {"begin", "template", "import"} <= set(blocks)
+    shaft = {"length": "600 mm", "diameter": "4 kg", "speed": "9000 rpm"}
+    with pytest.raises(Refusal) as refused:
+        answer(empty, "machine", "template", shaft)
+    assert set(refused.value.content["fields"]) == {"diameter"}
+    answer(empty, "machine", "template", {**shaft, "diameter": "40 mm"})
+    machine = load_machine(empty.machine)
+    assert machine.length == pytest.approx(0.6)
+    first = empty.machine.read_text("utf-8")
+    # a table of stations, in the words of the docs
+    table = "length [mm],diameter [mm]\n200,30\n300,50\n200,30\n"
+    empty.path("machines", "rotor.csv").write_text(table)
+    told = answer(empty, "machine", "take", {"source": "rotor.csv", "speed": "6000 rpm"})
+    assert "machines/before.toml" in told["told"]
+    assert empty.path("machines", "before.toml").read_text("utf-8") == first
+    assert load_machine(empty.machine).length == pytest.approx(0.7)
+    # and back again; what is no machine changes nothing
+    answer(empty, "machine", "take", {"source": "before.toml"})
+    assert empty.machine.read_text("utf-8") == first
+    empty.path("machines", "wrong.toml").write_text("[machine]\nschema = 1\n")
+    for wrong in ("wrong.toml", "absent.toml", "../machine.toml", None):
+        with pytest.raises((Refusal, InvalidInput)):
+            answer(empty, "machine", "take", {"source": wrong})
+    assert empty.machine.read_text("utf-8") == first
 
 
 @pytest.mark.parametrize("screen, action", [("nothing", ""), ("machine", "rm"), ("live", "")])

@@ -3,7 +3,7 @@ it (screens/).
 
 A screen is a list of blocks; each has a key, by which the page tells which of them changed, and a
 title or none. Words are words: the page never reads them as markup. A picture is SVG that
-``picture`` made.
+``report.svg`` made.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ _Told = dict[str, Any]
 
 
 class Desk:
-    """The process of a project's screens, begun with the first question."""
+    """The process of a project's screens, begun with the first question at the latest."""
 
     def __init__(self, project: Project, longest: float = _LONGEST) -> None:
         self._root = str(project.root)
@@ -79,9 +79,10 @@ def _work(pipe: Any, root: str) -> None:
     """The process: a question, an answer, until the server is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_the_server, daemon=True).start()
-    from ambrose.annexes.workbench.screens import answer
+    from ambrose.annexes.workbench.screens import answer, load_all
 
     project = Project(root)
+    load_all()
     while True:
         try:
             screen, action, given = pipe.recv()

@@ -20,8 +20,9 @@ import numpy as np
 
 from ambrose.annexes.workbench import blocks
 from ambrose.annexes.workbench.blocks import Block
+from ambrose.annexes.workbench.given import number, word
 from ambrose.annexes.workbench.project import Project, slug
-from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.checks import InvalidInput
 from ambrose.core.presentation import json_text
 from ambrose.machine.criteria import CLEARANCE
 
@@ -301,39 +302,39 @@ class LiveSession:
 
     def knock(self, said: Mapping[str, Any]) -> None:
         """An impulse at a station."""
-        self.rig.knock(_word(said, "station"), _number(said, "x"), _number(said, "y"))
+        self.rig.knock(word(said, "station"), number(said, "x"), number(said, "y"))
 
     def speed(self, said: Mapping[str, Any]) -> None:
         """Another speed [rad/s], reached in about five seconds for the whole range."""
-        value = _number(said, "value")
+        value = number(said, "value")
         self.rig.set_speed(value, rate=max(self._top_speed / 5.0, 1.0))
         self._targets = {**self._targets, "speed": value}
 
     def pressure(self, said: Mapping[str, Any]) -> None:
         """Another seal pressure [Pa]."""
-        value = _number(said, "value")
+        value = number(said, "value")
         self.rig.set_pressure(value, rate=max(self._top_pressure / 5.0, 1e3))
         self._targets = {**self._targets, "pressure": value}
 
     def unbalance(self, said: Mapping[str, Any]) -> None:
         """An unbalance [kg m] at a station, in place of all others."""
-        station, amount = _word(said, "station"), _number(said, "value")
+        station, amount = word(said, "station"), number(said, "value")
         self.rig.set_unbalance(station, amount)
         self._unbalance = (station, amount)
 
     def gain(self, said: Mapping[str, Any]) -> None:
         """The controller's output times a number."""
-        self.rig.set_gain(_number(said, "value"))
+        self.rig.set_gain(number(said, "value"))
 
     def switch(self, said: Mapping[str, Any]) -> None:
         """Another controller of the project takes over."""
-        name = _word(said, "controller")
+        name = word(said, "controller")
         self.rig.switch(_read(self._project, name, self.machine))
         self.controller = name
 
     def strength(self, said: Mapping[str, Any]) -> None:
         """The impulse of a knock at the edge of the picture [N s], which every page reads."""
-        self._strength = _number(said, "value")
+        self._strength = number(said, "value")
 
     def near(self, said: Mapping[str, Any]) -> None:
         """Whether the pictures zoom in on the orbit."""
@@ -351,13 +352,13 @@ class LiveSession:
 
     def fail(self, said: Mapping[str, Any]) -> None:
         """A sensor, an amplifier or the pressure sensor."""
-        what = _word(said, "what")
+        what = word(said, "what")
         if what == "pressure":
             self.rig.fail_pressure_sensor("lost")
         elif what == "sensor":
-            self.rig.fail_sensor(_word(said, "axis"))
+            self.rig.fail_sensor(word(said, "axis"))
         elif what == "amplifier":
-            self.rig.fail_amplifier(_word(said, "axis"))
+            self.rig.fail_amplifier(word(said, "axis"))
         else:
             raise InvalidInput("what fails is a sensor, an amplifier or the pressure sensor")
         name = what if what == "pressure" else f"{what} {said['axis']}"
@@ -365,7 +366,7 @@ class LiveSession:
 
     def excite(self, said: Mapping[str, Any]) -> None:
         """Binary sequences [A] for identification."""
-        amplitude = _number(said, "value")
+        amplitude = number(said, "value")
         self.rig.excite(amplitude)
         self._excited = amplitude
 
@@ -382,27 +383,16 @@ class LiveSession:
 
     def change_pace(self, said: Mapping[str, Any]) -> None:
         """Real time, ten times slower, or as fast as it can."""
-        pace = _word(said, "pace")
+        pace = word(said, "pace")
         if pace not in _PACES:
             raise InvalidInput(f"the pace is {pace!r}, but must be one of {', '.join(_PACES)}")
         self.pace = pace
 
 
+_TURNED = ["speed", "pressure", "unbalance", "gain", "strength", "near"]
+_DONE = ["knock", "switch", "drop", "lift", "fail", "excite", "record", "stop"]
 ACTIONS: dict[str, Callable[[LiveSession, Mapping[str, Any]], None]] = {
-    "knock": LiveSession.knock,
-    "speed": LiveSession.speed,
-    "pressure": LiveSession.pressure,
-    "unbalance": LiveSession.unbalance,
-    "gain": LiveSession.gain,
-    "switch": LiveSession.switch,
-    "strength": LiveSession.strength,
-    "near": LiveSession.near,
-    "drop": LiveSession.drop,
-    "lift": LiveSession.lift,
-    "fail": LiveSession.fail,
-    "excite": LiveSession.excite,
-    "record": LiveSession.record,
-    "stop": LiveSession.stop,
+    **{name: getattr(LiveSession, name) for name in (*_TURNED, *_DONE)},
     "pace": LiveSession.change_pace,
 }
 
@@ -412,20 +402,6 @@ def _packed(head: Mapping[str, Any], samples: np.ndarray) -> bytes:
     text = json_text(head).encode()
     text += b" " * (-len(text) % 4)
     return struct.pack("<I", len(text)) + text + np.ascontiguousarray(samples, "<f4").tobytes()
-
-
-def _number(said: Mapping[str, Any], name: str) -> float:
-    value = said.get(name)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e12:
-        raise invalid(name, str(value)[:40], "a finite number", "give it in SI units")
-    return float(value)
-
-
-def _word(said: Mapping[str, Any], name: str) -> str:
-    value = said.get(name)
-    if not isinstance(value, str) or len(value) > 100:
-        raise invalid(name, str(value)[:40], "a name", "choose one that the page shows")
-    return value
 
 
 def _stamp(project: Project) -> tuple[int, int]:

@@ -6,10 +6,10 @@ from typing import Any
 
 from ambrose.annexes.workbench import blocks
 from ambrose.annexes.workbench.blocks import Block
-from ambrose.annexes.workbench.picture import svg
 from ambrose.report.page import Cell, Figure, Page
+from ambrose.report.svg import svg
 
-_DRAWN = {"scatter", "scattergl"}  # kinds of traces that ``picture`` knows
+_DRAWN = {"scatter", "scattergl"}  # kinds of traces that ``report.svg`` knows
 _MANY = 300_000  # letters of a picture that is left to the page itself
 
 

@@ -19,7 +19,7 @@ MACHINE = "machine.toml"
 # endings of what a folder of the project holds; the first one is written
 KINDS: dict[str, tuple[str, ...]] = {
     "controllers": (".json",),
-    "machines": (".toml",),
+    "machines": (".toml", ".csv", ".json"),
     "records": (".h5", ".csv", ".hdf5", ".mat", ".tdms", ".uff", ".unv", ".txt", ".toml"),
     "runs": (".h5",),
     "code": (".zip",),

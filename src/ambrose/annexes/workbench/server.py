@@ -103,6 +103,7 @@ def build(
 
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
+        desk.begin()
         yield
         desk.close()
         await asyncio.gather(jobs.close(), live.close())

@@ -15,7 +15,7 @@ from ambrose.annexes.workbench.project import KINDS, Project
 from ambrose.core.checks import InvalidInput
 
 # bytes of a file of a kind that is taken
-LIMITS = {"records": 500_000_000, "controllers": 64_000_000}
+LIMITS = {"records": 500_000_000, "controllers": 64_000_000, "machines": 1_000_000}
 _PREFIX = "/api/files/"
 
 

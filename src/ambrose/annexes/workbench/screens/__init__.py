@@ -40,6 +40,13 @@ class Screen:
     actions: Mapping[str, Answer] = field(default_factory=dict)
 
 
+def load_all() -> None:
+    """Every screen is imported, so that the first question need not wait for it."""
+    for name in TITLES:
+        if name not in OWN:
+            import_module(f"{__name__}.{name}")
+
+
 def answer(project: Project, name: str, action: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """What a screen answers; action "": what it shows. Raises InvalidInput and Refusal."""
     if name not in TITLES or name in OWN:

@@ -15,7 +15,6 @@ from ambrose.annexes.workbench import blocks
 from ambrose.annexes.workbench.blocks import Block, Refusal
 from ambrose.annexes.workbench.given import width, word
 from ambrose.annexes.workbench.jobs import CHOICES
-from ambrose.annexes.workbench.picture import svg
 from ambrose.annexes.workbench.project import MACHINE, Project, slug
 from ambrose.annexes.workbench.screens import Screen
 from ambrose.annexes.workbench.sliders import fields_of, python_of, settings_with
@@ -37,6 +36,7 @@ from ambrose.report import tables, theme
 from ambrose.report.figures.curves import figure
 from ambrose.report.figures.nyquist import nyquist_figure
 from ambrose.report.page import Cell
+from ambrose.report.svg import svg
 
 _MOST = 4  # controllers that are compared
 _SLIDERS = "the sliders"

@@ -4,9 +4,6 @@ along.
 
 from __future__ import annotations
 
-import shutil
-import subprocess
-import tempfile
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -18,9 +15,9 @@ from ambrose.annexes.workbench.given import word
 from ambrose.annexes.workbench.jobs import CHOICES
 from ambrose.annexes.workbench.project import MACHINE, Project, slug
 from ambrose.annexes.workbench.screens import Screen
+from ambrose.code.c.self_test import run_self_test
 from ambrose.machine.atomic_write import draft_of
 
-_SECONDS = 30.0  # of compiler and test, each
 _FILES = 200  # of a folder of code
 
 
@@ -79,35 +76,15 @@ def _files(project: Project, name: str) -> list[Path]:
 
 
 def _test(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
-    """The code's own test, compiled and run in a folder of its own."""
+    """The code's own test, compiled and run here."""
     name = word(given, "code")
-    files = _files(project, name)
-    sources = [path for path in files if path.suffix == ".c"]
-    compiler = shutil.which("cc") or shutil.which("gcc")
-    if compiler is None:
-        raise Refusal("there is no C compiler on this computer; install one, such as gcc")
-    words = ["-std=c99", "-O2", "-o", "test", *(str(path) for path in sources), "-lm"]
-    with tempfile.TemporaryDirectory(prefix="ambrose-") as folder:
-        built = _run([compiler, *words], folder)
-        ran = _run([str(Path(folder, "test"))], folder) if built.returncode == 0 else built
-    text = (ran.stdout + ran.stderr)[-4000:].strip()
-    good = ran.returncode == 0
-    said = text or ("every sample agrees" if good else f"status {ran.returncode}")
-    title = f"Self test of code/{name}: {'passed' if good else 'failed'}"
-    tone = "good" if good else "bad"
-    command = f"cc -std=c99 -O2 -o test code/{name}/*.c -lm && ./test"
-    same = {"Command line": command}
-    shown = blocks.form(f"test-{name}", (), (), title, tone=tone, log=said, same=same)
+    sources = [path for path in _files(project, name) if path.suffix == ".c"]
+    ran = run_self_test(sources)
+    title = f"Self test of code/{name}: {'passed' if ran.passed else 'failed'}"
+    tone = "good" if ran.passed else "bad"
+    same = {"Command line": f"cc -std=c99 -O2 -o test code/{name}/*.c -lm && ./test"}
+    shown = blocks.form(f"test-{name}", (), (), title, tone=tone, log=ran.text, same=same)
     return blocks.content([shown], whole=False)
-
-
-def _run(words: list[str], folder: str) -> subprocess.CompletedProcess[str]:
-    try:
-        return subprocess.run(
-            words, cwd=folder, capture_output=True, text=True, timeout=_SECONDS, check=False
-        )
-    except subprocess.TimeoutExpired:
-        raise Refusal(f"the test took longer than {_SECONDS:g} s and was ended") from None
 
 
 def _pack(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ambrose.annexes.workbench import blocks
+from ambrose.annexes.workbench import beginning, blocks
 from ambrose.annexes.workbench.blocks import Refusal
 from ambrose.annexes.workbench.project import MACHINE, Project
 from ambrose.annexes.workbench.screens import Screen
@@ -57,8 +57,6 @@ def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
 
 def _back(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     """The identified machine becomes the project's; the one before is kept beside it."""
-    from ambrose.machine.atomic_write import write_text
-
     path = project.path("machines", _FOUND)
     if not path.is_file():
         raise Refusal(f"there is no machines/{_FOUND}; identify first")
@@ -67,10 +65,7 @@ def _back(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
         loads_machine(text, _FOUND)
     except InvalidInput as error:
         raise Refusal(str(error)) from None
-    before = project.free("machines", "before")
-    write_text(before, read_machine_text(project.machine), "machine file")
-    write_text(project.machine, text, "machine file")
-    told = f"{MACHINE} has the identified values; what it was is machines/{before.name}."
+    told = beginning.keep(project, text)
     return {**show(project, given), "told": told}
 
 

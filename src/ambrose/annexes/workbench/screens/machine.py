@@ -13,18 +13,18 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from typing import Any
 
-from ambrose.annexes.workbench import blocks
+from ambrose.annexes.workbench import beginning, blocks
 from ambrose.annexes.workbench.blocks import Block, Refusal
 from ambrose.annexes.workbench.given import texts, width, word
-from ambrose.annexes.workbench.picture import svg
 from ambrose.annexes.workbench.project import MACHINE, Project, begin
 from ambrose.annexes.workbench.screens import Screen
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.file.parse import called
-from ambrose.machine.file.toml import bundled_machines, loads_machine, read_machine_text
+from ambrose.machine.file.toml import loads_machine, read_machine_text
 from ambrose.machine.limits import TOML_BYTES
 from ambrose.machine.machine import Machine
 from ambrose.report.page import Cell
+from ambrose.report.svg import svg
 
 _WIDEST = 1000  # [px] of the drawing
 _FIELDS = 4000  # of one form at most
@@ -34,7 +34,7 @@ Place = tuple[str | int, ...]
 def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     """The whole screen, or where there is no machine yet how to begin."""
     if not project.machine.is_file():
-        return blocks.content([_beginning()])
+        return blocks.content(beginning.forms(project))
     text = read_machine_text(project.machine)
     try:
         machine = loads_machine(text, MACHINE)
@@ -42,9 +42,8 @@ def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
         lead = blocks.words("problem", str(error), "The file is no machine", "bad")
         return blocks.content([lead, _whole_text(text)], stamp=stamp_of(text))
     tables = [_table_form(text, name, title) for name, title in _tables(text)]
-    return blocks.content(
-        [*_seen(machine, given), *tables, _whole_text(text)], stamp=stamp_of(text)
-    )
+    rest = [*tables, _whole_text(text), *beginning.forms(project)]
+    return blocks.content([*_seen(machine, given), *rest], stamp=stamp_of(text))
 
 
 def _seen(machine: Machine, given: Mapping[str, Any]) -> list[Block]:
@@ -171,23 +170,22 @@ def _whole_text(text: str) -> Block:
     )
 
 
-def _beginning() -> Block:
-    names = list(bundled_machines())
-    return blocks.form(
-        "begin",
-        [blocks.choice("machine", "Machine", names, "seal-rig")],
-        [blocks.button("Begin", "begin")],
-        "This folder has no machine yet",
-        hint=f"Put your machine file into it as {MACHINE}, or begin with a bundled machine.",
-    )
-
-
 # what is written
 
 
 def _begin(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     begin(project, given.get("machine"))
     return {**show(project, given), "told": f"{MACHINE} is written."}
+
+
+def _template(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
+    told = beginning.template(project, given)
+    return {**show(project, given), "told": told}
+
+
+def _take(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
+    told = beginning.take(project, given)
+    return {**show(project, given), "told": told}
 
 
 def _save(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -277,4 +275,7 @@ def _is_about(line: str, where: str, key: str) -> bool:
     return line.startswith(head) and re.match(begins, line[len(head) :]) is not None
 
 
-SCREEN = Screen(show, {"begin": _begin, "save": _save, "write": _write})
+SCREEN = Screen(
+    show,
+    {"begin": _begin, "template": _template, "take": _take, "save": _save, "write": _write},
+)

@@ -8,13 +8,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import tomlkit
+
 from ambrose.annexes.workbench import blocks, pages
 from ambrose.annexes.workbench.blocks import Block, Refusal
 from ambrose.annexes.workbench.given import texts, width, word
 from ambrose.annexes.workbench.project import MACHINE, Project
 from ambrose.annexes.workbench.screens import Screen
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.file.toml import load_machine, written
+from ambrose.machine.atomic_write import write_text
+from ambrose.machine.file.toml import load_machine
 from ambrose.machine.machine import Machine
 from ambrose.record.column_map import read_columns
 from ambrose.record.files import read_record, write_record
@@ -124,7 +127,7 @@ def _map(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
         raise Refusal(str(error).replace(f"{path.parent}/", "")) from None
     target = project.free("records", path.stem)
     kept = project.free("records", f"{target.stem}-columns", ".toml")
-    _write_map(kept, document)
+    write_text(kept, tomlkit.dumps(document), "column map")
     write_record(record, target)
     told = f"records/{target.name} and records/{kept.name} are written."
     return {**show(project, {**given, "file": target.name}), "told": told}
@@ -149,23 +152,6 @@ def _number(text: str) -> float:
         return float(text)
     except ValueError:
         raise Refusal(f"{text[:40]!r} is no number; write it as 10000 or -1.5e-3") from None
-
-
-def _write_map(path: Path, document: Mapping[str, Any]) -> None:
-    """A column map as its file."""
-    from ambrose.machine.atomic_write import write_text
-
-    lines = []
-    tables = []
-    for key, value in document.items():
-        if isinstance(value, dict):
-            tables += [f"\n[{key}]", *(f"{k} = {written(v)}" for k, v in value.items())]
-        elif isinstance(value, list):
-            for entry in value:
-                tables += [f"\n[[{key}]]", *(f"{k} = {written(v)}" for k, v in entry.items())]
-        else:
-            lines.append(f"{key} = {written(value)}")
-    write_text(path, "\n".join([*lines, *tables]) + "\n", "column map")
 
 
 SCREEN = Screen(show, {"look": show, "map": _map})

@@ -1,5 +1,5 @@
-"""A plotly figure of the reports as SVG, drawn for a width: what the page of the workbench shows
-without the drawing library.
+"""A figure as SVG, drawn for a width: for pages without the drawing library, such as the
+workbench's.
 
 It knows what our figures use: lines, markers and filled areas in plot areas of one grid, straight
 shapes, words without arrows, axes that are linear or logarithmic. Colours of the theme become the
@@ -166,8 +166,8 @@ class _Drawing:
             y = 14 + _ROW * row
             yield _line([x, x + 26], [y - 4, y - 4], trace.get("line") or {})
             text = _plain(str(trace.get("name")))
-            size = min(13.0, (self.width - x - 34) / max(_WIDE_LETTER * len(text), 1.0))
-            yield _words(text, x + 32, y, "start", size=round(size, 1))
+            tall = min(13.0, (self.width - x - 34) / max(_WIDE_LETTER * len(text), 1.0))
+            yield _words(text, x + 32, y, "start", size=round(tall, 1))
         yield "</svg>"
 
     def _areas(self) -> list[tuple[str, str]]:
