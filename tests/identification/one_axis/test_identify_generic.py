@@ -16,6 +16,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.identification.findings import Code
 from ambrose.identification.one_axis.axis_record import read_axis
 from ambrose.identification.one_axis.estimate import estimate
+from ambrose.identification.one_axis.instruments import solve
 from ambrose.identification.one_axis.model import input_polynomials, own_polynomial
 from one_axis_loop import Truth, hang, levitate
 
@@ -77,6 +78,24 @@ def test_an_actuator_that_shows_is_found():
     assert done.structure.lag
     assert abs(done.plant[3] - 2e-3) < 2.5 * done.deviations[3]
     assert abs(done.plant[0] - 6400) < 2.5 * done.deviations[0]
+
+
+def test_instruments_need_no_noise_model():
+    """A coloured force that the Kalman filter's noise cannot be: the direct way is far off in its
+    own deviations, the instruments are not.
+    """
+    _, y, u, r = levitate(runs=4, n=6000, seed=2, colour=0.3)
+    direct, second = [], []
+    for j in range(4):
+        scaled = [(row - row.mean()) / row.std() for row in (y[:, j], u[:, j], r[:, j])]
+        fit = fit_plainest(*scaled[:2])
+        other = solve(fit, *scaled)
+        true = 6400 / 2000**2
+        spread = np.sqrt(fit.loss * np.linalg.inv(fit.jacobian.T @ fit.jacobian)[0, 0])
+        direct.append((fit.unknowns[0] - true) / spread)
+        second.append((other.plant[0] - true) / np.sqrt(other.covariance[0, 0]))
+    assert np.mean(direct) > 3.0
+    assert abs(np.mean(second)) < 1.5
 
 
 @pytest.mark.parametrize(

@@ -24,8 +24,10 @@ from ambrose.identification.one_axis.model import DELAY, LAG, STIFFNESS, equatio
 from ambrose.identification.one_axis.prediction_error import Fit, sensitivities
 
 _OWN, _SEEN = 6, 10  # past samples of u and of y in the law that might make u
+_BLOCKS = 8  # of the record
 _FUNCTIONS = 16  # of Laguerre, over which the loop's answers to z are written
 _ROUNDING = 1e-7  # of u's deviation: below it nothing drives the loop from outside
+_LONG = 6.0  # lags over n^(1/3) where the residual is coloured
 _TURNS = 8
 _LAGS = 12  # of z, in the test whether the residual follows it
 
@@ -67,7 +69,9 @@ def outside_part(y: np.ndarray, u: np.ndarray) -> np.ndarray | None:
 
 
 def answers(z: np.ndarray, signal: np.ndarray, pole: float) -> np.ndarray:
-    """The part of a signal (n,) that follows z: least squares over Laguerre's functions.
+    """The part of a signal (n,) that follows z: least squares over Laguerre's functions, for every
+    block of the record with the weights of the others (jackknife instruments, Angrist, Imbens and
+    Krueger, 1999).
 
     pole [rad/sample]: the functions' own, near the loop's.
     """
@@ -78,7 +82,16 @@ def answers(z: np.ndarray, signal: np.ndarray, pole: float) -> np.ndarray:
         column = lfilter([-inside, 1.0], [1.0, -inside], column)
         columns.append(column)
     design = np.column_stack(columns)
-    return np.asarray(design @ np.linalg.lstsq(design, signal, rcond=None)[0])
+    result = np.zeros_like(signal)
+    normal = design.T @ design
+    moment = design.T @ signal
+    for part in np.array_split(np.arange(len(signal)), _BLOCKS):
+        rows = design[part]
+        # of the other blocks alone: its own noise would come back in its instruments
+        rest = normal - rows.T @ rows
+        weights = np.linalg.lstsq(rest, moment - rows.T @ signal[part], rcond=1e-12)[0]
+        result[part] = rows @ weights
+    return result
 
 
 def solve(fit: Fit, y: np.ndarray, u: np.ndarray, z: np.ndarray) -> Instrumented:
@@ -107,7 +120,7 @@ def solve(fit: Fit, y: np.ndarray, u: np.ndarray, z: np.ndarray) -> Instrumented
     errors = np.asarray(lfilter(D, C, equation_error(structure, unknowns, y, u)))
     inverse = np.linalg.pinv(zeta.T @ slope)
     influence = -(zeta * errors[fit.first :, None]) @ inverse.T
-    covariance = long_run(influence) * len(influence)
+    covariance = long_run(influence, _LONG) * len(influence)
     return Instrumented(
         unknowns[:count],
         float(unknowns[count]),
@@ -118,12 +131,12 @@ def solve(fit: Fit, y: np.ndarray, u: np.ndarray, z: np.ndarray) -> Instrumented
     )
 
 
-def long_run(rows: np.ndarray) -> np.ndarray:
+def long_run(rows: np.ndarray, reach: float = 1.5) -> np.ndarray:
     """Covariance (m, m) of one row (n, m) with all that follow it (Newey and West, 1987), for the
-    sum of correlated rows.
+    sum of correlated rows; reach: lags over n^(1/3).
     """
     n = len(rows)
-    lags = int(1.5 * n ** (1 / 3))
+    lags = int(reach * n ** (1 / 3))
     total = rows.T @ rows / n
     for lag in range(1, lags + 1):
         part = rows[lag:].T @ rows[:-lag] / n
