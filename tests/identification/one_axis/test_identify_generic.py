@@ -18,6 +18,7 @@ from ambrose.identification.one_axis.axis_record import read_axis
 from ambrose.identification.one_axis.estimate import estimate
 from ambrose.identification.one_axis.instruments import solve
 from ambrose.identification.one_axis.model import input_polynomials, own_polynomial
+from ambrose.identification.one_axis.prediction_error import fit_plainest
 from one_axis_loop import Truth, hang, levitate
 
 RECORDS = Path(__file__).parents[2] / "records" / "levitation"
@@ -110,7 +111,7 @@ def test_a_loop_that_nothing_drives_is_refused(change, tmp_path):
 
 def test_another_plant_is_not_this_model(tmp_path):
     """The record of u delayed by a slow filter that the model lacks: two more poles."""
-    time, y, u, r = levitate(seed=4, force=0.002)
+    time, y, u, r = levitate(seed=4, force=0.002, n=4000)
     slow = lfilter([0.02], [1, -1.6, 0.62], u[:, 0])
     with_file = table(tmp_path / "other.txt", time, y[:, 0], slow, r[:, 0])
     done = amb.identify_generic(with_file)
