@@ -19,6 +19,7 @@ from ambrose.judge.unavoidable import unavoidable_sensitivity
 from ambrose.machine.description import OperatingPoint, Operation, Tolerance
 from ambrose.machine.file.toml import read_machine_text
 from ambrose.machine.rotor_model import Material
+from ambrose.machine.touchdown import Touchdown, TouchdownRace
 from ambrose.machine.units import DIMENSIONS, read_quantity
 from coarse import coarse
 
@@ -139,6 +140,22 @@ CASES = {
     "coefficients": (
         lambda m: bearings(m, force_per_current=(0.144, 0.139)),
         r"times k_i bias / gap; .*check the units",
+    ),
+    "friction": (
+        lambda m: bearings(m, touchdown=Touchdown(friction=2.0)),
+        r"bearing of A has a friction of 2, where 0.05 to 0.4 are usual; check it",
+    ),
+    "race": (
+        lambda m: bearings(
+            m, touchdown=Touchdown(radius=0.05, race=TouchdownRace(0.3, 0.4, 1e8, 1e3))
+        ),
+        r"has 533 times the inertia of its mass at the contact's radius, .*check the units",
+    ),
+    "touchdown gap": (
+        lambda m: replace(
+            bearings(coarse("turboexpander"), gap=5e-4, touchdown_gap=4e-4), controller=None
+        ),
+        r"touchdown gap of bearing A, 0.4 mm, is above the clearance of seal piston, 0.2",
     ),
     "delay": (
         lambda m: replace(m, controller=replace(m.controller, sample_time=1e-3, delay=8e-3)),

@@ -51,6 +51,7 @@ _MASS = (1e-3, 5e3)
 _LENGTH = (0.02, 12.0)  # [m] of a rotor; outside, a unit is probably wrong
 _DIAMETER = (1e-3, 2.0)  # [m] of a shaft; outside, a unit is probably wrong
 _DENSITY, _MODULUS = (1e3, 2e4), (1e10, 7e11)  # [kg/m3], [Pa] of shafts
+_FRICTION = 0.8  # of dry metals in vacuum
 _RATIO = (0.3, 3.0)  # k_s gap / (k_i bias): 1 for magnets without iron
 _NODE = 0.05  # of a mode's largest deflection
 _SHORT = 3.0  # diameters of length that one bearing may hold
@@ -290,6 +291,37 @@ def _sizes(machine: Machine, properties: MassProperties) -> Iterator[str]:
             )
     for bearing in machine.bearings:
         yield from _gaps(bearing)
+        yield from _touchdown(machine, bearing)
+
+
+def _touchdown(machine: Machine, bearing: MagneticBearing) -> Iterator[str]:
+    """A touchdown bearing that the rotor reaches too late, or whose numbers no bearing has."""
+    gap, table = bearing.touchdown_gap, bearing.touchdown
+    for seal in machine.seals:
+        sides = [
+            getattr(seal.geometry, name, None) for name in ("inlet_clearance", "exit_clearance")
+        ]
+        narrowest = min((side for side in sides if side), default=math.inf)
+        if gap is not None and gap > narrowest:
+            yield (
+                f"the touchdown gap of bearing {bearing.name}, {1e3 * gap:,.4g} mm, is above the "
+                f"clearance of seal {seal.name}, {1e3 * narrowest:,.4g} mm: the rotor lands in the "
+                "seal; check both"
+            )
+    if table is None:
+        return
+    if table.friction > _FRICTION:
+        yield (
+            f"the touchdown bearing of {bearing.name} has a friction of {table.friction:.3g}, "
+            "where 0.05 to 0.4 are usual; check it"
+        )
+    if table.race is not None and table.radius is not None:
+        ratio = table.race.inertia / (table.race.mass * table.radius**2)
+        if _outside(ratio, (0.2, 5.0)):
+            yield (
+                f"the race of bearing {bearing.name} has {ratio:.3g} times the inertia of its mass "
+                "at the contact's radius, where 1 to 2 are usual; check the units of the three"
+            )
 
 
 def _gaps(bearing: MagneticBearing) -> Iterator[str]:

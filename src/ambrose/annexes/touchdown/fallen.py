@@ -16,6 +16,7 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.attachment import attached
+from ambrose.machine.axial import AxialMachine
 from ambrose.machine.description import MagneticBearing, OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.touchdown import Touchdown
@@ -269,6 +270,11 @@ def seal_gaps(machine: Machine) -> list[tuple[str, float, float]]:
 
 def refuse(machine: Machine) -> None:
     """What cannot land. Raises InvalidInput."""
+    if isinstance(machine, AxialMachine):
+        raise InvalidInput(
+            f"{machine.name} is the axis along the shaft; take the machine without #axial, or let "
+            "the axis fall in ambrose simulate with the scenario power-loss"
+        )
     if not machine.bearings:
         raise InvalidInput(
             f"{machine.name} has no magnetic bearing to fall out of; give [[bearing]] with a "
