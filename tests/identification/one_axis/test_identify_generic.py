@@ -111,7 +111,7 @@ def test_a_loop_that_nothing_drives_is_refused(change, tmp_path):
 
 def test_another_plant_is_not_this_model(tmp_path):
     """The record of u delayed by a slow filter that the model lacks: two more poles."""
-    time, y, u, r = levitate(seed=4, force=0.002, n=4000)
+    time, y, u, r = levitate(seed=4, force=0.002)
     slow = lfilter([0.02], [1, -1.6, 0.62], u[:, 0])
     with_file = table(tmp_path / "other.txt", time, y[:, 0], slow, r[:, 0])
     done = amb.identify_generic(with_file)
