@@ -496,3 +496,15 @@ def test_import_is_light_and_fast():
     )
     assert done.returncode == 0, done.stderr
     assert time.perf_counter() - begin < 5.0  # a hang, not a benchmark
+
+
+def test_continuous_figures_beside_those_of_the_loop_that_runs_are_explained():
+    """A PID's certificate had said a sensitivity peak of 356.7 beside one of 2.54, and no more."""
+    from ambrose.cli.synthesize import _beside
+
+    far = {"sampled_sensitivity_peak": 2.54, "continuous sensitivity_peak": 356.7}
+    (line,) = _beside(far)
+    assert "without its sampling, hold and delay" in line and "140 times off" in line
+    (line,) = _beside({**far, "continuous sensitivity_peak": 2.6})
+    assert "times off" not in line
+    assert _beside({"sensitivity_peak": 2.6}) == []

@@ -28,6 +28,7 @@ from ambrose.terminal import (
 
 METHODS = methods()
 _METHOD_OPTION = "--method"
+_APART = 1.5  # times: continuous and sampled peaks that differ by more are explained
 
 
 @click.command(
@@ -218,7 +219,7 @@ def synthesize(
         ]
         if factor is not None:
             rows.append(("control weight factor", shown(factor)))
-        rows += [("note", note) for note in result.notes]
+        rows += [("note", note) for note in (*result.notes, *_beside(numbers))]
         early = "STOPPED EARLY: " if result.stopped_early else ""
         print_table(
             f"{method} controller, {early}{result.verdict}: {output}",
@@ -249,6 +250,24 @@ def synthesize(
     alone = point is not None or result.method == "pid"
     holds = result.status is Status.VERIFIED and (alone or not result.lost)
     sys.exit(0 if holds and not result.missed else 1)
+
+
+def _beside(numbers: dict[str, Any]) -> list[str]:
+    """What the rows of the continuous loop are, where they stand beside those of the loop that
+    runs.
+    """
+    without = numbers.get("continuous sensitivity_peak")
+    as_run = numbers.get("sampled_sensitivity_peak")
+    if without is None or as_run is None:
+        return []
+    words = "continuous: the law without its sampling, hold and delay, which no loop runs"
+    apart = max(without / as_run, as_run / without)
+    if apart > _APART:
+        words += (
+            f"; its sensitivity peak is {apart:.3g} times off that of the sampled loop: at some "
+            "mode the delay decides the damping, so that another rate or delay needs its own design"
+        )
+    return [words]
 
 
 def _numbers(certificate: dict[str, Any]) -> dict[str, Any]:

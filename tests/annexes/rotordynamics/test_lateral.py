@@ -18,6 +18,7 @@ from ambrose.annexes.rotordynamics.critical import criticals
 from ambrose.annexes.rotordynamics.json_schema import lateral_schema
 from ambrose.annexes.rotordynamics.level_two import shares
 from ambrose.annexes.rotordynamics.loop import shaft_loop
+from ambrose.annexes.rotordynamics.page import lateral_page
 from ambrose.annexes.rotordynamics.placement import place, shaft_modes, span_middle
 from ambrose.annexes.rotordynamics.stations import lay_out
 from ambrose.core.checks import InvalidInput
@@ -73,9 +74,9 @@ density_ratio = 1.5
 K, C = 5e6, 2e3  # of each film
 
 
-def films(more="", modulus=2_100_000, first=0.0, second=1.0):
+def films(more="", modulus=2_100_000, first=0.0, second=1.0, damping=C):
     text = FILE.format(
-        modulus=modulus, first=first, second=second, stiffness=K, damping=C, more=more
+        modulus=modulus, first=first, second=second, stiffness=K, damping=damping, more=more
     )
     return loads_machine(text, "films")
 
@@ -121,6 +122,28 @@ def test_critical_speed_amplitude_and_factor_of_one_mass():
     assert found.speed == pytest.approx(peak, rel=1e-3)
     assert found.amplitude == pytest.approx(amplitude(peak), rel=1e-3)
     assert found.amplification == pytest.approx(peak / (flanks[1] - flanks[0]), rel=1e-3)
+
+
+def test_a_rotor_that_cannot_ring_has_its_unbalance_placed_as_a_rigid_one():
+    """Films far beyond critical damping: in the middle for the whole mass, and at both ends for
+    half of it each, turned against each other. There had been no analysis and no page.
+    """
+    strong = 3e4  # 2 c = 6e4 N s/m, critical is 2 sqrt(2 k m) = 5e4 N s/m
+    machine = films(damping=strong)
+    result = amb.lateral(machine, trip=6300 * RPM)
+    assert result.modes == ()
+    assert "placed by the rigid rotor's shapes" in " ".join(result.notes)
+    m, k, c, response = mass_of(machine), 2 * K, 2 * strong, result.response
+    parallel, tilting = response.cases
+    (weight,) = parallel.weights
+    assert weight.amount == pytest.approx(2 * 6350 * m / 6000 * 1e-6, rel=1e-6)
+    assert [w.amount for w in tilting.weights] == pytest.approx([weight.amount / 2] * 2, rel=1e-6)
+    assert abs(tilting.weights[0].angle - tilting.weights[1].angle) == pytest.approx(math.pi)
+    curve, w = response.major_axis(response.layout.nearest(0.5), 0), response.fine
+    exact = weight.amount * w**2 / np.hypot(k - m * w**2, c * w)
+    assert curve == pytest.approx(exact, rel=2e-3)
+    titles = [section.title for section in lateral_page(result).sections]
+    assert "Unbalance response" in titles
 
 
 def test_shares_add_up_to_the_log_decrement():

@@ -19,6 +19,7 @@ from ambrose.annexes.rotordynamics.placement import (
     ShaftMode,
     UnbalanceCase,
     place,
+    place_rigid,
     shaft_modes,
     span_middle,
 )
@@ -42,6 +43,10 @@ from ambrose.model.effects.stage import Stage, rated_cross_coupling
 TRIP = 1.05  # times the maximum continuous speed, where nothing is said
 _SLOWEST = 0.05  # of the trip speed: where response curves begin
 _MODES_TO = 1.25  # times the trip speed: up to where modes are excited
+_RIGID = (
+    "No forward mode that can ring lies up to 1.25 times the trip speed: the unbalance is placed "
+    "by the rigid rotor's shapes, parallel and tilting (assumed)."
+)
 _BARE_NOTE = (
     "Level I takes the rotor without seals and stages, as the standard does; a controller that "
     "needs a seal's stiffness may not hold it."
@@ -118,6 +123,9 @@ def lateral(
 
     forward = [mode for mode in modes if mode.forward]
     cases = _cases(layout, forward, chosen.speed)
+    if not cases:
+        cases = place_rigid(layout, chosen.speed)
+        early = (*early, _RIGID)
     progress(f"unbalance response, {len(cases)} placements")
     slowest = _slowest(machine, trip)
     if slowest > _SLOWEST * trip:
@@ -247,17 +255,12 @@ def _unstable_at(
 
 
 def _cases(layout: Layout, forward: list[ShaftMode], speed: float) -> tuple[UnbalanceCase, ...]:
-    """A placement per forward mode; none twice."""
+    """A placement per forward mode; none twice, none without a mode."""
     cases: list[UnbalanceCase] = []
     for mode in forward:
         for case in place(layout, mode, speed):
             if all(case.weights != other.weights for other in cases):
                 cases.append(case)
-    if not cases:
-        raise NumericalFailure(
-            "no forward mode that can ring lies up to 1.25 times the trip speed, so that no "
-            "unbalance can be placed; the rotor is overdamped over its whole range"
-        )
     return tuple(cases)
 
 

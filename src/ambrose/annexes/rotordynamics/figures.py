@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,6 @@ import numpy as np
 from ambrose.annexes.rotordynamics import standard
 from ambrose.annexes.rotordynamics.capacity import AxisCapacity
 from ambrose.annexes.rotordynamics.level_one import LevelOne
-from ambrose.annexes.rotordynamics.placement import ShaftMode
 from ambrose.annexes.rotordynamics.response import Response
 from ambrose.annexes.rotordynamics.stations import Layout
 from ambrose.report import theme
@@ -65,14 +63,13 @@ def response_figure(
     return figure
 
 
-def placement_figure(layout: Layout, response: Response, modes: Sequence[ShaftMode]) -> Any:
-    """The forward mode of each placement along the shaft, with its weights; journals as lines."""
-    shown = list(zip(response.cases, modes, strict=False))
+def placement_figure(layout: Layout, response: Response) -> Any:
+    """The shape of each placement along the shaft, with its weights; journals as lines."""
+    shown = response.cases
     figure = theme.subplots(rows=len(shown), cols=1, shared_xaxes=True, vertical_spacing=0.09)
     x = MM * layout.positions
-    for row, (case, mode) in enumerate(shown, 1):
-        place = {"row": row, "col": 1}
-        line = mode.line().real
+    for row, case in enumerate(shown, 1):
+        place, line = {"row": row, "col": 1}, case.line
         theme.guide(figure, place, [x[0], x[-1]], [0, 0], color=theme.MUTED, width=1)
         theme.scatter(
             figure, place, np.float32(x), np.float32(line), line={"color": "#0072b2", "width": 2}
@@ -96,11 +93,7 @@ def placement_figure(layout: Layout, response: Response, modes: Sequence[ShaftMo
             text = f"{1e6 * weight.amount:.4g} g mm, {np.degrees(weight.angle):.0f} deg"
             side = "left" if at < 0.5 * x[-1] else "right"
             theme.note(figure, place, text, at, tip, side, "bottom" if tip > 0 else "top")
-        theme.heading(
-            figure,
-            place,
-            f"{mode.frequency / standard.RPM:.5g} rpm, log decrement {mode.log_decrement:.3g}",
-        )
+        theme.heading(figure, place, case.heading)
     theme.dress(figure, 150 * len(shown), legend=False, lines=1)
     figure.update_yaxes(showticklabels=False, range=[-1.35, 1.35])
     figure.update_xaxes(title_text="Position [mm]", row=len(shown), col=1)

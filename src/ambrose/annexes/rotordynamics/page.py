@@ -10,7 +10,7 @@ import numpy as np
 from ambrose.annexes.rotordynamics import figures, standard
 from ambrose.annexes.rotordynamics.comparison import Comparison, Pair
 from ambrose.annexes.rotordynamics.phase_budget import PhaseBudget
-from ambrose.annexes.rotordynamics.placement import BACKWARD, mode_name
+from ambrose.annexes.rotordynamics.placement import BACKWARD
 from ambrose.annexes.rotordynamics.result import Item, Lateral
 from ambrose.core.presentation import with_unit
 from ambrose.machine.file.toml import machine_hash
@@ -205,12 +205,7 @@ def _response_sections(result: Lateral) -> list[Section]:
         )
         for k, case in enumerate(response.cases)
     )
-    # a case is named after the mode that it was placed for
-    named = {mode_name(row.mode): row.mode for row in result.modes}
-    forward = [named[case.name.partition(",")[0]] for case in response.cases]
-    placed = Figure(
-        "Placement of the unbalance", figures.placement_figure(result.layout, response, forward)
-    )
+    placed = Figure("Placement of the unbalance", figures.placement_figure(result.layout, response))
     rows: tuple[Row, ...] = tuple(
         (
             case.name,

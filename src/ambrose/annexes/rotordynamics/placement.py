@@ -12,7 +12,7 @@ Antinodes below 10 % of the largest get nothing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -119,11 +119,17 @@ class Weight:
 
 @dataclass(frozen=True, slots=True)
 class UnbalanceCase:
-    """A set of unbalances that turn together, and for which mode or purpose it was placed."""
+    """A set of unbalances that turn together, and for which mode or purpose it was placed.
+
+    line (s,): the shape along the shaft that it was placed on; heading: what that shape is, in
+    words.
+    """
 
     name: str
     weights: tuple[Weight, ...]
     why: str
+    line: np.ndarray = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)
+    heading: str = ""
 
     @property
     def total(self) -> float:
@@ -160,7 +166,32 @@ def place(layout: Layout, mode: ShaftMode, speed: float) -> tuple[UnbalanceCase,
     Where an overhung antinode governs, a second set is placed between the bearings if the shape
     has an antinode there: a rotor that bends freely has both.
     """
-    line = mode.line().real
+    heading = f"{mode.frequency / standard.RPM:.5g} rpm, log decrement {mode.log_decrement:.3g}"
+    return _placed(layout, mode.line().real, mode_name(mode), heading, speed)
+
+
+def place_rigid(layout: Layout, speed: float) -> tuple[UnbalanceCase, ...]:
+    """The sets for a rotor of which no mode can ring: by the same rules on the shapes of the rigid
+    rotor, moving in parallel and tilting about the middle of its journals. Assumed: the standard
+    knows placements by modes alone.
+    """
+    places = [journal.position for journal in layout.journals]
+    arm = layout.positions - 0.5 * (min(places) + max(places))
+    shapes = {
+        "rigid rotor in parallel": np.ones_like(arm),
+        "rigid rotor tilting": arm / np.abs(arm).max(),
+    }
+    return tuple(
+        case
+        for name, line in shapes.items()
+        for case in _placed(layout, line, name, f"{name}, no mode rings", speed)
+    )
+
+
+def _placed(
+    layout: Layout, line: np.ndarray, name: str, heading: str, speed: float
+) -> tuple[UnbalanceCase, ...]:
+    """The sets for a shape line (s,) along the shaft."""
     ends = _overhung_ends(layout, line)
     inner = _inner_antinodes(layout, line)
     largest = max(abs(line[k]) for k in (*ends, *inner))
@@ -181,7 +212,7 @@ def place(layout: Layout, mode: ShaftMode, speed: float) -> tuple[UnbalanceCase,
         why = "antinodes between the bearings: load of the nearest journal"
         sets.append((", between bearings" if overhung else "", why, each))
     return tuple(
-        UnbalanceCase(mode_name(mode) + where, _weights(line, chosen, speed), why)
+        UnbalanceCase(name + where, _weights(line, chosen, speed), why, line, heading)
         for where, why, chosen in sets
     )
 
