@@ -28,6 +28,8 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed"),
 ]
 MACHINE = Path(__file__).parents[3] / "benchmarks" / "snapshot_files" / "small-rig.toml"
+# words of a user's, which no page may take for more
+HOSTILE = "<img src=x onerror=document.title=1></svg><script>document.title=2</script>"
 PICTURES = os.environ.get("AMBROSE_PICTURES")
 LONG = 120_000  # [ms] of what is computed
 
@@ -67,7 +69,10 @@ class Server:
 def folder(tmp_path_factory):
     made = tmp_path_factory.mktemp("tour") / "rig"
     made.mkdir()
-    shutil.copy(MACHINE, made / "machine.toml")
+    text = MACHINE.read_text().replace(
+        'name = "small-rig"', f'name = "small-rig"\ndescription = {json.dumps(HOSTILE)}'
+    )
+    (made / "machine.toml").write_text(text.replace('"twice nominal', f'"{HOSTILE} twice'))
     return made
 
 
@@ -234,6 +239,7 @@ def test_every_screen_fits(tour, server, chromium, width, scheme):
             " !e.labels?.length && !e.ariaLabel && !e.textContent).length"
         )
         assert nameless == 0
+        assert page.title().endswith("Ambrose")
         if PICTURES:
             page.wait_for_timeout(1500 if screen == "live" else 200)
             page.screenshot(path=f"{PICTURES}/{screen}-{width}-{scheme}.png", full_page=True)

@@ -80,6 +80,21 @@ def test_controllers_are_compared_at_every_point(project):
     assert json.dumps(blocks)
 
 
+def test_the_verdict_of_other_values_does_not_stay(project):
+    told, blocks = ask(project, "judge", **{"gain.0": 25000.0})
+    assert "verdict-0" in blocks
+    assert not told["whole"]
+    assert "verdict-0" in ask(project, "look", **{"gain.0": 26000.0})[0]["gone"]
+
+
+def test_a_machine_that_turns_has_its_campbell_diagram(tmp_path):
+    turning = Project(tmp_path)
+    begin(turning, "flywheel")
+    buttons = [b["action"] for b in ask(turning)[1]["sliders"]["buttons"]]
+    assert "campbell" in buttons
+    assert "1× speed" in ask(turning, "campbell")[1]["campbell"]["svg"]
+
+
 @pytest.mark.parametrize("value", [math.nan, math.inf, "x", True, None, 1e300])
 def test_what_is_no_number_is_refused(project, value):
     with pytest.raises(InvalidInput):

@@ -12,7 +12,7 @@ from typing import Any
 from ambrose.annexes.workbench import blocks
 from ambrose.annexes.workbench.blocks import Block, Refusal
 from ambrose.annexes.workbench.given import word
-from ambrose.annexes.workbench.project import MACHINE, Project
+from ambrose.annexes.workbench.project import MACHINE, Project, begin
 from ambrose.chain.new_machine import Known, machine_of_rotor, new_machine, quantity_of
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.atomic_write import write_text
@@ -29,12 +29,14 @@ def forms(project: Project) -> list[Block]:
     there = project.machine.is_file()
     found = []
     if not there:
-        bundled = blocks.choice("machine", "Machine", list(bundled_machines()), "seal-rig")
+        known = blocks.choice("machine", "Machine", list(bundled_machines()), "seal-rig")
         title = "This folder has no machine yet"
-        found.append(blocks.form("begin", [bundled], [blocks.button("Begin", "begin")], title))
+        found.append(
+            blocks.form("begin", [known], [blocks.button("Begin", "begin", main=True)], title)
+        )
         shaft = [blocks.field(key, key.capitalize(), text) for key, text in _SHAFT.items()]
         stands = blocks.field("vertical", "It stands upright", False, "check")
-        button = blocks.button("Make it", "template")
+        button = blocks.button("Make it", "template", main=True)
         hint = "All the rest is chosen so that it levitates, and marked as assumed."
         title = "A plain shaft to start from"
         found.append(blocks.form("template", [*shaft, stands], [button], title, hint=hint))
@@ -47,11 +49,17 @@ def forms(project: Project) -> list[Block]:
             blocks.choice("source", "Taken from", files),
             blocks.field("speed", "Highest speed, for a rotor alone", "0 rpm"),
         ]
-        buttons = [blocks.button("Take it", "take")]
+        buttons = [blocks.button("Take it", "take", main=True)]
     hint = f"A machine file, a model of ROSS, a table of stations. {MACHINE} of before is kept."
     title = "A machine from a file"
     found.append(blocks.form("import", fields, buttons, title, folded=there, hint=hint))
     return found
+
+
+def bundled(project: Project, given: Mapping[str, Any]) -> str:
+    """A bundled machine becomes the machine; what was done, in words."""
+    begin(project, given.get("machine"))
+    return f"{MACHINE} is written."
 
 
 def template(project: Project, given: Mapping[str, Any]) -> str:

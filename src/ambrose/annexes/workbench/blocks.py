@@ -109,7 +109,7 @@ def choice(name: str, label: str, options: Sequence[str], value: str = "") -> Bl
     return field(name, label, chosen, "choice", options=list(options))
 
 
-def button(text: str, action: str, *, main: bool = True, **more: Any) -> Block:
+def button(text: str, action: str, *, main: bool = False, **more: Any) -> Block:
     """A button that asks for an action of the screen, or with an address of the server that; more:
     what goes with it beside the fields.
     """
@@ -118,7 +118,7 @@ def button(text: str, action: str, *, main: bool = True, **more: Any) -> Block:
 
 def job(text: str, kind: str) -> Block:
     """A button that starts a job of a kind, with the fields beside it."""
-    return button(text, "/api/jobs/start", kind=kind)
+    return button(text, "/api/jobs/start", main=True, kind=kind)
 
 
 def rows_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
@@ -133,8 +133,10 @@ def content(
     jobs: Sequence[str] = (),
     whole: bool = True,
     told: str = "",
+    gone: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """An answer to the page: the blocks of a screen, or (not whole) those that changed.
+    """An answer to the page: the blocks of a screen, or (not whole) those that changed, and the
+    keys of those that are gone.
 
     stamp: of the file that the screen edits; jobs: the commands whose jobs stand below it; told:
     what was done, in words.
@@ -144,6 +146,7 @@ def content(
         "stamp": stamp,
         "jobs": list(jobs),
         "whole": whole,
+        "gone": list(gone),
         "told": told,
     }
 

@@ -21,7 +21,6 @@ from ambrose.annexes.workbench.project import Project
 from ambrose.core.checks import AmbroseError
 
 _LONGEST = 60.0  # [s] of an answer
-_Told = dict[str, Any]
 
 
 class Desk:
@@ -35,13 +34,13 @@ class Desk:
         self._pipe: Any = None
         self._turn = asyncio.Lock()
 
-    async def ask(self, screen: str, action: str, given: Mapping[str, Any]) -> _Told:
+    async def ask(self, screen: str, action: str, given: Mapping[str, Any]) -> dict[str, Any]:
         """What a screen shows, or what an action made of it. Raises Refusal."""
         async with self._turn:
             status, told = await asyncio.to_thread(self._ask, (screen, action, dict(given)))
         if status == "refused":
             raise Refusal(told["error"], told["fields"], told["stale"])
-        answer: _Told = told
+        answer: dict[str, Any] = told
         return answer
 
     def begin(self) -> None:
@@ -61,7 +60,7 @@ class Desk:
             self._pipe.close()
             self._process = None
 
-    def _ask(self, words: tuple[str, str, _Told]) -> tuple[str, _Told]:
+    def _ask(self, words: tuple[str, str, dict[str, Any]]) -> tuple[str, dict[str, Any]]:
         self.begin()
         try:
             self._pipe.send(words)

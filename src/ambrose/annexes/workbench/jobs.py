@@ -131,9 +131,9 @@ class Jobs:
         if job.status is not None:
             title += f", status {job.status}"
         way = (
-            blocks.button("Cancel", "/api/jobs/cancel", main=False, name=job.name)
+            blocks.button("Cancel", "/api/jobs/cancel", name=job.name)
             if runs
-            else blocks.button("Again", "/api/jobs/start", main=False, again=job.name)
+            else blocks.button("Again", "/api/jobs/start", again=job.name)
         )
         command = f"ambrose {shlex.join(job.words)}"
         tone = {"done": "good", "failed": "bad", "stopped": "bad"}.get(job.state, "")

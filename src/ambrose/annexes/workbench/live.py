@@ -38,17 +38,11 @@ _PACES = {"real": 1.0, "slow": 0.1, "fast": math.inf}
 _PUSH = 0.05  # a knock's first displacement over the gap, roughly
 _SHAKE = 0.025  # excitation over the limit of the currents: far from it also on top of the weight
 _GRADE = 2.5e-3  # [m/s], G2.5 of ISO 21940-11
-_SAME = {
-    "Python": "\n".join(
-        [
-            "import ambrose as amb",
-            "from ambrose.rig.live import LiveRig",
-            'machine = amb.load_machine("machine.toml")',
-            'live = LiveRig(machine, amb.read_controller("controllers/pid.json"))',
-            "frame = live.advance(1000)",
-        ]
-    )
-}
+_SAME = """import ambrose as amb
+from ambrose.rig.live import LiveRig
+machine = amb.load_machine("machine.toml")
+live = LiveRig(machine, amb.read_controller("controllers/pid.json"))
+frame = live.advance(1000)"""
 
 
 class LiveSession:
@@ -106,7 +100,7 @@ class LiveSession:
             "dt": rig.dt,
             "speed": self._top_speed,
             "controls": self._controls(),
-            "same": _SAME,
+            "same": {"Python": _SAME},
         }
 
     @property
@@ -125,12 +119,12 @@ class LiveSession:
     def _controls(self) -> list[Block]:
         """What can be turned, pushed and broken, as forms."""
         turned = [_slider("speed", "Speed", 0, self._top_speed, "rpm", 30 / math.pi)]
-        breaks = [blocks.button("Sensor fails", "fail", main=False, what="sensor")]
-        breaks += [blocks.button("Amplifier fails", "fail", main=False, what="amplifier")]
+        breaks = [blocks.button("Sensor fails", "fail", what="sensor")]
+        breaks += [blocks.button("Amplifier fails", "fail", what="amplifier")]
         if self.machine.seals:
             top = self._top_pressure or 1.0
             turned.append(_slider("pressure", "Seal pressure", 0, top, "bar", 1e-5))
-            lost = blocks.button("Pressure sensor fails", "fail", main=False, what="pressure")
+            lost = blocks.button("Pressure sensor fails", "fail", what="pressure")
             breaks.append(lost)
         where = blocks.choice("station", "Unbalance at", self.rig.stations)
         where["action"] = "unbalance"
@@ -152,18 +146,18 @@ class LiveSession:
             blocks.form(
                 "push",
                 [_slider(*strength, log=True), pace, near],
-                [_plain("Drop", "drop"), _plain("Lift", "lift")],
+                [blocks.button("Drop", "drop"), blocks.button("Lift", "lift")],
                 "Push",
             ),
-            blocks.form("controller", [chosen], [_plain("Switch", "switch")], "Controller"),
+            blocks.form("controller", [chosen], [blocks.button("Switch", "switch")], "Controller"),
             blocks.form(
                 "record",
                 (),
                 [
-                    blocks.button("Excite", "excite", main=False, value=shake),
-                    blocks.button("Stop exciting", "excite", main=False, value=0),
-                    _plain("Record", "record"),
-                    _plain("Stop recording", "stop"),
+                    blocks.button("Excite", "excite", value=shake),
+                    blocks.button("Stop exciting", "excite", value=0),
+                    blocks.button("Record", "record"),
+                    blocks.button("Stop recording", "stop"),
                 ],
                 "Record",
             ),
@@ -414,10 +408,7 @@ def starting_form(project: Project, controller: str = "") -> Block:
     """How a rig begins anew."""
     names = project.names("controllers") or ["pid.json"]
     ways = {"levitated": "Start levitated", "resting": "Start on the touchdown bearings"}
-    buttons = [
-        blocks.button(text, "restart", main=False, initial=initial)
-        for initial, text in ways.items()
-    ]
+    buttons = [blocks.button(text, "restart", initial=initial) for initial, text in ways.items()]
     chosen = blocks.choice("controller", "Controller", names, controller)
     return blocks.form("start", [chosen], buttons, "Start again")
 
@@ -428,10 +419,6 @@ def _slider(
     """A slider that asks for the action of its name; log: low and high are exponents of ten."""
     more = {"low": low, "high": high, "unit": unit, "factor": factor, "log": log, "action": name}
     return blocks.field(name, label, 10**low if log else low, "slider", **more)
-
-
-def _plain(text: str, action: str) -> Block:
-    return blocks.button(text, action, main=False)
 
 
 def _first_controller(project: Project, machine: Machine) -> str:

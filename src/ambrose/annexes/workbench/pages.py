@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from ambrose.annexes.workbench import blocks
 from ambrose.annexes.workbench.blocks import Block
 from ambrose.report.page import Cell, Figure, Page
@@ -32,14 +30,10 @@ def blocks_of(page: Page, width: int, *, tables: bool = True) -> list[Block]:
 def _pictures(key: str, figures: tuple[Figure, ...], width: int) -> list[Block]:
     found = []
     for k, item in enumerate(figures):
-        if not _is_drawn(item.picture):
+        kinds = {str(trace.type) for trace in item.picture.data}
+        if getattr(item.picture, "frames", ()) or not kinds <= _DRAWN:
             continue
         drawing = svg(item.picture, width, item.title, f"{key}-{k}")
         if len(drawing) < _MANY:
             found.append(blocks.picture(f"{key}-{k}", drawing, item.title, item.caption))
     return found
-
-
-def _is_drawn(picture: Any) -> bool:
-    moves = bool(getattr(picture, "frames", ()))
-    return not moves and all(str(trace.type) in _DRAWN for trace in picture.data)

@@ -22,8 +22,9 @@ from ambrose.core.checks import InvalidInput
 from ambrose.judge.controller_file import read_controller, write_controller
 from ambrose.judge.criteria import zone
 from ambrose.judge.glance import Glance, glance
-from ambrose.judge.plants import full_plants
+from ambrose.judge.plants import campbell_map, full_plants
 from ambrose.law.law import Law, law_of
+from ambrose.law.loop import running_law
 from ambrose.law.pid import first_settings, pid_controller
 from ambrose.law.timing import machine_timing, timing_of
 from ambrose.machine.controller import PidSettings
@@ -40,6 +41,7 @@ from ambrose.report.svg import svg
 
 _MOST = 4  # controllers that are compared
 _SLIDERS = "the sliders"
+_VERDICTS = tuple(f"verdict-{i}" for i in range(9))  # keys of their tables
 _kept: dict[str, tuple[Machine, tuple[Plant, ...]]] = {}  # of the last text, with reduced plants
 
 
@@ -75,12 +77,15 @@ def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     if machine.reference is None:
         hint = f"The file has no [controller]: a PID to start from. {hint}"
     named = blocks.field("name", "Name", "bench")
+    low, high = machine.operation.speed_range
+    turning = [blocks.button("Campbell", "campbell")] if high > low else []
     form = blocks.form(
         "sliders",
         [*fields_of(settings, machine.axes), at, *compared, named],
         [
-            blocks.button("Judge on the full plant", "judge", main=False),
-            blocks.button("Save as controller", "save"),
+            blocks.button("Judge on the full plant", "judge"),
+            *turning,
+            blocks.button("Save as controller", "save", main=True),
         ],
         f"PID of {machine.name}",
         live="look",
@@ -123,8 +128,10 @@ def _look(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     first = plants[0].bending_modes or 0
     note = f"On the plant with {first} bending modes per plane; Judge asks the full one."
     pictures = _pictures(shown, machine, width(given), place) if shown else []
+    same = _same(machine, given, settings)
+    # what was judged of other values is no verdict on these
     return blocks.content(
-        [_table(seen, plants, note), *pictures, _same(machine, given, settings)], whole=False
+        [_table(seen, plants, note), *pictures, same], whole=False, gone=[*_VERDICTS, "campbell"]
     )
 
 
@@ -219,12 +226,25 @@ def _judge(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     verified = verify_controller(machine, result, tolerances=False)
     overview = tables.overview_tables([checks for _, checks in verified.labelled])
     found = [
-        blocks.table(f"verdict-{i}", replace(item, title=f"Full plant: {item.title}"))
-        for i, item in enumerate(overview)
+        blocks.table(key, replace(item, title=f"Full plant: {item.title}"))
+        for key, item in zip(_VERDICTS, overview, strict=False)
     ]
     return blocks.content(
         found, whole=False, told=f"The loop that was judged is {verified.timing}."
     )
+
+
+def _campbell(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
+    """The modes of the loop over speed, of the full plant."""
+    machine, plants = _bench(project)
+    settings = settings_with(_settings(machine), given)
+    timing = machine_timing(replace(machine, controller=settings))
+    law = running_law(pid_controller(settings, machine), plants[0], timing)
+    frequencies, _ = campbell_map(plants[0], law, lambda stage: None)
+    with theme.bare():
+        drawing = svg(figure([(_SLIDERS, frequencies)]), width(given), "Campbell", "campbell")
+    title = "Campbell diagram of the loop, full plant"
+    return blocks.content([blocks.picture("campbell", drawing, title)], whole=False)
 
 
 def _save(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -244,4 +264,4 @@ def _save(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     return {**show(project, given), "told": told}
 
 
-SCREEN = Screen(show, {"look": _look, "judge": _judge, "save": _save})
+SCREEN = Screen(show, {"look": _look, "judge": _judge, "campbell": _campbell, "save": _save})

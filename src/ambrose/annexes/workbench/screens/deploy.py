@@ -55,9 +55,9 @@ def _folder(project: Project, name: str) -> list[blocks.Block]:
     """What a folder of code holds and what can be done with it."""
     files = _files(project, name)
     rows = [(path.name, f"{path.stat().st_size} bytes") for path in files]
-    buttons = [blocks.button("Pack", "pack", main=False, code=name)]
+    buttons = [blocks.button("Pack", "pack", code=name)]
     if any(path.name.endswith("_test.c") for path in files):
-        buttons.insert(0, blocks.button("Self test", "test", code=name))
+        buttons.insert(0, blocks.button("Self test", "test", main=True, code=name))
     table = blocks.rows_table(f"code/{name}", ("file", "size"), rows)
     found = [blocks.table(f"files-{name}", table), blocks.form(f"do-{name}", (), buttons)]
     if f"{name}.zip" in project.names("code"):

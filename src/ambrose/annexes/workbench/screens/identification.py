@@ -44,7 +44,7 @@ def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     )
     found = [form, same]
     if _FOUND in project.names("machines"):
-        back = blocks.button("Write back", "back")
+        back = blocks.button("Write back", "back", main=True)
         text = (
             f"machines/{_FOUND} is {MACHINE} with the identified values and their intervals, and "
             "nothing else changed. Read the verdict first."

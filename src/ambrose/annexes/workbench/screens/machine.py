@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from typing import Any
 
 from ambrose.annexes.workbench import beginning, blocks
 from ambrose.annexes.workbench.blocks import Block, Refusal
 from ambrose.annexes.workbench.given import texts, width, word
-from ambrose.annexes.workbench.project import MACHINE, Project, begin
-from ambrose.annexes.workbench.screens import Screen
+from ambrose.annexes.workbench.project import MACHINE, Project
+from ambrose.annexes.workbench.screens import Answer, Screen
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.file.parse import called
 from ambrose.machine.file.toml import loads_machine, read_machine_text
@@ -154,7 +154,7 @@ def _table_form(text: str, table: str, title: str) -> Block:
             known["heading"] = where
             last = where
         fields.append(known)
-    buttons = [blocks.button("Save", "save")]
+    buttons = [blocks.button("Save", "save", main=True)]
     return blocks.form(f"table-{table}", fields, buttons, title, folded=True)
 
 
@@ -163,7 +163,7 @@ def _whole_text(text: str) -> Block:
     return blocks.form(
         "text",
         [blocks.field("text", MACHINE, text, "area")],
-        [blocks.button("Save", "write")],
+        [blocks.button("Save", "write", main=True)],
         "The whole file",
         folded=True,
         hint=hint,
@@ -173,19 +173,14 @@ def _whole_text(text: str) -> Block:
 # what is written
 
 
-def _begin(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
-    begin(project, given.get("machine"))
-    return {**show(project, given), "told": f"{MACHINE} is written."}
+def _then(way: Callable[[Project, Mapping[str, Any]], str]) -> Answer:
+    """An action that says what it did and shows what there is then."""
 
+    def action(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
+        told = way(project, given)
+        return {**show(project, given), "told": told}
 
-def _template(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
-    told = beginning.template(project, given)
-    return {**show(project, given), "told": told}
-
-
-def _take(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
-    told = beginning.take(project, given)
-    return {**show(project, given), "told": told}
+    return action
 
 
 def _save(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -275,7 +270,7 @@ def _is_about(line: str, where: str, key: str) -> bool:
     return line.startswith(head) and re.match(begins, line[len(head) :]) is not None
 
 
+_WAYS = {"begin": beginning.bundled, "template": beginning.template, "take": beginning.take}
 SCREEN = Screen(
-    show,
-    {"begin": _begin, "template": _template, "take": _take, "save": _save, "write": _write},
+    show, {"save": _save, "write": _write, **{name: _then(way) for name, way in _WAYS.items()}}
 )

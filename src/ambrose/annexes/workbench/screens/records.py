@@ -88,7 +88,7 @@ def _mapping(path: Path, machine: Machine) -> Block:
     return blocks.form(
         "mapping",
         [*fields, blocks.field("source", "File", path.name)],
-        [blocks.button("Read it", "map")],
+        [blocks.button("Read it", "map", main=True)],
         f"{path.name}: which column is what",
         hint=f"{_listing(path)} A factor may stand before the name, such as -127 * probe.",
     )

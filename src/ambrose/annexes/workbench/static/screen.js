@@ -56,8 +56,8 @@ export const screen = (name) => async (place) => {
     if (!shown.size) list.replaceChildren();
     stamp = told.stamp || stamp;
     if (told.whole) [jobs, ended] = [told.jobs, told.ended];
-    for (const [key, { panel }] of told.whole ? shown : []) {
-      if (told.blocks.some((block) => block.key === key)) continue;
+    for (const [key, { panel }] of shown) {
+      if (told.whole ? told.blocks.some((block) => block.key === key) : !told.gone.includes(key)) continue;
       panel.remove();
       shown.delete(key);
     }
