@@ -11,6 +11,7 @@ import ambrose as amb
 from ambrose.annexes.touchdown.campaign import draw, drops
 from ambrose.annexes.touchdown.fallen import fallen_rotor
 from ambrose.annexes.touchdown.run_down import run_down
+from ambrose.annexes.touchdown.whip import beyond_stop
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.file.toml import dumps_machine
@@ -96,6 +97,20 @@ def test_run_down_of_a_brake_alone():
     assert down.taken == pytest.approx(fallen.polar_inertia * 800**2 / 2, rel=1e-6)
 
 
+def test_stop_of_the_mount_is_told():
+    """A travel of a micrometre is met by any whip; one of a metre by none."""
+    machine = amb.load_machine("overhung-blower")
+    for travel, met in ((1e-6, True), (1.0, False)):
+        table = Touchdown(mount=TouchdownMount(0.5, 2e7, 5e3, travel))
+        bearings = tuple(replace(item, touchdown=table) for item in machine.bearings)
+        fallen = fallen_rotor(replace(machine, bearings=bearings), machine.operation.nominal)
+        assert beyond_stop(fallen.bearings[0], 400.0, 1e3, 0.2) is met
+    # a static force: travel over stiffness
+    bearing = fallen.bearings[0]._replace(ring_mass=1e-9, mount_damping=0.0, travel=1e-4)
+    assert beyond_stop(bearing, 1.0, 1.01 * 2e7 * 1e-4, 0.0)
+    assert not beyond_stop(bearing, 1.0, 0.99 * 2e7 * 1e-4, 0.0)
+
+
 def test_page_and_command(landed, tmp_path):
     html = render(page_of(landed))
     for words in ("Slow motion", "Many drops", "ISO 14839-5", "no statement on stability"):
@@ -111,6 +126,11 @@ def test_page_and_command(landed, tmp_path):
 
 
 def test_refusals():
+    with pytest.raises(InvalidInput, match="a drop would need steps of"):
+        machine = blower()
+        tiny = Touchdown(race=TouchdownRace(1e-9, 1e-12, 1e8, 1e3))
+        bearings = tuple(replace(item, touchdown=tiny) for item in machine.bearings)
+        amb.landing(replace(machine, bearings=bearings))
     with pytest.raises(InvalidInput, match="duration of a drop is 0 s"):
         amb.landing(blower(), duration=0.0)
     with pytest.raises(InvalidInput, match=r"friction is -0\.1"):

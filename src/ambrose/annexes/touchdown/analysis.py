@@ -25,6 +25,7 @@ from ambrose.annexes.touchdown.whip import (
     Whip,
     WhipCurve,
     alone,
+    beyond_stop,
     edge_alone,
     receptances,
     together,
@@ -230,6 +231,11 @@ def landing(
     """
     if drops < 0 or bending_modes < 0:
         raise InvalidInput("drops and bending_modes must not be negative; 0 drops are none")
+    if not 0 <= power_back <= LONGEST:
+        raise InvalidInput(
+            f"power_back is {power_back:g} s, but must be from 0, at once, to {LONGEST:g} s; give "
+            "the time after the loss"
+        )
     if not 0 < duration <= LONGEST:
         raise InvalidInput(
             f"the duration of a drop is {duration:g} s, but must be above 0 and at most "
@@ -246,6 +252,8 @@ def landing(
         )
     progress("the rotor without its magnets")
     fallen = fallen_rotor(machine, chosen)
+    moving = fallen_rotor(machine, chosen, bending_modes)
+    rig, dt = build(machine, moving)
     progress("whip over frequency")
     frequency = np.geomspace(_LOWEST, min(_HIGHEST, max(_rolling(fallen))), _POINTS)
     rotor = receptances(fallen, frequency)
@@ -254,17 +262,11 @@ def landing(
     progress("whip over friction and mount")
     worst = worst_of(whips)
     whip_map = _mapped(fallen, worst.kind, frequency[::3], rotor[::3])
-    moving = fallen_rotor(machine, chosen, bending_modes)
-    if power_back < 0:
-        raise InvalidInput(
-            f"power_back is {power_back:g} s, but must not be negative; 0 is at once"
-        )
     progress("one drop (compiled once per computer)")
     left = residual_unbalance(machine)
     b = len(moving.names)
     shares = (0.0,) * b if left is None else tuple(left.moment * part for part in left.share)
     drop = Drop(chosen.speed, shares, (0.0,) * b)
-    rig, dt = build(machine, moving)
     case, state = case_of(moving, rig, drop, brake_of(machine))
     fall = run(rig, case, state, duration, dt, rows=_LOG)
     down = run_down(moving, float(fall.log[-1, 1]), brake_of(machine), rig.windage)
@@ -376,7 +378,9 @@ def _settled(fallen: FallenRotor, curve: WhipCurve) -> Whip:
     if w > rolling:
         w, forces = np.inf, (np.inf,) * len(curve.bearings)
     names = tuple(fallen.names[i] for i in curve.bearings)
-    return Whip(curve.kind, names, mu, w, forces, rolling)
+    taking = (fallen.bearings[i] for i in curve.bearings)
+    stop = any(beyond_stop(item, w, f, mu) for item, f in zip(taking, forces, strict=True))
+    return Whip(curve.kind, names, mu, w, forces, rolling, stop)
 
 
 def _different(whips: list[Whip]) -> tuple[Whip, ...]:

@@ -22,7 +22,7 @@ import numpy as np
 from ambrose.annexes.touchdown import fallen as fallen_module
 from ambrose.annexes.touchdown.arrays import Case, Rig, SampledLaw, Work
 from ambrose.annexes.touchdown.fallen import Bearing, FallenRotor
-from ambrose.core.checks import NumericalFailure
+from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.machine.machine import Machine
 from ambrose.model.effects import magnet
 from ambrose.model.effects.rotor import STANDARD_GRAVITY
@@ -34,6 +34,7 @@ _LOSSES = 7
 # little while the rotor flies
 _TURN, _FLIGHT = 0.5, 1.4
 _DECAY = 0.8  # of the fastest damping, per step
+LEAST_STEP = 1e-8  # [s]: a drop takes seconds then
 _FAR = 1 << 60  # steps: never
 
 
@@ -150,6 +151,11 @@ def rig_of(fallen: FallenRotor, *, windage: float = 0.0, tally: bool = False) ->
     turning = np.abs(np.linalg.eigvals(inverse @ fallen.gyroscopic)).max() * fallen.speed
     own = _TURN / max(fastest + turning, 1.0)
     dt = min(own, *(contact for contact, _ in steps))
+    if dt < LEAST_STEP:
+        raise InvalidInput(
+            f"a drop would need steps of {dt:.2g} s; make stiffness or damping in "
+            "[bearing.touchdown] smaller, or the masses of .race and .mount larger"
+        )
     free = min(own, *(flight for _, flight in steps))
     n, b = len(fallen.mass_matrix), len(fallen.bearings)
     count, gaps = len(fallen.seal_gaps), fallen.seal_gaps

@@ -67,7 +67,7 @@ def whip_rows(result: Landing) -> tuple[tuple[str, str, str, str], ...]:
             at, force = "no whip", "-"
         elif np.isfinite(whip.frequency):
             at = f"{whip.frequency / (2 * np.pi):.4g} Hz"
-            force = force_text(max(whip.force))
+            force = force_text(max(whip.force)) + (" (stop met)" if whip.stop else "")
         else:
             at, force = "up to rolling", "not bounded"
         rows.append((whip.kind, f"{whip.friction:g}", at, force))

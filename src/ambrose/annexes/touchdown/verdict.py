@@ -62,7 +62,7 @@ def judge_landing(
 ) -> tuple[Row, ...]:
     """Rows of one drop or of a campaign. force, load [N] and slip [J] (d, b), until the races turn
     with the rotor; reach (d, b) [m]: largest displacement; seals (d, s): displacement over the gap;
-    after [J]: slip of the run-down at every bearing.
+    after [J]: slip of the run-down at every bearing that was met.
     """
     rows = []
     for k, bearing in enumerate(machine.bearings):
@@ -70,7 +70,7 @@ def judge_landing(
         limits = table.limits or TouchdownLimits()
         race, name = table.race, bearing.name
         largest = float(force[:, k].max())
-        cost = slip[:, k] + after
+        cost = slip[:, k] + after * (force[:, k] > 0)
         rows.append(
             Row("force", name, "largest contact force", largest, "N", "<=", limits.max_force)
         )

@@ -100,7 +100,8 @@ class Whip:
 
     frequency [rad/s] and force (b,) [N] at the edge, 0 where there is no whip. A force of inf:
     nothing bounds it where the linear model ends; a frequency of inf: nothing but rolling ends it.
-    rolling [rad/s]: without slip; no whip is faster.
+    rolling [rad/s]: without slip; no whip is faster. stop: whether the ring would go beyond its
+    mount's stop there, which makes whip faster and harder than this.
     """
 
     kind: str
@@ -109,6 +110,7 @@ class Whip:
     frequency: float
     force: tuple[float, ...]
     rolling: float
+    stop: bool
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, SI; what is not finite is null."""
@@ -121,7 +123,17 @@ class Whip:
             "frequency": float(self.frequency) if finite else None,
             "force": [float(value) for value in self.force] if bounded else None,
             "rolling": self.rolling,
+            "beyond_stop": self.stop,
         }
+
+
+def beyond_stop(bearing: Bearing, w: float, force: float, mu: float) -> bool:
+    """Whether a ring goes further than its mount's travel under a whip's force [N] at w [rad/s]."""
+    if not bearing.ring_mass or not np.isfinite(bearing.travel):
+        return False
+    stiffness = bearing.mount_stiffness - bearing.ring_mass * w**2
+    moved = abs(1 / (stiffness + 1j * w * bearing.mount_damping)) * force * np.hypot(1, mu)
+    return bool(moved > bearing.travel)
 
 
 def receptances(fallen: FallenRotor, frequency: np.ndarray) -> np.ndarray:
