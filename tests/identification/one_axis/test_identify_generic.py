@@ -3,6 +3,7 @@ the records of a real apparatus.
 """
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from ambrose.identification.findings import Code
 from ambrose.identification.one_axis.axis_record import read_axis
 from ambrose.identification.one_axis.estimate import estimate
 from ambrose.identification.one_axis.instruments import solve
+from ambrose.identification.one_axis.look import look
 from ambrose.identification.one_axis.model import input_polynomials, own_polynomial
 from ambrose.identification.one_axis.prediction_error import fit_plainest
 from one_axis_loop import Truth, hang, levitate
@@ -227,6 +229,35 @@ def test_command(driven, tmp_path):
         main, ["identify", "--generic", str(RECORDS / name), *words, "--travel", "20 mm"]
     )
     assert run.exit_code == 2
+
+
+@pytest.mark.parametrize(("row", "words"), [(0, "displacement is at an end"), (1, "drive is at")])
+def test_flat_tops_are_refused_and_plateaus_are_not(driven, row, words):
+    signals = 1e-6 * np.loadtxt(driven).T[1:]
+    signals[1:] *= 1e6
+    limit = 1.3 * signals[row].std()
+    signals[row] = np.clip(signals[row], -limit, limit)
+    record = amb.Record("rig", 2000.0, ("y_x", "u_x", "e_x"), ("m", "A", "A"), signals)
+    with pytest.raises(InvalidInput, match=words):
+        amb.identify_generic(record)
+    plateaus = np.round(np.sin(np.arange(8000) / 600) ** 3 * 40)
+    assert not look(replace(read_axis(record), position=plateaus, drive=plateaus))
+
+
+@pytest.mark.campaign
+def test_intervals_hold_the_truth_in_95_of_100():
+    """Of 60 records, with a margin of chance (three deviations of a share of 0.95)."""
+    _, y, u, r = levitate(runs=60, n=6000, seed=1)
+    truth = {"pole": 80.0, "gain": 100.0, "delay": 7e-4}
+    held = dict.fromkeys(truth, 0)
+    for j in range(60):
+        signals = np.array([y[:, j], u[:, j], r[:, j]])
+        done = amb.identify_generic(
+            amb.Record("rig", 2000.0, ("y_x", "u_x", "e_x"), ("m", "A", "A"), signals)
+        )
+        for name, value in truth.items():
+            held[name] += abs(done.value(name).value - value) <= done.value(name).half_width
+    assert min(held.values()) >= 52
 
 
 @pytest.mark.parametrize(

@@ -15,10 +15,11 @@ from ambrose.identification.data_quality.one_axis import (
     longest_run,
     rate_by_weight,
 )
+from ambrose.identification.data_quality.signals import flat_tops
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding
 from ambrose.identification.one_axis.axis_record import AxisRecord
 
-_AT_RAIL = 0.02  # of the samples at the largest or the smallest value; assumed
+_AT_RAIL = 0.02  # of the samples at a flat top; assumed
 _LEVELS = 50  # values of a signal, from which on its ends are rails
 _SEGMENT = 4.0  # time constants of the plant in a segment of the coherence
 
@@ -51,18 +52,16 @@ def look(record: AxisRecord, travel: float | None = None) -> tuple[Finding, ...]
 def _rails(record: AxisRecord) -> Iterator[Finding]:
     """A share of samples at the very ends of a signal: a stop, a sensor's or a converter's end."""
     for name, values in (("displacement", record.position), ("drive", record.drive)):
-        if len(np.unique(values)) < _LEVELS:
-            continue
-        at_end = (values == values.max()) | (values == values.min())
-        share = float(at_end.mean())
-        if share > _AT_RAIL:
-            first, last = longest_run(~at_end)
+        count, level = flat_tops(values)
+        share = count / len(values)
+        if share > _AT_RAIL and len(np.unique(values)) >= _LEVELS:
+            first, last = longest_run(values != level)
             start, stop = record.time[first], record.time[last]
             yield Finding(
                 Code.TOUCHDOWN if name == "displacement" else Code.SATURATED,
                 ERROR,
                 f"the {name} is at an end of its range",
-                f"{100 * share:.2g} % of its samples have its largest or its smallest value",
+                f"{100 * share:.2g} % of its samples lie at {level:.4g}, in flat tops",
                 f"cut out a part without (the longest: {start:.4g} to {stop:.4g} s), or record "
                 "again",
             )
