@@ -14,7 +14,7 @@ from ambrose.terminal import AS_JSON, GroupedCommand, load, progress_shown, say,
 
 _WORD = "--to"
 _GROUPS = {
-    "": ("target", "output", "machine", "replaces", "name", "arithmetic", "rate", "force"),
+    "": ("target", "output", "machine", "axial", "replaces", "name", "arithmetic", "rate", "force"),
     "Scheduled controllers": (
         "speed_limit",
         "speed_rate",
@@ -58,6 +58,11 @@ _GROUPS = {
     help="Fixed controller for when a schedule's pressure cannot be trusted.",
 )
 @click.option(
+    "--axial",
+    type=click.Path(path_type=Path),
+    help="The controller of machine.toml#axial: both as one unit of all axes (C).",
+)
+@click.option(
     "--replaces",
     type=click.Path(path_type=Path),
     help="The controller that runs now: what changes in the tables of its code, and the way back.",
@@ -70,6 +75,7 @@ def export(
     machine: str | None,
     fallback: Path | None,
     replaces: Path | None,
+    axial: Path | None,
     as_json: bool,
     **asked: Any,
 ) -> None:
@@ -93,6 +99,7 @@ def export(
             machine=known,
             fallback=other,
             replaces=running,
+            axial=None if axial is None else read_controller(axial),
             progress=progress,
         )
     content = delivery.to_dict()

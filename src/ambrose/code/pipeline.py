@@ -22,6 +22,7 @@ from ambrose.code.block.supervised import supervise
 from ambrose.code.c.code import check_precision
 from ambrose.code.delivered import check_processor, try_target
 from ambrose.code.difference import Difference, parameter_difference
+from ambrose.code.five_axes import AxialPart, all_axes_files, axial_target
 from ambrose.code.fmu.archive import check_compiler
 from ambrose.code.processor.trial import Trial
 from ambrose.code.provenance import provenance_lines
@@ -34,7 +35,7 @@ from ambrose.code.sampled import (
     unmet_limits,
 )
 from ambrose.code.synchronous import RunUnit
-from ambrose.code.targets import TARGETS, C, Fmu, Target
+from ambrose.code.targets import TARGETS, C, Files, Fmu, Target
 from ambrose.core.checks import InvalidInput, UnstableSystem, invalid, same_clock
 from ambrose.core.presentation import Presented
 from ambrose.core.statespace import StateSpace, rename
@@ -59,7 +60,8 @@ class Delivery(Presented):
     """What was written for a target, and what it was verified on; fallback: the same of the
     controller that takes over; synchronous: of the blocks beside it; trial: on its processor.
     difference: what leads from the code of a replaced controller to this one (None: none was
-    named); not_alike: why there is none although one was.
+    named); not_alike: why there is none although one was. axial: the part along the shaft of a unit
+    of all axes.
     """
 
     target: str
@@ -71,6 +73,7 @@ class Delivery(Presented):
     difference: Difference | None = None
     not_alike: str = ""
     trial: Trial | None = None
+    axial: AxialPart | None = None
 
     def facts(self) -> Mapping[str, Any]:
         """Target, verdict, size, rate and files."""
@@ -97,6 +100,7 @@ class Delivery(Presented):
             *self.deployment.problems,
             *diverging(self.synchronous),
             *_of_fallback(self.fallback.problems if self.fallback else ()),
+            *_of_axis(self.axial.deployment.problems if self.axial else ()),
         )
 
     @property
@@ -108,6 +112,7 @@ class Delivery(Presented):
             *unmet_limits(self.deployment),
             *missed_beside(self.synchronous),
             *_of_fallback(unmet_limits(self.fallback) if self.fallback else ()),
+            *_of_axis(unmet_limits(self.axial.deployment) if self.axial else ()),
             *(self.trial.problems if self.trial else ()),
         )
 
@@ -127,6 +132,10 @@ class Delivery(Presented):
         }
 
 
+def _of_axis(sentences: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(f"along the shaft: {sentence}" for sentence in sentences)
+
+
 def _of_fallback(sentences: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"of the fallback: {sentence}" for sentence in sentences)
 
@@ -139,6 +148,7 @@ def export(
     machine: Machine | None = None,
     fallback: LawLike | None = None,
     replaces: LawLike | None = None,
+    axial: LawLike | None = None,
     progress: Progress = lambda stage: None,
     **options: Any,
 ) -> Delivery:
@@ -154,6 +164,8 @@ def export(
     one scheduled over pressure where the reading cannot be trusted (C only). replaces: the fixed
     controller that runs now (C only): beside the whole unit parameters.json, what changes in the
     tables of its code, and parameters-back.json, the way back, where both have one structure.
+    axial: the fixed controller of the machine's axis along the shaft (C only): written beside, and
+    both as one unit whose step takes the errors of all axes.
     Raises InvalidInput, and UnstableSystem for a controller that is refused (``deploy``).
     """
     target = choose(TARGETS, "the target", to, options)
@@ -166,6 +178,7 @@ def export(
     other = _fallback(fallback, synthesis, target, machine)
     running = _replaced(replaces, synthesis, target, machine, alone=not around)
     limits = _limits(synthesis, machine, target)
+    along = None if axial is None else _along(axial, synthesis, target, machine)
     check_place(directory)  # all this before the verification, which takes seconds
     if isinstance(target, Fmu) and not target.sources_only:
         check_compiler()
@@ -203,6 +216,11 @@ def export(
             files = target.files_beside(law, lines)
         else:
             files = target.files(synthesis, deployment, block, lines)
+        part = None
+        if along is not None and machine is not None:
+            part, beside_files = _axial_part(*along, machine.axial, block, progress)
+            all_axes = all_axes_files(law, part.block, along[1].arithmetic)
+            files = {**files, **beside_files, **all_axes}
         difference, not_alike = None, ""
         if running is not None:
             # its loop is not judged again: it runs
@@ -226,7 +244,7 @@ def export(
         progress("writing")
         paths = tuple(write_files(directory, files, held=True))
         return Delivery(
-            target.to, deployment, block, paths, beside, judged, difference, not_alike, trial
+            target.to, deployment, block, paths, beside, judged, difference, not_alike, trial, part
         )
 
 
@@ -299,6 +317,54 @@ def _fallback(
         remedy = f"design it with --rate-hz {own.rate:g}, or say at which rate both run"
         raise invalid("the fallback", str(given), f"the schedule's: {own}", remedy)
     return found
+
+
+def _along(
+    axial: LawLike, synthesis: Synthesis, target: Target, machine: Machine | None
+) -> tuple[Synthesis, C]:
+    """The axial controller and how it is written. Raises InvalidInput before anything is
+    computed.
+    """
+    if isinstance(machine, AxialMachine):
+        raise InvalidInput(
+            "the radial controller is exported with the axial one beside it; name the radial "
+            "controller first, and the machine without #axial"
+        )
+    known = machine.axial if machine is not None and machine.has_axis else None
+    found = _synthesis(axial, known)
+    if found.scheduled is not None or len(found.controller.inputs) != 1:
+        raise invalid(
+            "the axial controller",
+            f"one of {len(found.controller.inputs)} errors"
+            if found.scheduled is None
+            else "a schedule",
+            "a fixed one of the one axis along the shaft",
+            "give the file that was designed for machine.toml#axial",
+        )
+    own = timing_of(machine, synthesis, target.rate, target.delay_samples) or DEFAULT
+    same = replace(target, rate=own.rate, delay_samples=own.delay_samples)
+    return found, axial_target(same, machine, timing_of(known, found))
+
+
+def _axial_part(
+    synthesis: Synthesis,
+    target: C,
+    machine: Machine,
+    radial: ControlBlock | ScheduledBlock,
+    progress: Progress,
+) -> tuple[AxialPart, Files]:
+    """The axial controller verified at the radial one's rate, and its files."""
+    progress("the axis along the shaft")
+    same = replace(target, rate=1 / radial.sample_time, delay_samples=radial.delay)
+    try:
+        deployment, block = _deploy(
+            synthesis, machine, same, _limits(synthesis, machine, same), progress
+        )
+    except UnstableSystem as error:
+        raise UnstableSystem(f"the axis along the shaft: {error}") from error
+    part = AxialPart(cast(Deployment, deployment), cast(ControlBlock, block))
+    lines = provenance_lines(synthesis, part.deployment)
+    return part, same.files(synthesis, part.deployment, part.block, lines)
 
 
 def _replaced(
