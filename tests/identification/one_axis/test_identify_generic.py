@@ -246,18 +246,18 @@ def test_flat_tops_are_refused_and_plateaus_are_not(driven, row, words):
 
 @pytest.mark.campaign
 def test_intervals_hold_the_truth_in_95_of_100():
-    """Of 60 records, with a margin of chance (three deviations of a share of 0.95)."""
-    _, y, u, r = levitate(runs=60, n=6000, seed=1)
+    """Of 40 records, with a margin of chance (three deviations of a share of 0.95)."""
+    _, y, u, r = levitate(runs=40, n=6000, seed=1)
     truth = {"pole": 80.0, "gain": 100.0, "delay": 7e-4}
     held = dict.fromkeys(truth, 0)
-    for j in range(60):
+    for j in range(40):
         signals = np.array([y[:, j], u[:, j], r[:, j]])
         done = amb.identify_generic(
             amb.Record("rig", 2000.0, ("y_x", "u_x", "e_x"), ("m", "A", "A"), signals)
         )
         for name, value in truth.items():
             held[name] += abs(done.value(name).value - value) <= done.value(name).half_width
-    assert min(held.values()) >= 52
+    assert min(held.values()) >= 34
 
 
 @pytest.mark.parametrize(
