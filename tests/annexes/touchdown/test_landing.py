@@ -2,15 +2,18 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.integrate import solve_ivp
 
 import ambrose as amb
 from ambrose.annexes.touchdown.campaign import draw, drops
 from ambrose.annexes.touchdown.fallen import fallen_rotor
 from ambrose.annexes.touchdown.run_down import run_down
+from ambrose.annexes.touchdown.thrust_face import landing_force, thrust_rows
 from ambrose.annexes.touchdown.whip import beyond_stop
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
@@ -25,6 +28,7 @@ from ambrose.machine.touchdown import (
 from ambrose.report.page import page_of, render
 
 G = 9.80665
+EXAMPLE = Path(__file__).parents[3] / "examples" / "expander-five-axes.toml"
 
 
 def blower(**limits):
@@ -123,6 +127,21 @@ def test_page_and_command(landed, tmp_path):
     done = CliRunner().invoke(main, ["landing", str(path), "--duration", "0.02", "--json"])
     assert done.exit_code == 1
     assert json.loads(done.stdout)["passed"] is False
+
+
+def test_landing_on_a_thrust_face():
+    """The stop's force against the motion itself, integrated without damping."""
+    mass, thrust, way, k = 10.0, 300.0, 2e-4, 1e8
+
+    def motion(_t, z):
+        return [z[1], (thrust - k * max(z[0] - way, 0.0)) / mass]
+
+    path = solve_ivp(motion, (0, 0.01), [0.0, 0.0], max_step=5e-6, rtol=1e-9).y[0]
+    assert landing_force(thrust, way, k) == pytest.approx(k * (path.max() - way), rel=1e-4)
+    machine = amb.load_machine(EXAMPLE)
+    (row,) = thrust_rows(machine, next(p for p in machine.operation.points if p.label == "rated"))
+    assert row.place.endswith("left")  # the expander wheel pulls there
+    assert row.value > 0
 
 
 def test_refusals():

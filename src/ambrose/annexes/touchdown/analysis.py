@@ -20,6 +20,7 @@ from ambrose.annexes.touchdown.relevitation import (
     with_magnets,
 )
 from ambrose.annexes.touchdown.run_down import RunDown, run_down
+from ambrose.annexes.touchdown.thrust_face import thrust_rows
 from ambrose.annexes.touchdown.verdict import Row, judge_landing
 from ambrose.annexes.touchdown.whip import (
     Whip,
@@ -294,6 +295,7 @@ def landing(
         seals = campaign.seals
     force, load = figures[:, :, 2], figures[:, :, 3]
     rows = judge_landing(machine, moving, force, load, slip, figures[:, :, 5], seals, down.slip / b)
+    rows = (*rows, *thrust_rows(machine, chosen))
     if recovery is not None:
         title = "power to the last contact"
         rows = (*rows, Row("recovery", "all", title, recovery.time, "s", "<=", duration))
