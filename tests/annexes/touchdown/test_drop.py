@@ -137,6 +137,39 @@ def test_whip_of_race_elements_and_ring():
     assert fall.log[-1, 4] == pytest.approx(force, rel=0.05)
 
 
+def test_free_flight_precesses_and_turns_about_its_mass_centre():
+    """Between contacts: I v' = j I_p W v of the tilt, and the orbit -u/m e^{j W t} of unbalance."""
+    inertia, polar, W, T = 0.3, 0.5, 600.0, 0.02
+    tilt = np.array([[1, 0, 0.25, 0], [0, 1, 0, 0.25]])
+    far = [fixed(1e8)._replace(clearance=1.0)] * 2
+    gyroscopic = np.zeros((4, 4))
+    gyroscopic[2, 3], gyroscopic[3, 2] = polar, -polar
+    fallen = rotor(np.diag([M, M, inertia, inertia]), [tilt, tilt * [1, 1, -1, -1]], far)
+    fallen = replace(
+        fallen, gyroscopic=gyroscopic, speed=W, polar_inertia=1e9, weight=np.full(4, 1e-30)
+    )
+    rig, _ = rig_of(fallen)
+    u = 1e-4
+    case, state = case_of(fallen, rig, Drop(W, (u / 2, u / 2), (0.4, 0.4)), 0.0)
+    state[6] += 0.1  # x tilts
+    fall = run(rig, case, state, T, 1e-5)
+    v = fall.state[6] + 1j * fall.state[7]
+    assert v == pytest.approx(0.1 * np.exp(1j * polar / inertia * W * T), rel=1e-5)
+    place = fall.state[0] + 1j * fall.state[1]
+    assert place == pytest.approx(-u / M * np.exp(1j * (W * T + 0.4)), rel=1e-6)
+
+
+@pytest.mark.parametrize("speed", [10.0, 50.0, 500.0])
+def test_friction_falls_with_sliding_speed(speed):
+    """Stribeck: slip energy over the integral of N v is mu(v) = mu + (mu_s - mu) e^(-v/v_s)."""
+    bearing = fixed(1e7, friction=0.1)._replace(damping=2e4, static_friction=0.4, radius=0.04)
+    bearing = bearing._replace(stribeck_speed=1.0)
+    fall, _, _ = drop_of(one_mass(bearing, speed=speed), 0.06, rows=6000, dt=1e-5)
+    v = speed * 0.04
+    work = np.trapezoid(fall.log[:, 4], fall.log[:, 0]) * v
+    assert fall.energy[0] / work == pytest.approx(0.1 + 0.3 * math.exp(-v), rel=0.03)
+
+
 def test_steps_converge():
     """Half the step: the blow changes by less than a thousandth."""
     bearing = bush(2e7, 5e3, mass=0.5, contact=1e8)._replace(damping=1e4, friction=0.1)

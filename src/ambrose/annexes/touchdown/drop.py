@@ -34,6 +34,7 @@ _LOSSES = 7
 # little while the rotor flies
 _TURN, _FLIGHT = 0.5, 1.4
 _DECAY = 0.8  # of the fastest damping, per step
+_LONGEST_STEP = 2e-5  # [s]: as closely as a first contact is timed
 LEAST_STEP = 1e-8  # [s]: a drop takes seconds then
 _FAR = 1 << 60  # steps: never
 
@@ -150,7 +151,7 @@ def rig_of(fallen: FallenRotor, *, windage: float = 0.0, tally: bool = False) ->
     fastest = math.sqrt(max(np.abs(np.linalg.eigvals(inverse @ fallen.stiffness)).max(), 1.0))
     turning = np.abs(np.linalg.eigvals(inverse @ fallen.gyroscopic)).max() * fallen.speed
     own = _TURN / max(fastest + turning, 1.0)
-    dt = min(own, *(contact for contact, _ in steps))
+    dt = min(own, _LONGEST_STEP, *(contact for contact, _ in steps))
     if dt < LEAST_STEP:
         raise InvalidInput(
             f"a drop would need steps of {dt:.2g} s; make stiffness or damping in "
