@@ -278,14 +278,14 @@ def render(page: Page) -> str:
         date=page.date or calendar.today().isoformat(),
         version=__version__,
         number=itertools.count(1).__next__,
-        least_width=_least_width,
+        least_width=least_width,
         shades=SHADES,
         data=[Markup(packed(figure.picture.to_json())) for figure in pictures],
         library=Markup(packed(get_library())) if pictures else "",
     )
 
 
-def _least_width(picture: Any) -> int:
+def least_width(picture: Any) -> int:
     """What a figure needs to be read [px]; a narrower page scrolls it."""
     layout = picture.layout.to_plotly_json()
     if least := (layout.get("meta") or {}).get("least"):

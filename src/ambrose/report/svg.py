@@ -18,6 +18,7 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 
 from ambrose.report import theme
+from ambrose.report.page import least_width
 
 _VARIABLES = {
     theme.INK: "--ink",
@@ -49,7 +50,7 @@ def svg(figure: Any, width: int, label: str, key: str) -> str:
     """
     layout = figure.layout.to_plotly_json()
     traces = [trace.to_plotly_json() for trace in figure.data]
-    width = max(width, int((layout.get("meta") or {}).get("least") or 0))
+    width = max(width, least_width(figure))
     return "".join(_Drawing(layout, traces, width, key).text(label))
 
 

@@ -264,8 +264,10 @@ class Jobs:
         """The end of what a job printed."""
         try:
             with (self._folder(name) / "log.txt").open("rb") as log:
-                log.seek(max(os.fstat(log.fileno()).st_size - _TAIL, 0))
-                return log.read().decode("utf-8", "replace")
+                cut = os.fstat(log.fileno()).st_size - _TAIL
+                log.seek(max(cut, 0))
+                words = log.read().decode("utf-8", "replace")
+                return words.partition("\n")[2] if cut > 0 else words
         except OSError:
             return ""
 

@@ -13,7 +13,7 @@ export function form(block, act) {
   const element = make("div", {}, make("p", { className: "muted" }, block.hint),
     make("div", { className: "fields" }, ...fields.flatMap(({ label }, i) => (block.fields[i].heading
       ? [make("h3", {}, block.fields[i].heading), label] : [label]))),
-    make("div", { className: "buttons" }, ...buttons), make("pre", {}, block.log || ""));
+    make("div", { className: "buttons" }, ...buttons), make("pre", { className: "log" }, block.log || ""));
   if (block.same) element.append(sameAs(block.same));
   element.tell = (told) => fields.forEach((f) => f.tell?.(told[f.name] || ""));
   element.set = (now) => fields.forEach((f) => { if (f.name in now) f.set?.(now[f.name]); });
