@@ -27,7 +27,7 @@ from ambrose.annexes.campaigns.workers import MakeExecutor
 from ambrose.core.checks import AmbroseError, InvalidInput, NumericalFailure
 from ambrose.machine.atomic_write import make_folder, write_text
 from ambrose.machine.claim import claimed
-from ambrose.machine.file.toml import load_machine, parse_toml, read_machine_text
+from ambrose.machine.file.toml import AXIAL, load_machine, parse_toml, read_machine_text
 from ambrose.machine.limits import TOML_BYTES
 from ambrose.machine.ordinary_file import check_source, read_text
 
@@ -224,6 +224,11 @@ def bases_of(plan: Plan, progress: Progress = lambda stage: None) -> Bases:
     controllers = {}
     scenarios = {}
     for name in plan.named("machine"):
+        if name.endswith(AXIAL):
+            raise InvalidInput(
+                f"{name} is the axis along the shaft, which no campaign varies; take the machine "
+                f'without "{AXIAL}", or call ambrose verify and simulate on it'
+            )
         machines[name] = json.dumps(parse_toml(read_machine_text(place(name)), name))
         for controller in plan.named("controller") if plan.task != "design" else ():
             if plan.place(controller).is_file():
