@@ -34,7 +34,8 @@ _LOSSES = 7
 # little while the rotor flies
 _TURN, _FLIGHT = 0.5, 1.4
 _DECAY = 0.8  # of the fastest damping, per step
-_LONGEST_STEP = 2e-5  # [s]: as closely as a first contact is timed
+# [s]: as closely as a first contact is timed; and a flight in which gravity moves nothing much
+_LONGEST_STEP, _LONGEST_FLIGHT = 2e-5, 1e-4
 LEAST_STEP = 1e-8  # [s]: a drop takes seconds then
 _FAR = 1 << 60  # steps: never
 
@@ -157,7 +158,7 @@ def rig_of(fallen: FallenRotor, *, windage: float = 0.0, tally: bool = False) ->
             f"a drop would need steps of {dt:.2g} s; make stiffness or damping in "
             "[bearing.touchdown] smaller, or the masses of .race and .mount larger"
         )
-    free = min(own, *(flight for _, flight in steps))
+    free = min(own, _LONGEST_FLIGHT, *(flight for _, flight in steps))
     n, b = len(fallen.mass_matrix), len(fallen.bearings)
     count, gaps = len(fallen.seal_gaps), fallen.seal_gaps
     rows = np.ascontiguousarray(fallen.rows)
