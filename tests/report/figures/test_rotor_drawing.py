@@ -6,7 +6,7 @@ import numpy as np
 
 from ambrose.machine.file.toml import load_machine
 from ambrose.report.figures.rotor_drawing import machine_drawing
-from ambrose.report.page import _least_width
+from ambrose.report.page import least_width
 
 LETTER, LINE = 6.2, 13.0  # [px] of a name, at least
 
@@ -14,7 +14,7 @@ LETTER, LINE = 6.2, 13.0  # [px] of a name, at least
 def test_names_do_not_overprint_at_the_least_width_that_the_page_gives_the_figure():
     figure = machine_drawing(load_machine("process-compressor"))
     margin, low, high = figure.layout.margin, *figure.layout.xaxis.range
-    pixel = (high - low) / (_least_width(figure) - margin.l - margin.r)  # [mm], both directions
+    pixel = (high - low) / (least_width(figure) - margin.l - margin.r)  # [mm], both directions
     names = [note for note in figure.layout.annotations if note.yref in {None, "y"}]
     assert len(names) > 20
     for a, b in itertools.combinations(names, 2):
