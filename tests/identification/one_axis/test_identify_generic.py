@@ -76,7 +76,7 @@ def test_what_is_true_is_found(driven):
 
 
 def test_an_actuator_that_shows_is_found():
-    _, y, u, r = levitate(Truth(lag=2e-3), seed=1, force=0.005)
+    _, y, u, r = levitate(Truth(lag=2e-3), seed=1, force=0.005, n=6000)
     done = estimate(y[:, 0], u[:, 0], 2000.0, r[:, 0])
     assert done.structure.lag
     assert abs(done.plant[3] - 2e-3) < 2.5 * done.deviations[3]
@@ -113,7 +113,7 @@ def test_a_loop_that_nothing_drives_is_refused(change, tmp_path):
 
 def test_another_plant_is_not_this_model(tmp_path):
     """The record of u delayed by a slow filter that the model lacks: two more poles."""
-    time, y, u, r = levitate(seed=4, force=0.002)
+    time, y, u, r = levitate(seed=4, force=0.002, n=6000)
     slow = lfilter([0.02], [1, -1.6, 0.62], u[:, 0])
     with_file = table(tmp_path / "other.txt", time, y[:, 0], slow, r[:, 0])
     done = amb.identify_generic(with_file)
