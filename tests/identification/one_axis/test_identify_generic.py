@@ -111,6 +111,18 @@ def test_a_loop_that_nothing_drives_is_refused(change, tmp_path):
         amb.identify_generic(path)
 
 
+@pytest.mark.parametrize("kind", ["binary", "none"])
+@pytest.mark.parametrize("what", ["control error", "u"])
+def test_a_reference_that_answers_is_none(kind, what):
+    """The column "e" of many a laboratory is the control error: it must not pass for excitation."""
+    _, y, u, r = levitate(kind=kind, n=5000, seed=5)
+    said = r[:, 0] / 300 - y[:, 0] if what == "control error" else u[:, 0]
+    rows = np.array([y[:, 0], u[:, 0], 1e3 * said])
+    record = amb.Record("rig", 2000.0, ("y_x", "u_x", "e_x"), ("m", "A", "A"), rows)
+    with pytest.raises(InvalidInput, match=r"reference answers the displacement.*reference: none"):
+        amb.identify_generic(record)
+
+
 def test_another_plant_is_not_this_model(tmp_path):
     """The record of u delayed by a slow filter that the model lacks: two more poles."""
     time, y, u, r = levitate(seed=4, force=0.002, n=6000)

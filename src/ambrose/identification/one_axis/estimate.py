@@ -45,6 +45,7 @@ _LAG_SHOWS = 3.84  # of twice the gain in log-likelihood, chi-squared with one f
 _COLOUR_SHOWS = 5.99  # with two freedoms
 _ROOTS = (0.95, 0.4)  # of the larger noise model, from which it is searched
 _WHITE_LAGS = 20
+_AHEAD = 11  # lags of the same test, from now on
 _FLOOR = 0.2  # of a deviation: what two estimates may always differ by
 
 
@@ -55,12 +56,13 @@ class Estimate:
     deviations (m,): the larger of ``formal`` and of ``halves``, what the scatter between both
     halves of the record makes of it (each (m,)); covariance (m, m) to match. formal holds what an
     actuator would change that the record does not show, and the magnet's curvature where it shows.
-    apart (m,): the halves' difference over its own deviation. curved: probability by chance of the
-    curvature; bend (m,): what it changes, 0 where it does not show. way: "direct" or
-    "instruments". white, follows: probability by chance of the residual's colour, and of its
-    following what drives the loop (of u's past where no reference was recorded), with the shares of
-    its variance; agree: of the difference between both ways; None: not known. outside: |b| of the
-    second way over its deviation, 0 where nothing drives the loop from outside.
+    apart (m,): the halves' difference over its own deviation. answering: probability by chance of
+    what the reference later on knows of the residual now; curved: of the curvature; bend (m,): what
+    it changes, 0 where it does not show. way: "direct" or "instruments". white, follows:
+    probability by chance of the residual's colour, and of its following what drives the loop (of
+    u's past where no reference was recorded), with the shares of its variance; agree: of the
+    difference between both ways; None: not known. outside: |b| of the second way over its
+    deviation, 0 where nothing drives the loop from outside.
     """
 
     structure: Structure
@@ -84,6 +86,7 @@ class Estimate:
     scale: np.ndarray
     spread: float  # of y [m]
     apart: np.ndarray
+    answering: float
     curved: float
     bend: np.ndarray
     settled: bool  # whether the searches, over the record and its halves, ended in a minimum
@@ -142,6 +145,10 @@ def estimate(
     watched = z if reference is not None and z is not None else u
     stride = _stride(fit)
     chance, followed = _follows_direct(fit, watched, stride)
+    answering = 1.0
+    if reference is not None:
+        ahead = np.concatenate([watched[_AHEAD * stride :], np.zeros(_AHEAD * stride)])
+        answering, _ = follows(fit.counted, fit.jacobian, fit.jacobian, ahead[fit.first :], stride)
     way, errors = "direct", fit.errors
     plant = fit.unknowns[:count]
     agree = None if second is None else _agree(fit, second)
@@ -201,6 +208,7 @@ def estimate(
         scale,
         spread,
         apart,
+        answering,
         curved,
         bend * scale,
         fit.converged and all(converged for _, _, converged in settled),

@@ -27,6 +27,7 @@ from ambrose.identification.one_axis.result import (
 IDENTIFIED, OTHER = "identified", "not this model"
 _LEAST_RATE = 10.0  # samples per time constant 1/p, as of the first look; assumed
 _DRIVEN = 5.0  # |b| over its deviation by what drives the loop from outside, at least; assumed
+_ANSWERS = 1e-6  # probability below which a reference is none
 _WIDE = 0.5  # half-width over value
 _PARTED = 3.3  # deviations between the halves: 1 of 1000 by chance
 _BENT = 2.0  # %, by which a or b may differ at the tangent
@@ -128,6 +129,17 @@ def _undriven() -> Finding:
 def _unusable(result: GenericIdentification, referenced: bool) -> Iterator[Finding]:
     """What only the fit shows, and without which its values mean nothing."""
     done, rate = result.estimate, result.record.rate
+    # a residual that follows the reference of now also knows of it later on
+    if done.answering < _ANSWERS and done.follows >= LEVEL:
+        yield Finding(
+            Code.MIXED_CHANNELS,
+            ERROR,
+            "the reference answers the displacement",
+            f"it knows of the noise before it (chance {done.answering:.1g}), as the control error "
+            "or u do",
+            "name what was added from outside, or leave it out as a reference: none",
+        )
+        return
     if done.outside < _DRIVEN:
         evidence = (
             f"by the {'reference' if referenced else 'part of u that y does not make'} alone the "
