@@ -134,6 +134,11 @@ MISTAKES = {
     ),
     "u of another axis": lambda s: (*_plain(s)[:2], *_plain(s + 500)[2:]),
     "another loop's reference": lambda s: (*_plain(s)[:3], _plain(s + 500)[3]),
+    "the control error as reference": lambda s: _changed(s, lambda g, y, u, r: (y, u, r / 300 - y)),
+    "the control error as reference, nothing drives it": lambda s: (
+        *(quiet := _plain(s, kind="none"))[:3],
+        -quiet[1],
+    ),
     "y logged at half the rate, each value twice": lambda s: _changed(
         s, lambda g, y, u, r: (np.repeat(y[::2], 2), u, r)
     ),
