@@ -9,8 +9,12 @@ import ambrose as amb
 from ambrose.core.statespace import StateSpace
 from ambrose.identification.output_error.problem import FitOptions
 from ambrose.identification.parameters import plant_at
+from ambrose.identification.seal import time_domain
+from ambrose.identification.seal.result import COEFFICIENTS
 from ambrose.identification.validation.rotor_place import standing
 from ambrose.law.pid import pid_controller
+from ambrose.machine.description import OperatingPoint
+from ambrose.model.effects.seal import coefficients
 from ambrose.model.static_load import operating_magnets
 from ambrose.rig import virtual_rig
 from ambrose.rig.scenario import load_scenario
@@ -72,3 +76,19 @@ def test_a_rotor_at_the_zero_keeps_its_values():
     record = amb.Record("seal-rig", 1e4, signals, ("m",) * 4, rows - rows.mean(axis=1)[:, None])
     estimate = type("Estimate", (), {"paths": (), "values": np.zeros(0)})()
     assert standing(RIG, [record], estimate, {}, FitOptions().bending_modes) is None
+
+
+@pytest.mark.campaign
+def test_a_seal_is_found_beside_magnets_at_the_place_of_the_record():
+    """Under pressure, the rotor off the zero: magnets as there, their nonlinearity taken out."""
+    law, point = leaking(0.25), OperatingPoint(seal_pressure=1e5)
+    record = virtual_rig.run(
+        RIG, law, replace(load_scenario("prbs"), duration=1.2), point=point
+    ).record
+    fit = time_domain.identify(RIG, [record], law)
+    known = coefficients(RIG.seals[0], 1e5)
+    truth = np.array([getattr(known, name) for name in COEFFICIENTS])
+    off = np.abs(fit.values[0] - truth)
+    assert (off < 4 * fit.deviations[0]).all()
+    stiffness = fit.deviations[0][[COEFFICIENTS.index(name) for name in "kK"]]
+    assert stiffness.max() < 2000  # N/m; 4 standard deviations of 2500 to 3900 before

@@ -14,9 +14,14 @@ from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
 from ambrose.identification.findings import Code
 from ambrose.identification.output_error import closed_loop
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
+from ambrose.identification.output_error.magnetic_force import (
+    with_magnets_unsure,
+    without_magnets,
+)
 from ambrose.identification.output_error.problem import FitOptions, build_experiment
 from ambrose.identification.seal.result import COEFFICIENTS, ENTRIES, SealFit
 from ambrose.identification.seal.stepped_sine import seal_name
+from ambrose.identification.validation.operating_load import machine_at_load
 from ambrose.law.law import LawLike
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import seal_coefficients
@@ -111,9 +116,11 @@ def _fit_at(
     """The fit from the start asked for, else from the estimate at the pressure below, else from the
     machine's values.
 
-    Near the stability limit a response rings so long that a start far off leads nowhere. Raises
-    NumericalFailure.
+    Near the stability limit a response rings so long that a start far off leads nowhere. The
+    magnets are those at the records' currents and place, which the seal's force moves, and what
+    their nonlinearity makes is taken out. Raises NumericalFailure.
     """
+    machine = machine_at_load(machine, records)
     experiment = build_experiment(machine, records, controller, paths, options)
     starts = [start]
     if below is not None:
@@ -128,7 +135,9 @@ def _fit_at(
             refused.append(error)
             continue
         if estimate.converged:
-            return estimate
+            if options.period is not None:
+                return with_magnets_unsure(machine, records, controller, experiment, estimate)
+            return without_magnets(machine, records, controller, experiment, estimate)[3]
     if len(refused) == len(starts):
         raise refused[0]
     raise NumericalFailure(
