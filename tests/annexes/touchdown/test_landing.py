@@ -10,6 +10,7 @@ from click.testing import CliRunner
 from scipy.integrate import solve_ivp
 
 import ambrose as amb
+from ambrose.annexes.touchdown.analysis import usual_duration
 from ambrose.annexes.touchdown.campaign import draw, drops
 from ambrose.annexes.touchdown.fallen import fallen_rotor
 from ambrose.annexes.touchdown.run_down import run_down
@@ -142,6 +143,18 @@ def test_landing_on_a_thrust_face():
     (row,) = thrust_rows(machine, next(p for p in machine.operation.points if p.label == "rated"))
     assert row.place.endswith("left")  # the expander wheel pulls there
     assert row.value > 0
+
+
+def test_a_drop_lasts_until_the_races_turn():
+    """I W / (mu N R), and never below 0.4 nor above 1 s; a bush is followed for a second."""
+    fallen = fallen_rotor(blower(), amb.load_machine("overhung-blower").operation.nominal)
+    first = fallen.bearings[0]
+    lasts = 4e-4 * fallen.speed / (0.2 * fallen.mass * G / 2 * first.radius)
+    light = [first._replace(race_inertia=4e-4 * part) for part in (0.7 / lasts, 1e-3)]
+    assert usual_duration(replace(fallen, bearings=tuple(light))) == pytest.approx(0.7)
+    assert usual_duration(replace(fallen, bearings=(light[1], light[1]))) == 0.4
+    bush = first._replace(race_mass=0.0)
+    assert usual_duration(replace(fallen, bearings=(bush, light[1]))) == 1.0
 
 
 def test_refusals():

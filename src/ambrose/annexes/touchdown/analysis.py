@@ -38,6 +38,7 @@ from ambrose.law.law import LawLike
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
+from ambrose.model.effects.rotor import STANDARD_GRAVITY
 from ambrose.model.unbalance import residual_unbalance
 
 WHIP_MODEL = (
@@ -56,6 +57,7 @@ HEADS = (
     ("inspection in service", "landings allowed; inspection not covered"),
 )
 LONGEST = 30.0  # [s] of a drop
+_USUAL = (0.4, 1.0)  # [s]
 _LOG = 6000  # rows of the one drop
 _LOWEST = 2 * np.pi  # [rad/s]
 _HIGHEST = 6000 * np.pi  # [rad/s] unless the rotor rolls at less
@@ -212,7 +214,7 @@ def landing(
     point: OperatingPoint | str | None = None,
     *,
     drops: int = 0,
-    duration: float = 0.4,
+    duration: float | None = None,
     seed: int = 1,
     bending_modes: int = 2,
     law: LawLike | None = None,
@@ -224,7 +226,8 @@ def landing(
 
     point: the operating point at which they do, or its label; default: the fastest one. drops: how
     many with other friction, mount, unbalance and speed, drawn from ``seed``. duration [s] of each
-    drop, after which the rest of the run-down is estimated. bending_modes: per plane in drops.
+    drop (None: until the races turn with the rotor, ``usual_duration``), after which the rest of
+    the run-down is estimated. bending_modes: per plane in drops.
     law: a controller under which the magnets come on again ``power_back`` [s] after they were lost,
     in another drop that goes on for ``duration`` after that. workers: processors (None: all).
     progress: is told every stage. Raises InvalidInput where a bearing has no touchdown_gap, a seal
@@ -237,10 +240,10 @@ def landing(
             f"power_back is {power_back:g} s, but must be from 0, at once, to {LONGEST:g} s; give "
             "the time after the loss"
         )
-    if not 0 < duration <= LONGEST:
+    if duration is not None and not 0 < duration <= LONGEST:
         raise InvalidInput(
             f"the duration of a drop is {duration:g} s, but must be above 0 and at most "
-            f"{LONGEST:g} s; 0.4 s shows whether it whirls"
+            f"{LONGEST:g} s; leave it out"
         )
     if point is None:
         chosen = max(machine.operation.envelope, key=lambda item: item.speed)
@@ -255,6 +258,7 @@ def landing(
     fallen = fallen_rotor(machine, chosen)
     moving = fallen_rotor(machine, chosen, bending_modes)
     rig, dt = build(machine, moving)
+    lasts = usual_duration(moving) if duration is None else duration
     progress("whip over frequency")
     frequency = np.geomspace(_LOWEST, min(_HIGHEST, max(_rolling(fallen))), _POINTS)
     rotor = receptances(fallen, frequency)
@@ -269,12 +273,12 @@ def landing(
     shares = (0.0,) * b if left is None else tuple(left.moment * part for part in left.share)
     drop = Drop(chosen.speed, shares, (0.0,) * b)
     case, state = case_of(moving, rig, drop, brake_of(machine))
-    fall = run(rig, case, state, duration, dt, rows=_LOG)
+    fall = run(rig, case, state, lasts, dt, rows=_LOG)
     down = run_down(moving, float(fall.log[-1, 1]), brake_of(machine), rig.windage)
     recovery = None
     if law is not None:
         progress("the magnets come on again")
-        recovery = _recovered(machine, moving, chosen, law, drop, power_back, duration)
+        recovery = _recovered(machine, moving, chosen, law, drop, power_back, lasts)
     campaign = None
     if drops:
         progress(f"{drops:,} drops")
@@ -283,7 +287,7 @@ def landing(
             moving,
             shares,
             drops,
-            duration=duration,
+            duration=lasts,
             seed=seed,
             workers=workers,
             progress=progress,
@@ -298,7 +302,7 @@ def landing(
     rows = (*rows, *thrust_rows(machine, chosen))
     if recovery is not None:
         title = "power to the last contact"
-        rows = (*rows, Row("recovery", "all", title, recovery.time, "s", "<=", duration))
+        rows = (*rows, Row("recovery", "all", title, recovery.time, "s", "<=", lasts))
     return Landing(
         machine,
         chosen,
@@ -307,7 +311,7 @@ def landing(
         curves,
         whip_map,
         drop,
-        duration,
+        lasts,
         fall,
         down,
         recovery,
@@ -333,6 +337,21 @@ def _recovered(
     held = held_states(machine, moving, arrays, point)
     fall = run(rig, case, state, start + duration, dt, law=arrays, held=held, start=start)
     return recovery_of(fall, start, start + duration)
+
+
+def usual_duration(fallen: FallenRotor) -> float:
+    """How long [s] a drop is followed: until friction under the weight has spun the slowest race
+    up, t = I W / (mu N R), from 0.4 to 1 s. Whirl comes while a race slips; a bush slips until the
+    rotor stands, and is followed for a second.
+    """
+    load = STANDARD_GRAVITY * fallen.mass / len(fallen.bearings)
+    times = [
+        item.race_inertia * fallen.speed / (item.friction * load * item.radius)
+        if item.race_mass and item.friction
+        else _USUAL[1]
+        for item in fallen.bearings
+    ]
+    return min(max(*times, _USUAL[0]), _USUAL[1])
 
 
 def _rolling(fallen: FallenRotor) -> list[float]:

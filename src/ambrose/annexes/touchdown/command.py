@@ -31,7 +31,11 @@ from ambrose.terminal import (
     show_default=True,
     help="Drops over friction, mount, unbalance and speed.",
 )
-@click.option("--duration", type=float, default=0.4, show_default=True, help="Of a drop [s].")
+@click.option(
+    "--duration",
+    type=float,
+    help="Of a drop [s]; default: until the races turn with the rotor, 0.4 to 1 s.",
+)
 @click.option("--seed", type=int, default=1, show_default=True, help="Of the drops.")
 @click.option(
     "--controller",
@@ -52,7 +56,7 @@ def landing_command(
     machine: str,
     point: str | None,
     drops: int,
-    duration: float,
+    duration: float | None,
     seed: int,
     controller: Path | None,
     power_back: float,
@@ -103,8 +107,8 @@ def landing_command(
         if result.campaign is not None:
             share = 100 * result.campaign.whirls.mean()
             say(
-                f"{share:.3g} % of {drops:,} drops whirl (three turns against the spin, nonlinear "
-                f"model); {result.campaign.wall:.0f} s."
+                f"{share:.3g} % of {drops:,} drops whirl within {result.duration:.3g} s (three "
+                f"turns against the spin, nonlinear model); {result.campaign.wall:.0f} s."
             )
         say(f"Result: {verdict_text(result)}.")
     if failure is not None:

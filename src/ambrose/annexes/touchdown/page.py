@@ -40,11 +40,11 @@ _MOTION = (
 )
 _HISTORY = "Forces and speeds: a race that has caught up with the rotor slips no more."
 _MANY = (
-    "{count:,} drops of {duration:g} s with friction {f[0]:g} to {f[1]:g} and mount {m[0]:g} to "
+    "{count:,} drops of {duration:.3g} s with friction {f[0]:g} to {f[1]:g} and mount {m[0]:g} to "
     "{m[1]:g} times the file's values, speed {s[0]:g} to {s[1]:g} times the operating point's, and "
     "every phase of unbalance; seed {seed}; {wall:.0f} s on {workers} processors.\n\n"
-    "{share:.3g} % whirl: {turns:g} whole turns against the spin without going back, counted on "
-    "this nonlinear model. That is no statement on stability."
+    "{share:.3g} % whirl within {duration:.3g} s: {turns:g} whole turns against the spin without "
+    "going back, counted on this nonlinear model. That is no statement on stability."
 )
 _DISTRIBUTION = "Left: share of drops with at most a force. Right: at most 1,500 drops."
 _COST = (
@@ -196,7 +196,7 @@ def drop_section(result: Landing) -> Section:
     )
     down = result.down
     stands = f"{down.time:.4g} s" if np.isfinite(down.time) else "no time: nothing slows it"
-    note = f"After these {result.duration:g} s the rotor stands within {stands} (estimated)."
+    note = f"After these {result.duration:.3g} s the rotor stands within {stands} (estimated)."
     if result.recovery is not None:
         at, back = 1e3 * result.recovery.start, result.recovery.time
         found = f"free of contact {1e3 * back:.4g} ms later" if np.isfinite(back) else "not free"
