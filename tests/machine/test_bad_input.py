@@ -422,7 +422,7 @@ SLIPS = {
         'mass = "300 kg"',
         "mass = 0",
         "[[support]] A",
-        "mass (x) is 0 kg",
+        "mass is 0 kg",
         "must be positive",
     ),
     # the shaft

@@ -172,7 +172,7 @@ def export(
     synthesis = _synthesis(controller, machine)
     _check_target(synthesis, target)
     machine = bundled_machine(synthesis) if machine is None else machine
-    if machine is not None:
+    if machine is not None and axial is None:
         check_side((synthesis.scheduled or synthesis.controller).inputs, machine)
     around = blocks_beside(synthesis, machine, target)
     other = _fallback(fallback, synthesis, target, machine)
