@@ -8,31 +8,21 @@ from typing import Any
 from ambrose.annexes.workbench import blocks
 from ambrose.annexes.workbench.project import MACHINE, Project
 from ambrose.annexes.workbench.screens import Screen
-from ambrose.annexes.workbench.screens.records import OWN
+from ambrose.annexes.workbench.screens.records import run_fields
 
 _PAGE = "accept.html"
 
 
 def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     """The record and its controller, the job, the page."""
-    records = [name for name in project.names("records") if name.endswith(OWN)]
-    controllers = project.names("controllers")
+    fields = run_fields(project)
+    record, controller = (field["value"] for field in fields)
     hint = (
         "A record of the running machine with excitation on every axis, also from the live rig, "
         "and the controller that ran."
     )
-    form = blocks.form(
-        "accept",
-        [
-            blocks.choice("record", "Record", records),
-            blocks.choice("controller", "Controller that ran", controllers),
-        ],
-        [blocks.job("Measure and judge", "accept")],
-        "Accept the machine",
-        hint=hint,
-    )
-    record = records[0] if records else "record.h5"
-    controller = controllers[0] if controllers else "pid.json"
+    buttons = [blocks.job("Measure and judge", "accept")]
+    form = blocks.form("accept", fields, buttons, "Accept the machine", hint=hint)
     same = blocks.same(
         f"ambrose accept {MACHINE} controllers/{controller} records/{record} -o reports/{_PAGE}",
         "from ambrose.annexes.site.acceptance import accept",

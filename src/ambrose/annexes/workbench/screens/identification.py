@@ -9,7 +9,7 @@ from ambrose.annexes.workbench import beginning, blocks
 from ambrose.annexes.workbench.blocks import Refusal
 from ambrose.annexes.workbench.project import MACHINE, Project
 from ambrose.annexes.workbench.screens import Screen
-from ambrose.annexes.workbench.screens.records import OWN
+from ambrose.annexes.workbench.screens.records import run_fields
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.file.toml import loads_machine, read_machine_text
 
@@ -19,22 +19,15 @@ _PAGE = "identify.html"
 
 def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     """What to identify from, and what was found."""
-    records = [name for name in project.names("records") if name.endswith(OWN)]
-    controllers = project.names("controllers")
+    fields = [*run_fields(project), blocks.field("unknown", "Unknown")]
+    record, controller = (field["value"] for field in fields[:2])
     hint = (
         "Unknown: names as tolerances have them, such as bearing.*.negative_stiffness.*, with "
         "spaces between; what is usual where it is left empty. Choose the controller that ran."
     )
-    fields = [
-        blocks.choice("record", "Record", records),
-        blocks.choice("controller", "Controller that ran", controllers),
-        blocks.field("unknown", "Unknown"),
-    ]
     form = blocks.form(
         "identify", fields, [blocks.job("Identify", "identify")], "Identify the machine", hint=hint
     )
-    record = records[0] if records else "record.h5"
-    controller = controllers[0] if controllers else "pid.json"
     same = blocks.same(
         f"ambrose identify {MACHINE} records/{record} --controller controllers/{controller} "
         f"-o machines/{_FOUND} --report reports/{_PAGE}",

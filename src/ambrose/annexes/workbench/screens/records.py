@@ -47,6 +47,20 @@ def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     return blocks.content(found)
 
 
+def run_fields(project: Project) -> list[Block]:
+    """The record of a run, the newest one at first, and the controller that ran."""
+    records = [name for name in project.names("records") if name.endswith(OWN)]
+    newest = max(
+        records, key=lambda name: project.path("records", name).stat().st_mtime, default=""
+    )
+    return [
+        blocks.choice("record", "Record", records, newest),
+        blocks.choice(
+            "controller", "Controller that ran", project.names("controllers"), "pid.json"
+        ),
+    ]
+
+
 def _looked(project: Project, name: str, wide: int) -> list[Block]:
     """A record with its verdicts and pictures, or what is wrong with it."""
     path = project.path("records", name)
