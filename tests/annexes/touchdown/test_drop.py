@@ -170,6 +170,16 @@ def test_friction_falls_with_sliding_speed(speed):
     assert fall.energy[0] / work == pytest.approx(0.1 + 0.3 * math.exp(-v), rel=0.03)
 
 
+def test_weight_lies_on_mount_and_stop():
+    """At rest k s + k_stop (s - travel) = m g; without friction the rotor hangs straight down."""
+    bearing = bush(2e5, 4e3, mass=0.5, contact=1e7)._replace(
+        damping=2e3, friction=0.0, static_friction=0.0, travel=1e-4, stop_stiffness=1e6
+    )
+    fall, _, _ = drop_of(one_mass(bearing), 0.5)
+    down = (M * G + 1e6 * 1e-4) / (2e5 + 1e6)
+    assert -fall.state[7] == pytest.approx(down, rel=1e-4)  # the ring's y
+
+
 def test_steps_converge():
     """Half the step: the blow changes by less than a thousandth."""
     bearing = bush(2e7, 5e3, mass=0.5, contact=1e8)._replace(damping=1e4, friction=0.1)

@@ -15,6 +15,7 @@ from ambrose.annexes.touchdown.campaign import draw, drops
 from ambrose.annexes.touchdown.fallen import fallen_rotor
 from ambrose.annexes.touchdown.run_down import run_down
 from ambrose.annexes.touchdown.thrust_face import landing_force, thrust_rows
+from ambrose.annexes.touchdown.verdict import judge_landing
 from ambrose.annexes.touchdown.whip import beyond_stop
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
@@ -114,6 +115,34 @@ def test_stop_of_the_mount_is_told():
     bearing = fallen.bearings[0]._replace(ring_mass=1e-9, mount_damping=0.0, travel=1e-4)
     assert beyond_stop(bearing, 1.0, 1.01 * 2e7 * 1e-4, 0.0)
     assert not beyond_stop(bearing, 1.0, 0.99 * 2e7 * 1e-4, 0.0)
+
+
+def test_run_down_of_brake_and_windage():
+    """J W' = -b - c W^2: t = J / sqrt(b c) atan(W sqrt(c / b)); a bush slips its share."""
+    fallen = fallen_rotor(blower(), amb.load_machine("overhung-blower").operation.nominal)
+    free = replace(
+        fallen,
+        bearings=tuple(item._replace(drag=0.0, drag_arm=0.0) for item in fallen.bearings),
+    )
+    b, c, W = 2.0, 3e-6, 1200.0
+    exact = fallen.polar_inertia / np.sqrt(b * c) * np.arctan(W * np.sqrt(c / b))
+    assert run_down(free, W, b, c).time == pytest.approx(exact, rel=1e-6)
+    bush = replace(fallen, bearings=tuple(item._replace(race_mass=0.0) for item in fallen.bearings))
+    rub = sum(0.2 * fallen.mass * G / 2 * item.radius for item in fallen.bearings)
+    down = run_down(bush, W, b, 0.0)
+    energy = fallen.polar_inertia * W**2 / 2
+    assert down.slip == pytest.approx(energy * rub / (rub + b), rel=1e-4)
+
+
+def test_what_was_not_met_costs_nothing():
+    machine = blower(energy=100.0)
+    fallen = fallen_rotor(machine, machine.operation.nominal)
+    force, zero = np.array([[1e3, 0.0]]), np.zeros((1, 2))
+    rows = judge_landing(machine, fallen, force, force, zero, zero, np.zeros((1, 0)), 10.0)
+    cost = {row.place: row.value for row in rows if row.name == "slip_energy"}
+    assert list(cost.values()) == [10.0, 0.0]
+    allowed = {row.place: row.value for row in rows if row.name == "landings"}
+    assert list(allowed.values()) == [10.0, np.inf]
 
 
 def test_page_and_command(landed, tmp_path):
