@@ -118,3 +118,12 @@ def test_what_sits_on_the_shaft_is_no_smaller_than_it(table, key):
 )
 def test_what_fits_is_accepted(change):
     read(RADIAL + THRUST, change)
+
+
+def test_a_rotor_without_a_shaft_is_refused_for_that_alone():
+    text = (RADIAL + THRUST).replace(
+        RADIAL[RADIAL.index("[[shaft]]") : RADIAL.index("[[bearing]]")], ""
+    )
+    with pytest.raises(InvalidInput, match=r"\[\[shaft\]\]") as told:
+        loads_machine(text)
+    assert "stator" not in str(told.value)

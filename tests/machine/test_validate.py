@@ -90,9 +90,9 @@ def test_no_section():
 def test_sections_may_touch_within_rounding():
     """0.1 + 0.2 is not 0.3."""
     sections = (
-        ShaftSection(0.0, 0.1, 0.1),
-        ShaftSection(0.1, 0.2, 0.1),
-        ShaftSection(0.3, 0.3, 0.1),
+        ShaftSection(0.0, 0.1, 0.06),
+        ShaftSection(0.1, 0.2, 0.06),
+        ShaftSection(0.3, 0.3, 0.06),
     )
     assert sections[1].start + sections[1].length != sections[2].start
     assert replace(SMALL, shaft=sections).length == pytest.approx(0.6)

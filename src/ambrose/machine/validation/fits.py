@@ -19,7 +19,8 @@ _ROUNDING = 1 - 1e-6  # of a radius that the file repeats, from a diameter or in
 
 def fits(machine: MachineDescription) -> Iterator[str]:
     """What cuts into the shaft, a line each; a shaft that is itself wrong is named elsewhere."""
-    if any(section.length <= 0 or section.outer_diameter <= 0 for section in machine.shaft):
+    wrong = any(section.length <= 0 or section.outer_diameter <= 0 for section in machine.shaft)
+    if wrong or not machine.shaft:
         return
     for bearing in machine.bearings:
         where = f"[[bearing]] {bearing.name}"
@@ -117,7 +118,7 @@ def _least_radius(machine: MachineDescription, place: float) -> tuple[float, str
     """The shaft's radius [m] at a place, at a step the smaller one, and the section; laminations
     are left out: a sleeve may end before them.
     """
-    slack = JOINT * machine.length if machine.shaft else 0.0
+    slack = JOINT * machine.length
     radii = [
         (
             section.diameters((place - section.start) / section.length)[0] / 2,
