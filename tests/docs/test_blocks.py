@@ -63,7 +63,7 @@ def test_every_command_and_its_options_exist(name):
     """Also where a command stands in a sentence or is not run."""
     for quoted in quoted_commands(pages()[name].read_text(encoding="utf-8")):
         _, *words = shlex.split(quoted.replace("|", " "), comments=True)
-        assert words[0] in main.commands, f"{name}: {quoted}"
+        assert {words[0], " ".join(words[:2])} & set(main.commands), f"{name}: {quoted}"
         _, command, arguments = main.resolve_command(click.Context(main), words)
         try:
             command.make_parser(click.Context(command, resilient_parsing=True)).parse_args(

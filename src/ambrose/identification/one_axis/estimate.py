@@ -40,6 +40,7 @@ from ambrose.identification.one_axis.prediction_error import (
 COLOURS = (0, 1, 2)  # orders of the noise model beyond the Kalman filter's, tried in turn
 ACTUATORS = ("auto", "none", "lag")
 LEVEL = 0.01  # probability below which a test of the residual fails
+ANSWERS = 1e-6  # below which a reference is none
 _PART = 0.001  # and below which the two estimates do not agree
 _LAG_SHOWS = 3.84  # of twice the gain in log-likelihood, chi-squared with one freedom at 5 %
 _COLOUR_SHOWS = 5.99  # with two freedoms
@@ -153,7 +154,8 @@ def estimate(
     plant = fit.unknowns[:count]
     agree = None if second is None else _agree(fit, second)
     believed = white >= LEVEL and chance >= LEVEL and (agree is None or agree >= _PART)
-    if not believed and reference is not None and second is not None:
+    exogenous = reference is not None and answering >= ANSWERS
+    if not believed and exogenous and second is not None:
         free = follows(
             second.errors[fit.first :],
             fit.jacobian[:, : count + 1],

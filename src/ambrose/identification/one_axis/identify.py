@@ -14,7 +14,13 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding, refuse
 from ambrose.identification.one_axis.axis_record import AxisRecord, read_axis
-from ambrose.identification.one_axis.estimate import ACTUATORS, LEVEL, Estimate, estimate
+from ambrose.identification.one_axis.estimate import (
+    ACTUATORS,
+    ANSWERS,
+    LEVEL,
+    Estimate,
+    estimate,
+)
 from ambrose.identification.one_axis.force_law import ForceLaw, LawRow, compare_law
 from ambrose.identification.one_axis.instruments import outside_part
 from ambrose.identification.one_axis.look import coherence_with, look
@@ -27,7 +33,6 @@ from ambrose.identification.one_axis.result import (
 IDENTIFIED, OTHER = "identified", "not this model"
 _LEAST_RATE = 10.0  # samples per time constant 1/p, as of the first look; assumed
 _DRIVEN = 5.0  # |b| over its deviation by what drives the loop from outside, at least; assumed
-_ANSWERS = 1e-6  # probability below which a reference is none
 _WIDE = 0.5  # half-width over value
 _PARTED = 3.3  # deviations between the halves: 1 of 1000 by chance
 _BENT = 2.0  # %, by which a or b may differ at the tangent
@@ -129,8 +134,8 @@ def _undriven() -> Finding:
 def _unusable(result: GenericIdentification, referenced: bool) -> Iterator[Finding]:
     """What only the fit shows, and without which its values mean nothing."""
     done, rate = result.estimate, result.record.rate
-    # a residual that follows the reference of now also knows of it later on
-    if done.answering < _ANSWERS and done.follows >= LEVEL:
+    # of a residual that is no noise, nothing of the kind can be said: not this model
+    if done.answering < ANSWERS and min(done.follows, done.white) >= LEVEL:
         yield Finding(
             Code.MIXED_CHANNELS,
             ERROR,
@@ -273,6 +278,8 @@ def _why(done: Estimate) -> str:
             f"its residual follows the excitation (chance {done.follows:.1g}, "
             f"{100 * done.follows_share:.2g} % of it)"
         )
+    if done.answering < ANSWERS:
+        reasons.append(f"the reference knows of its residual before it ({done.answering:.1g})")
     if done.agree is not None and done.agree < LEVEL:
         reasons.append(f"with and without a noise model it is another plant ({done.agree:.1g})")
     return "; ".join(reasons)
