@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -31,8 +30,7 @@ def number(given: Mapping[str, Any], name: str, default: float | None = None) ->
 
 def width(given: Mapping[str, Any]) -> int:
     """How wide a picture may be [px]."""
-    value = number(given, "width", 900)
-    return int(min(max(value, _WIDE[0]), _WIDE[1])) if math.isfinite(value) else _WIDE[1]
+    return int(min(max(number(given, "width", 900), _WIDE[0]), _WIDE[1]))
 
 
 def texts(given: Mapping[str, Any], most: int) -> dict[str, str]:

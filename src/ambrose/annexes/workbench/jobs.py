@@ -106,10 +106,8 @@ class Jobs:
 
     def listing(self) -> list[dict[str, Any]]:
         """All jobs, the newest first, each with the end of its log."""
-        return [
-            {**asdict(job), "log": self._log(job.name), "now": time.time()}
-            for job in reversed(self._jobs.values())
-        ]
+        found = reversed(self._jobs.values())
+        return [{**asdict(job), "log": self._log(job.name)} for job in found]
 
     def shown(self, of: object) -> list[blocks.Block]:
         """The jobs of some commands for a page, the newest first; "*": of all."""

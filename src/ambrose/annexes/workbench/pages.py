@@ -11,7 +11,7 @@ _DRAWN = {"scatter", "scattergl"}  # kinds of traces that ``report.svg`` knows
 _MANY = 300_000  # letters of a picture that is left to the page itself
 
 
-def blocks_of(page: Page, width: int, *, tables: bool = True) -> list[Block]:
+def blocks_of(page: Page, width: int) -> list[Block]:
     """Verdicts first, then every section; pictures that are no lines are left to the page."""
     found = []
     if page.verdicts:
@@ -22,7 +22,7 @@ def blocks_of(page: Page, width: int, *, tables: bool = True) -> list[Block]:
         found.append(blocks.table("verdicts", blocks.rows_table(title, ("what", "verdict"), rows)))
     for i, section in enumerate(page.sections):
         found += _pictures(f"section-{i}", section.figures, width)
-        for k, known in enumerate(section.tables if tables else ()):
+        for k, known in enumerate(section.tables):
             found.append(blocks.table(f"section-{i}-table-{k}", known, folded=section.folded))
     return found
 

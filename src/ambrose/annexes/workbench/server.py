@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import ipaddress
+import os
 import signal
 import socket
+import threading
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import asynccontextmanager, contextmanager, suppress
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -26,7 +28,7 @@ from ambrose.annexes.workbench.guard import BODY, PAGE_POLICY, App, Guard
 from ambrose.annexes.workbench.jobs import Jobs
 from ambrose.annexes.workbench.project import Project
 from ambrose.annexes.workbench.screens import TITLES
-from ambrose.annexes.workbench.viewers import LiveRoom
+from ambrose.annexes.workbench.viewers import THREAD, LiveRoom
 from ambrose.core.checks import AmbroseError, InvalidInput
 
 _TYPES = {
@@ -99,7 +101,8 @@ def build(
         return JSONResponse({})
 
     async def watch(socket: WebSocket) -> None:
-        await live.join(socket)
+        with suppress(asyncio.CancelledError):  # the server ends
+            await live.join(socket)
 
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
@@ -237,6 +240,8 @@ def serve(project: Project, listener: socket.socket, announce: Callable[[str], N
         lifespan="on",
     )
     asyncio.run(_Server(config).serve([listener]))
+    if any(thread.name.startswith(THREAD) for thread in threading.enumerate()):
+        os._exit(0)  # a rig that is compiled cannot be told to stop, and nothing is lost with it
 
 
 class _Server(uvicorn.Server):

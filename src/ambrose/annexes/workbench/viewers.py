@@ -22,6 +22,7 @@ from ambrose.core.checks import AmbroseError
 from ambrose.core.presentation import json_text
 
 FRAMES = 40.0  # a second
+THREAD = "live-rig"
 _LONGEST = 4000  # characters of what a page says
 
 
@@ -63,7 +64,7 @@ class LiveRoom:
         self._viewers: list[_Viewer] = []
         self._session: LiveSession | None = None
         # the rig is no matter for several threads: one thread builds it, advances it, knocks it
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="live-rig")
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix=THREAD)
         self._drive: asyncio.Task[None] | None = None
         self._building = asyncio.Lock()
 
@@ -90,9 +91,9 @@ class LiveRoom:
                 await self._stop_driving()
 
     async def close(self) -> None:
-        """The server ends: the rig stops, a record is finished."""
+        """The server ends: the rig stops, a record is finished; a first rig is not waited for."""
         await self._stop_driving()
-        self._thread.shutdown()
+        self._thread.shutdown(wait=self._session is not None)
 
     async def _listen(self, viewer: _Viewer) -> None:
         self._ensure_driven()
