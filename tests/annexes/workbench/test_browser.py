@@ -297,7 +297,7 @@ def test_two_browsers_see_one_project(tour, server, chromium, folder):
     other.context.close()
 
 
-def test_a_server_that_is_killed_comes_back_with_what_there_was(chromium, folder, tour):
+def test_a_server_that_is_killed_comes_back_with_what_there_was(chromium, folder, tour, request):
     server = Server(folder)
     page = new_page(chromium)
     page.goto(server.address() + "#live")
@@ -318,6 +318,7 @@ def test_a_server_that_is_killed_comes_back_with_what_there_was(chromium, folder
         assert time.monotonic() < end
         time.sleep(0.05)
     again = Server(folder)
+    request.addfinalizer(again.end)
     page.goto(again.address() + "#jobs")
     page.reload()
     page.wait_for_selector("h2:has-text('synthesize-')")
@@ -325,4 +326,3 @@ def test_a_server_that_is_killed_comes_back_with_what_there_was(chromium, folder
     assert [w for w in words if w.startswith("synthesize-") and ": stopped" in w]
     assert [w for w in words if w.startswith("check-") and ": done" in w]
     page.context.close()
-    again.end()
