@@ -29,10 +29,10 @@ help:  ## this list
 demo: $(BIN)/.installed  ## the main job, and what `make` does: machine file -> verdict -> report (a failed check is no error here)
 	$(BIN)/ambrose study seal-rig -o $(OUT)/seal-rig || test $$? -eq 1
 
-test: $(BIN)/.installed  ## the tests, about seven minutes on two processors
+test: $(BIN)/.installed  ## the tests, about four minutes on two processors
 	$(PYTEST) -m 'not campaign and not study'
 
-campaigns: $(BIN)/.installed  ## the long tests that `make test` leaves out, a quarter of an hour
+campaigns: $(BIN)/.installed  ## the long tests that `make test` leaves out, eleven minutes
 	$(PYTEST) -m 'campaign and not study'
 
 studies: $(BIN)/.installed  ## the papers' figures, and hundreds of random cases: half an hour, outside of CI

@@ -288,6 +288,7 @@ def test_dask_gives_the_same_and_survives_a_killed_worker(tmp_path):
     assert rows_in(tmp_path / "dask") == rows_in(tmp_path / "here")
 
 
+@pytest.mark.campaign
 def test_the_command(tmp_path):
     file = tmp_path / "plan.toml"
     file.write_text(

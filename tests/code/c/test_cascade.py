@@ -390,9 +390,8 @@ TURNED = replace(
 
 
 @compiler
-@pytest.mark.parametrize(
-    "coordinates", ["axes", pytest.param("tilt-translate", marks=pytest.mark.campaign)]
-)
+@pytest.mark.campaign
+@pytest.mark.parametrize("coordinates", ["axes", "tilt-translate"])
 def test_turned_sensors_are_turned_back_in_the_code(coordinates):
     """The compiled sections hold the rig as the law does, and as with sensors in the magnets'
     axes.
