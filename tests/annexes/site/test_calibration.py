@@ -17,7 +17,8 @@ from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.stator import Runout
 from ambrose.model.effects import magnet, sensor
-from ambrose.model.static_load import static_sag
+from ambrose.model.effects.seal import coefficients
+from ambrose.model.static_load import operating_magnets, static_sag
 from ambrose.record.record import Record
 from ambrose.rig.disturbances import Sine
 from ambrose.rig.scenario import Scenario
@@ -144,6 +145,36 @@ def test_the_magnetic_centre_balances_the_weight():
     for bearing in done.machine.bearings:
         assert bearing.magnetic_offset == pytest.approx((6e-6, -4e-6), abs=1e-9)
     assert "right to 2 %" in done.notes[0]
+
+
+def test_what_a_seal_holds_is_no_magnetic_centre():
+    """Under pressure a rotor off the zero is pushed by its seals, K and across it k: by levers of a
+    rigid rotor, both magnets carry it.
+    """
+    point, place = OperatingPoint(seal_pressure=0.6e5), 8e-6
+    free = levitated((6e-6, -4e-6), None, place=place)
+    a, b = machine().bearings
+    pushed = {name: free[name].copy() for name in free.signals}
+    for item in machine().seals:
+        known = coefficients(item, point.seal_pressure)
+        share = (item.position - a.position) / (b.position - a.position)
+        for bearing, part in ((a, 1 - share), (b, share)):
+            # along the bearing's axes, both displaced alike: F = -(K -+ k) q
+            force = -np.array([known.K + known.k, known.K - known.k]) * place * part
+            at = next(
+                x for x, y in zip(operating_magnets(machine()), (a, b), strict=True) if y is bearing
+            )
+            k_i = np.array(at.coefficients.force_per_current)
+            for way, change in zip(("zeta", "eta"), -force / k_i, strict=True):
+                pushed[f"i_{bearing.name}_{way}"] += change
+    values = np.array([pushed[name] for name in free.signals])
+    record = replace(free, values=values, point=point)
+    done, without = (calibrate(machine(), levitated=item, settle=0) for item in (record, free))
+    for bearing, own in zip(done.machine.bearings, without.machine.bearings, strict=True):
+        assert bearing.magnetic_offset == pytest.approx(own.magnetic_offset, abs=1e-7)
+    moved = replace(record, point=OperatingPoint())
+    wrong = calibrate(machine(), levitated=moved, settle=0).machine.bearings
+    assert max(abs(item.magnetic_offset[0] - 6e-6) for item in wrong) > 3e-7
 
 
 def test_two_bias_currents_tell_the_weight_as_well():

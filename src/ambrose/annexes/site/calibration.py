@@ -23,6 +23,7 @@ from ambrose.annexes.site.balancing.influence import NONE, influence, source_of_
 from ambrose.annexes.site.balancing.vectors import revolution
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.presentation import Presented
+from ambrose.core.statespace import select
 from ambrose.identification.excitation import signal_rows
 from ambrose.identification.frf.phasors import Step
 from ambrose.identification.validation.operating_load import load_doubt, machine_at_load
@@ -33,7 +34,7 @@ from ambrose.machine.stator import Runout, Sensor
 from ambrose.model.assemble import assemble
 from ambrose.model.effects import magnet
 from ambrose.model.ports import measured_ports, sensor_turn
-from ambrose.model.static_load import operating_magnets, static_sag
+from ambrose.model.static_load import magnet_coefficients, operating_magnets, static_sag
 from ambrose.model.unbalance import residual_unbalance
 from ambrose.record.files import read_record
 from ambrose.record.record import Record
@@ -537,6 +538,20 @@ def _runout(
     )
 
 
+def _held(machine: Machine, record: Record) -> np.ndarray:
+    """Stiffness (a, a) [N/m] at the magnets of all that holds the rotor at rest but them: seals,
+    couplings, supports.
+
+    The plant's compliance from forces to displacements there, q = G f, has the magnets' negative
+    stiffness in it: G^-1 = S - K_s.
+    """
+    plant = assemble(machine, record.point)
+    axes = plant.axes
+    part = select(plant.system, [f"f_{a}" for a in axes], [f"q_{a}" for a in axes])
+    G = part.D - part.C @ np.linalg.solve(part.A, part.B)
+    return np.asarray(np.linalg.inv(G) + np.diag(magnet_coefficients(machine, record.point)[1]))
+
+
 def _centres(
     machine: Machine, records: list[Record], entries: list[Calibrated], notes: list[str]
 ) -> Machine:
@@ -574,6 +589,10 @@ def _centres(
 
     # between sensor and bearing the shaft hangs through: a straight line does not tell that
     hangs, weight = static_sag(machine)
+    held = [
+        _held(machine, record) @ place.ravel()
+        for record, place in zip(records, places, strict=True)
+    ]
     places = [place + hangs for place in places]
 
     # weight and centre are told apart by another bias or another position alone
@@ -598,18 +617,25 @@ def _centres(
         # v = (centre (2), and where free the load's change over k_s (2)) in 1e-4 m
         magnets = [own[k].of_force for own in centred]
         guess = weight[k]
+        others = [force.reshape(-1, 2)[k] for force in held]
         k_s = np.array(centred[0][k].coefficients.negative_stiffness)
 
         def residual(
-            v: np.ndarray, k: int = k, magnets: Any = magnets, guess: Any = guess, k_s: Any = k_s
+            v: np.ndarray,
+            k: int = k,
+            magnets: Any = magnets,
+            guess: Any = guess,
+            k_s: Any = k_s,
+            others: Any = others,
         ) -> np.ndarray:
-            # (force of the magnets at q - centre + weight) / k_s = 0, as a displacement
+            # (force of the magnets at q - centre + weight - what holds the rotor) / k_s = 0, as a
+            # displacement
             load = guess + v[2:] * k_s * _UNIT if free else guess
             pulls = []
             for i, q, p in zip(currents, places, magnets, strict=True):
                 at = q[k] - v[:2] * _UNIT
                 pulls.append(magnet.force(i[k, 0], i[k, 1], at[0], at[1], p))
-            return np.ravel((np.array(pulls) + load) / k_s / _UNIT)
+            return np.ravel((np.array(pulls) + load - np.array(others)) / k_s / _UNIT)
 
         fit = least_squares(residual, np.zeros(4 if free else 2))
 

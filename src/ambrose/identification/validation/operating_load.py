@@ -14,6 +14,7 @@ from ambrose.machine.axial import AxialMachine
 from ambrose.machine.machine import Machine
 from ambrose.model.effects.loaded_magnet import LoadedMagnet, slopes, with_coefficients
 from ambrose.model.effects.magnet import MagnetCoefficients
+from ambrose.model.ports import sensor_turn
 from ambrose.model.static_load import operating_magnets, static_sag
 from ambrose.record.record import Record
 
@@ -122,8 +123,24 @@ def _displaced(machine: Machine, records: Sequence[Record]) -> np.ndarray:
     """
     names = [f"y_{axis}" for axis in machine.axes]
     signals = records[0].signals if records else ()
-    rows = [float(records[0][name].mean()) if name in signals else 0.0 for name in names]
-    return np.array(rows).reshape(-1, 2)
+    if not set(names) <= set(signals):
+        return np.zeros((len(machine.bearings), 2))
+    gain, offset = sensor_scales(machine)
+    y = np.array([float(records[0][name].mean()) for name in names])
+    return np.asarray(sensor_turn(machine) @ ((y - offset) / gain)).reshape(-1, 2)
+
+
+def sensor_scales(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
+    """Gain (a,) and offset (a,) [m] of every measured displacement; of several pairs the mean, as a
+    record holds it.
+    """
+    rows = [
+        [(sensor.gain, sensor.offset) for sensor in machine.sensors if sensor.bearing == item.name]
+        for item in machine.bearings
+    ]
+    # gain and offset of a bearing without a sensor: as they are
+    means = np.array([np.mean(row or [((1.0, 1.0), (0.0, 0.0))], axis=0) for row in rows])
+    return means[:, 0].ravel(), means[:, 1].ravel()
 
 
 def _without_mean(machine: Machine, means: Mapping[str, float], bias: float | None) -> bool:

@@ -23,7 +23,7 @@ import numpy as np
 from ambrose.core.statespace import select
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
 from ambrose.identification.parameters import plant_at
-from ambrose.identification.validation.operating_load import mean_currents
+from ambrose.identification.validation.operating_load import mean_currents, sensor_scales
 from ambrose.machine.axial import AxialMachine
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import TIMING, parse_parameter
@@ -117,7 +117,8 @@ def _offset(
     names = [f"y_{axis}" for axis in machine.axes]
     if not set(names) <= set(record.signals):
         return None
-    y = np.array([float(record[name].mean()) for name in names])
+    # what the sensors read at their zero is no displacement
+    y = np.array([float(record[name].mean()) for name in names]) - sensor_scales(machine)[1]
     gaps = [bearing.gap or bearing.touchdown_gap or np.inf for bearing in machine.bearings]
     if np.abs(y).max() < _STANDS * min(gaps):
         return None
