@@ -68,7 +68,7 @@ def test_the_bound_is_tight_enough_to_prove_a_good_matrix_and_none_that_is_unsta
             np.eye(2) + 0.7 * (rng.standard_normal((2, 2)) + 1j * rng.standard_normal((2, 2)))
         )
         result = prove(
-            lambda a, b, parts=parts: pencil_of(*parts, a, b),
+            lambda a, b, parts=parts: enclose(pencil_of(*parts, a, b)),
             lambda w, T=T: T,
             1.0,
             1.5,

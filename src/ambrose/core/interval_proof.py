@@ -117,41 +117,47 @@ def enclose(cell: Pencil) -> Enclosure | None:
     return Enclosure(corners, slopes, tail, S0)
 
 
-def proved_angle(enclosure: Enclosure, ends: Sequence[np.ndarray], allowance: float = 0.0) -> float:
+def proved_angle(
+    enclosure: Enclosure,
+    ends: Sequence[np.ndarray],
+    allowance: float = 0.0,
+    most: float = np.pi / 2,
+) -> float:
     """An angle phi [rad] with Herm(exp(+-j phi) T S) > 0 for every S enclosed, T any mean of the
     ends.
 
     ends: T (n, n) at the ends of the cell. allowance: further uncertainty of S, in its 2-norm.
-    Negative: not even Herm(T S) > 0 is shown. The angle is found by bisection and is always one
-    that is shown.
+    most: no larger angle is looked for. Negative: not even Herm(T S) > 0 is shown. The angle is
+    found by bisection and is always one that is shown.
     """
+    T = np.asarray(ends, complex)
+
+    # |x^H T E x| <= ||T|| allowance for ||E|| <= allowance; |x^H T tail x| <= ||(|T| tail)||_2
+    # entry by entry, and the 2-norm of a nonnegative matrix
+    slack = np.linalg.norm(T, 2, axis=(1, 2)) * allowance
+    slack = slack + np.linalg.norm(np.abs(T) @ enclosure.tail, 2, axis=(1, 2))
+    moved = T[:, None] @ enclosure.slopes[None]  # T L_j (ends, q, n, n)
+    reached = T[:, None] @ enclosure.corners[None]
 
     def positive(phi: float) -> bool:
-        for sign in (1.0, -1.0):
-            turn = np.exp(1j * sign * phi)
-            for T in ends:
-                # |x^H T E x| <= ||T|| allowance for ||E|| <= allowance
-                slack = float(np.linalg.norm(T, 2)) * allowance
-                # |x^H T tail x| <= ||(|T| tail)||_2 entry by entry, and the 2-norm of a nonnegative
-                # matrix
-                slack += float(np.linalg.norm(np.abs(T) @ enclosure.tail, 2))
-                spread = np.zeros(T.shape, complex)
-                for slope in enclosure.slopes:
-                    values, vectors = np.linalg.eigh(hermitian(turn * (T @ slope)))
-                    # -|H_j| <= p_j H_j in the order of Hermitian matrices
-                    spread += (vectors * np.abs(values)) @ vectors.conj().T
+        turn = np.exp(1j * phi * np.array([1.0, -1.0]))[:, None, None, None, None]
+        spread = np.zeros((2, len(T), 1, *T.shape[1:]), complex)
+        if len(enclosure.slopes):
+            # -|H_j| <= p_j H_j in the order of Hermitian matrices
+            values, vectors = np.linalg.eigh(hermitian(turn * moved))
+            sizes = (vectors * np.abs(values)[..., None, :]) @ vectors.conj().swapaxes(-1, -2)
+            spread = sizes.sum(axis=2, keepdims=True)
 
-                # S is in the hull of the corners and the Hermitian part is linear: positive at
-                # each, positive throughout, by more than what tail and allowance can take away.
-                for corner in enclosure.corners:
-                    H = hermitian(turn * (T @ corner)) - spread
-                    if not np.linalg.eigvalsh(H)[0] > slack:
-                        return False
-        return True
+        # S is in the hull of the corners and the Hermitian part is linear: positive at each,
+        # positive throughout, by more than what tail and allowance can take away.
+        H = hermitian(turn * reached) - spread
+        return bool((np.linalg.eigvalsh(H)[..., 0] > slack[None, :, None]).all())
 
     if not positive(0.0):
         return -1.0
-    low, high = 0.0, np.pi / 2
+    if positive(most):
+        return most
+    low, high = 0.0, most
     while high - low > 1e-3:
         middle = (low + high) / 2
         if positive(middle):
@@ -178,21 +184,20 @@ class IntervalProof:
 
 
 def prove(
-    pencil: Callable[[float, float], Pencil],
+    cell: Callable[[float, float], Enclosure | None],
     table: Callable[[float], np.ndarray],
     low: float,
     high: float,
     width: float,
     allowance: Callable[[float, float], float] = lambda low, high: 0.0,
-    wanted: float = 0.0,
     narrowest: float = 1e-3,
 ) -> IntervalProof:
     """Herm(T S) > 0 for every value from low to high, cell by cell; a cell that is not shown is
     halved.
 
-    pencil: (low, high) -> the cell between them. table: value -> T, linear within every cell asked
-    for. width: of the first cells. wanted [rad]: the angle below which a cell is halved. narrowest:
-    share of the interval at which a cell that is not shown ends the proof.
+    cell: (low, high) -> the enclosure of S between them (``enclose``). table: value -> T, linear
+    within every cell asked for. width: of the first cells. narrowest: share of the interval at
+    which a cell that is not shown ends the proof.
     """
     # 1e-9: a width that divides the interval but for rounding gets no cell more.
     count = max(1, int(np.ceil((high - low) / width - 1e-9)))
@@ -206,24 +211,25 @@ def prove(
     while waiting:
         start, end = waiting.pop()
         middle = (start + end) / 2
-        enclosure = enclose(pencil(start, end))
+        enclosure = cell(start, end)
         proved = -1.0
         if enclosure is not None:
-            proved = proved_angle(enclosure, [table(start), table(end)], allowance(start, end))
+            # an angle above the smallest one so far changes nothing
+            ends, allowed = [table(start), table(end)], allowance(start, end)
+            proved = proved_angle(enclosure, ends, allowed, most=angle)
+        if proved <= 0 and enclosure is not None:
             here = sector_angle(table(middle) @ enclosure.middle)
             if here <= 0:  # no cell around the middle can be shown
                 eigenvalues = np.linalg.eigvals(table(middle) @ enclosure.middle)
                 return IntervalProof(
                     False, here, middle, cells, middle, bool(eigenvalues.real.min() < 0)
                 )
-        narrow = end - start <= narrowest * (high - low)
-
-        # Both halves wait, the lower one on top; the narrowest is taken as it is.
-        if proved <= wanted and not narrow:
+        if proved <= 0:
+            if end - start <= narrowest * (high - low):
+                return IntervalProof(False, proved, middle, cells, middle)
+            # both halves wait, the lower one on top
             waiting += [(middle, end), (start, middle)]
             continue
-        if proved <= 0:
-            return IntervalProof(False, proved, middle, cells, middle)
         cells += 1
         if proved < angle:
             angle, worst = proved, middle

@@ -24,12 +24,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
-from ambrose.core.interval_proof import IntervalProof, Pencil, prove
+from ambrose.core.interval_proof import Enclosure, IntervalProof, Pencil, enclose, prove
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.statespace import StateSpace
 from ambrose.law.scheduling import SPEED
@@ -81,6 +81,14 @@ class LoopPencils:
     states: int
     owners: tuple[str, ...]
     segments: tuple[_Segment, ...]
+    _known: dict[tuple[float, float], Enclosure | None] = field(default_factory=dict, init=False)
+
+    def enclosure(self, low: float, high: float) -> Enclosure | None:
+        """The enclosure of S between two speeds of one segment, remembered: no T is in it."""
+        cell = low, high
+        if cell not in self._known:
+            self._known[cell] = enclose(self.pencil(low, high))
+        return self._known[cell]
 
     def pencil(self, low: float, high: float) -> Pencil:
         """The cell between two speeds of one segment."""
@@ -274,7 +282,7 @@ def prove_interval(
     for start, end in itertools.pairwise(edges):
         if end - start < 1e-9 * high:
             continue
-        part = prove(pencils.pencil, table, start, end, (high - low) * _WIDTH, pencils.aliasing)
+        part = prove(pencils.enclosure, table, start, end, (high - low) * _WIDTH, pencils.aliasing)
         if not part.proved:
             return part
         cells += part.cells

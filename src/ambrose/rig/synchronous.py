@@ -30,6 +30,7 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.synchronous import Synchronous
 from ambrose.model.assemble import assemble
 from ambrose.rig.scenario import Scenario
+from ambrose.rig.synchronous_schedule import SampledSchedule, sampled_schedule
 
 
 @dataclass(slots=True)
@@ -102,6 +103,37 @@ class SynchronousProgram:
         return self._u
 
 
+@dataclass(slots=True)
+class ScheduledSynchronousProgram(SynchronousProgram):
+    """The same program, its law that of a schedule: told what that is scheduled over before every
+    step (``law.program.ScheduledProgram``).
+    """
+
+    over: SampledSchedule = field(kw_only=True)
+    _told: Any = None
+
+    @property
+    def parameter(self) -> str:
+        """What it is scheduled over."""
+        return self.over.parameter
+
+    @property
+    def range(self) -> tuple[Any, Any]:
+        """The lowest and the highest value told; of several tuples."""
+        ends = [tuple(float(axis[k]) for axis in self.over.axes) for k in (0, -1)]
+        low, high = ends if len(self.over.axes) > 1 else [end[0] for end in ends]
+        return low, high
+
+    def schedule(self, value: Any) -> None:
+        """What the next step is told; NaN: it is lost."""
+        if value != self._told and np.isfinite(value).all():
+            self.law, self._told = self.over.at(value), value
+
+    def __call__(self, value: Any) -> StateSpace:
+        """The law at a value, frozen."""
+        return self.over.at(value)
+
+
 def blocks_of(machine: Machine, law: Law) -> tuple[Synchronous, ...]:
     """The blocks that run beside a law: its own, else those of the machine file; none beside a
     program of its own.
@@ -120,17 +152,18 @@ def beside_law(
     start: OperatingPoint,
     timing: Timing,
 ) -> SynchronousProgram:
-    """The program that runs a fixed law and synchronous blocks through a scenario; start: where it
-    begins. Raises InvalidInput for a law that is scheduled.
+    """The program that runs a law, fixed or scheduled on a grid, and synchronous blocks through a
+    scenario; start: where it begins. Raises InvalidInput for a law that is a program or a function.
     """
-    if law.scheduled_over is not None or law.program is not None:
+    if law.program is not None:
         raise InvalidInput(
-            "synchronous blocks are simulated beside a fixed controller; leave them out of this "
-            "controller's file, or export both to C and run that"
+            "synchronous blocks are simulated beside a controller's matrices, not beside a "
+            "program; leave them out, or export both to C and run that"
         )
     loop = synchronous_loop(machine, law, timing.rate, timing.delay_samples)
-    sampled = loop.controller(assemble(machine, start))
-    return synchronous_program(machine, sampled, running_law(blocks, loop), scenario)
+    sampled, dt = loop.controller(assemble(machine, start)), loop.timing.sample_time
+    over = None if law.scheduled_over is None else sampled_schedule(machine, law, dt)
+    return synchronous_program(machine, sampled, running_law(blocks, loop), scenario, over=over)
 
 
 def synchronous_program(
@@ -142,12 +175,14 @@ def synchronous_program(
     block: Any = None,
     lost: Sequence[tuple[float, float]] = (),
     switched_off: Sequence[tuple[float, float]] = (),
+    over: SampledSchedule | None = None,
 ) -> SynchronousProgram:
     """A program for ``virtual_rig.run`` of a scenario.
 
     law: sampled, err_<axis> to u_<axis> in the machine's order. block: what runs the blocks (None:
     in Python). lost: windows [s] without pulses; switched_off: windows in which the blocks are
-    switched off. Raises InvalidInput for another sample time.
+    switched off. over: the schedule whose law is that at the start (None: it is fixed). Raises
+    InvalidInput for another sample time.
     """
     if law.dt is None or abs(law.dt - blocks.sample_time) > 1e-9 * blocks.sample_time:
         raise InvalidInput(
@@ -171,6 +206,7 @@ def synchronous_program(
     )
     gaps = [b.touchdown_gap for b in machine.bearings if b.touchdown_gap is not None]
     running = SynchronousBlock(blocks) if block is None else block
-    return SynchronousProgram(
-        law, running, pulses, limits, 0.95 * min(gaps, default=np.inf), enabled
-    )
+    limit = 0.95 * min(gaps, default=np.inf)
+    if over is None:
+        return SynchronousProgram(law, running, pulses, limits, limit, enabled)
+    return ScheduledSynchronousProgram(law, running, pulses, limits, limit, enabled, over=over)
