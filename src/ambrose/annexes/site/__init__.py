@@ -13,6 +13,8 @@ ANNEX = {
         "accept": "acceptance",
         "Acceptance": "acceptance",
         "balance": "balancing.correction",
+        "balance_vectors": "balancing.read_vectors",
+        "coefficients_of_trials": "balancing.read_vectors",
         "calibrate": "calibration",
         "retune": "retuning.chain",
         "Retuning": "retuning.result",
