@@ -219,14 +219,15 @@ def simulate(
     runs (None: the nominal one). options: rate [Hz] and delay_samples of the controller (None: as
     it or the machine file says); fallback, the fixed controller that takes over from one scheduled
     over pressure where the reading cannot be trusted, with pressure_rate, pressure_error,
-    stuck_after and estimate as in ``rig.trial.simulate_scenario``; others as for
-    ``rig.virtual_rig.run``: seed, bending_modes, path, second, progress. Raises InvalidInput.
+    stuck_after and estimate as in ``rig.trial.simulate_scenario``; axial, the controller of the
+    axis along the shaft, with which all axes run together; others as for ``rig.virtual_rig.run``:
+    seed, bending_modes, path, second, progress. Raises InvalidInput.
     """
     from ambrose.model.plant import Plant as PlantType
     from ambrose.rig.trial import simulate_scenario
 
     place = machine if isinstance(machine, PlantType) else machine_of(machine)
-    for name in ("fallback", "second"):
+    for name in ("fallback", "second", "axial"):
         if options.get(name) is not None:
             options[name] = controller_of(options[name])
     return simulate_scenario(

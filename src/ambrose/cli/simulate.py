@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 _GROUPS = {
     "": ("path", "scenario", "point", "output", "report"),
-    "The run": ("linear", "rate_hz", "delay_samples", "bending_modes", "seed", "second"),
+    "The run": ("axial", "linear", "rate_hz", "delay_samples", "bending_modes", "seed", "second"),
     "A fallback beside a controller scheduled over pressure": (
         "fallback",
         "pressure_rate",
@@ -56,6 +56,11 @@ _GROUPS = {
 )
 @click.option(
     "--scenario", required=True, help="A scenario file (*.toml) or the name of a bundled scenario."
+)
+@click.option(
+    "--axial",
+    type=click.Path(path_type=Path),
+    help="The controller of machine.toml#axial: all axes run together.",
 )
 @click.option(
     "--linear", is_flag=True, help="The linear model instead of the nonlinear virtual rig."
@@ -118,6 +123,7 @@ def simulate(
     machine: str,
     path: Path,
     scenario: str,
+    axial: Path | None,
     linear: bool,
     second: Path | None,
     fallback: Path | None,
@@ -152,6 +158,7 @@ def simulate(
         ("--second", second),
         ("--fallback", fallback),
         ("--on-target", on_target),
+        ("--axial", axial),
     ):
         if linear and value is not None:
             remedy = (
@@ -170,7 +177,7 @@ def simulate(
             raise invalid(
                 option, is_given, "given with --fallback", "name the controller that takes over"
             )
-    for option, there in (("--second", second), ("--fallback", fallback)):
+    for option, there in (("--second", second), ("--fallback", fallback), ("--axial", axial)):
         if on_target is not None and there is not None:
             remedy = "the binary is one controller's; leave one of the two out"
             raise invalid(option, there, "left out with --on-target", remedy)
@@ -184,6 +191,8 @@ def simulate(
     options: dict[str, Any] = (
         {} if second is None else {"second": load_controller(second, description)}
     )
+    if axial is not None:
+        options["axial"] = load_controller(axial, description.axial)
     if fallback is not None:
         rate = quantity_given(pressure_rate, "--pressure-rate", "pressure per time")
         error = quantity_given(pressure_error, "--pressure-error", "pressure")

@@ -75,6 +75,19 @@ class NativeProgram(ControlProgram, Protocol):
     def entry(self) -> tuple[int, int]: ...
 
 
+@runtime_checkable
+class AllAxesProgram(ControlProgram, Protocol):
+    """A program of the radial axes and of the one along the shaft, the last of its inputs and
+    outputs.
+
+    parts: the laws of the radial axes and of that one; the states of ``system`` are theirs, one
+    after the other.
+    """
+
+    @property
+    def parts(self) -> tuple[StateSpace, StateSpace]: ...
+
+
 def entry_of(program: ControlProgram) -> tuple[int, int] | None:
     """Address and first argument of a ``NativeProgram``; None for any other."""
     return program.entry if isinstance(program, NativeProgram) else None

@@ -71,7 +71,6 @@ class Work(NamedTuple):
 
     sampled: np.ndarray
     command: np.ndarray
-    force: np.ndarray
     ahead: np.ndarray
 
 
@@ -87,6 +86,19 @@ class Driven(NamedTuple):
     force: np.ndarray
     told: np.ndarray
     pressure: np.ndarray
+
+
+class Along(NamedTuple):
+    """The axis as the compiled code moves it through K samples: z (6,), flux (2, n) and the
+    magnets' force (1,) [N] go on from stretch to stretch; log (K, 5).
+    """
+
+    constants: Constants
+    drive: Driven
+    z: np.ndarray
+    flux: np.ndarray
+    force: np.ndarray
+    log: np.ndarray
 
 
 class Recorded(NamedTuple):
@@ -153,34 +165,35 @@ def run(
     if program is not None and delay != 1:
         raise invalid("computing_delay", delay, "1 sample", "a program acts at the next sample")
     laws = sampled_law(law, machine, sample, rig.point, delay)
-    z, flux, x, held = _begin(rig, laws, lifted=scenario.initial == LEVITATED)
-    work = Work(np.zeros((2, 1)), np.zeros(1), np.zeros(1), np.zeros(len(x)))
+    z, flux, x, held = begin(rig, laws, lifted=scenario.initial == LEVITATED)
+    work = Work(np.zeros((2, 1)), np.zeros(1), np.zeros(len(x)))
+    acting = np.zeros(1)
     running = None
     if program is not None:
         program.begin(x)
         running = RunningProgram(program, rig.axes)
     code = NO_PROGRAM if running is None else running.called
     # called once, so that it is compiled
-    none = _driven(task, 0, 1)
-    copies = (array.copy() for array in (z, flux, x, held))
-    _kernel()(
-        rig.constants, laws, NO_PROGRAM, none, work, *copies, np.zeros((1, 5)), np.zeros((1, 1))
+    trial = Along(
+        rig.constants, driven(task, 0, 1), z.copy(), flux.copy(), np.zeros(1), np.zeros((1, 5))
     )
-    pole = _pole(machine, rig.point, law, Timing(sample, delay))
+    _kernel()(trial, laws, NO_PROGRAM, work, x.copy(), held.copy(), np.zeros((1, 1)))
+    pole = rightmost_pole(machine, rig.point, law, Timing(sample, delay))
     prepared = time.perf_counter()
-    recorder, watched = Recorder(task, every, seed, path), _Watch(rig, scenario)
+    recorder, watched = Recorder(task, every, seed, path), Watch(rig, scenario)
     overflow: float | None = None
     reported = prepared
     with recorder:
         for number in range(0, task.samples, _STRETCH):
             count = min(_STRETCH, task.samples - number)
-            drive = _driven(task, number, count)
+            drive = driven(task, number, count)
             log, seen = np.zeros((count, 5)), np.zeros((count, 1))
-            done = _kernel()(rig.constants, laws, code, drive, work, z, flux, x, held, log, seen)
+            along = Along(rig.constants, drive, z, flux, acting, log)
+            done = _kernel()(along, laws, code, work, x, held, seen)
             if running is not None and running.failure is not None:
                 raise running.failure
             watched.follow(number, log[:done], sample)
-            recorder.add(number, _recorded(task, drive), log[:done])  # type: ignore[arg-type]
+            recorder.add(number, recorded(task, drive), log[:done])  # type: ignore[arg-type]
             if progress is not None and time.perf_counter() - reported > _REPORT_EVERY:
                 reported = time.perf_counter()
                 progress(f"simulated {(number + done) * sample:.3g} s of {scenario.duration:g} s")
@@ -260,7 +273,7 @@ def build(
     )
 
 
-def _begin(
+def begin(
     rig: AxialRig, law: SampledLaw, *, lifted: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """z, flux, state and held output of the controller: in equilibrium, or on the stop to which the
@@ -322,7 +335,7 @@ def _second(machine: AxialMachine, current: float) -> float:
     return current if machine.amplifier.order in {"twice-first", "current-loop"} else 0.0
 
 
-def _driven(task: Plan, first: int, count: int) -> Driven:
+def driven(task: Plan, first: int, count: int) -> Driven:
     """The control samples first .. first + count - 1; call them in order, for the noise's sake."""
     rig, scenario = task.rig, task.scenario
     (axis,), dt = rig.axes, task.dt
@@ -354,7 +367,7 @@ def _driven(task: Plan, first: int, count: int) -> Driven:
     )
 
 
-def _recorded(task: Plan, drive: Driven) -> Recorded:
+def recorded(task: Plan, drive: Driven) -> Recorded:
     forces = drive.force[:, None] if any(n.startswith("f_") for n in task.driven) else None
     return Recorded(
         drive.speed,
@@ -366,7 +379,7 @@ def _recorded(task: Plan, drive: Driven) -> Recorded:
     )
 
 
-def _pole(
+def rightmost_pole(
     machine: AxialMachine, point: OperatingPoint, law: LawLike, timing: Timing
 ) -> complex | None:
     """The rightmost pole [rad/s] of the linear loop; None where it has none to tell."""
@@ -385,7 +398,7 @@ def _kernel() -> Any:
     return axial_kernel.entry_point(int.from_bytes(digest.digest()[:6], "big"))
 
 
-class _Watch:
+class Watch:
     """Contact with the stops, and the controller's output at its limit."""
 
     def __init__(self, rig: AxialRig, scenario: Scenario) -> None:

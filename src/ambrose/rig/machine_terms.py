@@ -22,6 +22,7 @@ from ambrose.model.plant import top_speed
 from ambrose.rig.disturbances import Prbs, Unbalance
 
 _SEEDS = 2  # axes of a bearing: two sequences at one bearing have neighbouring seeds
+_THRUST = f"thrust{AXIS}"  # the axis along the shaft, whatever its bearing's name
 _PHRASE = re.compile(r"(.+?)\s+of\s+(?:the\s+)?([a-z]+ [a-z]+)")
 
 
@@ -181,6 +182,24 @@ def along_shaft(items: Sequence[Any], axis: str) -> tuple[Any, ...]:
         elif not text.endswith(f"{name}_eta"):
             found.append(item)
     return tuple(found)
+
+
+def names_thrust(item: Any) -> bool:
+    """Whether a disturbance or failure is along the shaft by its name: e_thrust_z, f_T_z, T_z."""
+    text = getattr(item, "signal", None) or getattr(item, "axis", None) or ""
+    return bool(text.endswith(AXIS))
+
+
+def on_thrust(items: Sequence[Any], axis: str) -> tuple[Any, ...]:
+    """What is along the shaft by its name, with the axis in place of "thrust_z"."""
+    chosen = []
+    for item in items:
+        if names_thrust(item):
+            key = "signal" if getattr(item, "signal", None) else "axis"
+            text = getattr(item, key)
+            ending = _THRUST if text.endswith(_THRUST) else axis
+            chosen.append(replace(item, **{key: f"{text.removesuffix(ending)}{axis}"}))
+    return tuple(chosen)
 
 
 def _parted(text: str) -> tuple[str, str, str]:

@@ -44,6 +44,8 @@ from ambrose.rig.disturbances import (
 from ambrose.rig.machine_terms import (
     along_shaft,
     at_bearings,
+    names_thrust,
+    on_thrust,
     read_share,
     relative_values,
     with_quantities,
@@ -235,7 +237,8 @@ class Scenario(Presented):
         if not isinstance(machine, AxialMachine):
             return found
         (axis,) = machine.axes
-        along = {name: along_shaft(getattr(found, name), axis) for name, _ in _TABLES.values()}
+        chosen = on_thrust if self.names_thrust else along_shaft
+        along = {name: chosen(getattr(found, name), axis) for name, _ in _TABLES.values()}
         still: dict[str, Any] = dict.fromkeys(_ACROSS, ())
         still |= dict.fromkeys(("speed", "to_speed", "ramp"))
         left = replace(found, **{**along, **still})
@@ -247,6 +250,29 @@ class Scenario(Presented):
                 f"it; take one that acts, such as {', '.join(acting)}"
             )
         return left
+
+    @property
+    def names_thrust(self) -> bool:
+        """Whether something of it is along the shaft by its name: it then acts there alone."""
+        return any(names_thrust(item) for item in (*self.all_windows, *self.failures))
+
+    def parted(self, machine: Machine) -> tuple[Scenario, Scenario]:
+        """What of it is for the radial axes and what for the one along the shaft, of a machine that
+        has both; a failure without an axis is of both. Raises InvalidInput as ``on``.
+        """
+        kinds = [name for name, _ in _TABLES.values()]
+        across: dict[str, Any] = {}
+        along: dict[str, Any] = {}
+        for name in kinds:
+            items = getattr(self, name)
+            across[name] = tuple(item for item in items if not names_thrust(item))
+            along[name] = tuple(item for item in items if names_thrust(item))
+        along["failures"] += tuple(item for item in self.failures if item.axis is None)
+        for name in _ACROSS:
+            along[name] = ()
+        still: dict[str, Any] = dict.fromkeys(("speed", "to_speed", "ramp"))
+        axial = replace(self, **{**along, **still}).on(machine.axial)
+        return replace(self, **across).on(machine), axial
 
     @property
     def acts(self) -> bool:

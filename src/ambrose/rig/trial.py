@@ -8,7 +8,7 @@ trace = simulate_scenario(machine, controller, "levitation")
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -30,7 +30,7 @@ from ambrose.model.effects.rotor import mass_properties
 from ambrose.model.plant import Plant, beyond_top_speed
 from ambrose.model.reduce import reduce
 from ambrose.registry import registered, resolve
-from ambrose.rig import linear, virtual_rig
+from ambrose.rig import all_axes, linear, virtual_rig
 from ambrose.rig.engine.controller import sample_time
 from ambrose.rig.engine.state import RIG_MODES
 from ambrose.rig.run_up import Step, spin_up
@@ -70,6 +70,7 @@ def simulate_scenario(
     pressure_error: float = 0.0,
     stuck_after: float | None = None,
     estimate: Literal["beside", "alone"] | None = None,
+    axial: LawLike | None = None,
     progress: Progress = lambda stage: None,
     **rig: Any,
 ) -> Trace:
@@ -83,14 +84,20 @@ def simulate_scenario(
     is told cannot be trusted, pressure_rate [Pa/s]: how fast that may change (None: the machine
     file's), pressure_error [Pa]: how far off the reading may be, stuck_after [s]: how long it may
     be the very same (None: for ever); ``law.supervision``. estimate: a seal monitor runs "beside"
-    the reading, or "alone" in place of it (registered by the annex of schedules). Synchronous
-    blocks of the controller, else of the machine file, run beside it (rig only). rig: further
-    arguments of ``virtual_rig.run`` (second, bending_modes, seed, path, ...). Raises InvalidInput.
+    the reading, or "alone" in place of it (registered by the annex of schedules). axial: the
+    controller of the axis along the shaft: all axes then run together (``rig.all_axes``), as with a
+    program of all axes (rig only). Synchronous blocks of the controller, else of the machine file,
+    run beside it (rig only, without the axis along the shaft). rig: further arguments of
+    ``virtual_rig.run`` (second, bending_modes, seed, path, ...). Raises InvalidInput.
     """
     law = law_of(controller)
     plant = machine if isinstance(machine, Plant) else None
     described = machine.machine if isinstance(machine, Plant) else machine
     events = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+    parts = all_axes.parts_of(law, axial)
+    if parts is not None:
+        given = {"linear": linear, "fallback": fallback, "second": rig.pop("second", None)}
+        return _all_axes(described, parts, events, point, given, rate, delay_samples, progress, rig)
     across = events.across if isinstance(described, AxialMachine) else ()
     events, where = events.on(described), chosen_point(described, point)
     timing = timing_of(described, law, rate, delay_samples)
@@ -152,6 +159,36 @@ def simulate_scenario(
     trace = virtual_rig.run(described, program, events, point=start, progress=progress, **rig)
     trace = replace(trace, text=f"{trace.text}; {program.words()}")
     return _warned(trace, described, events, start, rig.get("bending_modes"))
+
+
+def _all_axes(
+    machine: Machine,
+    parts: all_axes.Parts,
+    events: Scenario,
+    point: str | OperatingPoint | None,
+    given: Mapping[str, Any],
+    rate: float | None,
+    delay_samples: int | None,
+    progress: Progress,
+    rig: dict[str, Any],
+) -> Trace:
+    """A scenario on the rig of all axes. Raises InvalidInput for what else was given."""
+    for name, value in given.items():
+        if value:
+            raise invalid(
+                f"{name} beside an axial controller",
+                "given",
+                "left out: all axes run on the nonlinear rig with one controller each",
+                "leave it out, or run the parts one by one",
+            )
+    where = chosen_point(machine, point)
+    timing = timing_of(machine, parts.radial, rate, delay_samples)
+    if timing is not None:
+        rig.setdefault("computing_delay", timing.delay_samples)
+        if events.sample_time is None or rate is not None:
+            events = replace(events, sample_time=timing.sample_time)
+    trace = all_axes.run(machine, parts, events, point=where, progress=progress, **rig)
+    return _warned(trace, machine, events.parted(machine)[0], where, rig.get("bending_modes"))
 
 
 def _warned(

@@ -143,13 +143,11 @@ def run(
     recorder = Recorder(task, every, seed, path)
     begun = time.perf_counter()
     laws = Laws(law, other, machine, task.dt, computing_delay)
-    conditions = _conditions(task)
-    steps = steps_per_sample(
-        dt, task.dt, fastest_pole(task.rig, [drive for _, drive in conditions])
-    )
-    motion = begin_motion(task, laws, conditions[0][1], steps_within(task.rig, task.dt, dt))
+    looked_at = conditions(task)
+    steps = steps_per_sample(dt, task.dt, fastest_pole(task.rig, [drive for _, drive in looked_at]))
+    motion = begin_motion(task, laws, looked_at[0][1], steps_within(task.rig, task.dt, dt))
     pole = max(
-        (_rightmost(task.rig, drive, laws, time >= task.switch) for time, drive in conditions),
+        (rightmost(task.rig, drive, laws, time >= task.switch) for time, drive in looked_at),
         key=lambda p: p.real,
     )
     prepared = time.perf_counter()
@@ -239,7 +237,7 @@ class Laws:
         return sampled_law(law, self.machine, self.sample, point, self.delay)
 
 
-def _conditions(task: Plan) -> list[tuple[int, Drive]]:
+def conditions(task: Plan) -> list[tuple[int, Drive]]:
     """One sample, with its number, of the conditions at the start, at the end and around every
     change, with nothing driven.
     """
@@ -260,6 +258,16 @@ def _conditions(task: Plan) -> list[tuple[int, Drive]]:
 
 def begin_motion(task: Plan, laws: Laws, drive: Drive, substeps: int) -> Motion:
     """The state at the start; the compiled code has then been called once, and so is there."""
+    motion = start_of(task, laws, drive, substeps)
+    trial = replace(motion, z=motion.z.copy(), x=motion.x.copy(), held=motion.held.copy())
+    trial.substeps = 1
+    trial.follow(task, drive, 0)
+    advance_motion(task.rig, laws.at(drive, 0, False), drive, 1, trial, 1)
+    return motion
+
+
+def start_of(task: Plan, laws: Laws, drive: Drive, substeps: int) -> Motion:
+    """The state at a scenario's start: in equilibrium, or resting in the touchdown bearings."""
     law = laws.at(drive, 0, False)
     lifted = task.scenario.initial == LEVITATED
     z, x, last_output = (
@@ -268,13 +276,10 @@ def begin_motion(task: Plan, laws: Laws, drive: Drive, substeps: int) -> Motion:
     near = (
         z.copy() if lifted else state_at_rest(task.rig, np.zeros(task.rig.coordinates), last_output)
     )
-    trial = Motion(z.copy(), x.copy(), last_output.copy(), near)
-    trial.follow(task, drive, 0)
-    advance_motion(task.rig, law, drive, 1, trial, 1)
     return Motion(z, x, last_output, near, substeps)
 
 
-def _rightmost(rig: Rig, drive: Drive, laws: Laws, switched: bool) -> complex:
+def rightmost(rig: Rig, drive: Drive, laws: Laws, switched: bool) -> complex:
     """The rightmost pole [rad/s] of the linear loop around the centred rotor."""
     law = laws.at(drive, 0, switched)
     try:
@@ -348,14 +353,17 @@ def advance_motion(
     motion: Motion,
     count: int,
     running: RunningProgram | None = None,
+    along: axial_rig.Along | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Log (k, columns) and errors (a, k) of a stretch, up to the sample where the state
-    overflowed.
+    overflowed. along: the axis along the shaft, of a law and a drive that have it as the last one.
     """
-    a = len(rig.axes)
-    log, errors = np.empty((count, 4 * a + len(rig.port_names))), np.empty((count, a))
+    a, axes = len(rig.axes), len(motion.held)
+    log, errors = np.empty((count, 4 * a + len(rig.port_names))), np.empty((count, axes))
     program = NO_PROGRAM if running is None else running.called
     work = rig.work(len(motion.x))
+    if along is not None:
+        work = work._replace(command=np.zeros(axes), sampled=np.zeros((2, axes)))
     done = compiled()[0](
         rig.constants,
         law,
@@ -369,6 +377,7 @@ def advance_motion(
         work,
         log,
         errors,
+        along,
     )
     if done < count:
         if running is not None and running.failure is not None:

@@ -97,15 +97,25 @@ class Words:
         scaled = np.asarray(values, float) / unit
         return np.rint(scaled) if self.whole else scaled
 
+    @property
+    def word(self) -> str:
+        """A signal's type in C."""
+        types = {"float64": "double", "float32": "float", "int32": "int32_t", "int16": "int16_t"}
+        return types[np.dtype(self.signal).name]
+
+    @property
+    def counted(self) -> str:
+        """C that makes errors[i] [m] a number of the code, within its word."""
+        if not self.whole:
+            return "(errors[i] / metre[i])"
+        ends = np.iinfo(self.signal)
+        return _COUNTED.format(least=ends.min, most=ends.max)
+
     def call(self, block: ControlBlock | ScheduledBlock) -> str:
         """C that calls a step with errors [m] and currents [A] as numbers, whatever the code's
         words.
         """
-        types = {"float64": "double", "float32": "float", "int32": "int32_t", "int16": "int16_t"}
-        word, counted = types[np.dtype(self.signal).name], "(errors[i] / metre[i])"
-        if self.whole:
-            ends = np.iinfo(self.signal)
-            counted = _COUNTED.format(least=ends.min, most=ends.max)
+        word, counted = self.word, self.counted
         d = len(block.axes) if isinstance(block, ScheduledBlock) else 0
         told = "".join(f"({word})told[{i}], " for i in range(d))
         if isinstance(block, SupervisedBlock):
@@ -143,7 +153,8 @@ class _Compiled(Generic[B]):
         self.arithmetic = arithmetic
         files = generate(block, arithmetic)
         self._words = Words.of(block, arithmetic)
-        self._library = _load(block.name, {**files, "call.c": self._words.call(block)}, compiler)
+        texts = {**files, "call.c": self._words.call(block)}
+        self._library = load_block(texts, [f"{block.name}.c", "call.c"], compiler)
         size = self._library[f"{block.name}_size"]
         size.restype = ctypes.c_size_t
         self._memory = ctypes.create_string_buffer(size())
@@ -373,8 +384,8 @@ def _pointer(values: np.ndarray) -> Any:
     return values.ctypes.data_as(ctypes.c_void_p)
 
 
-def _load(name: str, files: dict[str, str], compiler: str | None) -> Any:
-    """The generated files of a block by this name, compiled and loaded. Raises InvalidInput."""
+def load_block(files: dict[str, str], sources: list[str], compiler: str | None) -> Any:
+    """Generated files, compiled from their sources and loaded. Raises InvalidInput."""
     remedy = "install one to run the C code here"
     chosen = find_compiler(compiler)
     if chosen is None:
@@ -382,7 +393,5 @@ def _load(name: str, files: dict[str, str], compiler: str | None) -> Any:
             f"there is no C compiler {compiler or ' or '.join(COMPILERS)} on this computer; "
             f"{remedy}"
         )
-    code = build_library(
-        chosen, files, [f"{name}.c", "call.c"], _FLAGS, "give another compiler", libraries="-lm"
-    )
+    code = build_library(chosen, files, sources, _FLAGS, "give another compiler", libraries="-lm")
     return load_library(code)

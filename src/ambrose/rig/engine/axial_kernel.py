@@ -139,52 +139,64 @@ def _step(c: Any, z: Any, flux: Any, told: float, powered: float, pushed: float)
     return magnets
 
 
+@compiled
+def measured(along: Any, k: int) -> float:
+    """What the controller reads [m] at the start of sample k."""
+    c, drive, z = along.constants, along.drive, along.z
+    signal = z[5] if c.sensor[2] > 0.0 else indicated(z[0] - c.body[3], c.sensor)
+    reading: float = converted(signal + drive.noise[0, k], c.sensor) + drive.disturbance[0, k]
+    return reading
+
+
+@compiled
+def write_down(along: Any, k: int, y: float, u: float, command: Any) -> None:
+    """One row of the log: measurement [m], acting output [A], coil current [A], magnets' force [N],
+    displacement [m]; command (a,) [A]: the axis' is the last one.
+    """
+    z, log = along.z, along.log
+    told = command[command.shape[0] - 1]
+    log[k, 0], log[k, 1] = y, u
+    log[k, 2] = coil_current(told, z[2], z[3], along.constants.amplifier)
+    log[k, 3] = along.force[0]
+    log[k, 4] = z[0]
+
+
+@compiled
+def move(along: Any, k: int, command: Any) -> None:
+    """One control sample."""
+    c, drive = along.constants, along.drive
+    told = command[command.shape[0] - 1]
+    for i in range(c.steps):
+        # the driven force as a cubic of tau from sample to sample, and the process thrust
+        tau = (i + 0.5) / c.steps
+        pushed = drive.force[0, k] + tau * (
+            drive.force[1, k] + tau * (drive.force[2, k] + tau * drive.force[3, k])
+        )
+        along.force[0] = _step(c, along.z, along.flux, told, drive.powered[0, k], c.load + pushed)
+
+
 def entry_point(fingerprint: int) -> Any:
     """``advance``, compiled and kept; fingerprint: of the sources that it is made of."""
 
     def advance(
-        c: Any,
-        law: SampledLaw,
-        code: Any,
-        drive: Any,
-        work: Any,
-        z: Any,
-        flux: Any,
-        x: Any,
-        held: Any,
-        log: Any,
-        seen: Any,
+        along: Any, law: SampledLaw, code: Any, work: Any, x: Any, held: Any, seen: Any
     ) -> int:
-        """A stretch of K control samples; z, flux, x and held (1,) end as the state after it.
-
-        log (K, 5): measurement [m], acting output [A], coil current [A], magnets' force [N],
-        displacement [m]. seen (K, 1) [m]: the errors. Returns how many samples were done.
+        """A stretch of K control samples of the axis by itself; what moves in along, x and held
+        (1,) end as the state after it. seen (K, 1) [m]: the errors. Returns how many samples were
+        done.
         """
         assert fingerprint  # part of the cached function's identity
         y, u = work.sampled[0], work.sampled[1]
-        steps = c.steps
         for k in range(seen.shape[0]):
-            signal = z[5] if c.sensor[2] > 0.0 else indicated(z[0] - c.body[3], c.sensor)
-            y[0] = converted(signal + drive.noise[0, k], c.sensor) + drive.disturbance[0, k]
+            y[0] = measured(along, k)
             if code.address == 0:
-                control(law, drive, k, y, x, held, u, seen[k], work.ahead)
-            elif run_program(law, code, drive, k, y, held, u, seen[k]) < 0:
+                control(law, along.drive, k, y, x, held, u, seen[k], work.ahead)
+            elif run_program(law, code, along.drive, k, y, held, u, seen[k]) < 0:
                 return k
-            command(drive, work, k, u)
-            told = work.command[0]
-            log[k, 0] = y[0]
-            log[k, 1] = u[0]
-            log[k, 2] = coil_current(told, z[2], z[3], c.amplifier)
-            log[k, 3] = work.force[0]
-            log[k, 4] = z[0]
-            for i in range(steps):
-                # the driven force as a cubic of tau from sample to sample, and the process thrust
-                tau = (i + 0.5) / steps
-                pushed = drive.force[0, k] + tau * (
-                    drive.force[1, k] + tau * (drive.force[2, k] + tau * drive.force[3, k])
-                )
-                work.force[0] = _step(c, z, flux, told, drive.powered[0, k], c.load + pushed)
-            if not math.isfinite(z[0] + z[1]):
+            command(along.drive, work, k, u)
+            write_down(along, k, y[0], u[0], work.command)
+            move(along, k, work.command)
+            if not math.isfinite(along.z[0] + along.z[1]):
                 return k
         return seen.shape[0]
 

@@ -186,7 +186,7 @@ def _enter(rig: Any, work: Any, drive: Any, P: Any, k: int, tau: float, z: Any) 
     """
     known = P.known
     n = P.states.shape[0]
-    a = work.command.shape[0]
+    a = rig.amplifier.shape[0]
     for i in range(n):
         known[i] = z[P.states[i]]
     for i in range(a):
@@ -216,7 +216,7 @@ def _enter(rig: Any, work: Any, drive: Any, P: Any, k: int, tau: float, z: Any) 
 def propagate(rig: Any, work: Any, drive: Any, P: Any, k: int, z: Any) -> None:
     """Control sample k in the propagator's steps; three evaluations of F each."""
     n, outputs = P.states.shape[0], P.y.shape[0]
-    turned = n + work.command.shape[0] + 1
+    turned = n + rig.amplifier.shape[0] + 1
     for step in range(P.steps):
         tau, width = step / P.steps, 1.0 / P.steps
         _enter(rig, work, drive, P, k, tau, z)

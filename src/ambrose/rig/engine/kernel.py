@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ambrose.rig.engine.axial_kernel import measured, move, write_down
 from ambrose.rig.engine.cache import compile_kept
 from ambrose.rig.engine.exponential import propagate, settled
 from ambrose.rig.engine.inlined import (
@@ -517,14 +518,15 @@ def _accept(work: Any, z: Any) -> None:
 def _measure(rig: Any, drive: Any, k: int, z: Any, y: Any) -> None:
     """What the controller reads at the start of sample k."""
     start = 2 * coordinates(rig) + 3 * rig.amplifier.shape[0]
-    for a in range(y.shape[0]):
+    count = rig.mean.shape[0]
+    for a in range(count):
         y[a] = 0.0
 
     # single sensors, lagged or immediate, with noise, through the converter; y = mean @ these
     for c in range(rig.sensor.shape[0]):
         value = z[start + c] if rig.sensor[c, 2] > 0.0 else _signal(rig, z, c, drive.angle[k])
         value = converted(value + drive.noise[c, k], rig.sensor[c])
-        for a in range(y.shape[0]):
+        for a in range(count):
             y[a] += rig.mean[a, c] * value
 
 
@@ -533,7 +535,7 @@ def _log(rig: Any, work: Any, z: Any, y: Any, u: Any, row: Any) -> None:
     """One row: y, u, coil currents, magnet forces (axes), displacements of the stations in their
     axes.
     """
-    count = y.shape[0]
+    count = rig.amplifier.shape[0]
     amp = 2 * coordinates(rig)
     _move(rig, work, z)
     _magnetise(rig, work, z)
@@ -571,31 +573,41 @@ def entry_points(fingerprint: int) -> tuple[Any, Any]:
         work: Any,
         log: Any,
         seen: Any,
+        along: Any = None,
     ) -> int:
         """A stretch of K control samples; z, x and held (a,) end as the state after it.
 
         code: what runs in place of the law, address 0: nothing. P: the propagator; samples that it
         cannot do (contact near, an amplifier at its limits, a bias that moves) take ``steps``
         Runge-Kutta steps, more far out. log (K, columns): see ``_log``. seen (K, a) [m]: what the
-        controller saw. Returns how many samples were done: fewer than K where the state overflowed
-        or the code gave up.
+        controller saw. along (None: there is none; then none of it is compiled): the axis along
+        the shaft, the last of the a axes, moved beside the others (``axial_kernel.Along``).
+        Returns how many samples were done: fewer than K where the state overflowed or the code
+        gave up.
         """
         assert fingerprint  # part of the cached function's identity
         y, u = work.sampled[0], work.sampled[1]
         for k in range(seen.shape[0]):
             _measure(rig, drive, k, z, y)
+            if along is not None:
+                y[y.shape[0] - 1] = measured(along, k)
             if code.address == 0:
                 control(law, drive, k, y, x, held, u, seen[k], work.ahead)
             elif run_program(law, code, drive, k, y, held, u, seen[k]) < 0:
                 return k
             command(drive, work, k, u)
             _log(rig, work, z, y, u, log[k])
+            if along is not None:
+                write_down(along, k, y[y.shape[0] - 1], u[y.shape[0] - 1], work.command)
+                move(along, k, work.command)
             away = _farthest(rig, work, drive.dt)
             if P.usable and away < _FAR_OUT and settled(rig, work, drive, k, z):
                 propagate(rig, work, drive, P, k, z)
             else:
                 _integrate(rig, work, drive, k, steps * _DENSE if away > _FAR_OUT else steps, z)
             if not np.isfinite(z.sum()):
+                return k
+            if along is not None and not np.isfinite(along.z.sum()):
                 return k
         return seen.shape[0]
 

@@ -26,11 +26,19 @@ class Recorder:
     Raises InvalidInput for ``every`` below 1 or so small that the record would be too large.
     """
 
-    def __init__(self, task: Plan, every: int, seed: int, path: str | Path | None) -> None:
+    def __init__(
+        self,
+        task: Plan,
+        every: int,
+        seed: int,
+        path: str | Path | None,
+        beside: Plan | None = None,
+    ) -> None:
+        """beside: another rig that runs along, whose signals follow."""
         self.task = task
         self.every = every
         self.path = path
-        self.names = _names(task)
+        self.names = (*_names(task), *(() if beside is None else _names(beside)))
         count = (task.samples - 1) // max(every, 1) + 1
         if every < 1 or count * len(self.names) > _LARGEST:
             requirement = f"at least 1, and so large that a record has {_LARGEST:g} numbers at most"
@@ -67,9 +75,15 @@ class Recorder:
     ) -> None:
         self._stack.__exit__(kind, error, trace)
 
-    def add(self, number: int, drive: Drive, log: np.ndarray) -> None:
-        """One stretch: number of its first sample, what acted, log (k, columns)."""
-        kept = _block(self.task, drive, log, number)[:, (-number) % self.every :: self.every]
+    def add(
+        self, number: int, drive: Drive, log: np.ndarray, *beside: tuple[Plan, Drive, np.ndarray]
+    ) -> None:
+        """One stretch: number of its first sample, what acted, log (k, columns); beside: the same
+        of a rig that runs along.
+        """
+        parts = [(self.task, drive, log), *beside]
+        rows = np.vstack([block(*part, number) for part in parts])
+        kept = rows[:, (-number) % self.every :: self.every]
         self.values[:, self.filled : self.filled + kept.shape[1]] = kept
         self.filled += kept.shape[1]
         if self._writer is not None and kept.shape[1]:
@@ -108,7 +122,7 @@ def _names(task: Plan) -> tuple[str, ...]:
     return (*names, *task.driven, *varying)
 
 
-def _block(task: Plan, drive: Drive, log: np.ndarray, number: int) -> np.ndarray:
+def block(task: Plan, drive: Drive, log: np.ndarray, number: int) -> np.ndarray:
     """All recorded signals (s, k) of a stretch."""
     k = len(log)
     rig = task.rig

@@ -1,0 +1,120 @@
+"""The rig of all axes: equal to its parts where nothing joins them, one C function in the loop
+equal to its twins, and what cannot run together is refused.
+"""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ambrose as amb
+from ambrose.code.block.run import run_block
+from ambrose.code.c.all_axes import CompiledAxes
+from ambrose.code.c.compiler import has_compiler
+from ambrose.core.checks import InvalidInput
+from ambrose.rig.disturbances import Failure, Pulse, SpeedChange, Unbalance
+from ambrose.rig.scenario import Scenario
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "expander-five-axes.toml"
+LIFT = Scenario(
+    "lift",
+    0.3,
+    pulses=(Pulse("f_thrust_z", -120.0, 0.15), Pulse("e_first_zeta", 0.2, 0.2, 0.01)),
+    unbalances=(Unbalance("every", grade=2.5e-3, grade_speed=3000.0),),
+    speed=0.0,
+    speed_changes=(SpeedChange(0.1, 300.0, 0.1),),
+    initial="resting",
+)
+
+
+@cache
+def machine():
+    return amb.load_machine(EXAMPLE)
+
+
+@cache
+def laws():
+    return amb.design(machine(), "pid"), amb.design(machine().axial, "pid")
+
+
+@cache
+def lifted():
+    radial, axial = laws()
+    return amb.simulate(machine(), radial, LIFT, axial=axial, point="standstill", seed=4)
+
+
+@pytest.mark.campaign
+def test_each_part_moves_as_by_itself():
+    """To the last bit: the radial axes by themselves, and the one along the shaft with the next
+    seed.
+    """
+    radial, axial = laws()
+    across, along = LIFT.parted(machine())
+    alone = amb.simulate(machine(), radial, across, point="standstill", seed=4)
+    thrust = amb.simulate(machine().axial, axial, along, point="standstill", seed=5)
+    run = lifted()
+    assert run.outcome == "completed", run.text
+    for record in (alone.record, thrust.record):
+        for name in record.signals:
+            assert np.array_equal(run.record[name], record[name]), name
+    assert np.abs(run.record["q_T_z"][-1]) < 1e-4 < np.abs(run.record["q_T_z"][0])
+
+
+@pytest.mark.campaign
+@pytest.mark.skipif(not has_compiler(), reason="no C compiler")
+def test_one_c_function_holds_all_axes(tmp_path):
+    """What it did in the loop is what the twins of both blocks do with the same readings."""
+    radial, axial = laws()
+    folder = tmp_path / "c"
+    done = amb.export(radial, folder, machine=machine(), axial=axial, to="c", force=True)
+    assert done.axial is not None
+    code = CompiledAxes(done.block, done.axial.block)
+    steady = replace(LIFT, speed_changes=(), speed=200.0)
+    run = amb.simulate(machine(), code, steady, point="standstill")
+    assert run.outcome == "completed", run.text
+    for block, axes in ((done.block, machine().axes), (done.axial.block, ("T_z",))):
+        errors = -np.column_stack([run.record[f"y_{axis}"] for axis in axes])
+        twin = run_block(block, errors).currents
+        acted = np.column_stack([run.record[f"u_{axis}"] for axis in axes])
+        assert np.abs(acted[1:] - twin[:-1]).max() <= 1e-12 * np.abs(twin).max()
+    still = replace(steady, initial="levitated", duration=0.05, pulses=())
+    counted = CompiledAxes(done.block, done.axial.block, "fixed32")
+    for program in (code, counted):  # begun with the states that hold the weight
+        run = amb.simulate(machine(), program, still, point="rated")
+        assert run.outcome == "completed", run.text
+        assert np.abs(run.record["q_A_eta"]).max() < 5e-6
+
+
+@pytest.mark.campaign
+def test_the_power_of_all_axes_fails_at_once():
+    radial, axial = laws()
+    trip = Scenario("trip", 0.1, failures=(Failure(0.02),))
+    run = amb.simulate(machine(), radial, trip, axial=axial, point="rated")
+    assert run.outcome == "touchdown"
+    gone = run.record.time > 0.05
+    assert np.abs(run.record["i_T_z"][gone]).max() < 1e-3
+    assert run.record["q_T_z"][gone].min() < -0.2e-3  # the rated thrust pulls to the left
+    assert "T_z: touchdown" in run.text
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        ({"machine": "seal-rig"}, "no thrust bearing"),
+        ({"linear": True}, "linear beside an axial controller"),
+        ({"rate": 1e4, "axial": "late"}, "one processor runs both"),
+    ],
+)
+def test_what_cannot_run_together_is_refused(how, words):
+    radial, axial = laws()
+    target = amb.load_machine(how["machine"]) if "machine" in how else machine()
+    if how.get("axial") == "late":
+        slow = machine().axial
+        axial = amb.design(
+            replace(slow, controller=replace(slow.controller, sample_time=2e-4)), "pid"
+        )
+    rest = {name: value for name, value in how.items() if name not in {"machine", "axial"}}
+    with pytest.raises(InvalidInput, match=words):
+        amb.simulate(target, radial, LIFT, axial=axial, **rest)
