@@ -11,8 +11,8 @@ import pytest
 
 import ambrose as amb
 from ambrose.code.block.run import run_block
-from ambrose.code.c.all_axes import CompiledAxes
 from ambrose.code.c.compiler import has_compiler
+from ambrose.code.compiled_axes import CompiledAxes
 from ambrose.core.checks import InvalidInput
 from ambrose.rig.disturbances import Failure, Pulse, SpeedChange, Unbalance
 from ambrose.rig.scenario import Scenario
