@@ -142,7 +142,8 @@ def _step(c: Any, z: Any, flux: Any, told: float, powered: float, pushed: float)
 @compiled
 def measured(along: Any, k: int) -> float:
     """What the controller reads [m] at the start of sample k."""
-    c, drive, z = along.constants, along.drive, along.z
+    c, z = along.constants, along.z
+    drive = along.drive
     signal = z[5] if c.sensor[2] > 0.0 else indicated(z[0] - c.body[3], c.sensor)
     reading: float = converted(signal + drive.noise[0, k], c.sensor) + drive.disturbance[0, k]
     return reading
