@@ -7,6 +7,7 @@ Designs and their evaluation have their own tests; here they are stubs.
 from __future__ import annotations
 
 import json
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -41,6 +42,7 @@ def stubs(monkeypatch):
         "reduce": lambda plant: plant,
         "study_methods": lambda plant: ("pid",),
         "resume_or_design": designed,
+        "processors": lambda: 1,  # stubs are none in another process
         "check_trials": lambda machine: None,
         "evaluate": lambda name, law, plants, progress: Candidate(
             name, law, (Checks("p", True, ()),)
@@ -172,3 +174,23 @@ def test_a_controller_that_cannot_be_judged_leaves_the_others_their_report(stubs
     assert ("mu", "cannot be judged") in result.failed and [c.name for c in result.candidates] == [
         "PID"
     ]
+
+
+def test_methods_that_go_on_from_one_controller_are_designed_together():
+    """Polished mu begins as mu: apart, mu was computed twice."""
+    names = ("tuned", "pid", "mu", "polish")
+    assert workflow._groups(names) == [("mu", "polish"), ("tuned",), ("pid",)]
+    assert workflow._groups(("tuned", "polish")) == [("tuned",), ("polish",)]
+
+
+def test_a_study_goes_on_alone_where_a_process_beside_it_died(stubs, tmp_path):
+    def died(*rest):
+        raise BrokenProcessPool("killed")
+
+    stubs.setattr(workflow, "study_methods", lambda plant: ("tuned", "pid"))
+    stubs.setattr(workflow, "processors", lambda: 2)
+    stubs.setattr(workflow, "_side_by_side", died)
+    told = []
+    result = run(tmp_path, told.append)
+    assert [candidate.name for candidate in result.candidates] == ["tuned", "PID"]
+    assert any("died" in stage for stage in told)

@@ -16,7 +16,7 @@ from ambrose.core.checks import AmbroseError
 
 REQUIRED = object()
 # what a stage may end with besides a refusal: a defect of one is none of the others' results
-_FAILURES = (AmbroseError, ArithmeticError, LookupError, TypeError, ValueError, OSError)
+FAILURES = (AmbroseError, ArithmeticError, LookupError, TypeError, ValueError, OSError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ def walk(stages: Sequence[Stage], given: Mapping[str, Any]) -> dict[str, Any]:
             results["progress"](stage.announced)
         try:
             results[stage.name] = stage.make(*(results[name] for name in stage.needs))
-        except _FAILURES as error:
+        except FAILURES as error:
             if stage.otherwise is REQUIRED:
                 raise
             known = isinstance(error, AmbroseError)

@@ -10,15 +10,20 @@ from a record of the virtual rig and runs a controller for it there as C code.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from ambrose.chain.beside import beside
 from ambrose.chain.commissioning import NAME, Commissioning, commission
 from ambrose.chain.control import resume_or_design
-from ambrose.chain.stages import Stage, walk
+from ambrose.chain.stages import FAILURES, Stage, walk
 from ambrose.core.checks import AmbroseError, InvalidInput
+from ambrose.core.memory import remembering
 from ambrose.core.presentation import Presented, data_frame, to_plain
+from ambrose.core.processes import can_start_processes, processors
 from ambrose.judge.checks import Curve, check_columns
 from ambrose.judge.plants import Progress, campbell_map, full_plants, plant_gain
 from ambrose.judge.result import Status, Synthesis
@@ -34,6 +39,8 @@ from ambrose.rig.candidate import Candidate, check_trials, evaluate, points_of, 
 from ambrose.rig.trial import RunUp
 from ambrose.synthesis.design import methods_for
 from ambrose.synthesis.methods.choice import methods
+
+_SITE = "pid"  # the method of the controller that a machine on site runs under
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -177,7 +184,7 @@ def _study(machine: Machine, directory: Path, progress: Progress) -> Study:
         results["reduced"],
         results["candidates"],
         results["speed_curves"],
-        (*results["designs"][1], *results["failures"]),
+        (*results["designs"].failed, *results["failures"]),
         commissioned,
         results["run_ups"],
     )
@@ -211,18 +218,32 @@ def _set_earlier_aside(directory: Path) -> None:
         set_aside(directory / name)
 
 
-Designs = tuple[list[Candidate], list[tuple[str, str]]]
+@dataclass(frozen=True, slots=True)
+class Designs:
+    """candidates: every controller that the machine allows, evaluated; failed: (controller, why) of
+    those that could not be designed; commissioning: what was commissioned meanwhile, or the error
+    that it ended with (None: it was not begun).
+    """
+
+    candidates: tuple[Candidate, ...]
+    failed: tuple[tuple[str, str], ...]
+    commissioning: Commissioning | Exception | None = None
 
 
 def _commissioning(
     plants: tuple[Plant, ...], designs: Designs, directory: Path, progress: Progress
 ) -> Commissioning:
     """What commissioning gave on the rig, under the controller that is taken for the site's."""
-    return commission(plants, _reference(designs[0]), directory / "commissioned", progress)
+    reference, done = _reference(designs.candidates), designs.commissioning
+    if isinstance(done, Exception):
+        raise done
+    if done is not None:
+        return replace(done, reference=reference)
+    return commission(plants, reference, directory / "commissioned", progress)
 
 
 def _all_candidates(designs: Designs, done: Commissioning | None) -> tuple[Candidate, ...]:
-    return (*designs[0], *([done.candidate] if done is not None else []))
+    return (*designs.candidates, *([done.candidate] if done is not None else []))
 
 
 def study_methods(plant: Plant) -> tuple[str, ...]:
@@ -231,29 +252,116 @@ def study_methods(plant: Plant) -> tuple[str, ...]:
 
 
 def _candidates(plants: tuple[Plant, ...], directory: Path, progress: Progress) -> Designs:
-    """Every controller that the machine allows, evaluated; and (controller, why) of those that
-    could not be designed.
+    """Every controller that the machine allows, evaluated; side by side where there are processors
+    for it.
     """
-    candidates: list[Candidate] = []
-    failed: list[tuple[str, str]] = []
-    for method in study_methods(plants[0]):
-        name = methods()[method].title
-        progress(f"{name}: controller")
+    names = study_methods(plants[0])
+    groups = _groups(names)
+    workers = min(processors(), len(groups)) if can_start_processes() else 1
+    made: dict[str, Candidate | str] = {}
+    meanwhile: Commissioning | Exception | None = None
+    if workers > 1:
         try:
-            synthesis = resume_or_design(
-                plants[0], methods()[method](), directory / f"controller-{method}.json", progress
-            )
-            candidates.append(evaluate(name, synthesis, plants, _prefixed(name, progress)))
-        # one infeasible design, or one that cannot be judged, leaves the others their verdict
-        except AmbroseError as error:
-            progress(f"{name}: no controller; {error}")
-            failed.append((name, str(error)))
+            made, meanwhile = _side_by_side(groups, workers, plants, directory, progress)
+        except BrokenProcessPool:
+            progress("a process beside this one died (short of memory?): going on in this one")
+    if not made:
+        for group in groups:
+            made |= _group_made(group, plants, directory, progress)
+
+    titles = {name: methods()[name].title for name in names}
+    failed = tuple((titles[name], why) for name in names if isinstance(why := made[name], str))
+    candidates = tuple(item for name in names if isinstance(item := made[name], Candidate))
     if not candidates:
         machine = plants[0].machine
         none = in_file(machine, "it has no [controller] and no [weights]; add one")
         why = "; ".join(f"{name}: {text}" for name, text in failed) or none
         raise InvalidInput(f"no controller for machine {machine.name!r}: {why}")
-    return candidates, failed
+    return Designs(candidates, failed, meanwhile)
+
+
+def _groups(names: Sequence[str]) -> list[tuple[str, ...]]:
+    """The methods, those together of which one goes on from the other's controller; what takes
+    longest first.
+    """
+    first = {
+        name: begins if (begins := methods()[name].begins_as) in names else name for name in names
+    }
+    groups = [
+        tuple(name for name in names if first[name] == start)
+        for start in dict.fromkeys(first.values())
+    ]
+    return sorted(groups, key=len, reverse=True)
+
+
+def _side_by_side(
+    groups: Sequence[tuple[str, ...]],
+    workers: int,
+    plants: tuple[Plant, ...],
+    directory: Path,
+    progress: Progress,
+) -> tuple[dict[str, Candidate | str], Commissioning | Exception | None]:
+    """``_group_made`` of all groups in so many processes, and commissioning among them as soon as
+    the controller is there that it takes in any case: the PID, where that holds.
+
+    Raises what a group raises, and BrokenProcessPool where a process dies.
+    """
+    made: dict[str, Candidate | str] = {}
+    meanwhile: Commissioning | Exception | None = None
+    # the PID soon: commissioning waits for it
+    waiting = sorted(groups, key=lambda group: (len(group) < 2, group != (_SITE,)))
+    with beside(workers, progress) as work:
+        under_way: set[Future[Any]] = set()
+        commissioned: Future[Any] | None = None
+        while waiting or under_way:
+            while waiting and len(under_way) < workers:
+                under_way.add(work.start(_group_made, waiting.pop(0), plants, directory))
+            for future in work.wait(under_way):
+                under_way.remove(future)
+                if future is commissioned:
+                    meanwhile = future.result()
+                    continue
+                made |= future.result()
+                site = made.get(_SITE)
+                if commissioned is None and isinstance(site, Candidate) and _holds(site):
+                    folder = directory / "commissioned"
+                    commissioned = work.start(_commissioned, plants, site.synthesis, folder)
+                    under_way.add(commissioned)
+    return made, meanwhile
+
+
+def _group_made(
+    names: Sequence[str], plants: tuple[Plant, ...], directory: Path, progress: Progress
+) -> dict[str, Candidate | str]:
+    """The controllers of these methods, evaluated, or why there is none."""
+    made: dict[str, Candidate | str] = {}
+    with remembering():
+        for name in names:
+            title = methods()[name].title
+            progress(f"{title}: controller")
+            try:
+                synthesis = resume_or_design(
+                    plants[0], methods()[name](), directory / f"controller-{name}.json", progress
+                )
+                made[name] = evaluate(title, synthesis, plants, _prefixed(title, progress))
+            # one infeasible design, or one that cannot be judged, leaves the others their verdict
+            except AmbroseError as error:
+                progress(f"{title}: no controller; {error}")
+                made[name] = str(error)
+    return made
+
+
+def _commissioned(
+    plants: tuple[Plant, ...], reference: Synthesis, directory: Path, progress: Progress
+) -> Commissioning | Exception:
+    try:
+        return commission(plants, reference, directory, _prefixed(NAME, progress))
+    except FAILURES as error:
+        return error
+
+
+def _holds(candidate: Candidate) -> bool:
+    return candidate.synthesis.status is Status.VERIFIED
 
 
 def _reference(candidates: Sequence[Candidate]) -> Synthesis:
@@ -263,8 +371,8 @@ def _reference(candidates: Sequence[Candidate]) -> Synthesis:
     order = sorted(
         candidates,
         key=lambda item: (
-            item.synthesis.status is not Status.VERIFIED,
-            item.synthesis.method != "pid",
+            not _holds(item),
+            item.synthesis.method != _SITE,
         ),
     )
     return order[0].synthesis

@@ -60,7 +60,8 @@ def campaign(
     from ambrose.annexes.campaigns.plan import read_plan
     from ambrose.annexes.campaigns.result import read_campaign
     from ambrose.annexes.campaigns.run import run_plan
-    from ambrose.annexes.campaigns.workers import executors, processors
+    from ambrose.annexes.campaigns.workers import executors
+    from ambrose.core.processes import processors
     from ambrose.report.page import page_of, write
 
     wanted = read_plan(plan)

@@ -37,7 +37,8 @@ def campaign(
     from ambrose.annexes.campaigns.plan import Plan, plan_of, read_plan
     from ambrose.annexes.campaigns.result import read_campaign
     from ambrose.annexes.campaigns.run import run_plan
-    from ambrose.annexes.campaigns.workers import executors, processors
+    from ambrose.annexes.campaigns.workers import executors
+    from ambrose.core.processes import processors
 
     if isinstance(plan, Plan):
         wanted = plan

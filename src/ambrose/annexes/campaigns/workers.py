@@ -1,40 +1,17 @@
-"""Where the cases of a campaign are computed: processes of this computer, or a Dask cluster.
-
-A new process of Python's "spawn" kind imports the script that started it. A script without
-``if __name__ == "__main__":`` would then start its campaign anew in every worker, which Python
-ends. The workers here need no more than this package, so they are started without the script.
-"""
+"""Where the cases of a campaign are computed: processes of this computer, or a Dask cluster."""
 
 from __future__ import annotations
 
 import multiprocessing
-import os
-import signal
-import sys
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import Executor
 from contextlib import contextmanager
-from multiprocessing.context import SpawnContext, SpawnProcess
-from types import ModuleType
-from typing import Any
 
 from ambrose.core.checks import InvalidInput
+from ambrose.core.processes import one_thread_in_workers, pool, without_script
 
 PROCESSES, DASK = "processes", "dask"
 MakeExecutor = Callable[[], Executor]
-
-
-class _Worker(SpawnProcess):
-    """A process that does not import the script of the one that starts it."""
-
-    @staticmethod
-    def _Popen(process_obj: Any) -> Any:
-        with _without_script():
-            return SpawnProcess._Popen(process_obj)
-
-
-class _Workers(SpawnContext):
-    Process = _Worker
 
 
 @contextmanager
@@ -56,19 +33,13 @@ def executors(engine: str, workers: int) -> Iterator[tuple[MakeExecutor, int]]:
         )
     if not isinstance(engine, str):
         raise InvalidInput(f"engine is {engine!r}, but must be a text; take processes or dask")
-    with _told_to_workers("OPENBLAS_NUM_THREADS", "1"):
+    with one_thread_in_workers():
         yield from _executors(engine, workers)
-
-
-def processors() -> int:
-    """How many this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _executors(engine: str, workers: int) -> Iterator[tuple[MakeExecutor, int]]:
     if engine == PROCESSES:
-        context = _Workers()
-        yield lambda: ProcessPoolExecutor(workers, context, _quiet_worker), workers
+        yield lambda: pool(workers), workers
         return
     try:
         from distributed import Client, LocalCluster
@@ -78,7 +49,7 @@ def _executors(engine: str, workers: int) -> Iterator[tuple[MakeExecutor, int]]:
             f"engine {engine} needs Dask, which is not installed; {remedy}"
         ) from None
     if engine == DASK:
-        with _without_script():
+        with without_script():
             cluster = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None)
         with cluster, Client(cluster) as client:
             yield client.get_executor, workers
@@ -97,32 +68,3 @@ def _executors(engine: str, workers: int) -> Iterator[tuple[MakeExecutor, int]]:
         ) from error
     with dask as client:
         yield client.get_executor, max(1, sum(client.nthreads().values()), workers)
-
-
-@contextmanager
-def _without_script() -> Iterator[None]:
-    """Meanwhile this process has no script, which a new process would import."""
-    script = sys.modules["__main__"]
-    sys.modules["__main__"] = ModuleType("__main__")
-    try:
-        yield
-    finally:
-        sys.modules["__main__"] = script
-
-
-@contextmanager
-def _told_to_workers(name: str, value: str) -> Iterator[None]:
-    """A variable in the environment that processes started meanwhile inherit, unless it is set."""
-    if name in os.environ:
-        yield
-        return
-    os.environ[name] = value
-    try:
-        yield
-    finally:
-        del os.environ[name]
-
-
-def _quiet_worker() -> None:
-    """Ctrl-C is the parent's to handle."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)

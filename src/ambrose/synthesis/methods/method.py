@@ -29,6 +29,7 @@ class Method(Options, ABC):
 
     name: ClassVar[str]
     title: ClassVar[str]  # for people
+    begins_as: ClassVar[str | None] = None  # the method whose controller it goes on from
 
     rate: float | None = option(
         None,

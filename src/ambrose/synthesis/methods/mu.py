@@ -27,6 +27,16 @@ class Mu(Spanning):
         return plant.machine.weights is not None and bool(plant.machine.tolerances)
 
     def minimise(self, problem: GeneralizedPlant) -> Synthesis:
-        from ambrose.synthesis.mu.synthesis import mu_synthesis
+        return mu_controller(problem)
 
-        return mu_synthesis(problem, order=SCALING_ORDER)
+
+def mu_controller(problem: GeneralizedPlant) -> Synthesis:
+    """The controller of a design problem by D-K iteration; of one that was solved before in this
+    run, the same again: a polished controller begins as the mu controller beside it.
+    """
+    from ambrose.core.memory import recalled
+    from ambrose.synthesis.mu.synthesis import mu_synthesis
+
+    matrices = tuple(getattr(problem.system, letter).tobytes() for letter in "ABCD")
+    key = (matrices, problem.w, problem.u, problem.z, problem.y, problem.blocks)
+    return recalled("mu", key, lambda: mu_synthesis(problem, order=SCALING_ORDER))

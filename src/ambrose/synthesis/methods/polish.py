@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 from ambrose.options import count, option
 from ambrose.synthesis.methods.method import Progress
-from ambrose.synthesis.methods.mu import Mu
-from ambrose.synthesis.methods.weighted import SCALING_ORDER, Weighted
+from ambrose.synthesis.methods.mu import Mu, mu_controller
+from ambrose.synthesis.methods.weighted import Weighted
 
 if TYPE_CHECKING:
     from ambrose.core.lft import GeneralizedPlant
@@ -30,6 +30,7 @@ class Polish(Weighted):
     name: ClassVar[str] = "polish"
     title: ClassVar[str] = "mu, polished"
     uncertain: ClassVar[bool] = True
+    begins_as: ClassVar[str | None] = Mu.name
 
     order: int | None = option(
         None, "States; default: half of what mu needs.", check=count("leave the default")
@@ -41,9 +42,7 @@ class Polish(Weighted):
         return Mu.suits(plant)
 
     def minimise(self, problem: GeneralizedPlant) -> Synthesis:
-        from ambrose.synthesis.mu.synthesis import mu_synthesis
-
-        return mu_synthesis(problem, order=SCALING_ORDER)
+        return mu_controller(problem)
 
     def refine(
         self,

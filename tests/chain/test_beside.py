@@ -1,0 +1,40 @@
+"""Work in processes beside this one: what it says arrives, what it fails with too, none is left."""
+
+from __future__ import annotations
+
+import multiprocessing
+import operator
+import os
+
+import pytest
+
+from ambrose.chain.beside import beside
+
+SAYS = operator.methodcaller("__call__", "a word")  # called with the progress alone
+
+
+def test_words_and_failures_of_a_process_arrive_and_no_process_is_left():
+    """A function that Python itself has: a process beside this one imports no test."""
+    told = []
+    before = multiprocessing.active_children()
+    with beside(1, told.append) as work:
+        future = work.start(SAYS)
+        assert work.wait([future]) == {future} and future.result() is None
+    assert told == ["a word"] and multiprocessing.active_children() == before
+    with pytest.raises(TypeError, match="indices"), beside(1, told.append) as work:
+        future = work.start(operator.getitem, [])  # the progress is no index
+        work.wait([future])
+        future.result()
+    assert "OPENBLAS_NUM_THREADS" not in os.environ or os.environ["OPENBLAS_NUM_THREADS"] == "1"
+
+
+def test_who_listens_may_end_it_all():
+    def listens(word):
+        raise KeyboardInterrupt
+
+    before = multiprocessing.active_children()
+    with pytest.raises(KeyboardInterrupt), beside(1, listens) as work:
+        work.wait([work.start(SAYS)])
+    for child in set(multiprocessing.active_children()) - set(before):
+        child.join(5)
+        assert not child.is_alive()
