@@ -1,5 +1,6 @@
 """How quick the workbench is in a browser: its first page, from a slider to redrawn curves, frames
-of the live rig at rest and knocked.
+of the live rig at rest and knocked; and what a frame takes of a processor, in the server and in all
+processes of the browser, which holds on a busy computer as well.
 
 python -m benchmarks.workbench_study [MACHINE ...]
 
@@ -16,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -69,10 +71,14 @@ def measure(machine: str, browser: Any, folder: Path) -> dict[str, float]:
     return found
 
 
-def _live(page: Any, pid: int, state: str) -> dict[str, float]:
-    """Frames a second, share of real time, share of a processor that the server takes."""
+def _live(page: Any, server: int, state: str) -> dict[str, float]:
+    """Frames a second, share of real time, share of a processor that the server takes, processor
+    time of a frame.
+    """
     frames, pace = [], []
-    begun, used = time.monotonic(), _processor(pid)
+    begun, used = time.monotonic(), _processor(server)
+    drawn_by = _browser_processes()
+    before = sum(map(_processor, drawn_by))
     for _ in range(SECONDS):
         if state == "knocked":
             page.locator("canvas").first.press("ArrowUp")
@@ -80,17 +86,41 @@ def _live(page: Any, pid: int, state: str) -> dict[str, float]:
         text = page.locator(".facts").text_content()
         frames.append(float(re.findall(r"frames (\d+)", text)[0]))
         pace.append(float(re.findall(r"real time ([\d.]+)", text)[0]))
-    share = (_processor(pid) - used) / (time.monotonic() - begun)
+    gone = time.monotonic() - begun
+    served, drawn = _processor(server) - used, sum(map(_processor, drawn_by)) - before
+    count = max(statistics.fmean(frames) * gone, 1)
     return {
         f"frames/s, {state}": statistics.median(frames),
         f"real time, {state}": min(pace),
-        f"processor, {state}": share,
+        f"processor, {state}": served / gone,
+        f"server [ms/frame], {state}": 1e3 * served / count,
+        f"browser [ms/frame], {state}": 1e3 * drawn / count,
     }
 
 
+def _browser_processes() -> list[int]:
+    """All processes that this one started, and theirs, which are a browser's (Linux)."""
+    parents = {}
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            fields = path.read_text().rpartition(")")[2].split()
+            parents[int(path.parent.name)] = int(fields[1])
+    found, ours = [], {os.getpid()}
+    for _ in range(6):  # generations
+        ours |= {child for child, parent in parents.items() if parent in ours}
+    for number in ours:
+        with suppress(OSError):
+            if b"chromium" in Path(f"/proc/{number}/cmdline").read_bytes().split(b"\0")[0]:
+                found.append(number)
+    return found
+
+
 def _processor(pid: int) -> float:
-    """Processor time of a process [s] (Linux)."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    """Processor time of a process [s] (Linux), 0 where it is gone."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 

@@ -10,9 +10,10 @@ import pytest
 
 pytest.importorskip("starlette", reason="the extra workbench is not installed")
 
-from ambrose.annexes.workbench.live import SAMPLES, LiveSession
+from ambrose.annexes.workbench.live import SAMPLES, LiveSession, packed
 from ambrose.annexes.workbench.project import Project, begin
 from ambrose.annexes.workbench.server import build, listening, names_of
+from ambrose.annexes.workbench.viewers import _Viewer
 from ambrose.core.checks import InvalidInput
 from ambrose.record.files import read_record
 from asgi_client import HOST, Client
@@ -52,7 +53,7 @@ def session(project, monkeypatch):
 
 def test_a_frame_is_the_time_that_went_by_in_the_frame_of_the_machine(session):
     session.do({"do": "knock", "station": "A", "x": 0.05, "y": 0.0})
-    head, samples = opened(session.frame())
+    head, samples = opened(packed(*session.frame()))
     rows = samples.reshape(-1, len(session.columns))
     assert len(rows) == 200  # 20 ms at 10 kHz
     assert head["time"] == pytest.approx(0.02)
@@ -66,12 +67,12 @@ def test_a_frame_is_the_time_that_went_by_in_the_frame_of_the_machine(session):
 
 def test_it_goes_slower_and_as_fast_as_it_can(session):
     session.do({"do": "pace", "pace": "slow"})
-    begun = opened(session.frame())[0]["time"]
-    assert opened(session.frame())[0]["time"] - begun == pytest.approx(0.002)
+    begun = opened(packed(*session.frame()))[0]["time"]
+    assert opened(packed(*session.frame()))[0]["time"] - begun == pytest.approx(0.002)
     session.do({"do": "pace", "pace": "fast"})
-    begun = opened(session.frame())[0]["time"]
+    begun = opened(packed(*session.frame()))[0]["time"]
     for _ in range(8):
-        head, samples = opened(session.frame())
+        head, samples = opened(packed(*session.frame()))
     assert head["time"] - begun > 8 * 0.02
     assert len(samples) <= SAMPLES * len(session.columns)
 
@@ -89,7 +90,7 @@ def test_all_that_can_be_done_shows_in_the_head(session, project):
     ]
     for order in orders:
         session.do(order)
-    head, _ = opened(session.frame())
+    head, _ = opened(packed(*session.frame()))
     now = head["set"]
     assert (now["speed"], now["pressure"], now["gain"]) == (30.0, 1e5, 1.1)
     assert (now["station"], now["unbalance"]) == ("A", 1e-5)
@@ -100,7 +101,7 @@ def test_all_that_can_be_done_shows_in_the_head(session, project):
     assert set(np.unique(np.abs(record["e_A_zeta"]))) == {0.1}
     session.do({"do": "drop"})
     session.do({"do": "lift"})
-    assert opened(session.frame())[0]["failed"] == []
+    assert opened(packed(*session.frame()))[0]["failed"] == []
 
 
 @pytest.mark.parametrize(
@@ -129,7 +130,30 @@ def test_what_makes_no_sense_is_refused_and_it_lives_on(lasting, order):
     with pytest.raises(InvalidInput):
         lasting.do(order)
     time.sleep(0.002)
-    assert len(opened(lasting.frame())[1])
+    assert len(opened(packed(*lasting.frame()))[1])
+
+
+def test_what_was_sampled_in_frames_that_a_page_missed_comes_with_the_next():
+    sent = []
+
+    class Socket:
+        async def send_bytes(self, message):
+            sent.append(opened(message))
+
+    async def watched():
+        viewer = _Viewer(Socket())
+        sender = asyncio.create_task(viewer.send_frames())
+        rows = iter(np.arange(6000.0).reshape(-1, 1))
+        for length, wait in ((3, True), (2, True), (4, False), (5, False)):
+            viewer.offer({"of": length}, np.array([next(rows) for _ in range(length)]))
+            await asyncio.sleep(0.01 if wait else 0)
+        viewer.confirmed.set()
+        await asyncio.sleep(0.01)
+        sender.cancel()
+
+    asyncio.run(watched())
+    assert [head["of"] for head, _ in sent] == [3, 5]  # the newest only
+    assert sent[1][1].tolist() == list(range(3, 14))  # and nothing between is lost
 
 
 def test_a_page_gets_frames_and_refusals_over_the_socket(project):

@@ -14,8 +14,8 @@ from ambrose.annexes.workbench.blocks import Refusal
 from ambrose.annexes.workbench.desk import Desk
 from ambrose.annexes.workbench.project import Project, begin
 from ambrose.annexes.workbench.screens import answer
-from ambrose.annexes.workbench.screens.machine import fields_of
 from ambrose.core.checks import InvalidInput
+from ambrose.machine.file.fields import fields_of
 from ambrose.machine.file.toml import bundled_machines, load_machine
 from ambrose.report.svg import svg
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from ambrose.machine.machine import Machine
     from ambrose.rig.live import Frame
 
-SAMPLES = 600  # of a frame at most: what a screen shows
+SAMPLES = 2048  # of a message at most: a spectrum
 _LATE = 0.1  # [s] that a frame makes up for at most; more is dropped
 _BUSY = 0.02  # [s] of computing in a frame, as fast as it can
 _PACES = {"real": 1.0, "slow": 0.1, "fast": math.inf}
@@ -100,6 +100,7 @@ class LiveSession:
             "dt": rig.dt,
             "speed": self._top_speed,
             "controls": self._controls(),
+            "scope": _scope_form(self.columns, f"y {rig.axes[0]}"),
             "same": {"Python": _SAME},
         }
 
@@ -191,8 +192,8 @@ class LiveSession:
         kinds = [f"{kind} {axis}" for kind in ("u", "i", "y") for axis in self.rig.axes]
         return places + kinds
 
-    def frame(self) -> bytes:
-        """The rig advanced by what went by since the last frame, as one message."""
+    def frame(self) -> tuple[dict[str, Any], np.ndarray]:
+        """The rig advanced by what went by since the last frame: head and samples of a message."""
         begun = time.perf_counter()
         gone = 0.0 if self._clock is None else begun - self._clock
         self._clock = begun
@@ -220,7 +221,7 @@ class LiveSession:
             "facts": self._facts(told),
             "warnings": self._warnings(told),
         }
-        return _packed(head, self._shown(told.log[-SAMPLES:]))
+        return head, self._shown(told.log[-SAMPLES:])
 
     def _set(self) -> dict[str, Any]:
         """What the controls stand at."""
@@ -277,7 +278,8 @@ class LiveSession:
         """The columns of a frame from those of the rig's log: y, u, i, f, then stations."""
         a = len(self.rig.axes)
         places = log[:, 4 * a :].reshape(len(log), len(self.rig.stations), 2)
-        xy = np.einsum("sij,ksj->ksi", self._turn, places).reshape(len(log), len(self.rig.ports))
+        xy = self._turn[..., 0] * places[..., :1] + self._turn[..., 1] * places[..., 1:]
+        xy = xy.reshape(len(log), len(self.rig.ports))
         return np.hstack([xy, log[:, a : 3 * a], log[:, :a]])
 
     def pause(self) -> None:
@@ -391,7 +393,7 @@ ACTIONS: dict[str, Callable[[LiveSession, Mapping[str, Any]], None]] = {
 }
 
 
-def _packed(head: Mapping[str, Any], samples: np.ndarray) -> bytes:
+def packed(head: Mapping[str, Any], samples: np.ndarray) -> bytes:
     """One message: see the top of this file."""
     text = json_text(head).encode()
     text += b" " * (-len(text) % 4)
@@ -411,6 +413,16 @@ def starting_form(project: Project, controller: str = "") -> Block:
     buttons = [blocks.button(text, "restart", initial=initial) for initial, text in ways.items()]
     chosen = blocks.choice("controller", "Controller", names, controller)
     return blocks.form("start", [chosen], buttons, "Start again")
+
+
+def _scope_form(columns: list[str], signal: str) -> Block:
+    """What the scope shows."""
+    fields = [
+        blocks.choice("signal", "Signal", columns, signal),
+        blocks.choice("span", "Seconds", ["0.02", "0.1", "0.4"], "0.1"),
+        blocks.choice("trigger", "Trigger", ["rising", "free"]),
+    ]
+    return blocks.form("scope", fields, title="Scope", live="scope")
 
 
 def _slider(

@@ -1,22 +1,23 @@
 """Who looks at the live rig: one rig, any number of pages, each at the pace that it can take.
 
 A page confirms a frame before it gets the next one, which is then the newest there is: late frames
-are dropped and never queued. With the last page the rig stands still; it goes on from there when a
-page comes back.
+are dropped and never queued; what was sampled in them goes with the next, up to a spectrum's
+length. With the last page the rig stands still; it goes on from there when a page comes back.
 """
 
 from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any
 
+import numpy as np
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from ambrose.annexes.workbench.live import LiveSession, starting_form
+from ambrose.annexes.workbench.live import SAMPLES, LiveSession, packed, starting_form
 from ambrose.annexes.workbench.project import Project
 from ambrose.core.checks import AmbroseError
 from ambrose.core.presentation import json_text
@@ -24,6 +25,7 @@ from ambrose.core.presentation import json_text
 FRAMES = 40.0  # a second
 THREAD = "live-rig"
 _LONGEST = 4000  # characters of what a page says
+_UNSENT = 20  # frames of which samples are kept for a page that is late
 
 
 class _Viewer:
@@ -34,12 +36,19 @@ class _Viewer:
         self.confirmed = asyncio.Event()
         self.confirmed.set()
         self.fresh = asyncio.Event()
-        self.newest: bytes | None = None
+        self.head: Mapping[str, Any] = {}
+        self.samples: list[np.ndarray] = []
 
-    def offer(self, frame: bytes) -> None:
-        """A frame in place of one that was not sent yet."""
-        self.newest = frame
+    def offer(self, head: Mapping[str, Any], samples: np.ndarray) -> None:
+        """A frame in place of one that was not sent yet, whose samples go with it."""
+        self.head = head
+        self.samples = [*self.samples[-_UNSENT:], samples]
         self.fresh.set()
+
+    def forget(self) -> None:
+        """What was not sent yet is of another rig."""
+        self.samples = []
+        self.fresh.clear()
 
     async def send_frames(self) -> None:
         """Until the socket breaks."""
@@ -48,8 +57,9 @@ class _Viewer:
             await self.fresh.wait()
             self.fresh.clear()
             self.confirmed.clear()
-            if self.newest is not None:
-                await self.socket.send_bytes(self.newest)
+            samples = np.concatenate(self.samples)[-SAMPLES:]
+            self.samples = []
+            await self.socket.send_bytes(packed(self.head, samples))
 
     async def tell(self, **content: Any) -> None:
         """A message in words or data, beside the frames."""
@@ -144,6 +154,8 @@ class LiveRoom:
             # the one before goes on
             await self._tell_all(failed=str(error), start=starting_form(self._project))
         else:
+            for viewer in self._viewers:
+                viewer.forget()
             await self._tell_all(**described)
         self._ensure_driven()
 
@@ -183,7 +195,7 @@ class LiveRoom:
                 await self._tell_all(failed=f"the rig stopped by a mistake of its own: {error!r}")
                 raise
             for viewer in self._viewers:
-                viewer.offer(frame)
+                viewer.offer(*frame)
             due = max(due + 1.0 / FRAMES, clock.time())
             await asyncio.sleep(due - clock.time())
 

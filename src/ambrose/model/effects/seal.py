@@ -5,8 +5,10 @@ k > 0 drives forward whirl.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -115,22 +117,23 @@ def force(
 
 def _interpolated(name: str, table: SealTable, point: Mapping[str, float]) -> dict[str, float]:
     """Values of the table's coefficients at a point, linear between the grid's points."""
-    from scipy.interpolate import RegularGridInterpolator
+    places = []
+    for axis, grid in table.axes:
+        at = _inside(name, axis, np.asarray(grid, dtype=float), point[axis])
+        # grid[i] <= at <= grid[i + 1], and how far between them
+        i = min(max(bisect_right(grid, at) - 1, 0), max(len(grid) - 2, 0))
+        share = (at - grid[i]) / (grid[i + 1] - grid[i]) if len(grid) > 1 else 0.0
+        places.append((i, share))
+    return {coefficient: _between(values, places) for coefficient, values in table.values}
 
-    grids = [np.asarray(grid, dtype=float) for _, grid in table.axes]
-    at = [
-        _inside(name, axis, grid, point[axis])
-        for (axis, _), grid in zip(table.axes, grids, strict=True)
-    ]
-    # an axis of one point holds only there
-    wide = [i for i, grid in enumerate(grids) if len(grid) > 1]
-    result = {}
-    for coefficient, values in table.values:
-        array = np.asarray(values, dtype=float).squeeze()
-        if wide:
-            array = RegularGridInterpolator([grids[i] for i in wide], array)([at[i] for i in wide])
-        result[coefficient] = float(array.item())
-    return result
+
+def _between(values: Any, places: Sequence[tuple[int, float]]) -> float:
+    """The value at a place of a nested grid, linear along each axis."""
+    if not places:
+        return float(values)
+    (i, share), *rest = places
+    low = _between(values[i], rest)
+    return low if share == 0 else (1 - share) * low + share * _between(values[i + 1], rest)
 
 
 def _inside(name: str, axis: str, grid: np.ndarray, value: float) -> float:

@@ -10,7 +10,7 @@ from typing import Any
 from ambrose.annexes.workbench import blocks
 from ambrose.annexes.workbench.project import MACHINE, Project
 from ambrose.annexes.workbench.screens import Screen
-from ambrose.annexes.workbench.screens.machine import fields_of
+from ambrose.machine.file.fields import fields_of
 from ambrose.machine.file.toml import loads_machine, read_machine_text
 from ambrose.report.tables import operating_points_table
 from ambrose.report.units import quantity

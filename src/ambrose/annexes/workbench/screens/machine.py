@@ -8,9 +8,7 @@ fingerprint of the text that was read: an edit of a text that has changed since 
 from __future__ import annotations
 
 import hashlib
-import re
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from ambrose.annexes.workbench import beginning, blocks
@@ -19,7 +17,7 @@ from ambrose.annexes.workbench.given import texts, width, word
 from ambrose.annexes.workbench.project import MACHINE, Project
 from ambrose.annexes.workbench.screens import Answer, Screen
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.file.parse import called
+from ambrose.machine.file.fields import beside, fields_of, tables_of, with_fields
 from ambrose.machine.file.toml import loads_machine, read_machine_text
 from ambrose.machine.limits import TOML_BYTES
 from ambrose.machine.machine import Machine
@@ -28,7 +26,6 @@ from ambrose.report.svg import svg
 
 _WIDEST = 1000  # [px] of the drawing
 _FIELDS = 4000  # of one form at most
-Place = tuple[str | int, ...]
 
 
 def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -41,7 +38,7 @@ def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     except InvalidInput as error:
         lead = blocks.words("problem", str(error), "The file is no machine", "bad")
         return blocks.content([lead, _whole_text(text)], stamp=stamp_of(text))
-    tables = [_table_form(text, name, title) for name, title in _tables(text)]
+    tables = [_table_form(text, name, title) for name, title in tables_of(text)]
     rest = [*tables, _whole_text(text), *beginning.forms(project)]
     return blocks.content([*_seen(machine, given), *rest], stamp=stamp_of(text))
 
@@ -76,69 +73,6 @@ def _seen(machine: Machine, given: Mapping[str, Any]) -> list[Block]:
 def stamp_of(text: str) -> str:
     """The fingerprint of a text."""
     return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-
-# the tables of a file and their fields
-
-
-def _document(text: str) -> Any:
-    import tomlkit
-
-    return tomlkit.parse(text)
-
-
-def _tables(text: str) -> list[tuple[str, str]]:
-    """Name and heading of every table at the top of the file."""
-    document = _document(text)
-    return [
-        (name, f"[[{name}]]" if isinstance(value, list) else f"[{name}]")
-        for name, value in document.items()
-        if isinstance(value, list | dict)
-    ]
-
-
-def _entries(value: Any, place: Place, where: str) -> Iterator[tuple[Place, str, Any]]:
-    """Place, heading and value of everything below a table that is no table itself."""
-    if isinstance(value, dict):
-        for key, below in value.items():
-            if key == "assumed":  # reasons, in many words
-                continue
-            name = ".".join(str(part) for part in (*place, key) if isinstance(part, str))
-            if isinstance(below, dict):
-                heading = f"{where}, [{name}]" if where and len(place) > 1 else f"[{name}]"
-                yield from _entries(below, (*place, key), heading)
-            elif isinstance(below, list) and below and isinstance(below[0], dict):
-                yield from _listed(below, (*place, key), where if len(place) > 1 else "", name)
-            else:
-                yield (*place, key), where, below
-
-
-def _listed(value: Any, place: Place, where: str, name: str) -> Iterator[tuple[Place, str, Any]]:
-    """As ``_entries``, of tables in double brackets."""
-    for i, entry in enumerate(value):
-        heading = f"[[{name}]] {called(entry, name.rpartition('.')[2], i + 1)}"
-        yield from _entries(entry, (*place, i), f"{where}, {heading}" if where else heading)
-
-
-def fields_of(text: str) -> dict[str, tuple[str, str]]:
-    """Of every value of a machine file: its heading as messages have it, and how it is written;
-    under its place, "bearing.0.gap".
-    """
-    document = _document(text)
-    found: dict[str, tuple[str, str]] = {}
-    for name, value in document.items():
-        if isinstance(value, list):
-            entries = _listed(value, (name,), "", name)
-        else:
-            entries = _entries(value, (name,), f"[{name}]")
-        for place, where, item in entries:
-            found[".".join(map(str, place))] = where, _written(item)
-    return found
-
-
-def _written(item: Any) -> str:
-    """A value as it stands in the file; texts without their quotes."""
-    return str(item) if isinstance(item, str) else item.as_string()
 
 
 def _table_form(text: str, table: str, title: str) -> Block:
@@ -186,12 +120,7 @@ def _then(way: Callable[[Project, Mapping[str, Any]], str]) -> Answer:
 def _save(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     """Fields by their place; only what differs from the file is written."""
     text = _current(project, given)
-    document = _document(text)
-    before = fields_of(text)
-    for name, value in texts(given, _FIELDS).items():
-        if name in before and value != before[name][1]:
-            _set(document, name.split("."), value)
-    return _keep(project, given, text, document.as_string())
+    return _keep(project, given, text, with_fields(text, texts(given, _FIELDS)))
 
 
 def _write(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -213,27 +142,6 @@ def _current(project: Project, given: Mapping[str, Any]) -> str:
     return text
 
 
-def _set(document: Any, place: list[str], value: str) -> None:
-    """A value at its place, a text unless it reads as a number, a list or true and false; taken out
-    where nothing is given.
-    """
-    import tomlkit
-    from tomlkit.exceptions import TOMLKitError
-
-    item = document
-    for part in place[:-1]:
-        item = item[int(part)] if part.isdecimal() and isinstance(item, list) else item[part]
-    text = value.strip()
-    if not text:
-        item.remove(place[-1])
-        return
-    new: Any = text
-    if not isinstance(item[place[-1]], str) or re.match(r"[-+\d\[]", text):
-        with suppress(TOMLKitError, ValueError):
-            new = tomlkit.value(text)
-    item[place[-1]] = new
-
-
 def _keep(project: Project, given: Mapping[str, Any], before: str, text: str) -> dict[str, Any]:
     """The text written, if it is a machine's. Raises Refusal with a sentence for each field."""
     from ambrose.machine.atomic_write import write_text
@@ -241,33 +149,10 @@ def _keep(project: Project, given: Mapping[str, Any], before: str, text: str) ->
     try:
         loads_machine(text, MACHINE)
     except InvalidInput as error:
-        raise Refusal(str(error), _beside(error, text)) from None
+        raise Refusal(str(error), beside(error, text, MACHINE)) from None
     if text != before:
         write_text(project.machine, text, "machine file")
     return {**show(project, given), "told": f"{MACHINE} is saved."}
-
-
-def _beside(error: InvalidInput, text: str) -> dict[str, str]:
-    """The sentences of a refusal by the fields that they are about."""
-    lines = getattr(error, "problems", None) or [
-        line.removeprefix("  - ").removeprefix(f"{MACHINE}: ") for line in str(error).splitlines()
-    ]
-    with suppress(Exception):  # what is no TOML has no fields
-        found: dict[str, str] = {}
-        for name, (where, _) in fields_of(text).items():
-            key = name.rpartition(".")[2]
-            about = [line for line in lines if _is_about(line, where, key)]
-            if about:
-                found[name] = " ".join(about)
-        return found
-    return {}
-
-
-def _is_about(line: str, where: str, key: str) -> bool:
-    """Whether a sentence begins with a place and a key."""
-    head = f"{where}: "
-    begins = rf'(unknown key ")?{re.escape(key)}\b'
-    return line.startswith(head) and re.match(begins, line[len(head) :]) is not None
 
 
 _WAYS = {"begin": beginning.bundled, "template": beginning.template, "take": beginning.take}

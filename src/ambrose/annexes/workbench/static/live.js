@@ -1,9 +1,11 @@
 // The live rig: orbits that one knocks, currents against their limits, what can be turned and broken.
 import { make, say } from "/static/page.js";
 import { form, sameAs } from "/static/controls.js";
-import { begin, canvas, circle, extent, ink, path, rounded, series, short, write } from "/static/plot.js";
+import { begin, canvas, circle, extent, ink, path, rounded, short, write } from "/static/plot.js";
 import { scope } from "/static/scope.js";
 import { stream } from "/static/stream.js";
+
+const POINTS = 480; // of an orbit that are drawn
 
 export function live(place) {
   place.append(make("p", {}, "Connecting to the rig …"));
@@ -38,15 +40,21 @@ function build(place, rig, act) {
         "Click an orbit to knock the rotor there, in that direction; with the keyboard, arrow keys.")),
     make("section", { className: "panel" }, make("h2", {}, "Control currents"), currents), watch.panel),
   panel));
-  let [drawn, since, rate] = [0, performance.now(), 0];
+  let [drawn, since, rate, told] = [0, performance.now(), 0, 0];
+  const trail = []; // samples of the frames before, the newest at the end
   return { show: (head, samples, columns) => {
     drawn += 1;
     const now = performance.now();
     if (now - since > 1000) [rate, drawn, since] = [(1000 * drawn) / (now - since), 0, now];
-    orbits.forEach((o) => o.show(head, samples, columns));
-    if (samples.length) bars(currents, rig, samples, columns);
+    if (samples.length || !trail.length) trail.push(samples);
+    if (trail.length > 6) trail.shift();
+    const fresh = now - told > 200; // words change five times a second
+    orbits.forEach((o) => o.show(head, trail, columns, fresh));
+    if (samples.length && !currents.away) bars(currents, rig, samples, columns);
     watch.add(head, samples, columns);
     watch.draw(head);
+    if (!fresh) return;
+    told = now;
     forms.forEach((element) => element.set(head.set));
     const words = { ...head.facts, frames: `${rate.toFixed(0)} a second` };
     facts.replaceChildren(...Object.entries(words).map(([name, text]) =>
@@ -59,7 +67,6 @@ function orbit(rig, station, s, act) {
   element.tabIndex = 0;
   const caption = make("figcaption", {});
   const gap = rig.gaps[s];
-  const trail = [];
   let [arrow, strength, reach] = [null, 0, rig.scale];
   const knock = (x, y) => {
     arrow = { x, y, until: performance.now() + 250 };
@@ -71,18 +78,15 @@ function orbit(rig, station, s, act) {
   });
   const keys = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
   element.addEventListener("keydown", (event) => {
-    if (!keys[event.key]) return;
-    event.preventDefault();
-    knock(...keys[event.key]);
+    if (keys[event.key]) { event.preventDefault(); knock(...keys[event.key]); }
   });
-  function show(head, samples, columns) {
-    const count = samples.length / columns;
-    if (count) trail.push(samples);
-    if (trail.length > 5) trail.shift();
+  function show(head, trail, columns, fresh) {
+    if (element.away) return;
+    const newest = trail[trail.length - 1];
     let most = 0;
-    const newest = trail[trail.length - 1] || samples;
     for (let k = 2 * s; k < newest.length; k += columns)
-      most = Math.max(most, Math.hypot(newest[k], newest[k + 1]));
+      most = Math.max(most, newest[k] * newest[k] + newest[k + 1] * newest[k + 1]);
+    most = Math.sqrt(most);
     const full = 1.15 * (gap || Math.max(rig.scale, most));
     reach = head.set.near ? Math.min(full, Math.max(rounded(1.2 * most), reach * 0.98, full / 200)) : full;
     strength = head.set.strength;
@@ -93,15 +97,22 @@ function orbit(rig, station, s, act) {
     path(g, 2, () => half, (i) => [0, width][i], ink.faint);
     for (const [zone, share] of Object.entries(s < rig.bearings ? rig.zones : {})) {
       const radius = share * rig.scale * unit;
-      circle(g, half, half, radius, ink.warm, [4, 4]);
+      if (radius < 1.4 * half) circle(g, half, half, radius, ink.warm, [4, 4]);
       if (radius < half && radius > 20) write(g, zone, half + 0.707 * radius, half - 0.707 * radius + 4);
     }
-    if (gap) circle(g, half, half, gap * unit, ink.limit);
-    trail.forEach((old, age) => {
-      g.globalAlpha = (age + 1) / trail.length;
-      path(g, old.length / columns, (k) => half + unit * old[k * columns + 2 * s],
-        (k) => half - unit * old[k * columns + 2 * s + 1], ink.line);
-    });
+    if (gap && gap * unit < 1.4 * half) circle(g, half, half, gap * unit, ink.limit);
+    // two dozen points of a turn are enough
+    const stride = columns * Math.min(4, Math.max(1, Math.floor(0.26 / (rig.dt * (head.speed + 1)))));
+    let left = POINTS;
+    for (let age = trail.length - 1; age >= 0 && left > 0; age -= 1) {
+      const old = trail[age];
+      const end = old.length - columns + 2 * s;
+      const count = Math.min(left, Math.ceil(old.length / stride));
+      g.globalAlpha = left / POINTS;
+      path(g, count, (k) => half + unit * old[end - k * stride],
+        (k) => half - unit * old[end - k * stride + 1], ink.line);
+      left -= count;
+    }
     g.globalAlpha = 1;
     const end = newest.length - columns + 2 * s; // where it is now, also when it stands still
     if (end >= 0) circle(g, half + unit * newest[end], half - unit * newest[end + 1], 2, ink.line);
@@ -109,8 +120,9 @@ function orbit(rig, station, s, act) {
       g.lineWidth = 3;
       path(g, 2, (i) => half + i * arrow.x * half, (i) => half - i * arrow.y * half, ink.line2);
     }
-    const touched = head.contact[s] ? ", touching" : "";
-    caption.textContent = `${station}: ${short(most, "m")}${touched}; circle ${short(reach, "m")}`;
+    if (!fresh) return;
+    const size = `${short(most, "m")}${head.contact[s] ? ", touching" : ""}`;
+    caption.textContent = `${station}: ${size}; circle ${short(reach, "m")}`;
     caption.className = head.contact[s] ? "bad" : "";
   }
   return { figure: make("figure", {}, element, caption), show };
@@ -128,7 +140,7 @@ function bars(element, rig, samples, columns) {
     const full = Math.max(-low, high) >= 0.999 * most;
     g.fillStyle = ink.faint;
     g.fillRect(12, y, 2 * half, 10);
-    g.fillStyle = full ? ink.limit : series()[0];
+    g.fillStyle = full ? ink.limit : ink.line;
     g.fillRect(X(low), y, Math.max(X(high) - X(low), 2), 10);
     path(g, 2, () => X(0), (i) => y - 2 + 14 * i, ink.muted);
     const limit = rig.limits[a] ? `of ±${short(most, "A")}${full ? ", at the limit" : ""}` : "no limit";

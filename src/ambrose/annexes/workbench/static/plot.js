@@ -1,14 +1,13 @@
 // Canvases in the look of the pages: circles of an orbit, curves over an axis, a waterfall.
 
-const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-export let ink = {};
+export const ink = {};
 function look() {
-  for (const name of ["ink", "muted", "faint", "paper", "limit", "line", "line2", "line3", "line4",
-    "good", "warm"]) ink[name] = colour(`--${name}`);
+  const css = getComputedStyle(document.documentElement);
+  for (const name of ["ink", "muted", "faint", "limit", "line", "line2", "warm"])
+    ink[name] = css.getPropertyValue(`--${name}`).trim();
 }
 look();
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", look);
-export const series = () => [ink.line, ink.line2, ink.line3, ink.line4];
 
 export function canvas(words, height) {
   const element = document.createElement("canvas");
@@ -16,20 +15,27 @@ export function canvas(words, height) {
   element.setAttribute("aria-label", words);
   if (height) element.style.height = `${height}px`;
   else element.style.aspectRatio = "1";
+  sized.observe(element);
+  seen.observe(element);
   return element;
 }
+
+// sizes come without asking for a layout; what is out of sight is not drawn
+const sized = new ResizeObserver((all) => all.forEach((e) => { e.target.room = e.contentRect; }));
+const seen = new IntersectionObserver((all) => all.forEach((e) => { e.target.away = !e.isIntersecting; }));
 
 // the drawing context, cleared, in CSS pixels
 export function begin(element) {
   const scale = Math.min(window.devicePixelRatio || 1, 2);
-  const { clientWidth: width, clientHeight: height } = element;
+  element.room ??= { width: element.clientWidth, height: element.clientHeight };
+  const { width, height } = element.room;
   if (element.width !== Math.round(width * scale)) element.width = Math.round(width * scale);
   if (element.height !== Math.round(height * scale)) element.height = Math.round(height * scale);
   const g = element.getContext("2d");
   g.setTransform(scale, 0, 0, scale, 0, 0);
   g.clearRect(0, 0, width, height);
   g.font = "12px Helvetica, Arial, sans-serif";
-  g.lineWidth = 1.5;
+  g.lineWidth = 1; // a hairline costs a fifth of a wider one
   return { g, width, height };
 }
 
@@ -49,19 +55,20 @@ export function extent(values, from = 0, step = 1) {
   return [low, high];
 }
 
-export function path(g, count, x, y, stroke, dash = []) {
+function stroked(g, stroke, dash, trace) {
   g.setLineDash(dash);
   g.strokeStyle = stroke;
   g.beginPath();
-  for (let i = 0; i < count; i += 1) g.lineTo(x(i), y(i));
+  trace();
   g.stroke();
-  g.setLineDash([]);
 }
 
-export function circle(g, x, y, radius, stroke, dash = []) {
-  const turn = (i) => (2 * Math.PI * i) / 72;
-  path(g, 73, (i) => x + radius * Math.cos(turn(i)), (i) => y + radius * Math.sin(turn(i)), stroke, dash);
-}
+export const path = (g, count, x, y, stroke, dash = []) => stroked(g, stroke, dash, () => {
+  for (let i = 0; i < count; i += 1) g.lineTo(x(i), y(i));
+});
+
+export const circle = (g, x, y, radius, stroke, dash = []) =>
+  stroked(g, stroke, dash, () => g.arc(x, y, radius, 0, 2 * Math.PI));
 
 // 1, 2 or 5 times a power of ten, at least the value
 export function rounded(value) {
@@ -78,8 +85,8 @@ export function short(value, unit) {
   return `${Number((value / 10 ** power).toPrecision(3))} ${SIGNS[power]}${unit}`.trim();
 }
 
-// curves: [{x, y, stroke, dash}]; axes: {x: [low, high], y: [low, high], log: [x, y], names, marks}
-export function curves(element, list, axes) {
+// values a step apart from 0 on; axes: {x: [low, high], y: [low, high], log: whether y is, names, marks}
+export function curve(element, values, step, axes) {
   const { g, width, height } = begin(element);
   const [left, right, top, bottom] = [50, 8, 8, 34];
   const scale = (range, log, from, to) => {
@@ -87,14 +94,13 @@ export function curves(element, list, axes) {
     const [low, high] = range.map(f);
     return (v) => from + ((f(v) - low) / (high - low || 1)) * (to - from);
   };
-  const X = scale(axes.x, axes.log?.[0], left, width - right);
-  const Y = scale(axes.y, axes.log?.[1], height - bottom, top);
-  g.lineWidth = 1;
-  ticks(axes.x, axes.log?.[0], (width - left) / 70).forEach((v) => {
+  const X = scale(axes.x, false, left, width - right);
+  const Y = scale(axes.y, axes.log, height - bottom, top);
+  ticks(axes.x, false, (width - left) / 70).forEach((v) => {
     path(g, 2, () => X(v), (i) => [top, height - bottom][i], ink.faint);
     write(g, short(v, ""), X(v), height - bottom + 14);
   });
-  ticks(axes.y, axes.log?.[1], (height - bottom) / 30).forEach((v) => {
+  ticks(axes.y, axes.log, (height - bottom) / 30).forEach((v) => {
     path(g, 2, (i) => [left, width - right][i], () => Y(v), ink.faint);
     write(g, short(v, ""), left - 5, Y(v) + 4, "right");
   });
@@ -105,16 +111,14 @@ export function curves(element, list, axes) {
   g.rect(left, top, width - left - right, height - top - bottom);
   g.clip();
   for (const value of axes.marks || []) path(g, 2, () => X(value), (i) => i * height, ink.limit, [2, 3]);
-  g.lineWidth = 1.6;
-  for (const c of list) path(g, c.x.length, (i) => X(c.x[i]), (i) => Y(c.y[i]), c.stroke, c.dash);
+  path(g, values.length, (i) => X(i * step), (i) => Y(values[i]), ink.line);
   g.restore();
 }
 
 function ticks([low, high], log, room) {
   if (log) {
     const decades = [];
-    const from = Math.ceil(Math.log10(low) - 1e-9);
-    const to = Math.floor(Math.log10(high) + 1e-9);
+    const [from, to] = [Math.ceil(Math.log10(low) - 1e-9), Math.floor(Math.log10(high) + 1e-9)];
     for (let p = from; p <= to; p += Math.ceil((to - from + 1) / room)) decades.push(10 ** p);
     return decades.length > 1 ? decades : [low, high];
   }

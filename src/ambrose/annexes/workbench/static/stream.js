@@ -22,8 +22,8 @@ export function stream(on) {
       const head = JSON.parse(new TextDecoder().decode(new Uint8Array(event.data, 4, length)));
       const samples = new Float32Array(event.data, 4 + length);
       requestAnimationFrame(() => {
+        if (mine.readyState === WebSocket.OPEN) mine.send("ok"); // the next comes while this is drawn
         if (columns) on.frame(head, samples, columns);
-        if (mine.readyState === WebSocket.OPEN) mine.send("ok");
       });
     };
     mine.onclose = () => {
