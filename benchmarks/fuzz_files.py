@@ -1,7 +1,7 @@
 """Random damage to every kind of file that the command line reads: refused with exit status 2 and a
 message, or read.
 
-    python -m benchmarks.fuzz_files [number of each kind, 1000] [seed, 0]
+    python -m benchmarks.fuzz_files [number of each kind, 1000] [seed, 0] [kinds, all]
 
 A kind's files are read in a worker, so that a crash, a hang and memory without end are seen as
 such; the worker goes on behind them. Counted as a breach of the contract: a traceback, an exit
@@ -19,12 +19,14 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from unittest import mock
 
 SECONDS = 30
+EVERY_TABLE = Path("tests", "machine", "small.toml")
+TEXTS = {"machine", "every table", "controller", "csv", "plan", "scenario", "log"}
 MACHINE = """[machine]
 schema = 1
 name = "tiny"
@@ -76,6 +78,38 @@ seal_pressure = "1 bar"
 [[tolerance]]
 parameter = "bearing.A.negative_stiffness"
 relative = "10 %"
+"""
+PLAN = """[campaign]
+task = "screen"
+machine = "tiny.toml"
+controller = "k.json"
+plan = "grid"
+[options]
+delay_samples = 1
+[vary]
+"point.speed" = {from = "0 Hz", to = "100 Hz", count = 2}
+"point.seal_pressure" = ["0 bar", "1 bar"]
+"machine.bearing.*.negative_stiffness" = {from = 0.9, to = 1.1, count = 2, times = true}
+"tolerance.bearing.A.negative_stiffness" = [-1.0, 1.0]
+"controller.gain" = [1.0, 1.1]
+"""
+SCENARIO = """name = "knocks"
+duration = "20 ms"
+speed = "50 Hz"
+to_speed = "60 Hz"
+ramp = "10 ms"
+[[pulse]]
+signal = "e_first_zeta"
+amplitude = "0.1 A"
+start = "5 ms"
+duration = "2 ms"
+[[sine]]
+signal = "d_last_eta"
+amplitude = "1 um"
+frequency = "100 Hz"
+[[unbalance]]
+port = "A"
+amount = "1 g mm"
 """
 COLUMNS = """machine = "tiny"
 sample_rate_hz = 1000
@@ -171,6 +205,12 @@ def originals(folder: Path) -> dict[str, list[bytes]]:
     scheduled = ScheduledSystem([0.0, 500.0, 1000.0], [law] * 3)
     laws = [pid, Synthesis(law, "lpv", scheduled=scheduled)]
     found["controller"] = [write_controller(folder / "k.json", item).read_bytes() for item in laws]
+    write_controller(folder / "k.json", pid)
+    # every table that a machine file can hold, five axes and synchronous blocks among them
+    found["every table"] = [(Path(__file__).parent.parent / EVERY_TABLE).read_bytes()]
+    found["plan"] = [PLAN.encode()]
+    found["scenario"] = [SCENARIO.encode()]
+    found["log"] = [logged(machine, pid, folder)]
     wave = np.sin(np.arange(50.0))
     record = Record(
         "tiny",
@@ -215,6 +255,21 @@ def originals(folder: Path) -> dict[str, list[bytes]]:
             )
     found["tdms"] = [(folder / "r.tdms").read_bytes()]
     return found
+
+
+def logged(machine: Path, law: object, folder: Path) -> bytes:
+    """A text record of the closed loop, as a data logger writes it: what a user reads back."""
+    import ambrose as amb
+    from ambrose.record.files import write_record
+
+    scenario = folder / "excited.toml"
+    scenario.write_text(
+        'name = "excited"\nduration = "60 ms"\n[[prbs]]\nsignal = "e_first_zeta"\n'
+        'amplitude = "50 mA"\nbit_time = "1 ms"\n'
+    )
+    plant = amb.reduce(amb.assemble(amb.load_machine(machine)))
+    trace = amb.simulate(plant, law, scenario, linear=True)
+    return write_record(trace.record, folder / "log.csv").read_bytes()
 
 
 def mutated(data: bytes, chance: random.Random, *, text: bool) -> bytes:
@@ -284,7 +339,7 @@ def cases(kind: str, files: list[bytes], seed: int) -> Iterator[bytes]:
     number = 0
     while True:
         chance = random.Random(f"{kind} {seed} {number}")
-        yield mutated(chance.choice(files), chance, text=kind in {"machine", "controller", "csv"})
+        yield mutated(chance.choice(files), chance, text=kind in TEXTS)
         number += 1
 
 
@@ -297,9 +352,24 @@ def judge(kind: str, path: Path, folder: Path, *, apart: bool = False) -> str:
     from ambrose.record import foreign
     from ambrose.record.mat_tdms import read_variables
 
+    tiny = str(folder / "tiny.toml")
+    running = ["--controller", str(folder / "k.json")]
+    out = ["-o", str(folder / "out.h5")]
     commands = {
         "machine": ["check", str(path)],
-        "controller": ["verify", str(folder / "tiny.toml"), "--controller", str(path)],
+        "every table": ["check", str(path)],
+        "controller": ["verify", tiny, "--controller", str(path)],
+        "plan": ["campaign", str(path), "--workers", "1", "--most", "2", *out_folder(folder)],
+        "scenario": ["simulate", tiny, *running, "--scenario", str(path), "--linear", *out],
+        "log": random.Random(path.read_bytes()).choice(
+            [
+                ["record", "check", str(path), tiny],
+                ["balance", tiny, str(path), "--plane", "A=20 mm", *running],
+                ["accept", tiny, running[1], str(path)],
+                ["calibrate", tiny, "--levitated", str(path)],
+                ["frf", tiny, str(path), *running],
+            ]
+        ),
     }
     columns = folder / f"{kind}.map.toml"
     given = ["--columns", str(columns)] if columns.exists() else []
@@ -320,14 +390,20 @@ def judge(kind: str, path: Path, folder: Path, *, apart: bool = False) -> str:
         )
     return (
         "read"
-        if result.exit_code in ({0, 1} if kind in {"controller", "machine"} else {0})
+        if result.exit_code in ({0} if kind in {"csv", "hdf5", "mat", "tdms"} else {0, 1})
         else f"status {result.exit_code}"
     )
 
 
+def out_folder(folder: Path) -> list[str]:
+    """A folder of its own for every plan: rows of an earlier one would be taken up."""
+    return ["-o", tempfile.mkdtemp(dir=folder), "--pages", "0"]
+
+
 def place(kind: str, folder: Path) -> Path:
     """Where the damaged file goes."""
-    suffixes = {"machine": "toml", "controller": "json", "hdf5": "h5"}
+    suffixes = {"machine": "toml", "every table": "toml", "plan": "toml", "scenario": "toml"}
+    suffixes |= {"controller": "json", "hdf5": "h5", "log": "csv"}
     return folder / f"damaged.{suffixes.get(kind, kind)}"
 
 
@@ -409,11 +485,12 @@ def prepare(folder: Path) -> list[str]:
     return list(found)
 
 
-def run(count: int, seed: int) -> int:
-    """All kinds; the number of breaches."""
+def run(count: int, seed: int, kinds: Sequence[str] = ()) -> int:
+    """All kinds, or those named; the number of breaches."""
     total = 0
     with tempfile.TemporaryDirectory() as name:
-        for kind in prepare(Path(name)):
+        every = prepare(Path(name))
+        for kind in kinds or every:
             tally, breaches = campaign(kind, Path(name), seed, count)
             print(f"{kind:12s}", dict(tally), flush=True)
             print("".join(f"  {line}\n" for line in breaches), end="", flush=True)
@@ -425,4 +502,5 @@ if __name__ == "__main__":
     if sys.argv[1:2] == ["work"]:
         work(sys.argv[2], Path(sys.argv[3]), *map(int, sys.argv[4:]))
     else:
-        sys.exit(bool(run(*map(int, [*sys.argv[1:], "1000", "0"][:2]))))
+        given = [*sys.argv[1:], *["1000", "0"][len(sys.argv) - 1 :]]
+        sys.exit(bool(run(int(given[0]), int(given[1]), given[2:])))

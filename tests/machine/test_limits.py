@@ -499,7 +499,9 @@ def workshop(tmp_path_factory):
     return folder, fuzz_files.prepare(folder)
 
 
-@pytest.mark.parametrize("kind", ["machine", "csv", "hdf5", "mat"])
+@pytest.mark.parametrize(
+    "kind", ["machine", "every table", "plan", "scenario", "log", "csv", "hdf5", "mat"]
+)
 def test_damaged_files_are_read_or_refused(workshop, kind):
     folder, kinds = workshop
     assert kind in kinds

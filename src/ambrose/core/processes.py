@@ -3,7 +3,7 @@
 A new process of Python's "spawn" kind imports the script that started it. A script without
 ``if __name__ == "__main__":`` would then begin anew in every worker, which Python ends. The workers
 here need no more than this package, so they are started without the script. Their linear algebra
-has one thread (``core.threads`` says why), and Ctrl-C is the parent's to handle.
+has one thread (``core.threads`` says why), Ctrl-C is the parent's to handle, and they end with it.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -90,5 +91,18 @@ def without_script() -> Iterator[None]:
 
 def _begin(told: Callable[..., None] | None, told_by: tuple[Any, ...]) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_the_parent, daemon=True).start()
     if told is not None:
         told(*told_by)
+
+
+def _end_with_the_parent() -> None:
+    """Ends this process when the one that started it has ended, however that happened.
+
+    A worker of an executor holds both ends of the queue that it reads: without this it would wait
+    without end for a parent that was killed.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

@@ -232,6 +232,26 @@ def test_indices_of_a_whole_grid_are_exact():
     assert not main_effects(x, np.ones(12)).any()
 
 
+PARENT = """
+import os, time
+from ambrose.annexes.campaigns.workers import executors
+with executors("processes", 1) as (make, _):
+    with make() as pool:
+        print(pool.submit(os.getpid).result(), flush=True)
+        time.sleep(60)
+"""
+
+
+@pytest.mark.campaign
+def test_a_worker_ends_with_a_parent_that_was_killed():
+    command = [sys.executable, "-c", PARENT]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
+        assert int(parent.stdout.readline()) != parent.pid
+        parent.kill()
+        # the pipe closes when the last process that may write to it is gone: the worker
+        assert parent.communicate(timeout=30) == ("", None)
+
+
 @pytest.mark.campaign
 def test_a_process_pool_gives_the_same_and_survives_a_killed_worker(tmp_path):
     import multiprocessing
