@@ -59,6 +59,7 @@ from ambrose.machine.synchronous import Synchronous
 from ambrose.machine.touchdown import CoastDown, TouchdownLimits, TouchdownMount, TouchdownRace
 from ambrose.model.effects.clearance import Clearance
 from ambrose.model.effects.journal_bearing import JournalBearing
+from ambrose.model.effects.load import Load
 from ambrose.model.effects.probe import Probe
 from ambrose.model.effects.stage import Stage
 from physical_numbers import physical
@@ -214,6 +215,7 @@ def test_every_value_of_the_small_machine():
             Stage("expander", 0.25, 40e3, 9000 * rpm, 0.22, 0.009, 1.3, "radial"),
             Clearance("eye", 0.24, 0.4e-3, 0.7),
             Probe("VE1", 0.06, 45 * deg),
+            Load("surge", 0.25, "surge", 200.0, None, 8 * hz, 90 * deg),
             thrust_bearing(),
         ),
         supports=(
@@ -407,6 +409,7 @@ def test_small_machine_has_every_key_of_every_table():
             "amplifier.natural_frequency",
             "amplifier.damping",
             "amplifier.resistance",
+            "load.duration",
             "seal.c",
             "seal.k",
             "seal.table.axes",

@@ -145,7 +145,12 @@ def lateral(
     budgets = phase_budgets(at_top, timing)
     progress("Level I")
     one, notes = _level_one(machine, layout, chosen, law, timing, trip, density)
-    capacity = capacities(machine, chosen, response, trip) if machine.bearings else ()
+    progress("load capacity")
+    capacity = (
+        capacities(at_top, loop_at, law, timing, response, trip)
+        if machine.bearings and law is not None
+        else ()
+    )
     items = (
         *rows.unbalance(response, reading, (lowest, highest, trip), scale),
         *rows.clearances(found, response),

@@ -1,128 +1,218 @@
-"""What a magnet can carry over the frequency, beside what the rotor asks of it.
+"""What the magnets can carry over the frequency, beside everything that the rotor asks of them.
 
-The control current that an amplifier can drive at omega is the least of
-
-    i_max             its own limit, and the bias current i_0: class A keeps 0 <= i_0 +- i
-    (V - R i)/|R + j omega L|   what bias and static current i leave of the link's voltage V, over
-                                the coil: the slew of the current (R = 0 where none is stated)
-
-less the static current that holds the rotor's weight. The force is F = k_i i on the rotor that
-stands still; back-EMF k_i omega q of its motion is taken off the voltage where the motion is known.
-Both sides of the bias are looked at: the static current takes away on one side only.
+Capacity and margin are those of ``judge.capacity``. Drawn in: weight, what the seals push with at
+the place where the rotor hangs, lasting loads (all static); unbalance as the analysis places it,
+where its current and its voltage are largest and at trip; impulses and surges of the machine file;
+and, within what unbalance takes, the forces of seals and stages at trip, which a lever carries to
+the magnets.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from ambrose.annexes.rotordynamics.components import forces_of_components
+from ambrose.annexes.rotordynamics.loop import ShaftLoop
 from ambrose.annexes.rotordynamics.response import Response
-from ambrose.machine.description import OperatingPoint
-from ambrose.machine.machine import Machine
-from ambrose.model.static_load import magnet_coefficients, static_sag
+from ambrose.judge.capacity import (
+    AxisLimits,
+    Demand,
+    axis_limits,
+    drive_of,
+    load_demands,
+    on_axes,
+    static_forces,
+    together,
+)
+from ambrose.law.law import LawLike
+from ambrose.law.timing import Timing
+from ambrose.machine.attachment import attached
+
+from ambrose.model.assemble import seal_coefficients
+from ambrose.model.effects import seal as seals
+from ambrose.model.effects.stage import Stage
+from ambrose.model.static_load import sag_line, static_sag
 
 _POINTS = 200
+UNBALANCE, PART = "unbalance", "part of unbalance"
+SEALS = "seals"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AxisCapacity:
     """One control axis.
 
-    omega (w,) [rad/s]; force (w,) [N] zero to peak that is left beside the static load, current
-    (w,) [A] zero to peak and what limits it there. static_force [N] and static_current [A] hold the
-    weight. demand: (name, frequency [rad/s], force [N] zero to peak) of the loads. margin: least
-    capacity over demand (inf without demand), at ``worst``.
+    omega (w,) [rad/s]; force, other (w,) [N] zero to peak that are left on the side of the bias
+    that carries the static load and on the other, and what limits the first there. static:
+    (name, force [N]) of what lasts, along the axis; the seals' push counts where it adds. demands of all loads. margins: (least capacity
+    over demand, of what, limited by), the least first; a load counts on top of unbalance at trip.
     """
 
     axis: str
+    limits: AxisLimits
     omega: np.ndarray
     force: np.ndarray
-    current: np.ndarray
+    other: np.ndarray
     limited_by: tuple[str, ...]
-    static_force: float
-    static_current: float
-    demand: tuple[tuple[str, float, float], ...]
-    margin: float
-    worst: str
+    static: tuple[tuple[str, float], ...]
+    demands: tuple[Demand, ...]
+    margins: tuple[tuple[float, str, str], ...]
 
+    @property
+    def static_force(self) -> float:
+        """Size of all that lasts [N]."""
+        return abs(self.limits.static) * self.limits.force_per_current
 
-def current_limit(
-    machine: Machine, axis: int, omega: np.ndarray, static: float, back_emf: np.ndarray | float = 0
-) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Largest control current (w,) [A] zero to peak of an axis over omega (w,) [rad/s] beside a
-    static current [A], and what limits it. back_emf (w,) [V] is taken off the voltage.
+    @property
+    def margin(self) -> float:
+        """The least of all; inf where nothing is asked."""
+        return self.margins[0][0] if self.margins else float("inf")
 
-    Raises nothing: an amplifier without voltage or inductance is limited by its current alone.
-    """
-    bearing = machine.bearings[axis // 2]
-    amplifier = machine.amplifier
-    rows = {"bias current": np.full(len(omega), bearing.bias_current - abs(static))}
-    if bearing.max_current:
-        rows["current"] = np.full(len(omega), bearing.max_current - abs(static))
-    inductance, voltage = amplifier.inductance, amplifier.max_voltage
-    if inductance and voltage:
-        # beside R i_0: the resistance is 0 where the file has none
-        resistance = amplifier.resistance or 0.0
-        left = voltage - resistance * (bearing.bias_current + abs(static)) - back_emf
-        impedance = np.hypot(resistance, omega * inductance)
-        rows["voltage"] = np.maximum(left, 0.0) / np.maximum(impedance, 1e-9)
-    names = list(rows)
-    stacked = np.array([rows[name] for name in names])
-    least = stacked.argmin(axis=0)
-    current = np.maximum(stacked.min(axis=0), 0.0)
-    return current, tuple(names[k] for k in least)
+    @property
+    def worst(self) -> str:
+        """What has the least margin, and what limits it."""
+        return f"{self.margins[0][1]}, by {self.margins[0][2]}" if self.margins else ""
+
+    def least(self, kind: str) -> tuple[float, str, str] | None:
+        """(margin, of what, limited by) of the demands of a kind that has the least; None: there
+        are none.
+        """
+        names = {item.name for item in self.demands if item.kind == kind}
+        rows = [row for row in self.margins if row[1].partition(" with ")[0] in names]
+        return rows[0] if rows else None
 
 
 def capacities(
-    machine: Machine, point: OperatingPoint, response: Response | None, trip: float
+    loop: ShaftLoop,
+    loop_at: Callable[[float], ShaftLoop],
+    given: LawLike,
+    timing: Timing | None,
+    response: Response,
+    trip: float,
 ) -> tuple[AxisCapacity, ...]:
-    """Capacity and demand of every axis; response: to the analysis' unbalance up to trip speed
-    [rad/s] (None: no demand but weight).
+    """Capacity and demand of every axis; loop: at the operating point, loop_at: at another speed
+    [rad/s]; response: to the analysis' unbalance up to trip.
     """
-    k_i, _ = magnet_coefficients(machine, point)
-    weight = static_sag(machine)[1].ravel()
-    highest = 10 * trip if trip else 2 * np.pi * 2000
-    omega = np.geomspace(max(0.02 * trip, 1.0), highest, _POINTS)
+    machine = loop.plant.machine
+    static = _static(loop)
+    # with the seals' push and, at rest, without it: the larger of both
+    total = np.maximum(
+        np.abs(sum(along for _, along in static)),
+        np.abs(sum(along for name, along in static if name != SEALS)),
+    )
+    free = static_forces(machine)[1]
+    limits = axis_limits(loop.plant, total + free)
+    loads = load_demands(loop.plant, given, timing)
+    at_trip = loop_at(trip)
+    parts = _components_at(at_trip, response)
+    omega = np.geomspace(max(0.02 * trip, 1.0), 10 * trip, _POINTS)
     found = []
     for a, axis in enumerate(machine.axes):
-        static = float(weight[a] / k_i[a])
-        limit, why = current_limit(machine, a, omega, static)
-        demand = _unbalance_demand(response, a, trip) if response is not None else ()
-        margins = []
-        for name, frequency, current in demand:
-            able = current_limit(machine, a, np.array([frequency]), static)[0][0]
-            margins.append((able / current if current else np.inf, name))
-        margin, worst = min(margins, default=(np.inf, ""))
-        loads = tuple((name, w, float(k_i[a] * current)) for name, w, current in demand)
+        unbalance = list(_unbalance(loop, response, a))
+        steady = max(
+            (item for item in unbalance if item.frequency == response.fine[-1]),
+            key=lambda item: -limits[a].margin(item)[0],
+        )
+        margins = [together(limits[a], item, ())[0] for item in unbalance]
+        margins += together(limits[a], steady, loads[a])[1:]
+        side, why = limits[a].over(omega)
+        other, _ = limits[a].over(omega, -1)
+        k_i = limits[a].force_per_current
+        lasting = [(name, float(along[a])) for name, along in static]
+        if free[a]:
+            lasting.append(("loads of any direction", float(free[a])))
+        demands = (*unbalance, *loads[a], *parts[a])
         found.append(
             AxisCapacity(
                 axis,
+                limits[a],
                 omega,
-                k_i[a] * limit,
-                limit,
+                k_i * side,
+                k_i * other,
                 why,
-                float(abs(weight[a])),
-                abs(static),
-                loads,
-                float(margin),
-                worst,
+                tuple(lasting),
+                demands,
+                tuple(sorted(margins)),
             )
         )
     return tuple(found)
 
 
-def _unbalance_demand(
-    response: Response, axis: int, trip: float
-) -> tuple[tuple[str, float, float], ...]:
-    """(name, speed, current [A]) of every set of unbalance where its current comes nearest to the
-    limit of slew: at the largest current and at trip speed.
-    """
-    rows = []
+def _static(loop: ShaftLoop) -> list[tuple[str, np.ndarray]]:
+    """(name, force along every axis (a,) [N]) of what lasts: weight, seals, loads."""
+    machine, point = loop.plant.machine, loop.plant.point
+    rows = [("weight", static_sag(machine)[1].ravel())]
+    if machine.gravity_direction is not None and machine.seals:
+        down = np.array([np.cos(machine.gravity_direction), np.sin(machine.gravity_direction)])
+        pushes = np.zeros(len(machine.axes))
+        for item in machine.seals:
+            # -K x of a rotor that hangs through by x from the sensors' zero, the seal's centre
+            stiffness = seals.matrices(seal_coefficients(item, point))[0]
+            sag = float(sag_line(machine, (item.position,))[0])
+            pushes += on_axes(machine, item.position, -stiffness @ (sag * down))
+        rows.append((SEALS, pushes))
+    lasting, _ = static_forces(machine)
+    if lasting.any():
+        rows.append(("static loads", lasting))
+    return rows
+
+
+def _unbalance(loop: ShaftLoop, response: Response, axis: int) -> Iterator[Demand]:
+    """What every placement takes of an axis, where current and voltage are largest and at trip."""
+    plant = loop.plant
+    bearing = plant.machine.axis_bearings[axis]
+    drive = drive_of(plant)
+    angle = bearing.angle + (np.pi / 2 if axis % 2 else 0.0)
+    along = np.array([np.cos(angle), np.sin(angle)])
+    station = response.layout.nearest(bearing.position)
+    speeds = response.fine
     for k, case in enumerate(response.cases):
-        current = response.currents(k)[:, axis]
-        top = int(np.argmax(current))
-        speed = float(response.fine[top])
-        rows.append((f"{case.name}, largest", speed, float(current[top])))
-        rows.append((f"{case.name}, at trip", float(response.fine[-1]), float(current[-1])))
-    return tuple(rows)
+        current = response.at(response.current[:, axis, k], speeds)
+        motion = response.at(response.motion[:, station, :, k], speeds) @ along
+        s = 1j * speeds
+        # (R + s L) i + s k_u q
+        voltage = (drive.resistance + s * drive.inductance) * current
+        voltage = np.abs(voltage + s * drive.back_emf[axis] * motion)
+        current = np.abs(current)
+        last = len(speeds) - 1
+        places = {int(np.argmax(current)): "largest", int(np.argmax(voltage)): "largest voltage"}
+        for place, word in (places | {last: "at trip"}).items():
+            i = float(current[place])
+            yield Demand(
+                f"{case.name}, {word}",
+                UNBALANCE,
+                float(speeds[place]),
+                i,
+                float(voltage[place]),
+                float(drive.force_per_current[axis]) * i,
+            )
+
+
+def _components_at(loop: ShaftLoop, response: Response) -> list[list[Demand]]:
+    """What seals and stages push with at trip under the unbalance that moves them most, carried to
+    every axis by a lever: part of what unbalance takes.
+    """
+    machine, w = loop.plant.machine, loop.point.speed
+    stages = {part.name for _, part in attached(machine) if isinstance(part, Stage)}
+    places = {item.name: item.position for item in machine.seals}
+    places |= {part.name: part.position for _, part in attached(machine) if part.name in stages}
+    stations = len(response.layout.positions)
+    largest: dict[str, np.ndarray] = {}
+    for case in response.cases:
+        x = loop.states(1j * w, case.forces(stations) * w**2)
+        for component in forces_of_components(loop, 1j * w, x):
+            if component.station in places:
+                size = np.abs(on_axes(machine, places[component.station], component.force))
+                name = f"stage {component.name}" if component.name in stages else component.name
+                largest[name] = np.maximum(largest.get(name, 0 * size), size)
+    drive = drive_of(loop.plant)
+    rows: list[list[Demand]] = [[] for _ in machine.axes]
+    for name, size in largest.items():
+        for a, force in enumerate(size):
+            i = float(force / drive.force_per_current[a])
+            v = float(np.hypot(drive.resistance, w * drive.inductance)) * i
+            rows[a].append(Demand(f"{name}, at trip", PART, w, i, v, float(force)))
+    return rows

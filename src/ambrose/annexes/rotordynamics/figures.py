@@ -7,13 +7,17 @@ from typing import Any
 import numpy as np
 
 from ambrose.annexes.rotordynamics import standard
-from ambrose.annexes.rotordynamics.capacity import AxisCapacity
+from ambrose.annexes.rotordynamics.capacity import PART, UNBALANCE, AxisCapacity
 from ambrose.annexes.rotordynamics.level_one import LevelOne
 from ambrose.annexes.rotordynamics.response import Response
 from ambrose.annexes.rotordynamics.stations import Layout
+from ambrose.model.effects.load import IMPULSE, SURGE
 from ambrose.report import theme
 
 UM, MM = 1e6, 1e3
+_MARKERS = {UNBALANCE: "circle", PART: "circle-open", IMPULSE: "diamond", SURGE: "square"}
+_KINDS = {PART: "of it: seals, stages"}
+_SHADES = ("#d55e00", "#009e73", "#cc79a7", "#e69f00")
 _EVERY = 5  # of the fine grid: enough for the eye
 _ONE = {"row": 1, "col": 1}
 
@@ -139,33 +143,51 @@ def level_one_figure(one: LevelOne) -> Any:
 
 
 def capacity_figure(axis: AxisCapacity) -> Any:
-    """Force that is left beside the weight over the frequency, and what unbalance takes."""
+    """Force that is left beside what lasts over the frequency, on both sides of the bias, and what
+    every load takes.
+    """
     figure = theme.subplots(rows=1, cols=1)
-    rpm = axis.omega / standard.RPM
-    theme.scatter(
-        figure,
-        _ONE,
-        np.float32(rpm),
-        np.float32(axis.force),
-        "capacity",
-        shown=True,
-        line={"color": "#0072b2", "width": 2},
-        customdata=list(axis.limited_by),
-        hovertemplate="%{x:.4g} rpm: %{y:.4g} N 0-p, by %{customdata}<extra></extra>",
-    )
-    theme.scatter(
-        figure,
-        _ONE,
-        [speed / standard.RPM for _, speed, _ in axis.demand],
-        [max(force, 1e-6) for _, _, force in axis.demand],
-        "unbalance",
-        shown=True,
-        mode="markers",
-        marker={"size": 9, "color": theme.LIMIT},
-        customdata=[name for name, _, _ in axis.demand],
-        hovertemplate="%{customdata}: %{y:.4g} N 0-p<extra></extra>",
-    )
-    theme.dress(figure, 280, legend=True)
-    figure.update_xaxes(title_text="Speed [rpm]", type="log", dtick=1)
+    hertz = axis.omega / (2 * np.pi)
+    sides = (("side that carries", axis.force, "solid"), ("other side", axis.other, "dash"))
+    for name, force, dash in sides:
+        theme.scatter(
+            figure,
+            _ONE,
+            np.float32(hertz),
+            np.float32(force),
+            name,
+            shown=True,
+            line={"color": "#0072b2", "width": 2, "dash": dash},
+            customdata=list(axis.limited_by),
+            hovertemplate="%{x:.4g} Hz: %{y:.4g} N 0-p, by %{customdata}<extra></extra>",
+        )
+    if axis.static_force:
+        theme.scatter(
+            figure,
+            _ONE,
+            [hertz[0], hertz[-1]],
+            [axis.static_force] * 2,
+            "what lasts",
+            shown=True,
+            line={"color": theme.MUTED, "width": 1.4, "dash": "dot"},
+            hovertemplate="%{y:.4g} N<extra>what lasts</extra>",
+        )
+    for (kind, marker), colour in zip(_MARKERS.items(), _SHADES, strict=False):
+        items = [item for item in axis.demands if item.kind == kind and item.current > 0]
+        if items:
+            theme.scatter(
+                figure,
+                _ONE,
+                [item.frequency / (2 * np.pi) for item in items],
+                [item.force for item in items],
+                _KINDS.get(kind, kind),
+                shown=True,
+                mode="markers",
+                marker={"size": 9, "color": colour, "symbol": marker},
+                customdata=[item.name for item in items],
+                hovertemplate="%{customdata}: %{y:.4g} N 0-p<extra></extra>",
+            )
+    theme.dress(figure, 320, legend=True)
+    figure.update_xaxes(title_text="Frequency [Hz]", type="log", dtick=1)
     figure.update_yaxes(title_text="Force [N 0-p]", type="log", dtick=1)
     return figure

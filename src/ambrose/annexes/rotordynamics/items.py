@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ambrose.annexes.rotordynamics import standard
-from ambrose.annexes.rotordynamics.capacity import AxisCapacity
+from ambrose.annexes.rotordynamics.capacity import UNBALANCE, AxisCapacity
 from ambrose.annexes.rotordynamics.circuit import FLAG, CircuitChange
 from ambrose.annexes.rotordynamics.clearances import Reading
 from ambrose.annexes.rotordynamics.critical import Separation, criticals, separation
@@ -25,6 +25,7 @@ from ambrose.law.loop import running_law
 from ambrose.law.timing import Timing
 from ambrose.machine.criteria import SENSITIVITY, SENSITIVITY_RANGE
 from ambrose.machine.machine import Machine
+from ambrose.model.effects.load import IMPULSE, SURGE
 
 UM = 1e6
 _RESPONSE = "unbalance response"
@@ -298,22 +299,49 @@ def level_two(table: Sequence[ModeRow], highest: float) -> Iterator[Item]:
 
 
 def capacity(found: Sequence[AxisCapacity]) -> Iterator[Item]:
-    """The axis with the least margin, and the static load."""
+    """Unbalance, every load of the file on top of it, and all that lasts: the axis with the least
+    margin of each.
+    """
     if not found:
         return
-    worst = min(found, key=lambda item: item.margin)
+    kinds = (
+        ("unbalance", UNBALANCE, "Control current and voltage left over what unbalance takes"),
+        ("impulse", IMPULSE, "The same for an impulse on top of unbalance at trip"),
+        ("surge", SURGE, "The same for a surge on top of unbalance at trip"),
+    )
+    for name, kind, title in kinds:
+        rows = [(margin, axis) for axis in found if (margin := axis.least(kind)) is not None]
+        worst = min(rows, key=lambda row: row[0][0], default=None)
+        yield Item(
+            f"capacity.{name}",
+            title,
+            standard.EDITION,
+            "magnetic bearings, load capacity",
+            OWN,
+            None if worst is None else worst[0][0],
+            "-",
+            ">=",
+            None if worst is None else 1.0,
+            None if worst is None else worst[0][0] >= 1.0,
+            f"not covered: no [[load]] of kind {name} in the machine file"
+            if worst is None
+            else f"axis {worst[1].axis}, {worst[0][1]}, by {worst[0][2]}",
+        )
+    held = max(found, key=lambda axis: abs(axis.limits.static) / axis.limits.bias)
+    parts = ", ".join(f"{name} {force:.4g} N" for name, force in held.static)
+    limits = held.limits
     yield Item(
-        "capacity.unbalance",
-        "Control current left for unbalance over what it takes",
+        "capacity.static",
+        "Control current that holds what lasts, over the least of bias and largest current",
         standard.EDITION,
         "magnetic bearings, load capacity",
         OWN,
-        worst.margin,
+        abs(limits.static) / min(limits.bias, limits.largest or limits.bias),
         "-",
-        ">=",
+        "<=",
         1.0,
-        worst.margin >= 1.0,
-        f"axis {worst.axis}, {worst.worst}; beside {worst.static_current:.3g} A for the weight",
+        abs(limits.static) <= min(limits.bias, limits.largest or limits.bias),
+        f"axis {held.axis}: {parts}",
     )
 
 

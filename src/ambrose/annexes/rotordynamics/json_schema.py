@@ -62,6 +62,26 @@ def lateral_schema() -> dict[str, Any]:
         total_deg=_list(_NUMBER),
         notes=_list(_TEXT),
     )
+    demand = _table(
+        load=_TEXT,
+        kind={"enum": ["unbalance", "part of unbalance", "impulse", "surge"]},
+        frequency_rad_per_s=_NUMBER,
+        force_N_0p={**_NUMBER, "description": "control current times k_i"},
+        current_A_0p=_NUMBER,
+        voltage_V_0p=_NUMBER,
+        margin_alone=_ANY_NUMBER,
+    )
+    capacity = _table(
+        axis=_TEXT,
+        frequencies_rad_per_s=_list(_NUMBER),
+        force_N_0p=_list(_NUMBER),
+        other_side_force_N_0p=_list(_NUMBER),
+        limited_by=_list(_TEXT),
+        static_N={"type": "object", "additionalProperties": _NUMBER},
+        static_current_A=_NUMBER,
+        demands=_list(demand),
+        margins=_list(_table(margin=_ANY_NUMBER, of=_TEXT, limited_by=_TEXT)),
+    )
     weight = _table(position_m=_NUMBER, amount_kg_m=_NUMBER, angle_rad=_NUMBER, carried_kg=_NUMBER)
     peak = {
         "speed_rad_per_s": _NUMBER,
@@ -85,6 +105,7 @@ def lateral_schema() -> dict[str, Any]:
         modes=_list(mode),
         clearances=_list(clearance),
         phase_budget=_list(budget),
+        capacity=_list(capacity),
         notes=_list(_TEXT),
         level_one=_table(
             anticipated_N_per_m=_MAYBE,

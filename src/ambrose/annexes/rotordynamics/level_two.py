@@ -18,15 +18,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ambrose.annexes.rotordynamics.components import forces_of_components
 from ambrose.annexes.rotordynamics.loop import ShaftLoop
 from ambrose.annexes.rotordynamics.placement import ShaftMode
-from ambrose.model.assemble import seal_coefficients, seal_model
 from ambrose.model.basis import modes_of
-from ambrose.model.effect import reactions
-from ambrose.model.effects import seal as seals
-from ambrose.model.effects import seal_rational
 from ambrose.model.effects.support import foundation
-from ambrose.model.static_load import magnet_coefficients
 
 INTERNAL = "rotor's own damping"
 
@@ -46,7 +42,7 @@ def shares(loop: ShaftLoop, mode: ShaftMode) -> tuple[Share, ...]:
     "supports".
     """
     plant = loop.plant
-    machine, point = plant.machine, plant.point
+    machine = plant.machine
     s, x = mode.pole, mode.states
     modes = modes_of(machine, plant.rotor_model, None)
     base = foundation(machine)
@@ -68,53 +64,9 @@ def shares(loop: ShaftLoop, mode: ShaftMode) -> tuple[Share, ...]:
     if len(base):
         power["supports"] = -float((base.damping * np.abs(s * q[-len(base) :]) ** 2).sum()) / 2
 
-    def motion(names: list[str]) -> np.ndarray:
-        rows = [plant.system.outputs.index(f"q_{name}") for name in names]
-        return plant.system.C[rows] @ x
-
-    def add(component: str, at: np.ndarray, force: np.ndarray) -> None:
-        work = float(np.real((s * at).conj() @ force)) / 2
-        power[component] = power.get(component, 0.0) + work
-
-    # magnets: k_i i + k_s q along each axis
-    if machine.bearings:
-        k_i, k_s = magnet_coefficients(machine, point)
-        at = motion(list(plant.axes))
-        current = loop.currents(s, x) if loop.law is not None else np.zeros(len(at))
-        force = k_i * current + k_s * at
-        for k, bearing in enumerate(machine.bearings):
-            axes = slice(2 * k, 2 * k + 2)
-            add(f"magnet {bearing.name}", at[axes], force[axes])
-
-    # registered effects: -(K + s D + s^2 M) q + H (s I - A)^-1 B q
-    for names, reaction in reactions(machine, point):
-        at = motion(list(names))
-        dynamic = reaction.stiffness + s * reaction.damping + s**2 * reaction.mass
-        force = -dynamic @ at
-        if reaction.n_states:
-            inner = np.linalg.solve(s * np.eye(reaction.n_states) - reaction.A, reaction.B @ at)
-            force = force + reaction.H @ inner
-        if any(
-            matrix.any() for matrix in (reaction.stiffness, reaction.damping, reaction.mass)
-        ) or (reaction.n_states):
-            add(names[0].rpartition("_")[0], at, force)
-
-    # seals: -(K + s C + s^2 M) q, and the states of those that depend on the frequency
-    for item in machine.seals:
-        at = motion([f"{item.name}_x", f"{item.name}_y"])
-        rational = seal_rational.has_states(item)
-        constant = (
-            seal_model(machine, item, point).static if rational else seal_coefficients(item, point)
-        )
-        stiff, damping, mass = seals.matrices(constant)
-        force = -(stiff + s * damping + s**2 * mass) @ at
-        if rational and point.seal_pressure > 0:
-            system = seal_rational.system(seal_model(machine, item, point), item.name)
-            given = [system.inputs.index(f"q_{item.name}_{axis}") for axis in "xy"]
-            taken = [system.outputs.index(f"h_{item.name}_{axis}") for axis in "xy"]
-            inner = np.linalg.solve(s * np.eye(system.n_states) - system.A, system.B[:, given] @ at)
-            force = force + system.C[taken] @ inner + system.D[np.ix_(taken, given)] @ at
-        add(f"seal {item.name}", at, force)
+    for component in forces_of_components(loop, s, x):
+        work = float(np.real((s * component.motion).conj() @ component.force)) / 2
+        power[component.name] = power.get(component.name, 0.0) + work
 
     omega = abs(s.imag)
     return tuple(

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from ambrose.annexes.rotordynamics import figures, standard
+from ambrose.annexes.rotordynamics.capacity import PART, AxisCapacity
 from ambrose.annexes.rotordynamics.comparison import Comparison, Pair
 from ambrose.annexes.rotordynamics.phase_budget import PhaseBudget
 from ambrose.annexes.rotordynamics.placement import BACKWARD
@@ -46,14 +47,21 @@ _LEVEL_TWO = (
     "energy; negative ones destabilise."
 )
 _CAPACITY = (
-    "Force an axis can add to the weight it carries (0-p), and what the placed unbalance takes of "
-    "it, where it is largest and at trip."
+    "Force (0-p) that an axis can add, by bias, largest current, force and the slew that the voltage "
+    "leaves: on the side of the bias that carries what lasts (weight, seals where the rotor hangs, "
+    "lasting loads), and on the other. Points: what unbalance, impulse and surge take in the loop as "
+    "it runs. The margin is the least of all, a load counted on top of unbalance at trip."
+)
+_DEMANDS = (
+    "Force: control current times k_i. An impulse is drawn at the sine with its largest current and "
+    "slope. Seals and stages: their force at trip by a lever, part of what unbalance takes. Voltage: "
+    "(R + j w L) i + j w k_u q of a coil."
 )
 _PHASE = (
     "From the shaft's displacement to the current that makes force, element after element, at the "
     "free rotor's bending modes at rest. Negative: late. What the controller adds is its lead."
 )
-_HYPHEN = "\u2011"  # where no line ends
+_HYPHEN, _SPACE = "\u2011", "\u00a0"  # where no line ends
 _BESIDE = (
     "Critical speeds and modes are paired so that all pairs together lie as near as they can. "
     "Amplitudes compare where both sides have the same unbalance."
@@ -84,7 +92,8 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
             f"Capacity of axis {worst.axis}, the one with the least margin",
             figures.capacity_figure(worst),
         )
-        sections.append(Section("Load capacity", _CAPACITY, (picture,), (capacity_table(result),)))
+        both = (capacity_table(result), demand_table(worst))
+        sections.append(Section("Load capacity", _CAPACITY, (picture,), both))
     if result.phase_budgets:
         tables = tuple(phase_table(budget) for budget in result.phase_budgets)
         sections.append(Section("Phase budget", _PHASE, (), tables))
@@ -180,8 +189,10 @@ def _summary_row(item: Item) -> Row:
 
 
 def _whole(text: str) -> str:
-    """p-p and 0-p that no line ends within."""
-    return text.replace("p-p", f"p{_HYPHEN}p").replace("0-p", f"0{_HYPHEN}p")
+    """p-p and 0-p that no line ends within, beside their unit."""
+    for end in ("p", "0"):
+        text = text.replace(f" {end}-p", f"{_SPACE}{end}{_HYPHEN}p")
+    return text
 
 
 def _relation(text: str) -> str:
@@ -288,28 +299,62 @@ def clearance_table(result: Lateral) -> Table:
 
 
 def capacity_table(result: Lateral) -> Table:
-    """Static load, largest demand and margin of every axis."""
+    """What lasts, what is left and the least margin of every axis."""
     rows: list[Row] = []
     for axis in result.capacities:
-        top = max(axis.demand, key=lambda item: item[2], default=("", 0.0, 0.0))
+        parts = ", ".join(f"{name} {force:.4g} N" for name, force in axis.static)
         rows.append(
             (
                 axis.axis,
+                Cell(f"{axis.static_force:.4g}", "number", detail=parts),
                 *numbers(
-                    f"{axis.static_force:.4g}",
-                    f"{axis.static_current:.3g}",
+                    f"{axis.limits.static:.3g}",
                     f"{axis.force[0]:.4g}",
-                    f"{top[2]:.3g}",
-                    f"{axis.margin:.3g}" if np.isfinite(axis.margin) else "-",
+                    f"{axis.other[0]:.4g}",
                 ),
+                Cell(f"{axis.margin:.3g}", "number", detail=axis.worst),
+                Cell("holds" if axis.margin >= 1 else "fails", _mark(axis.margin >= 1)),
             )
         )
     columns = (
         "Axis",
-        "Weight [N]",
+        "What lasts [N]",
         "Its current [A]",
-        _whole("Left at low speed [N 0-p]"),
-        _whole("Unbalance, largest [N 0-p]"),
+        _whole("Left where it adds [N 0-p]"),
+        _whole("Other side [N 0-p]"),
         "Least margin [-]",
+        "Verdict",
     )
     return Table("What each axis carries", columns, tuple(rows))
+
+
+def demand_table(axis: AxisCapacity) -> Table:
+    """Every load on one axis with what it takes."""
+    rows = tuple(
+        (
+            item.name,
+            item.kind,
+            *numbers(
+                f"{item.frequency / (2 * np.pi):.4g}",
+                f"{item.force:.3g}",
+                f"{item.current:.3g}",
+                f"{item.voltage:.3g}",
+                "-" if item.kind == PART else f"{axis.limits.margin(item)[0]:.3g}",
+            ),
+        )
+        for item in axis.demands
+    )
+    columns = (
+        "Load",
+        "Kind",
+        "Frequency [Hz]",
+        _whole("Force [N 0-p]"),
+        _whole("Current [A 0-p]"),
+        _whole("Voltage [V 0-p]"),
+        "Margin alone [-]",
+    )
+    return Table(f"What the loads take of axis {axis.axis}", columns, rows, _DEMANDS)
+
+
+def _mark(passed: bool) -> str:
+    return "pass" if passed else "fail"

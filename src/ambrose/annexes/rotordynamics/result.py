@@ -188,6 +188,7 @@ class Lateral(Presented):
                 }
                 for budget in self.phase_budgets
             ],
+            "capacity": [_capacity(axis) for axis in self.capacities],
             "notes": list(self.notes),
         }
         if self.level_one is not None:
@@ -239,6 +240,35 @@ class Lateral(Presented):
         """A pandas.DataFrame with a row for each item of the summary."""
         rows = [item.to_dict() for item in self.items]
         return data_frame({key: [row[key] for row in rows] for key in rows[0]} if rows else {})
+
+
+def _capacity(axis: AxisCapacity) -> dict[str, Any]:
+    """Force over the frequency, what lasts and every load of one axis."""
+    return {
+        "axis": axis.axis,
+        "frequencies_rad_per_s": axis.omega.tolist(),
+        "force_N_0p": axis.force.tolist(),
+        "other_side_force_N_0p": axis.other.tolist(),
+        "limited_by": list(axis.limited_by),
+        "static_N": dict(axis.static),
+        "static_current_A": axis.limits.static,
+        "demands": [
+            {
+                "load": item.name,
+                "kind": item.kind,
+                "frequency_rad_per_s": item.frequency,
+                "force_N_0p": item.force,
+                "current_A_0p": item.current,
+                "voltage_V_0p": item.voltage,
+                "margin_alone": _plain(axis.limits.margin(item)[0]),
+            }
+            for item in axis.demands
+        ],
+        "margins": [
+            {"margin": _plain(value), "of": name, "limited_by": why}
+            for value, name, why in axis.margins
+        ],
+    }
 
 
 def _curves(response: Response) -> dict[str, Any]:

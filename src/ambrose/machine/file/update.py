@@ -266,7 +266,8 @@ def _update_entries(
     identity.
     """
     entries = list(table.get(key, ()))
-    identity_key = "name" if key in attachments() else _IDENTITIES.get(key, "")
+    named = key in attachments() and "name" in model.model_fields
+    identity_key = "name" if named else _IDENTITIES.get(key, "")
     known = dict(zip(_identities(entries, model, identity_key), range(len(entries)), strict=True))
     wanted = [known.get(identity) for identity in _identities(whole, model, identity_key)]
     for place, values, some in zip(wanted, whole, given or [{}] * len(whole), strict=True):

@@ -12,6 +12,7 @@ ROOM = {
         "stage": "stage:STAGE",
         "clearance": "clearance:CLEARANCE",
         "probe": "probe:PROBE",
+        "load": "load:LOAD",
         "thrust_bearing": "thrust_bearing:THRUST_BEARING",
     },
 }
