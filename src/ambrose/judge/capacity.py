@@ -249,7 +249,7 @@ class _Loop:
         return P[:, i, u] @ command + P[:, i, f], P[:, q, u] @ command + P[:, q, f]
 
     def _gain(self, s: np.ndarray) -> np.ndarray:
-        """K (w, a, a): of a sampled law the base band of its hold, K(e^{s T})(1 - e^{-s T})/(s T)."""
+        """K (w, a, a): of a sampled law within its base band K(e^{s T}) (1 - e^{-s T})/(s T)."""
         if self.law.dt is None:
             return evaluate(self._law, s)
         x = s * self.law.dt

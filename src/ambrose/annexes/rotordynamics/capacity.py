@@ -30,7 +30,6 @@ from ambrose.judge.capacity import (
 from ambrose.law.law import LawLike
 from ambrose.law.timing import Timing
 from ambrose.machine.attachment import attached
-
 from ambrose.model.assemble import seal_coefficients
 from ambrose.model.effects import seal as seals
 from ambrose.model.effects.stage import Stage
@@ -46,9 +45,10 @@ class AxisCapacity:
     """One control axis.
 
     omega (w,) [rad/s]; force, other (w,) [N] zero to peak that are left on the side of the bias
-    that carries the static load and on the other, and what limits the first there. static:
-    (name, force [N]) of what lasts, along the axis; the seals' push counts where it adds. demands of all loads. margins: (least capacity
-    over demand, of what, limited by), the least first; a load counts on top of unbalance at trip.
+    that carries the static load and on the other, and what limits the first there. static: (name,
+    force [N]) of what lasts, along the axis; the seals' push counts where it adds. demands of all
+    loads. margins: (least capacity over demand, of what, limited by), the least first; a load
+    counts on top of unbalance at trip.
     """
 
     axis: str

@@ -47,15 +47,16 @@ _LEVEL_TWO = (
     "energy; negative ones destabilise."
 )
 _CAPACITY = (
-    "Force (0-p) that an axis can add, by bias, largest current, force and the slew that the voltage "
-    "leaves: on the side of the bias that carries what lasts (weight, seals where the rotor hangs, "
-    "lasting loads), and on the other. Points: what unbalance, impulse and surge take in the loop as "
-    "it runs. The margin is the least of all, a load counted on top of unbalance at trip."
+    "Force (0-p) that an axis can add, by bias, largest current, force and the slew that the "
+    "voltage leaves: on the side of the bias that carries what lasts (weight, seals where the rotor "
+    "hangs, lasting loads), and on the other. Points: what unbalance, impulse and surge take in "
+    "the loop as it runs. The margin is the least of all, a load counted on top of unbalance at "
+    "trip."
 )
 _DEMANDS = (
-    "Force: control current times k_i. An impulse is drawn at the sine with its largest current and "
-    "slope. Seals and stages: their force at trip by a lever, part of what unbalance takes. Voltage: "
-    "(R + j w L) i + j w k_u q of a coil."
+    "Force: control current times k_i. An impulse is drawn at the sine with its largest current "
+    "and slope. Seals and stages: their force at trip by a lever, part of what unbalance takes. "
+    "Voltage: (R + j w L) i + j w k_u q of a coil."
 )
 _PHASE = (
     "From the shaft's displacement to the current that makes force, element after element, at the "
@@ -330,7 +331,7 @@ def capacity_table(result: Lateral) -> Table:
 
 def demand_table(axis: AxisCapacity) -> Table:
     """Every load on one axis with what it takes."""
-    rows = tuple(
+    rows: tuple[Row, ...] = tuple(
         (
             item.name,
             item.kind,
