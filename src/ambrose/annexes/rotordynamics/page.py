@@ -50,8 +50,8 @@ _CAPACITY = (
     "Force (0-p) that an axis can add, by bias, largest current, force and the slew that the "
     "voltage leaves: on the side of the bias that carries what lasts (weight, seals where "
     "the rotor hangs, lasting loads), and on the other. Points: what unbalance, impulse "
-    "and surge take in the loop as it runs. The margin is the least of all, a load counted on top of "
-    "unbalance at trip."
+    "and surge take in the loop as it runs. The margin is the least of all, a load counted on "
+    "top of unbalance at trip."
 )
 _DEMANDS = (
     "Force: control current times k_i. An impulse is drawn at the sine with its largest current "
