@@ -20,7 +20,8 @@ from ambrose.machine.validation.signs import not_positive
 from ambrose.model.effect import Effect
 from ambrose.model.effects.probe import no_reaction
 
-STATIC, IMPULSE, SURGE = "static", "impulse", "surge"
+STATIC = "static"
+IMPULSE, SURGE = "impulse", "surge"
 _NEEDS = {STATIC: None, IMPULSE: "duration", SURGE: "frequency"}
 
 
