@@ -230,7 +230,8 @@ class _Loop:
     """The closed loop from forces at loads to currents and motion of the axes, over complex s."""
 
     def __init__(self, plant: Plant, law: StateSpace, loads: Sequence[Load]) -> None:
-        self.plant, self.law, self.loads = plant, law, loads
+        self.plant, self.law = plant, law
+        self.loads = loads
         self.drive = drive_of(plant)
         u, y, i = (plant.named(name) for name in "uyi")
         forces = [f"f_{load.name}_{axis}" for load in loads for axis in "xy"]
@@ -291,7 +292,8 @@ class _Loop:
             kept = slice(0, count // 2)
             return _largest(load, (growth[:, None, None] * series)[kept])
 
-        most, slope, volts = peaks(current), peaks(s[:, None, None] * current), peaks(voltage)
+        most, volts = peaks(current), peaks(voltage)
+        slope = peaks(s[:, None, None] * current)
         return tuple(
             self._demand(load, a, slope[a] / most[a] if most[a] else 0.0, most[a], volts[a])
             for a in range(len(most))
