@@ -14,6 +14,7 @@ from ambrose.core.mu import all_frequencies
 from ambrose.core.mu.all_frequencies import proved_below, proved_level
 from ambrose.core.mu.bounds import mu_peak
 from ambrose.core.mu.chords import chords
+from ambrose.core.mu.upper import UpperBound
 from ambrose.core.norms import hinf_norm
 from ambrose.core.statespace import StateSpace, append
 
@@ -141,3 +142,55 @@ def test_refusals(monkeypatch):
 
     monkeypatch.setattr(all_frequencies, "osborne", singular)
     assert proved_below(system, [FullBlock("f", 3, 3)], 1e3) is False
+
+
+def test_a_parameter_that_hardly_matters_spoils_no_proof():
+    """Its G may be 1e6 where its row of M is 1e-9: the set is |m|^2 < 1 of the other one."""
+    one = np.eye(2)[None] + 0j
+    G = np.diag([0.0, 1e6])[None] + 0j
+    scalings = UpperBound(np.array([0.9]), one, one, G, np.zeros((1, 2)))
+    for m, inside in ((0.99, True), (1.01, False)):
+        M = np.broadcast_to(np.diag([m, 1e-9]) + 0j, (1, 2, 2, 2))
+        good = all_frequencies._contained(scalings, M, np.zeros((1, 1, 2, 2)))
+        assert good.tolist() == [[inside]]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_rounding_is_allowed_for(seed):
+    """Phi - I with the scalings of a random block, against the same in extended precision."""
+    rng = np.random.default_rng(seed)
+    n, digits = 6, np.finfo(np.longdouble).eps
+    assert digits < np.finfo(float).eps, "this platform has no extended precision"
+
+    def drawn(*shape):
+        return rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
+
+    def definite():
+        Q = np.linalg.qr(drawn(n, n))[0]
+        return (Q * np.geomspace(1e-6, 1.0, n)) @ Q.conj().T
+
+    H = drawn(n, n)
+    scalings = UpperBound(
+        np.ones(1),
+        definite()[None],
+        definite()[None],
+        1e3 * (H + H.conj().T)[None],
+        np.ones((1, n)),
+    )
+    M = drawn(1, 1, n, n)
+    L_w, L_z = np.linalg.cholesky(scalings.X_w), np.linalg.cholesky(scalings.X_z)
+    R = np.linalg.inv(L_w)[0]
+    N = L_z[0].conj().T @ M[0, 0] @ R.conj().T
+    cross = 1j * (R @ scalings.G[0] @ np.linalg.inv(L_z)[0].conj().T) @ N
+    Phi = N.conj().T @ N + cross + cross.conj().T - np.eye(n)
+
+    # the inequality itself, under the same congruence, with every product in extended precision
+    exact = [np.asarray(part, np.clongdouble) for part in (R, M[0, 0])]
+    X_w, X_z, G = (
+        np.asarray(part[0], np.clongdouble) for part in (scalings.X_w, scalings.X_z, scalings.G)
+    )
+    R, m = exact
+    inner = m.conj().T @ X_z @ m + 1j * (G @ m - m.conj().T @ G.conj().T) - X_w
+    error = np.linalg.norm((R @ inner @ R.conj().T - Phi).astype(complex))
+    allowed = float(all_frequencies._rounding(scalings, L_w, L_z, M)[0])
+    assert 0 < error < allowed

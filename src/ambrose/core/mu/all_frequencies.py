@@ -46,6 +46,7 @@ _HELD = 100_000
 _HIGHEST = 1e25  # rad/s, above which the rest is not pushed any further out
 _THINNEST = 1e-11  # relative width of an interval that is not halved any more
 _TOLERANCE = 1e-3  # of a level at one frequency
+_DIGITS = 1e-13  # relative, by which a product of three matrices is off at most
 _FACTOR = 100.0  # by which a level is raised at most before it is given up
 
 
@@ -384,7 +385,6 @@ def _contained(bound: UpperBound, M: np.ndarray, slack: np.ndarray) -> np.ndarra
     N = left @ M @ right
     G = np.linalg.inv(L_w) @ bound.G @ np.linalg.inv(L_z).conj().swapaxes(1, 2)
     shifted = N - 1j * G.conj().swapaxes(1, 2)[:, None]
-    gap = largest_gain(G)[:, None] ** 2
     cross = 1j * G[:, None] @ N
     Phi = N.conj().swapaxes(2, 3) @ N + cross + cross.conj().swapaxes(2, 3)
 
@@ -399,10 +399,8 @@ def _contained(bound: UpperBound, M: np.ndarray, slack: np.ndarray) -> np.ndarra
         + np.linalg.norm(moved, axis=(2, 3)) ** 2
     )
 
-    # the terms of Phi, for their rounding errors
-    size = np.linalg.norm(shifted, axis=(2, 3)) ** 2 + gap
     edge = np.linalg.norm(Phi, axis=(2, 3))  # no eigenvalue is larger, nor lower than its negative
-    rest = reach + 1e-13 * size
+    rest = reach + _rounding(bound, L_w, L_z, M)[:, None]
 
     # Eigenvalues only where the norm neither proves Phi + rest < 1 nor rules it out.
     open_still = (rest + edge >= 1) & (rest - edge < 1)
@@ -413,3 +411,32 @@ def _contained(bound: UpperBound, M: np.ndarray, slack: np.ndarray) -> np.ndarra
     # Phi < I is a convex set: if both vertices stay in it with every F added, so does what lies
     # between them, and M with it.
     return np.asarray(np.maximum(edge[:, :-1], edge[:, 1:]) < 1)
+
+
+def _rounding(bound: UpperBound, L_w: np.ndarray, L_z: np.ndarray, M: np.ndarray) -> np.ndarray:
+    """What rounding can add to the eigenvalues of Phi - I (i,), at all vertices
+    M (i, c + 1, n_z, n_w) of an interval alike.
+
+    G may be as large as it likes where N is small along it, as that of a parameter which hardly
+    matters is: what rounding makes of G N goes with |G| |N|, not with |G|^2.
+    """
+    back_w, back_z = (np.abs(np.linalg.inv(L)) for L in (L_w, L_z))
+    largest = np.abs(M).max(axis=1)
+
+    # a product is off by _DIGITS of the product of the moduli: n >= |N|, g >= |G| hold those of
+    # N = L_z^H M L_w^-H and G = L_w^-1 G L_z^-H, and one >= 1 those of L^-1 L = I
+    n, g, *ones = (
+        np.linalg.norm(moduli, axis=(1, 2))
+        for moduli in (
+            np.abs(L_z).swapaxes(1, 2) @ largest @ back_w.swapaxes(1, 2),
+            back_w @ np.abs(bound.G) @ back_z.swapaxes(1, 2),
+            back_w @ np.abs(L_w),
+            back_z @ np.abs(L_z),
+        )
+    )
+    one = np.maximum(*ones)
+
+    # N^H N: both factors, X_z = L_z L_z^H, the product. G N and its conjugate: both factors, the
+    # product, L_z^-H L_z^H between them. I for L_w^-1 X_w L_w^-H: L_w^-1 L_w twice, and the L_w
+    # that stands for X_w.
+    return np.asarray(_DIGITS * (4 * n**2 + 2 * (3 + one) * g * n + 3 * one**2))
