@@ -31,7 +31,8 @@ import numpy as np
 
 from ambrose.core.frequency import evaluate, schur_form
 from ambrose.core.statespace import StateSpace, select
-from ambrose.judge.unbalance import orbit
+from ambrose.judge.loop_response import loop_evaluator
+from ambrose.judge.unbalance import orbit, worst_currents
 from ambrose.law.law import LawLike, law_of
 from ambrose.law.loop import running_law
 from ambrose.law.timing import Timing
@@ -40,6 +41,7 @@ from ambrose.machine.machine import Machine
 from ambrose.model.effects.load import IMPULSE, STATIC, Load
 from ambrose.model.plant import Plant
 from ambrose.model.static_load import magnet_coefficients
+from ambrose.model.unbalance import residual_unbalance
 
 _SETTLES = 0.25  # [s] after an impulse: where its current is looked for
 _FALLS = 12.0  # e-folds within the window: what comes round again is 6e-6 of itself
@@ -198,6 +200,27 @@ def load_demands(
         for k, load in enumerate(loads)
     ]
     return tuple(zip(*per_load, strict=True))
+
+
+def residual_demands(
+    plant: Plant, law: LawLike, timing: Timing | None
+) -> tuple[Demand | None, ...]:
+    """What the residual unbalance takes of every axis at the plant's speed, the worst case over
+    bearing planes; None: at rest, or no balance grade is known. Motion's share of the voltage is
+    left out.
+    """
+    residual, w = residual_unbalance(plant.machine), plant.point.speed
+    if residual is None or not w:
+        return tuple(None for _ in plant.axes)
+    fixed = running_law(law_of(law), plant, timing)
+    response = loop_evaluator(plant, fixed)(np.array([w]))
+    current = worst_currents(response, residual)[:, 0]
+    drive = drive_of(plant)
+    impedance = float(np.hypot(drive.resistance, w * drive.inductance))
+    return tuple(
+        Demand("residual unbalance", "unbalance", w, float(i), impedance * float(i), float(k_i * i))
+        for i, k_i in zip(current, drive.force_per_current, strict=True)
+    )
 
 
 @dataclass(frozen=True, slots=True)

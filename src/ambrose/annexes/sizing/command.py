@@ -287,6 +287,8 @@ def _plain(trial: Any) -> dict[str, Any]:
         "copper_loss": trial.costs.copper_loss,
         "volt_amperes": trial.costs.volt_amperes,
         "reserve": _finite(trial.costs.reserve),
+        "capacity_margin": _finite(trial.capacity),
+        "capacity_of": trial.demand,
         "binding": trial.binding,
         "ratios": trial.ratios,
     }

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ambrose.annexes.sizing.capacity import capacity_margin
 from ambrose.annexes.sizing.magnets import Costs, Size, costs, flux_within, need, resized
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.statespace import StateSpace
@@ -24,6 +25,7 @@ from ambrose.synthesis.fixed_order.job import Job, Law, first_law, prepare
 from ambrose.synthesis.fixed_order.tuning import INTERRUPTED, tuned
 from ambrose.synthesis.methods.tuned import Tuned
 
+CAPACITY = "load capacity"
 RESERVE = 2.0  # of force over static load: two to three are usual; assumed
 
 
@@ -33,7 +35,8 @@ class Trial:
     the full plants at all operating points and on the worst corners found of the tolerances; at
     most 1 where all are met (inf: nothing was tuned). binding: what stands against a smaller one,
     or against this one. ratios {requirement: over its limit}; sensitivity [-] and gain [A/m] of K
-    S_o that were reached; controller None where none was tuned.
+    S_o that were reached; capacity: the least margin of what unbalance and loads leave, of the
+    ``demand`` named; controller None where none was tuned.
     """
 
     size: Size
@@ -44,6 +47,8 @@ class Trial:
     ratios: dict[str, float] = field(default_factory=dict)
     sensitivity: float = float("inf")
     gain: float = float("inf")
+    capacity: float = float("inf")
+    demand: str = ""
     synthesis: Synthesis | None = None
 
     @property
@@ -133,18 +138,25 @@ def _tuned(before: Trial, method: Tuned, near: Trial | None, time_limit: float) 
     if synthesis.stopped_early == INTERRUPTED:
         raise KeyboardInterrupt
 
+    # unbalance and loads over what bias, current, force and voltage leave
+    margin, words = capacity_margin(found, synthesis.controller, method.timing(found))
+
     # what binds: the largest ratio of a value to its limit
     ratios = {
         name.removeprefix("ratio_"): v
         for name, v in synthesis.certificate.margins.items()
         if name.startswith("ratio_")
     }
+    if np.isfinite(margin):
+        ratios[CAPACITY] = 1 / margin if margin else float("inf")
     binding = max(ratios, key=lambda name: ratios[name])
     return replace(
         before,
         ratio=ratios[binding],
         binding=binding,
         ratios=ratios,
+        capacity=margin,
+        demand=words,
         synthesis=synthesis,
         sensitivity=ratios["sensitivity"] * job.aims.sensitivity,
         gain=ratios["gain"] * job.aims.gain,

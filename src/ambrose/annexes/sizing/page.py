@@ -52,6 +52,8 @@ _SOURCES = (
     "of the air gaps alone, without leakage (assumed)",
 )
 _ASSUMED = (
+    "Load capacity: what bias, current, force and voltage leave over residual unbalance, and over "
+    "each load of the machine file on top of it; below 1 the size fails. "
     "The magnet grows along the shaft: pole area, volume and inductance with it; gap, turns, pole "
     "width and the amplifier's "
     "bandwidth stay. Copper loss: squares of the coil currents at rest, with turns around a "
@@ -113,6 +115,7 @@ def sizing_page(sizing: Sizing, verified: Verification | None = None, *, date: s
             "Copper loss",
             "Volt-amperes",
             "Force over load",
+            "Load capacity",
             "What binds",
         )
         sections.append(
@@ -348,6 +351,7 @@ def _row(what: str, trial: Trial) -> Row:
             f"{price.copper_loss:.3g}",
             f"{price.volt_amperes:.3g}",
             f"{price.reserve:.3g}" if np.isfinite(price.reserve) else "–",
+            f"{trial.capacity:.3g}" if np.isfinite(trial.capacity) else "–",
         ),
         trial.binding,
     )

@@ -1,0 +1,50 @@
+"""Loads of the machine file as a verdict of a size."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+import ambrose as amb
+from ambrose.annexes.sizing.capacity import capacity_margin
+from ambrose.annexes.sizing.guarantee import CAPACITY, attempt
+from ambrose.annexes.sizing.magnets import Size, resized
+from ambrose.model.effects.load import Load
+from ambrose.synthesis.methods.tuned import Tuned
+
+
+def loaded(machine, force):
+    load = Load("knock", 0.5 * machine.length, "surge", force, frequency=2 * math.pi * 20)
+    return replace(machine, effects=(*machine.effects, load))
+
+
+def test_the_margin_goes_with_the_force_and_with_the_bias():
+    machine = amb.load_machine("turboexpander")
+    rest = replace(machine.operation.nominal, speed=0.0, label="rest")
+    machine = replace(
+        machine,
+        tolerances=(),
+        operation=replace(machine.operation, points=(rest,), design_point=None, ranges=()),
+    )
+    controller = amb.design(machine, "pid", rate=None).controller
+    one, words = capacity_margin(loaded(machine, 100.0), controller, None)
+    two, _ = capacity_margin(loaded(machine, 200.0), controller, None)
+    assert two == pytest.approx(one / 2)
+    assert words.startswith("knock, axis")
+    assert capacity_margin(machine, controller, None) == (math.inf, "")
+
+
+@pytest.mark.campaign
+def test_a_size_that_cannot_carry_its_loads_fails_for_them():
+    rig = amb.load_machine("seal-rig-k-only")
+    point = rig.operation.nominal
+    rig = replace(rig, operation=replace(rig.operation, points=(point,), ranges=()))
+    rig = replace(rig, operation=replace(rig.operation, design_point=None))
+    method = Tuned(rate=10_000, order=8)
+    plain = attempt(rig, Size(), method.on(rig))
+    heavy = loaded(rig, 1e5)
+    found = attempt(heavy, Size(), method.on(heavy))
+    assert plain.met
+    assert not found.met and found.binding == CAPACITY
+    assert found.capacity == pytest.approx(1 / found.ratios[CAPACITY])
+    assert resized(heavy, Size()).bearings == resized(rig, Size()).bearings
