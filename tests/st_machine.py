@@ -2,17 +2,20 @@
 Python functions.
 
 Covers what the export writes: declarations with initial values, arrays, assignments, IF, FOR,
-arithmetic, comparisons, logic. Numbers are doubles, as LREAL.
+arithmetic, comparisons, logic, instances of other function blocks, TRUNC and DINT_TO_LREAL. Numbers
+are doubles, as LREAL.
 """
 
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from typing import Any
 
 from blark.parse import new_parser, parse_source_code
 
-_OPS = {"<>": "!=", "=": "==", "AND": "and", "OR": "or"}
+_OPS = {"<>": "!=", "=": "==", "AND": "and", "OR": "or", "MOD": "%"}
+_FUNCTIONS = {"TRUNC": "int", "DINT_TO_LREAL": "float"}
 
 
 def parsed(source: str) -> Any:
@@ -26,13 +29,41 @@ def parsed(source: str) -> Any:
     return result.transform().items[0]
 
 
+@dataclass(frozen=True)
+class Lean:
+    """A unit that was parsed without the initial values of its arrays, and those by name."""
+
+    unit: Any
+    values: dict[str, list[Any]]
+
+
+def lean(source: str) -> Lean:
+    """``parsed`` for a source with long tables, whose values the parser does not see: it takes
+    minutes for them, and tables of their form are parsed elsewhere.
+    """
+    found: dict[str, list[Any]] = {}
+
+    def kept(match: re.Match[str]) -> str:
+        texts = match[3].replace("TRUE", "True").replace("FALSE", "False").split(",")
+        found[match[1]] = [eval(text.strip()) for text in texts]
+        return match[1] + match[2]
+
+    plain = re.sub(r"\(\*.*?\*\)", "", source, flags=re.DOTALL)
+    return Lean(
+        parsed(re.sub(r"(\w+)( : ARRAY\[[^\]]*\] OF \w+) := \[([^\]]*)\]", kept, plain)), found
+    )
+
+
 class FunctionBlock:
     """An instance: variables by name in ``v`` (arrays as dictionaries), called with inputs as
-    keywords.
+    keywords. others: the units of the function blocks that it has instances of, by name.
     """
 
-    def __init__(self, unit: Any) -> None:
+    def __init__(self, unit: Any, others: dict[str, Any] | None = None) -> None:
         self.v: dict[str, Any] = {}
+        self.others = others or {}
+        self.values = unit.values if isinstance(unit, Lean) else {}
+        unit = unit.unit if isinstance(unit, Lean) else unit
         self.inputs: set[str] = set()
         for group in unit.declarations:
             names = [name for item in group.items for name in self._declare(item)]
@@ -54,7 +85,13 @@ class FunctionBlock:
         names = [str(declared.variable.name) for declared in item.variables]
         for name in names:
             assert name not in self.v, f"{name} is declared twice"
-            self.v[name] = _initial(item.init)
+            kind = str(getattr(getattr(item.init, "spec", None), "type", ""))
+            known = kind in self.others
+            self.v[name] = (
+                FunctionBlock(self.others[kind], self.others) if known else _initial(item.init)
+            )
+            if name in self.values:
+                self.v[name] = dict(zip(self.v[name], self.values[name], strict=True))
         return names
 
 
@@ -68,7 +105,7 @@ def _initial(init: Any) -> Any:
             False
             if str(init.spec.type.type_name) == "BOOL"
             else 0
-            if str(init.spec.type.type_name) == "INT"
+            if str(init.spec.type.type_name) in {"INT", "DINT"}
             else 0.0
         )
         values = (
@@ -80,7 +117,7 @@ def _initial(init: Any) -> Any:
         return dict(zip(places, values, strict=True))
     if init.value is not None:
         return eval(_expression(init.value))
-    return {"BOOL": False, "INT": 0}.get(str(init.spec.type), 0.0)
+    return {"BOOL": False, "INT": 0, "DINT": 0}.get(str(init.spec.type), 0.0)
 
 
 def _flat(node: Any) -> list[str]:
@@ -97,6 +134,9 @@ def _statements(nodes: Any, depth: int) -> list[str]:
         if kind == "AssignmentStatement":
             (target,) = node.variables
             lines.append(f"{pad}{_expression(target)} = {_expression(node.expression)}")
+        elif kind == "FunctionCallStatement":
+            given = ", ".join(f"{p.name.name}={_expression(p.value)}" for p in node.parameters)
+            lines.append(f"{pad}v['{node.name.name}']({given})")
         elif kind == "ForStatement":
             span = f"range({_expression(node.from_)}, {_expression(node.to)} + 1)"
             lines += [
@@ -129,11 +169,16 @@ def _expression(node: Any) -> str:
         return f"v['{node.name}']"
     if kind == "MultiElementVariable":
         (subscripts,) = node.elements
+        if type(subscripts).__name__ == "FieldSelector":
+            return f"v['{node.name.name}'].v['{subscripts.field.name}']"
         return (
             f"v['{node.name.name}'][({', '.join(_expression(s) for s in subscripts.subscripts)},)]"
         )
     if kind in {"Real", "Integer"}:
         return str(node.value)
+    if kind == "FunctionCall":
+        (argument,) = node.parameters
+        return f"{_FUNCTIONS[str(node.name.name)]}({_expression(argument.value)})"
     if kind == "Boolean":
         return str(node.value).capitalize()
     if kind == "ParenthesizedExpression":

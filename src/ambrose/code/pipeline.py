@@ -35,7 +35,7 @@ from ambrose.code.sampled import (
     unmet_limits,
 )
 from ambrose.code.synchronous import RunUnit
-from ambrose.code.targets import TARGETS, C, Files, Fmu, Target
+from ambrose.code.targets import TARGETS, C, Files, Fmu, St, Target
 from ambrose.core.checks import InvalidInput, UnstableSystem, invalid, same_clock
 from ambrose.core.presentation import Presented
 from ambrose.core.statespace import StateSpace, rename
@@ -208,7 +208,7 @@ def export(
             lines = [*lines, "Fallback:", *provenance_lines(other, fixed)]
         judged: tuple[Checks, ...] = ()
         law: ControlBlock | ScheduledBlock | RunUnit = block
-        if around and machine is not None and isinstance(target, C | Fmu):
+        if around and machine is not None and isinstance(target, C | Fmu | St):
             runs = (
                 synthesis if isinstance(deployment, ScheduledDeployment) else deployment.controller
             )

@@ -85,14 +85,14 @@ def generate_structured_text(
         raise invalid("arithmetic", repr(precision), "double or float", remedy)
     if precision == "float":
         block = block.single()
-    _check_names(block)
+    check_names(block)
     single = precision == "float"
     run = (
         make_scheduled_vectors(block, single)
         if isinstance(block, ScheduledBlock)
         else make_vectors(block, single=single)
     )
-    facts = _facts(block, precision, provenance)
+    facts = text_facts(block, precision, provenance)
     return {
         f"{block.name}.st": render("block.st.j2", {**facts, "tables": _tables(block, precision)}),
         f"{block.name}_test.st": render("test.st.j2", {**facts, **_test(block, run, precision)}),
@@ -100,11 +100,11 @@ def generate_structured_text(
     }
 
 
-def _check_names(block: ControlBlock | ScheduledBlock) -> None:
+def check_names(block: ControlBlock | ScheduledBlock, more: frozenset[str] = frozenset()) -> None:
     """Names that structured text allows: case does not count, no two underscores in a row, no
-    keyword, none of ours.
+    keyword, none of ours, none of ``more``. Raises InvalidInput.
     """
-    own = frozenset(_OWN.split()) | {d["name"] for d in _diagonals(block)}
+    own = more | frozenset(_OWN.split()) | {d["name"] for d in _diagonals(block)}
     if isinstance(block, ScheduledBlock):
         own |= frozenset(_OWN_SCHEDULED.split()) | {block.along.name, f"{block.along.name}_held"}
     checked = [("the name of the block", block.name, "give another --name")]
@@ -144,9 +144,10 @@ def _diagonals(block: ControlBlock | ScheduledBlock) -> list[dict[str, Any]]:
     return diagonals(increment, increment)
 
 
-def _facts(
+def text_facts(
     block: ControlBlock | ScheduledBlock, precision: Precision, provenance: Sequence[str]
 ) -> dict[str, Any]:
+    """What every template of a block reads."""
     facts = {
         **block_facts(block),
         "type": _TYPES[precision],
@@ -247,7 +248,7 @@ def _test(
         "errors": values(run.errors, precision),
         "currents": values(run.currents, precision),
         "tolerance": values(tolerance, precision),
-        "status": _lines([str(int(v)) for v in run.status]),
+        "status": whole_numbers(run.status),
         "valid": _lines(["TRUE" if v else "FALSE" for v in run.valid.ravel()]),
     }
 
@@ -255,6 +256,11 @@ def _test(
 def values(x: np.ndarray, precision: Precision) -> str:
     """The initial values of an array, the last index fastest, in lines."""
     return _lines([literal(float(v), precision) for v in x.ravel()])
+
+
+def whole_numbers(x: np.ndarray) -> str:
+    """The initial values of an array of whole numbers, in lines."""
+    return _lines([str(int(v)) for v in x])
 
 
 def _lines(items: Sequence[str]) -> str:

@@ -129,8 +129,8 @@ class Target(Options, ABC):
         raise invalid(
             "a controller with synchronous blocks",
             f"for the target {self.to!r}",
-            "for the target 'c' or 'fmu'",
-            f"{self.beside}; write C or an FMU, which run both in one unit",
+            "for the target 'c', 'fmu' or 'st'",
+            f"{self.beside}; write one of these, which run both in one unit",
         )
 
     def told(self, along: Scheduling) -> tuple[tuple[float | None, ...], tuple[float | None, ...]]:
@@ -308,6 +308,17 @@ class St(Target):
         from ambrose.code.structured_text import generate_structured_text
 
         return generate_structured_text(block, self.arithmetic, lines)
+
+    def check_beside(self) -> None:
+        from ambrose.code.c.run import check_run_arithmetic
+
+        check_run_arithmetic(self.arithmetic)
+
+    def files_beside(self, unit: RunUnit, lines: Sequence[str]) -> Files:
+        """{name: content} of the block with its synchronous blocks."""
+        from ambrose.code.structured_text_run import generate_run_structured_text
+
+        return generate_run_structured_text(unit, self.arithmetic, lines)
 
 
 TARGETS: Mapping[str, type[Target]] = {kind.to: kind for kind in (C, Mat, Fmu, St)}

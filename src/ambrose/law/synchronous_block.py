@@ -328,7 +328,8 @@ class SynchronousBlock:
             | BlockFault.DISABLED * (not enabled)
             | BlockFault.LIMIT * (at_limit and run.state is not BlockState.OFF)
         )
-        run.clock += 1
+        # counts in the states that end by it alone: no counter runs over
+        run.clock += run.state in (BlockState.HOLD, BlockState.RELEASE)
         wanted = inside and enabled
         if run.state is BlockState.OFF:
             if wanted and not fault:

@@ -36,8 +36,8 @@ from ambrose.law.synchronous_block import (
 from ambrose.machine.atomic_write import write_files
 
 _FLAGS = ("-Wall", "-Wextra", "-pedantic", "-Werror", "-ffp-contract=off")
-_NEWTON = 12  # steps of the square root: enough for any amplitude up to 1e3 limits
-_FAR = 1e9  # turns beyond which the angle stands still: years without a pulse
+NEWTON = 12  # steps of the square root: enough for any amplitude up to 1e3 limits
+FAR = 1e9  # turns beyond which the angle stands still: years without a pulse
 
 
 def generate_synchronous(
@@ -72,8 +72,8 @@ def generate_synchronous(
     turning = sum(n * 8 * block.drive.shape[2] for block in law.blocks if block.per_turn)
     cost = {
         # at the end of a turn the table serves twice, for the mean's real and imaginary part
-        "multiplications": 40 + n * (4 * columns + (14 + 2 * _NEWTON) * len(law.blocks)) + turning,
-        "additions": 40 + n * (6 * columns + (10 + _NEWTON) * len(law.blocks)) + turning,
+        "multiplications": 40 + n * (4 * columns + (14 + 2 * NEWTON) * len(law.blocks)) + turning,
+        "additions": 40 + n * (6 * columns + (10 + NEWTON) * len(law.blocks)) + turning,
         "table_bytes": size * numbers,
     }
     facts: dict[str, Any] = {
@@ -88,7 +88,7 @@ def generate_synchronous(
         "cost": cost,
         "sectors": SECTORS,
         "circle": table(circle()),
-        "newton": _NEWTON,
+        "newton": NEWTON,
         "dt": number(dt),
         "fastest": number(law.fastest),
         "jump": number(JUMP),
@@ -102,7 +102,7 @@ def generate_synchronous(
         "one": number(1.0),
         "fixed": False,
         "largest": LARGEST[arithmetic],
-        "far": number(_FAR),
+        "far": number(FAR),
         "per_turn": any(block.per_turn for block in law.blocks),
     }
     source = render("synchronous.c.j2", facts)
