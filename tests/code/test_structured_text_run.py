@@ -85,7 +85,12 @@ def texts(unit, precision="double"):
 
 @pytest.mark.campaign
 @pytest.mark.parametrize(
-    ("kind", "update"), [("fixed", False), ("fixed", True), ("scheduled", False)]
+    ("kind", "update"),
+    [
+        ("fixed", False),
+        pytest.param("fixed", True, marks=pytest.mark.study),
+        pytest.param("scheduled", False, marks=pytest.mark.study),
+    ],
 )
 def test_agrees_with_the_twin_over_a_run_up_with_faults(kind, update):
     unit = unit_of(kind, update)
@@ -125,7 +130,7 @@ def test_what_cannot_be_written_is_refused():
         generate_run_structured_text(taken)
 
 
-@pytest.mark.campaign
+@pytest.mark.study
 @pytest.mark.parametrize("precision", ["double", "float"])
 def test_the_test_program_passes_and_can_fail(precision):
     unit = unit_of()

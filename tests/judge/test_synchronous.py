@@ -23,6 +23,7 @@ from ambrose.judge.synchronous_sensitivity import sensitivity
 from ambrose.law.pid import pid_controller
 from ambrose.law.synchronous import Condition, conditions, forward_patterns, synchronous_loop
 from ambrose.law.synchronous_pencils import loop_pencils, prove_interval
+from ambrose.machine.description import Tolerance
 from ambrose.machine.file.toml import load_machine
 from ambrose.machine.synchronous import Synchronous
 from ambrose.synthesis.synchronous_design import design_synchronous
@@ -96,6 +97,49 @@ def test_the_enclosure_is_the_sampled_loop_but_for_aliasing(loop):
     assert pytest.approx(loop.base_band(speed, REST), abs=1e-11) == S
     exact = loop.response("current-free", speed, REST)
     assert 0 < np.linalg.norm(S - exact, 2) <= pencils.aliasing(610.0, 610.1)
+
+
+@pytest.mark.parametrize("mode", ["force-free", "vibration-free", "damping"])
+def test_the_enclosure_of_every_mode_is_its_response_but_for_aliasing(loop, mode):
+    pencils, speed = loop_pencils(loop, REST, 500.0, 900.0, mode=mode), 610.0 + 5e-7
+    cell = pencils.pencil(610.0, 610.0 + 1e-6)
+    R = cell.D + cell.C @ np.linalg.solve(cell.P0, cell.Q)
+    assert pytest.approx(loop.base_band(speed, REST, mode), abs=1e-11) == R
+    exact = loop.response(mode, speed, REST)
+    assert 0 < np.linalg.norm(R - exact, 2) <= pencils.aliasing(610.0, 610.1)
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("mode", ["force-free", "vibration-free"])
+def test_what_is_proved_of_other_modes_has_stable_poles(loop, mode):
+    """Random T in two intervals: none is proved and unstable at a speed and member in it."""
+    rng = np.random.default_rng(5)
+    spans = [(480.0, 510.0), (800.0, 830.0)]
+    pencils = [loop_pencils(loop, REST, *span, None, mode=mode) for span in spans]
+    names = [t.parameter for t in pencils[0].tolerances]
+    proved = unstable = 0
+    for k in range(40):
+        low, high = spans[k % 2]
+        noise = rng.standard_normal((4, 4)) + 1j * rng.standard_normal((4, 4))
+        inverse = np.linalg.inv(loop.response(mode, (low + high) / 2, REST))
+        T = inverse @ (np.eye(4) + rng.uniform(0, 1.5) * noise / 2)
+        shown = prove_interval(pencils[k % 2], lambda w, T=T: T, (), low, high).proved
+        member = tuple(zip(names, rng.uniform(-1, 1, len(names)).tolist(), strict=True))
+        speed = rng.uniform(low, high)
+        closed = select(loop.sampled(speed, Condition(0.0, member)), None, loop.reads(mode))
+        D = T @ loop.weights(mode, speed, REST)
+        stable = slowest_pole(closed, D, speed, 1e-3) < 0
+        proved, unstable = proved + shown, unstable + (not stable)
+        assert stable or not shown
+    assert min(proved, unstable) > 3
+
+
+def test_a_box_with_the_amplifier_is_not_proved_of_force_free(flywheel):
+    machine, law = flywheel
+    band = Tolerance("amplifier.bandwidth", 0.1)
+    loop = synchronous_loop(replace(machine, tolerances=(*machine.tolerances, band)), law)
+    with pytest.raises(InvalidInput, match="counts on its nominal bandwidth"):
+        loop_pencils(loop, REST, 500.0, 600.0, None, mode="force-free")
 
 
 def test_every_member_of_the_box_lies_in_the_enclosure(loop):

@@ -46,7 +46,7 @@ FAULTS = (
 )  # in the order of the bits of law.synchronous_block.BlockFault
 _FLAGS = ("held", "fault", "limited")
 _OWN = """
-pulse contact off base pulses tau period middle speed slope now theta came turned length change span
+pulse contact off base pulses tau period middle omega slope now theta came turned length change span
 turns sector angle p q mode clock ramp limits cosine sine re im samples sum_re sum_im v w error good
 added given current s x y share eps leak any inside wanted k next i j circle touching error_limit
 reset track held fault limited clamped behind u e turn part d row since expected check block shift

@@ -179,13 +179,17 @@ class SynchronousLoop:
         return np.hstack([at_bearings(self.machine), np.diag(k_i / k_s) @ coil * self._late(speed)])
 
     def response(self, mode: str, speed: float, condition: Condition) -> np.ndarray:
-        """R (a, a) complex: from c to -z, exact for the sampled loop at 1x."""
+        """R (a, a) complex: from c to -z, exact for the sampled loop at 1x. The block of a member
+        of the tolerances weighs its signals as it was designed, without them.
+        """
         loop = select(self.sampled(speed, condition), None, self.reads(mode))
         z = np.exp(1j * self.harmonic * speed * self.timing.sample_time)
-        return -self.weights(mode, speed, condition) @ _sampled_at(loop, z)
+        return -self.weights(mode, speed, replace(condition, delta=())) @ _sampled_at(loop, z)
 
-    def base_band(self, speed: float, condition: Condition) -> np.ndarray:
-        """S (a, a) at 1x with the base band of the hold alone: the exact one but for aliasing."""
+    def base_band(
+        self, speed: float, condition: Condition, mode: str = "current-free"
+    ) -> np.ndarray:
+        """R (a, a) at 1x with the base band of the hold alone: the exact one but for aliasing."""
         plant = self.plant(speed, condition)
 
         # S = (I + G K)^-1, G = P(j n W) hold delay
@@ -195,7 +199,12 @@ class SynchronousLoop:
         K = _sampled_at(
             self.controller(plant), np.exp(1j * self.harmonic * speed * self.timing.sample_time)
         )
-        return np.asarray(np.linalg.inv(np.eye(len(G)) + G @ K))
+        S = np.linalg.inv(np.eye(len(G)) + G @ K)
+        if mode == "current-free":
+            return np.asarray(S)
+        # y = (1 - S) c, u = K S c
+        signals = np.vstack([np.eye(len(G)) - S, K @ S])[: len(self.reads(mode))]
+        return np.asarray(-self.weights(mode, speed, replace(condition, delta=())) @ signals)
 
     def _late(self, speed: float) -> complex:
         """Hold and delay at 1x."""

@@ -1,16 +1,21 @@
 """Proof that a synchronous block converges at every speed of an interval, between the speeds as
 well.
 
-What is proved: Herm(T S) > 0, the convex sufficient condition under which every small gain is
-stable (core/synchronous.py), for the full plant with the controller as it is sampled, its delay and
-its hold. The loop is written as a pencil in the distance d of the speed from the middle of a cell,
+What is proved: Herm(T R) > 0 for the response R of the block's mode, the convex sufficient
+condition under which every small gain is stable (core/synchronous.py), for the full plant with the
+controller as it is sampled, its delay and its hold. The loop is written as a pencil in the distance
+d of the speed from the middle of a cell,
 
     [ j W - A(W)     -B_w D_p       0          -g(W) B   ] [x]     [  0  ]
     [ -C_z           I - D_zw D_p   0          -g(W) D_zu] [v]  =  [  0  ] d_o,    e = C x + d_o
     [  B_k C           0          z(W) - A_k     0       ] [x_k]   [-B_k ]
     [  D_k C           0          -C_k           1       ] [u]     [-D_k ]
 
-with z = exp(j W Ts), g = (1 - exp(-j W Ts))/(j W Ts) and D_p = diag(p) of the tolerances, |p| <= 1.
+R is S = 1 + C P^-1 Q for mode current-free. The other modes have C P^-1 Q alone: vibration-free and
+damping with C of y, force-free with B C_y + (k_i/k_s) C_i, where the currents
+i = C_i x + g(W) D_i u are further unknowns.
+
+Here z = exp(j W Ts), g = (1 - exp(-j W Ts))/(j W Ts) and D_p = diag(p) of the tolerances, |p| <= 1.
 z and g are entire, so that their Taylor remainders are known; the machine's matrices are a
 quadratic through three speeds, and twice what they are off at the quarter points is allowed for.
 A(W) is affine where only gyroscopic forces depend on the speed: the quadratic is then exact.
@@ -31,10 +36,12 @@ import numpy as np
 from ambrose.core.checks import InvalidInput
 from ambrose.core.interval_proof import Enclosure, IntervalProof, Pencil, enclose, prove
 from ambrose.core.lft import GeneralizedPlant
-from ambrose.core.statespace import StateSpace
+from ambrose.core.statespace import StateSpace, select
 from ambrose.law.scheduling import SPEED
-from ambrose.law.synchronous import Condition, SynchronousLoop
+from ambrose.law.synchronous import Condition, SynchronousLoop, at_bearings
 from ambrose.machine.description import Tolerance
+from ambrose.model.plant import Plant
+from ambrose.model.static_load import magnet_coefficients
 from ambrose.model.uncertainty import tolerances_around, uncertain
 
 _SEGMENTS = 12  # speeds between which the machine's matrices are a quadratic
@@ -68,9 +75,19 @@ class _Segment:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Coils:
+    """i = C x + D u (a, .) of mode force-free, and its z = displaced y + diag(per_current) i."""
+
+    C: np.ndarray
+    D: np.ndarray
+    displaced: np.ndarray
+    per_current: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class LoopPencils:
     """The pencils of a loop over an interval of speed, at a condition; tolerances: those in the box
-    (empty: none).
+    (empty: none); mode: whose response they enclose.
     """
 
     loop: SynchronousLoop
@@ -81,6 +98,8 @@ class LoopPencils:
     states: int
     owners: tuple[str, ...]
     segments: tuple[_Segment, ...]
+    mode: str = "current-free"
+    coils: _Coils | None = None
     _known: dict[tuple[float, float], Enclosure | None] = field(default_factory=dict, init=False)
 
     def enclosure(self, low: float, high: float) -> Enclosure | None:
@@ -100,7 +119,8 @@ class LoopPencils:
         a = len(self.loop.axes)
         k = K.n_states
         M0, M1, M2 = segment.around(middle)
-        size = n + q + k + a
+        coils = self.coils
+        size = n + q + k + a + (a if coils is not None else 0)
         P0, P1, P2 = (np.zeros((size, size), complex) for _ in range(3))
         rest = np.zeros((size, size))
 
@@ -109,7 +129,7 @@ class LoopPencils:
         x = slice(0, n)
         v = slice(n, n + q)
         c = slice(n + q, n + q + k)
-        u = slice(n + q + k, size)
+        u = slice(n + q + k, n + q + k + a)
 
         # the machine: j W - A in the states, -C_z in the deviations' outputs
         harmonic = self.loop.harmonic
@@ -171,15 +191,25 @@ class LoopPencils:
                 rest[: n + q, n + i] += slope + segment.rest[:, n + i]
             members.append(member)
 
-        # e = C x + d_o; Q: the right side's columns of d_o
+        # e = C x + d_o, other modes without d_o; Q: the right side's columns of d_o
         C, Q = np.zeros((a, size), complex), np.zeros((size, a), complex)
         C[:, x] = self.C
         Q[c] = -K.B
         Q[u] = -K.D
-        return Pencil(P0, P1, P2, tuple(members), rest, C, Q, np.eye(a, dtype=complex), h)
+        if coils is not None:
+            # i - C_i x - g(W) D_i u = 0,   z = B y + (k_i/k_s) i
+            coil = slice(size - a, size)
+            P0[coil, coil] = np.eye(a)
+            P0[coil, x], P0[coil, u] = -coils.C, -g[0] * coils.D
+            P1[coil, u], P2[coil, u] = -g[1] * coils.D, -g[2] * coils.D
+            rest[coil, u] += cubic * np.abs(coils.D)
+            C[:, x] = coils.displaced @ self.C
+            C[:, coil] = np.diag(coils.per_current)
+        D = np.eye(a, dtype=complex) if self.mode == "current-free" else np.zeros((a, a), complex)
+        return Pencil(P0, P1, P2, tuple(members), rest, C, Q, D, h)
 
     def aliasing(self, low: float, high: float) -> float:
-        """The allowance for aliasing between two speeds, in the 2-norm of S."""
+        """The allowance for aliasing between two speeds, in the 2-norm of the response."""
         middle = (low + high) / 2
         return next(s.aliasing for s in self.segments if s.low - 1e-9 <= middle <= s.high + 1e-9)
 
@@ -191,11 +221,14 @@ def loop_pencils(
     high: float,
     tolerances: Sequence[Tolerance] | None = (),
     edges: Sequence[float] = (),
+    mode: str = "current-free",
 ) -> LoopPencils:
     """The pencils of a loop between two speeds [rad/s].
 
     tolerances: in the box (None: all that hold around the condition); edges: further speeds at
-    which a segment ends. Raises InvalidInput for a law that is scheduled over the speed.
+    which a segment ends; mode: whose response is enclosed. Raises InvalidInput for a law that is
+    scheduled over the speed, and for tolerances of the amplifier in mode force-free, whose block
+    counts on the amplifier of the file.
     """
     if loop.law.follows(SPEED):
         raise InvalidInput(
@@ -205,6 +238,11 @@ def loop_pencils(
     plant = loop.plant((low + high) / 2, condition)
     held = tolerances_around(plant) if tolerances is None else tuple(tolerances)
     law = loop.timing.in_loop(loop.controller(plant))
+    if mode == "force-free" and any_of_amplifier(held):
+        raise InvalidInput(
+            "mode force-free is not proved over tolerances of the amplifier: the block counts on "
+            "its nominal bandwidth; leave them out of the box"
+        )
 
     def matrices(speed: float) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
         at = loop.plant(speed, condition)
@@ -252,13 +290,28 @@ def loop_pencils(
         # rounding of the assembly is not curvature
         off[off < 1e-12 * np.abs(centre).max(axis=1, keepdims=True)] = 0.0
 
-        seen = max(_aliasing(loop, condition, w) for w in (start, middle, end))
+        seen = max(_aliasing(loop, condition, w, mode) for w in (start, middle, end))
         segments.append(
             _Segment(start, end, centre, first, second, _ALLOWED * off, _ALLOWED * seen)
         )
 
     _, C, owners = matrices((low + high) / 2)
-    return LoopPencils(loop, condition, held, law, C, len(C[0]), owners, tuple(segments))
+    coils = _coils(loop, plant) if mode == "force-free" else None
+    return LoopPencils(
+        loop, condition, held, law, C, len(C[0]), owners, tuple(segments), mode, coils
+    )
+
+
+def any_of_amplifier(tolerances: Sequence[Tolerance]) -> bool:
+    """Whether the amplifier's own parameters are among tolerances."""
+    return any(one.parameter.startswith("amplifier.") for one in tolerances)
+
+
+def _coils(loop: SynchronousLoop, plant: Plant) -> _Coils:
+    """What mode force-free reads of the coils, of the plant as it is without members."""
+    system = select(plant.system, plant.named("u"), plant.named("i"))
+    k_i, k_s = magnet_coefficients(loop.machine, plant.point)
+    return _Coils(system.C, system.D, at_bearings(loop.machine), k_i / k_s)
 
 
 def prove_interval(
@@ -307,9 +360,9 @@ def _hold_series(middle: float, dt: float) -> tuple[complex, complex, complex]:
     )
 
 
-def _aliasing(loop: SynchronousLoop, condition: Condition, speed: float) -> float:
-    """By how much S with the base band of the hold alone is off the exact sampled one, in its
-    2-norm.
+def _aliasing(loop: SynchronousLoop, condition: Condition, speed: float, mode: str) -> float:
+    """By how much a mode's response with the base band of the hold alone is off the exact sampled
+    one, in its 2-norm.
     """
-    exact = loop.response("current-free", speed, condition)
-    return float(np.linalg.norm(exact - loop.base_band(speed, condition), 2))
+    exact = loop.response(mode, speed, condition)
+    return float(np.linalg.norm(exact - loop.base_band(speed, condition, mode), 2))

@@ -105,8 +105,8 @@ class SynchronousDesign(Presented):
 
     @property
     def _angle_name(self) -> str:
-        """Between the knots of its table only the mode current-free is proved."""
-        return "proved_angle" if self.mode == "current-free" else "angle_at_knots"
+        """Of mode damping nothing is proved here: its leak holds what T would not."""
+        return "angle_at_knots" if self.mode == DAMPING else "proved_angle"
 
     def to_dict(self) -> dict[str, Any]:
         """The blocks as they stand in a file, the bands left out and the figures of the design,
@@ -312,22 +312,12 @@ def _provable(
 ) -> tuple[float, list[tuple[float, float]], list[Forbidden]]:
     """The smallest angle proved, the parts of a band in which Herm(T S) > 0 is proved at all
     conditions, and the rest.
-
-    Modes other than current-free are judged at their knots and between them alone (no interval
-    proof).
     """
-    if mode != "current-free":
-        angles = [
-            sector_angle(table.at(w) @ loop.response(mode, w, condition))
-            for condition in at
-            for w in np.linspace(*band, 2 * len(table.speeds) + 1)
-        ]
-        return min(angles), [band], []
     waiting = [band]
     proved = []
     rest = []
     angle = np.pi / 2
-    pencils = [loop_pencils(loop, condition, *band) for condition in at]
+    pencils = [loop_pencils(loop, condition, *band, mode=mode) for condition in at]
     while waiting:
         low, high = waiting.pop()
         if high - low < narrow:
