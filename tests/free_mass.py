@@ -4,7 +4,8 @@ whip.
 
 import numpy as np
 
-from ambrose.annexes.touchdown.fallen import Bearing, FallenRotor
+from ambrose.annexes.touchdown.fallen import FallenRotor
+from ambrose.model.effects.touchdown import Bearing
 
 CLEARANCE = 2e-4
 
@@ -15,12 +16,12 @@ def bush(k, d, mass=1e-9, contact=1e15):
         CLEARANCE,
         contact,
         0.0,
-        1e-7,
-        0.04,
         0.2,
+        0.01,
+        0.04,
+        1e-7,
         0.2,
         0.1,
-        0.01,
         ring_mass=mass,
         mount_stiffness=k,
         mount_damping=d,

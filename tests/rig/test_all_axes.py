@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import ambrose as amb
 from ambrose.code.block.run import run_block
 from ambrose.code.c.compiler import has_compiler
 from ambrose.code.compiled_axes import CompiledAxes
 from ambrose.core.checks import InvalidInput
+from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
 from ambrose.rig.disturbances import Failure, Pulse, SpeedChange, Unbalance
 from ambrose.rig.scenario import Scenario
 
@@ -65,20 +67,31 @@ def test_each_part_moves_as_by_itself():
 @pytest.mark.campaign
 @pytest.mark.skipif(not has_compiler(), reason="no C compiler")
 def test_one_c_function_holds_all_axes(tmp_path):
-    """What it did in the loop is what the twins of both blocks do with the same readings."""
+    """Lift-off, run-up, surge, trip, landing; what it did in the loop is what the twins of both
+    blocks do with the same readings.
+    """
     radial, axial = laws()
     folder = tmp_path / "c"
     done = amb.export(radial, folder, machine=machine(), axial=axial, to="c", force=True)
     assert done.axial is not None
     code = CompiledAxes(done.block, done.axial.block)
-    steady = replace(LIFT, speed_changes=(), speed=200.0)
-    run = amb.simulate(machine(), code, steady, point="standstill")
-    assert run.outcome == "completed", run.text
+    run = amb.simulate(machine(), code, "five-axes", point="standstill")
+    time, record = run.record.time, run.record
+    assert run.outcome == "touchdown" and 3.506 < run.touchdown_at < 3.508, run.text
+    gaps = {axis: 0.2e-3 for axis in "AB"}
+    for axis, gap in gaps.items():
+        r = np.hypot(record[f"q_{axis}_zeta"], record[f"q_{axis}_eta"])
+        assert r[(time > 0.1) & (time < 3.5)].max() < 0.2 * gap
+        assert gap < r[time > 4.5].mean() and r.max() < 2 * gap
+    z = record["q_T_z"]
+    assert np.abs(z[(time > 0.1) & (time < 3.5)]).max() < 0.5 * 0.25e-3
+    assert z[time > 3.6].max() < -0.25e-3  # on the stop to which the thrust pulls
     for block, axes in ((done.block, machine().axes), (done.axial.block, ("T_z",))):
-        errors = -np.column_stack([run.record[f"y_{axis}"] for axis in axes])
+        errors = -np.column_stack([record[f"y_{axis}"] for axis in axes])
         twin = run_block(block, errors).currents
-        acted = np.column_stack([run.record[f"u_{axis}"] for axis in axes])
+        acted = np.column_stack([record[f"u_{axis}"] for axis in axes])
         assert np.abs(acted[1:] - twin[:-1]).max() <= 1e-12 * np.abs(twin).max()
+    steady = replace(LIFT, speed_changes=(), speed=200.0)
     still = replace(steady, initial="levitated", duration=0.05, pulses=())
     counted = CompiledAxes(done.block, done.axial.block, "fixed32")
     for program in (code, counted):  # begun with the states that hold the weight
@@ -99,10 +112,37 @@ def test_the_power_of_all_axes_fails_at_once():
     assert "T_z: touchdown" in run.text
 
 
+@pytest.mark.campaign
+def test_a_rotor_at_rest_lies_on_contact_elements_and_mount_in_series():
+    """N/k_c, the elements' deflection from K d^1.5 of both rows, N/k_m: under half the weight."""
+    radial, _ = laws()
+    rest = Scenario("rest", 0.4, failures=(Failure(0.0),), initial="resting", speed=0.0)
+    run = amb.simulate(machine(), radial, rest, point="standstill")
+    late = run.record.time > 0.35
+    K, p = 1e3 / 1e-5**1.5, (100 / (1e3 / 1e-5**1.5)) ** (2 / 3)
+    total = 0.0
+    for name in "AB":
+        r = np.hypot(run.record[f"q_{name}_zeta"], run.record[f"q_{name}_eta"])[late].mean()
+        depth = r - 0.2e-3
+
+        def under(N, depth=depth):
+            d = brentq(lambda d: K * ((p + d) ** 1.5 - max(p - d, 0) ** 1.5) - N, 0, 1e-4)
+            return N / 1e8 + d + N / 5e6 - depth
+
+        total += brentq(under, 0.0, 1e3)
+    assert total == pytest.approx(
+        9.80665 * mass_properties(finite_element_rotor(machine())).mass, rel=2e-3
+    )
+
+
 @pytest.mark.parametrize(
     ("how", "words"),
     [
         ({"machine": "seal-rig"}, "no thrust bearing"),
+        (
+            {"axial": None, "scenario": "five-axes"},
+            r"acts along the shaft; give its axial.*--axial",
+        ),
         ({"linear": True}, "linear beside an axial controller"),
         ({"rate": 1e4, "axial": "late"}, "one processor runs both"),
     ],
@@ -115,6 +155,8 @@ def test_what_cannot_run_together_is_refused(how, words):
         axial = amb.design(
             replace(slow, controller=replace(slow.controller, sample_time=2e-4)), "pid"
         )
-    rest = {name: value for name, value in how.items() if name not in {"machine", "axial"}}
+    if how.get("axial", "") is None:
+        axial = None
+    rest = {name: how[name] for name in ("linear", "rate") if name in how}
     with pytest.raises(InvalidInput, match=words):
-        amb.simulate(target, radial, LIFT, axial=axial, **rest)
+        amb.simulate(target, radial, how.get("scenario", LIFT), axial=axial, **rest)

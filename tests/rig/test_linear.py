@@ -98,7 +98,7 @@ def test_python_control_agrees_on_the_held_loop():
         )
 
 
-ALONG_THE_SHAFT = {"surge", "thrust-reversal", "thrust-step"}  # tests/thrust has these
+ALONG_THE_SHAFT = {"five-axes", "surge", "thrust-reversal", "thrust-step"}  # tests/thrust has these
 
 
 @pytest.mark.parametrize("name", sorted(set(bundled_scenarios()) - ALONG_THE_SHAFT))

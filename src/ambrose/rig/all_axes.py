@@ -202,10 +202,9 @@ def _timing(machine: Machine, parts: Parts, wanted: float | None, delay: int | N
     """The one clock of both. Raises InvalidInput where they have two."""
     axial = law_of(parts.axial)
     sample = sample_time(law_of(parts.radial), machine, wanted)
-    found = timing_of(machine.axial, axial)
-    own = found.sample_time if found is not None else sample
-    if axial.sample_time is not None or axial.rate is not None:
-        own = axial.sample_time or 1 / (axial.rate or 1 / sample)
+    own = axial.sample_time
+    if own is None:
+        own = sample if axial.rate is None else 1 / axial.rate
     if not same_clock(sample, own):
         raise invalid(
             "the sample time of the axial controller",

@@ -191,10 +191,14 @@ def names_thrust(item: Any) -> bool:
 
 
 def on_thrust(items: Sequence[Any], axis: str) -> tuple[Any, ...]:
-    """What is along the shaft by its name, with the axis in place of "thrust_z"."""
+    """What is along the shaft by its name, with the axis in place of "thrust_z", and what is of all
+    axes (a failure of no axis by itself).
+    """
     chosen = []
     for item in items:
-        if names_thrust(item):
+        if getattr(item, "axis", "") is None:
+            chosen.append(item)
+        elif names_thrust(item):
             key = "signal" if getattr(item, "signal", None) else "axis"
             text = getattr(item, key)
             ending = _THRUST if text.endswith(_THRUST) else axis

@@ -232,6 +232,11 @@ class Scenario(Presented):
         """The same with the machine's bearings and numbers. Raises InvalidInput where it lacks one
         that is asked for.
         """
+        if self.names_thrust and not isinstance(machine, AxialMachine):
+            remedy = "give its axial controller, too (--axial), or take file.toml#axial"
+            if not machine.has_axis:
+                remedy = f"{machine.name} has no [[thrust_bearing]]; take another scenario"
+            raise InvalidInput(f"scenario {self.name} acts along the shaft; {remedy}")
         names = dict.fromkeys(bearing.name for bearing in machine.axis_bearings)
         found = self.at_bearings(list(names), machine)
         if not isinstance(machine, AxialMachine):

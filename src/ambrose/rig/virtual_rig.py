@@ -290,6 +290,7 @@ def rightmost(rig: Rig, drive: Drive, laws: Laws, switched: bool) -> complex:
     A, B = linear_view(rig, drive, z, u)
     # an amplifier or sensor may need fewer states than it has
     used = (A != 0).any(axis=0) | (A != 0).any(axis=1)
+    used[rig.behind] = False  # nothing in the loop moves race and ring
     poles = closed_loop_poles(
         A[np.ix_(used, used)], B[used], measurement(rig)[:, used], law, laws.sample
     )

@@ -8,8 +8,8 @@ import pytest
 
 from ambrose.annexes.touchdown.arrays import Case
 from ambrose.annexes.touchdown.drop import Drop, case_of, rig_of, run
-from ambrose.annexes.touchdown.fallen import element_force
 from ambrose.annexes.touchdown.whip import alone, edge_alone, receptances
+from ambrose.model.effects.touchdown import element_force
 from free_mass import CLEARANCE, bush, polynomial_edge, rotor
 
 G, M = 9.80665, 12.0

@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 
 import ambrose as amb
-from ambrose.annexes.touchdown.fallen import (
-    element_force,
-    elements_deflection,
-    stator_receptance,
-)
+from ambrose.annexes.touchdown.fallen import elements_deflection, stator_receptance
 from ambrose.annexes.touchdown.whip import alone, edge_alone, receptances, together
 from ambrose.core.checks import InvalidInput
+from ambrose.model.effects.touchdown import element_force
 from free_mass import CLEARANCE, bush, polynomial_edge, rotor
 
 

@@ -12,7 +12,7 @@ class Rig(NamedTuple):
 
     stiffness, damping, gyroscopic (n, n): M^-1 K and so on; rows (b, 2, n); answers (n, 2b): M^-1
     rows^T; weight (n,): M^-1 w; seals (s, 2, n) over their gaps; bearings (b, 21): of
-    ``fallen.Bearing``; inverse
+    ``touchdown.Bearing``; inverse
     (b, 4): 1/mass of race, 1/inertia, 1/mass of ring, and mobility of the sliding [1/kg]; windage
     [N m s2]; flight: steps of free flight in one; loss (n, n): D; tally: whether its work is
     counted. axes (b, 2), magnets (b, 10), sensors (2b, n), bandwidth [rad/s]: of the magnets.

@@ -26,9 +26,10 @@ from ambrose.annexes.touchdown.drop import (
     run,
     slip_of,
 )
-from ambrose.annexes.touchdown.fallen import Bearing, FallenRotor
+from ambrose.annexes.touchdown.fallen import FallenRotor
 from ambrose.core.checks import NumericalFailure
 from ambrose.machine.machine import Machine
+from ambrose.model.effects.touchdown import Bearing
 
 WHIRLS = 3.0  # whole turns against the spin
 # factors on the file's values, lowest and highest: friction evenly, mount by its logarithm

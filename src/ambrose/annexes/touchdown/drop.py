@@ -19,21 +19,19 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.annexes.touchdown import fallen as fallen_module
 from ambrose.annexes.touchdown.arrays import Case, Rig, SampledLaw, Work
-from ambrose.annexes.touchdown.fallen import Bearing, FallenRotor
+from ambrose.annexes.touchdown.fallen import FallenRotor
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.machine.machine import Machine
 from ambrose.model.effects import magnet
+from ambrose.model.effects import touchdown as contact_law
 from ambrose.model.effects.rotor import STANDARD_GRAVITY
+from ambrose.model.effects.touchdown import inverses, longest_steps
 from ambrose.model.plant import top_speed
 
 FIGURES = 14  # per bearing, see drop_kernel
 _LOSSES = 7
-# [rad] per step of the fastest oscillation: in contact, and of race and ring alone, which count for
-# little while the rotor flies
-_TURN, _FLIGHT = 0.5, 1.4
-_DECAY = 0.8  # of the fastest damping, per step
+_TURN = 0.5  # [rad] per step of the rotor's own fastest oscillation
 # [s]: as closely as a first contact is timed; and a flight in which gravity moves nothing much
 _LONGEST_STEP, _LONGEST_FLIGHT = 2e-5, 1e-4
 LEAST_STEP = 1e-8  # [s]: a drop takes seconds then
@@ -91,7 +89,7 @@ def compiled() -> Any:
     from ambrose.annexes.touchdown import drop_kernel
 
     digest = hashlib.sha256()
-    for module in (drop_kernel, fallen_module, magnet):
+    for module in (drop_kernel, contact_law, magnet):
         digest.update(Path(str(module.__file__)).read_bytes())
     return drop_kernel.entry_point(int.from_bytes(digest.digest()[:6], "big"))
 
@@ -100,36 +98,6 @@ def mobilities(fallen: FallenRotor) -> np.ndarray:
     """What a radial force at every bearing makes the rotor do at once (b,) [1/kg]."""
     inverse = np.linalg.inv(fallen.mass_matrix)
     return np.einsum("bn,nm,bm->b", fallen.rows[:, 0], inverse, fallen.rows[:, 0])
-
-
-def step_of(bearing: Bearing, mobility: float, load: float) -> tuple[float, float]:
-    """Longest steps [s] for one bearing: in contact, and in free flight, where race and ring ring
-    on alone. load [N]: of the elements, whose stiffness rises with it.
-    """
-    stiff = 0.0  # of the elements, tangent K 3/2 sqrt(d)
-    if bearing.race_mass:
-        deflection = (load / bearing.hertz) ** (2 / 3) + bearing.preload
-        stiff = 1.5 * bearing.hertz * math.sqrt(deflection)
-    steps = []
-    for touching, turn in ((bearing.stiffness, _TURN), (0.0, _FLIGHT)):
-        damp = bearing.damping if touching else 0.0
-        mount = bearing.mount_stiffness
-        if touching and math.isfinite(bearing.travel):
-            mount += bearing.stop_stiffness
-        race = 1 / bearing.race_mass if bearing.race_mass else 0.0
-        ring = 1 / bearing.ring_mass if bearing.ring_mass else 0.0
-        met = race or ring
-        squares = [touching * (mobility + met) + stiff * race, stiff * (race + ring) + mount * ring]
-        if not race:
-            squares.append((touching + mount) * ring)
-        decays = [
-            damp * (mobility + met) + bearing.element_damping * race,
-            bearing.element_damping * (race + ring) + bearing.mount_damping * ring,
-            bearing.mount_damping * ring + (0.0 if race else damp * ring),
-        ]
-        fastest = math.sqrt(max(squares))
-        steps.append(min(turn / max(fastest, 1.0), _DECAY / max(*decays, 1.0)))
-    return steps[0], steps[1]
 
 
 def build(machine: Machine, fallen: FallenRotor, *, tally: bool = False) -> tuple[Rig, float]:
@@ -147,7 +115,7 @@ def rig_of(fallen: FallenRotor, *, windage: float = 0.0, tally: bool = False) ->
     inverse = np.linalg.inv(fallen.mass_matrix)
     mobility = mobilities(fallen)
     heavy = fallen.mass * 10 * 9.81 / len(fallen.bearings)  # usual first peaks
-    steps = [step_of(*pair, heavy) for pair in zip(fallen.bearings, mobility, strict=True)]
+    steps = [longest_steps(*pair, heavy) for pair in zip(fallen.bearings, mobility, strict=True)]
     # the rotor's own fastest mode
     fastest = math.sqrt(max(np.abs(np.linalg.eigvals(inverse @ fallen.stiffness)).max(), 1.0))
     turning = np.abs(np.linalg.eigvals(inverse @ fallen.gyroscopic)).max() * fallen.speed
@@ -171,7 +139,7 @@ def rig_of(fallen: FallenRotor, *, windage: float = 0.0, tally: bool = False) ->
         inverse @ fallen.weight,
         np.ascontiguousarray(fallen.seal_rows.reshape(count, 2, n) / gaps[:, None, None]),
         np.array(fallen.bearings, dtype=float),
-        np.array([_inverse(*pair) for pair in zip(fallen.bearings, mobility, strict=True)]),
+        np.array([inverses(*pair) for pair in zip(fallen.bearings, mobility, strict=True)]),
         fallen.polar_inertia,
         windage,
         max(int(free / dt), 1),
@@ -182,16 +150,6 @@ def rig_of(fallen: FallenRotor, *, windage: float = 0.0, tally: bool = False) ->
         np.zeros((2 * b, n)),
         0.0,
     ), dt
-
-
-def _inverse(bearing: Bearing, mobility: float) -> tuple[float, float, float, float]:
-    """1/mass of race, 1/inertia, 1/mass of ring, and what a friction force makes the sliding change
-    at once [1/kg]: of the rotor, and of the race or ring.
-    """
-    race = 1 / bearing.race_mass if bearing.race_mass else 0.0
-    ring = 1 / bearing.ring_mass if bearing.ring_mass else 0.0
-    spin = 1 / bearing.race_inertia if race else 0.0
-    return race, spin, ring, mobility + (race or ring) + bearing.radius**2 * spin
 
 
 def no_law(axes: int) -> SampledLaw:

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.annexes.touchdown import fallen
 from ambrose.annexes.touchdown.arrays import SampledLaw
+from ambrose.model.effects import touchdown
 from ambrose.rig.engine.cache import compile_kept
 from ambrose.rig.engine.inlined import OPTIONS, compiled, magnet_force
 
@@ -25,7 +25,10 @@ _REST = 1.0  # [rad/s] below which drag and braking fade
 _LOSSES = 7  # beside the bearings' slip
 _NEAR = 1.5  # steps of free flight that must fit into the gap that is left
 
-element_force = compiled(fallen.element_force)
+contact = compiled(touchdown.force)
+elements = compiled(touchdown.elements)
+mount = compiled(touchdown.mount)
+race_drag = compiled(touchdown.race_drag)
 
 
 @compiled
@@ -68,7 +71,6 @@ def _slope(
             vx += rig.rows[k, 0, j] * z[n + j]
             vy += rig.rows[k, 1, j] * z[n + j]
         has_race, has_ring = p[9] > 0.0, p[16] > 0.0
-        fx, fy = 0.0, 0.0  # on the rotor
         # what the rotor meets: the race, else the ring, else the housing
         at, at_v = (race, race_v) if has_race else (ring, ring_v)
         moves = has_race or has_ring
@@ -77,31 +79,20 @@ def _slope(
         if moves:
             dx, dy = x - z[at + 2 * k], y - z[at + 2 * k + 1]
             ux, uy = vx - z[at_v + 2 * k], vy - z[at_v + 2 * k + 1]
+        # the contact; friction fades no faster than a step can follow
+        spun = W - z[spin + k] * has_race
+        lag = 0.7 * dt * rig.inverse[k, 3]
+        fx, fy, moment, normal = contact(dx, dy, ux, uy, spun, p, case.friction, lag)
+        torque += moment
         r = math.sqrt(dx * dx + dy * dy)
         depth = r - p[0]
-        normal, rub = 0.0, 0.0
-        dz[spin + k] = 0.0
+        dz[lost + k] = 0.0
         if depth > 0.0:
-            ex, ey = dx / r, dy / r
-            closing = ux * ex + uy * ey
-            normal = p[1] * depth + p[2] * closing * depth / (depth + p[3])
-            if normal > 0.0:
-                dz[lost + b] += (normal - p[1] * depth) * closing
-                slip = uy * ex - ux * ey + (W - z[spin + k] * has_race) * p[4]
-                mu = case.friction * p[5]
-                if p[6] > p[5]:
-                    mu += case.friction * (p[6] - p[5]) * math.exp(-abs(slip) / p[7])
-                # friction fades below p[8]; no faster than a step can follow
-                fade = max(p[8], 0.7 * dt * mu * normal * rig.inverse[k, 3])
-                rub = -mu * normal * slip / math.sqrt(slip * slip + fade * fade)
-                fx, fy = -normal * ex - rub * ey, -normal * ey + rub * ex
-                dz[lost + k] = -rub * slip
-                torque += rub * p[4]
-            else:
-                # the damping would pull: the spring's energy goes with it
-                dz[lost + b] -= p[1] * depth * closing
-                normal = 0.0
+            dz[lost + k] = -moment * ((uy * dx - ux * dy) / (r * p[5]) + spun)
+            # what is not its spring; where the damping would pull, the spring's energy goes too
+            dz[lost + b] += (normal - p[1] * depth) * (ux * dx + uy * dy) / r
         load = 0.0
+        dz[spin + k] = 0.0
         ring_x, ring_y = -fx, -fy  # on the ring
         if has_race:
             # rolling elements between race and ring (or housing)
@@ -110,36 +101,34 @@ def _slope(
             if has_ring:
                 gx, gy = gx - z[ring + 2 * k], gy - z[ring + 2 * k + 1]
                 hx, hy = hx - z[ring_v + 2 * k], hy - z[ring_v + 2 * k + 1]
-            g = math.sqrt(gx * gx + gy * gy)
-            load = element_force(g, p[11], p[12])
-            share = load / max(g, 1e-15)
-            ring_x, ring_y = share * gx + p[13] * hx, share * gy + p[13] * hy
+            ring_x, ring_y, load = elements(gx, gy, hx, hy, p)
             dz[lost + b + 1] += p[13] * (hx * hx + hy * hy)
             dz[race + 2 * k] = z[race_v + 2 * k]
             dz[race + 2 * k + 1] = z[race_v + 2 * k + 1]
             dz[race_v + 2 * k] = (-fx - ring_x) * rig.inverse[k, 0]
             dz[race_v + 2 * k + 1] = (-fy - ring_y) * rig.inverse[k, 0]
-            # spin of the race: I w' = -rub R - (M_0 + mu_b F d/2)
-            w = z[spin + k]
-            drag = (p[14] + p[15] * load) * w / (abs(w) + _REST)
-            dz[spin + k] = (-rub * p[4] - drag) * rig.inverse[k, 1]
-            dz[lost + b + 4] += drag * w
+            # spin of the race: I w' = -moment - drag
+            drag = race_drag(z[spin + k], load, p)
+            dz[spin + k] = (-moment - drag) * rig.inverse[k, 1]
+            dz[lost + b + 4] += drag * z[spin + k]
         else:
             for j in range(2):
                 dz[race + 2 * k + j] = dz[race_v + 2 * k + j] = 0.0
         if has_ring:
-            sx, sy = z[ring + 2 * k], z[ring + 2 * k + 1]
             tx, ty = z[ring_v + 2 * k], z[ring_v + 2 * k + 1]
-            d = case.mount_damping * p[18]
-            spring = case.mount_stiffness * p[17]
-            square = sx * sx + sy * sy
-            if square > p[19] * p[19]:
-                way = math.sqrt(square)
-                spring += p[20] * (way - p[19]) / way
+            held_x, held_y = mount(
+                z[ring + 2 * k],
+                z[ring + 2 * k + 1],
+                tx,
+                ty,
+                p,
+                case.mount_stiffness,
+                case.mount_damping,
+            )
             dz[ring + 2 * k], dz[ring + 2 * k + 1] = tx, ty
-            dz[ring_v + 2 * k] = (ring_x - spring * sx - d * tx) * rig.inverse[k, 2]
-            dz[ring_v + 2 * k + 1] = (ring_y - spring * sy - d * ty) * rig.inverse[k, 2]
-            dz[lost + b + 2] += d * (tx * tx + ty * ty)
+            dz[ring_v + 2 * k] = (ring_x + held_x) * rig.inverse[k, 2]
+            dz[ring_v + 2 * k + 1] = (ring_y + held_y) * rig.inverse[k, 2]
+            dz[lost + b + 2] += case.mount_damping * p[18] * (tx * tx + ty * ty)
         else:
             for j in range(2):
                 dz[ring + 2 * k + j] = dz[ring_v + 2 * k + j] = 0.0

@@ -10,19 +10,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.attachment import attached
 from ambrose.machine.axial import AxialMachine
-from ambrose.machine.description import MagneticBearing, OperatingPoint
+from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
-from ambrose.machine.touchdown import Touchdown
 from ambrose.model.assemble import attached_rotor
 from ambrose.model.basis import modes_of
-from ambrose.model.effects import touchdown
 from ambrose.model.effects.clearance import Clearance
 from ambrose.model.effects.rotor import (
     displacement_row,
@@ -30,87 +27,9 @@ from ambrose.model.effects.rotor import (
     gravity_load,
     mass_properties,
 )
+from ambrose.model.effects.touchdown import Bearing, element_force, parameters
 from ambrose.model.ports import measured_ports
 from ambrose.model.static_load import magnet_coefficients
-
-RIGID = math.inf  # stiffness of what is not there
-
-
-class Bearing(NamedTuple):
-    """A touchdown bearing, SI. clearance, contact stiffness and damping, onset (depth over which
-    the contact's damping sets in), radius, friction mu, static_friction and stribeck_speed,
-    sliding_speed below which friction fades.
-
-    race_mass 0: no inner race, the rotor meets the ring. hertz K [N/m^1.5] and preload, as the
-    deflection [m] that it makes. ring_mass 0: the ring is fixed in the housing. travel inf: no
-    stop. drag: friction moment of the race without load [N m]; drag_arm [m]: of its load.
-    """
-
-    clearance: float
-    stiffness: float
-    damping: float
-    onset: float
-    radius: float
-    friction: float
-    static_friction: float
-    stribeck_speed: float
-    sliding_speed: float
-    race_mass: float = 0.0
-    race_inertia: float = 1.0
-    hertz: float = 0.0
-    preload: float = 0.0
-    element_damping: float = 0.0
-    drag: float = 0.0
-    drag_arm: float = 0.0
-    ring_mass: float = 0.0
-    mount_stiffness: float = 0.0
-    mount_damping: float = 0.0
-    travel: float = math.inf
-    stop_stiffness: float = 0.0
-
-
-def bearing_numbers(machine: Machine, bearing: MagneticBearing) -> Bearing:
-    """The numbers of a bearing's touchdown bearing; its tables' defaults where it has none."""
-    table = Touchdown() if bearing.touchdown is None else bearing.touchdown
-    gap, stiffness, damping, mu, fade, radius, onset = touchdown.parameters(machine, bearing)
-    static = mu if table.static_friction is None else table.static_friction
-    numbers = Bearing(
-        gap, stiffness, damping, onset, radius, mu, static, table.stribeck_speed, fade
-    )
-    race, mount = table.race, table.mount
-    if race is not None:
-        # F = K d^1.5 through (F_0, d_0 = F_0 / k_0): K = F_0 / d_0^1.5
-        load = race.element_load
-        hertz = load / (load / race.element_stiffness) ** 1.5
-        pitch = 3 * radius if race.pitch_diameter is None else race.pitch_diameter
-        numbers = numbers._replace(
-            race_mass=race.mass,
-            race_inertia=race.inertia,
-            hertz=hertz,
-            preload=(race.preload / hertz) ** (2 / 3),
-            element_damping=race.element_damping,
-            drag=race.friction_moment,
-            drag_arm=race.load_friction * pitch / 2,
-        )
-    if mount is not None:
-        numbers = numbers._replace(
-            ring_mass=mount.mass,
-            mount_stiffness=mount.stiffness,
-            mount_damping=mount.damping,
-            travel=math.inf if mount.travel is None else mount.travel,
-            stop_stiffness=mount.stop_stiffness,
-        )
-    return numbers
-
-
-def element_force(deflection: float, hertz: float, preload: float) -> float:
-    """Force [N] of preloaded rolling elements: those in front carry K (p + d)^1.5, those behind
-    K (p - d)^1.5 until they come off. Compiles with numba as it stands.
-    """
-    front = preload + deflection
-    back = preload - deflection
-    force = hertz * front * math.sqrt(front)
-    return force - hertz * back * math.sqrt(back) if back > 0.0 else force
 
 
 def stator_receptance(numbers: Bearing, w: float, load: float = 0.0) -> complex:
@@ -234,7 +153,7 @@ def fallen_rotor(
     properties = mass_properties(rotor)
     return FallenRotor(
         tuple(bearing.name for bearing in machine.bearings),
-        tuple(bearing_numbers(machine, bearing) for bearing in machine.bearings),
+        tuple(parameters(machine, bearing) for bearing in machine.bearings),
         free.mass,
         free.damping,
         free.gyroscopic,

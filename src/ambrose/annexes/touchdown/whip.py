@@ -32,7 +32,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from ambrose.annexes.touchdown.fallen import Bearing, FallenRotor, stator_receptance
+from ambrose.annexes.touchdown.fallen import FallenRotor, stator_receptance
+from ambrose.model.effects.touchdown import Bearing
 
 MOST_FRICTION = 2.0  # beyond any pair of dry metals
 _NEWTON, _CLOSE = 12, 1e-10  # steps, and the change that ends them

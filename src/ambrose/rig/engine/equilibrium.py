@@ -241,7 +241,8 @@ def fastest_pole(rig: Rig, drives: list[Drive]) -> float:
 
     # free, and 5 % beyond every clearance: in contact
     states = [state_at_rest(rig, np.zeros(rig.coordinates), u)]
-    if np.isfinite(gaps).all():
+    # race and ring have a step of their own (contact_step)
+    if np.isfinite(gaps).all() and not rig.constants.behind:
         states.append(_displaced(rig, 1.05 * gaps, [1.0, 0.0]))
     magnitudes = [
         np.abs(np.linalg.eigvals(linear_view(rig, drive, z, u)[0])).max()

@@ -28,9 +28,12 @@ from ambrose.rig.engine.inlined import (
     converted,
     coordinates,
     effective_current,
+    element_forces,
     indicated,
     magnet_force,
     merged,
+    mount_force,
+    race_drag,
     runout,
     seal_force,
     seal_lag,
@@ -50,6 +53,9 @@ _FAR_OUT = 0.4  # of the clearance: where magnets bend much
 _DENSE = 32  # integration steps far out and near contact for each of the others
 # of a step in which a contact begins or ends or a stop is reached, and of the part in which it is
 _PARTS = 32
+_FEWER = 4  # where race and ring set the step
+# [m] and, times a pace [1/s], [m/s] within which race and ring stand
+_STILL, _PACE = 1e-9, 1e3
 _STOPPED = 1 - 1e-12  # of a stop: from where on it is reached
 # of a depth and the rounding of the damping's onset: by how much a step may change that depth
 _BEND = 0.25
@@ -113,18 +119,82 @@ def _magnetise(rig: Any, work: Any, z: Any) -> None:
 
 
 @compiled
-def _touch(rig: Any, work: Any, speed: float) -> None:
-    """Touchdown bearings."""
+def _met(rig: Any, work: Any, b: int, z: Any) -> tuple[float, float, float, float]:
+    """Place and velocity of the rotor in touchdown bearing b, against what it meets: the race, else
+    the ring, else the housing.
+    """
+    x, y = work.place[b, 0], work.place[b, 1]
+    vx, vy = work.velocity[b, 0], work.velocity[b, 1]
+    if rig.behind > 0:
+        at = z.shape[0] - rig.behind * (rig.touchdown.shape[0] - b)
+        if rig.stator[b, 0] == 0.0:
+            at += 2
+        x, y = x - z[at], y - z[at + 1]
+        vx, vy = vx - z[at + 4], vy - z[at + 5]
+    return x, y, vx, vy
+
+
+@compiled
+def _touch(rig: Any, work: Any, speed: float, z: Any, dz: Any) -> None:
+    """Touchdown bearings, with race and ring behind the contact."""
     for b in range(rig.touchdown.shape[0]):
-        gap = rig.touchdown[b, 0]
-        x = work.place[b, 0]
-        y = work.place[b, 1]
-        if x * x + y * y > gap * gap:
-            fx, fy, _, _ = contact_force(
-                x, y, work.velocity[b, 0], work.velocity[b, 1], speed, rig.touchdown[b]
-            )
+        p = rig.touchdown[b]
+        x, y, vx, vy = _met(rig, work, b, z)
+        at = z.shape[0] - rig.behind * (rig.touchdown.shape[0] - b)
+        fx, fy = 0.0, 0.0
+        moment = 0.0
+        if x * x + y * y > p[0] * p[0]:
+            spun = speed
+            lag = 0.0
+            if rig.behind > 0:
+                spun -= z[at + 8]
+                lag = 0.7 * rig.contact_step * rig.stator[b, 3]
+            fx, fy, moment, _ = contact_force(x, y, vx, vy, spun, p, 1.0, lag)
             work.force[b, 0] += fx
             work.force[b, 1] += fy
+        if rig.behind > 0:
+            _yield(rig, b, fx, fy, moment, z[at : at + 9], dz[at : at + 9])
+
+
+@compiled
+def _yield(rig: Any, b: int, fx: float, fy: float, moment: float, s: Any, ds: Any) -> None:
+    """Race and ring of touchdown bearing b under the contact's force on the rotor; s, ds (9,): race
+    x, y, ring x, y, their velocities, spin of the race.
+    """
+    p = rig.touchdown[b]
+    race, spin, ring = rig.stator[b, 0], rig.stator[b, 1], rig.stator[b, 2]
+    for j in range(9):
+        ds[j] = 0.0
+    gx, gy = -fx, -fy  # on the ring
+    if race > 0.0:
+        gx, gy, load = element_forces(s[0] - s[2], s[1] - s[3], s[4] - s[6], s[5] - s[7], p)
+        ds[0], ds[1] = s[4], s[5]
+        ds[4], ds[5] = (-fx - gx) * race, (-fy - gy) * race
+        ds[8] = (-moment - race_drag(s[8], load, p)) * spin
+    if ring > 0.0:
+        hx, hy = mount_force(s[2], s[3], s[6], s[7], p, 1.0, 1.0)
+        ds[2], ds[3] = s[6], s[7]
+        ds[6], ds[7] = (gx + hx) * ring, (gy + hy) * ring
+
+
+@compiled
+def _stands(rig: Any, drive: Any, z: Any) -> bool:
+    """Whether races and rings stand still in the middle, and are then put there; their spins fall
+    by the drag of a sample.
+    """
+    count = rig.touchdown.shape[0]
+    first = z.shape[0] - rig.behind * count
+    for b in range(count if rig.behind > 0 else 0):
+        at = first + rig.behind * b
+        for j in range(4):
+            if abs(z[at + j]) > _STILL or abs(z[at + 4 + j]) > _STILL * _PACE:
+                return False
+    for b in range(count if rig.behind > 0 else 0):
+        at = first + rig.behind * b
+        for j in range(8):
+            z[at + j] = 0.0
+        z[at + 8] -= drive.dt * race_drag(z[at + 8], 0.0, rig.touchdown[b]) * rig.stator[b, 1]
+    return True
 
 
 @compiled
@@ -365,7 +435,7 @@ def _derivative(rig: Any, work: Any, drive: Any, k: int, tau: float, z: Any, dz:
     speed = drive.speed[k] + tau * (drive.speed[k + 1] - drive.speed[k])
     _move(rig, work, z)
     _magnetise(rig, work, z)
-    _touch(rig, work, speed)
+    _touch(rig, work, speed, z, dz)
     _attach(rig, work, drive, k, tau, speed, z, dz)
     _whirl(rig, work, drive, k, tau, z, dz)
     _disturb(rig, work, drive, k, tau, speed)
@@ -401,15 +471,13 @@ def _regime(rig: Any, work: Any, z: Any, depth: Any) -> int:
     _move(rig, work, z)
     amp, number = 2 * coordinates(rig), 0
     for b in range(rig.touchdown.shape[0]):
-        x = work.place[b, 0]
-        y = work.place[b, 1]
-        vx = work.velocity[b, 0]
-        vy = work.velocity[b, 1]
+        x, y, vx, vy = _met(rig, work, b, z)
         # 0 free, 1 in contact and pushed, 2 in contact with no force: the damping outweighs the
         # spring
         depth[b], kind = max(np.sqrt(x * x + y * y) - rig.touchdown[b, 0], 0.0), 0
         if depth[b] > 0.0:
-            kind = 1 if contact_force(x, y, vx, vy, 0.0, rig.touchdown[b])[3] > 0.0 else 2
+            normal = contact_force(x, y, vx, vy, 0.0, rig.touchdown[b], 1.0, 0.0)[3]
+            kind = 1 if normal > 0.0 else 2
         number = 5 * number + kind
     for a in range(rig.amplifier.shape[0]):
         # 0 to 3: either state at its stop, or both
@@ -424,7 +492,7 @@ def _regime(rig: Any, work: Any, z: Any, depth: Any) -> int:
 
 @compiled
 def _smooth(work: Any, onset: Any) -> bool:
-    """Whether a step changes depths by little where damping sets in; onset: touchdown (b, 7)."""
+    """Whether a step changes depths by little where damping sets in; onset: touchdown (b, 21)."""
     smooth = True
     for b in range(onset.shape[0]):
         old, new = work.depth[0, b], work.depth[1, b]
@@ -473,16 +541,17 @@ def _integrate(rig: Any, work: Any, drive: Any, k: int, steps: int, z: Any) -> N
     # level 0: steps, 1: parts of a step, 2: pieces of a part. One place calls each stage: a second
     # one would be compiled again, for all stages are inlined.
     regime = _regime(rig, work, z, work.depth[0])
+    parts = _PARTS if rig.behind == 0 else _FEWER
     step, level = 0, 0
     part, piece = 0, 0
     width = 1.0 / steps
     while step < steps:
         start, share = step / steps, width
         if level == 1:
-            start, share = start + part * width / _PARTS, width / _PARTS
+            start, share = start + part * width / parts, width / parts
         elif level == 2:
-            start += (part + piece / _PARTS) * width / _PARTS
-            share = width / _PARTS**2
+            start += (part + piece / parts) * width / parts
+            share = width / parts**2
         _step(rig, work, drive, k, start, share, z)
         now = _regime(rig, work, work.slopes[1], work.depth[1])
         if level < 2 and not (now == regime and _smooth(work, rig.touchdown)):
@@ -493,13 +562,13 @@ def _integrate(rig: Any, work: Any, drive: Any, k: int, steps: int, z: Any) -> N
         _accept(work, z)
         if level == 2:
             piece += 1
-            if piece < _PARTS:
+            if piece < parts:
                 continue
             piece, level = 0, 1
             regime = now
         if level == 1:
             part += 1
-            if part < _PARTS:
+            if part < parts:
                 continue
             part, level = 0, 0
         step += 1
@@ -601,10 +670,16 @@ def entry_points(fingerprint: int) -> tuple[Any, Any]:
                 write_down(along, k, y[y.shape[0] - 1], u[y.shape[0] - 1], work.command)
                 move(along, k, work.command)
             away = _farthest(rig, work, drive.dt)
-            if P.usable and away < _FAR_OUT and settled(rig, work, drive, k, z):
+            calm = P.usable and away < _FAR_OUT and settled(rig, work, drive, k, z)
+            if calm and _stands(rig, drive, z):
                 propagate(rig, work, drive, P, k, z)
             else:
-                _integrate(rig, work, drive, k, steps * _DENSE if away > _FAR_OUT else steps, z)
+                count = steps
+                if rig.behind > 0:
+                    count = max(steps, int(np.ceil(drive.dt / rig.contact_step)))
+                elif away > _FAR_OUT:
+                    count = steps * _DENSE
+                _integrate(rig, work, drive, k, count, z)
             if not np.isfinite(z.sum()):
                 return k
             if along is not None and not np.isfinite(along.z.sum()):

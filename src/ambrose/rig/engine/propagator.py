@@ -201,6 +201,7 @@ def _built(
     # states without a row or column in L stay out; the bias stands still
     used = (L != 0).any(axis=0) | (L != 0).any(axis=1)
     used[rig.bias] = False
+    used[rig.behind] = False
     B, C = np.vstack(forces).T[used], np.vstack(outputs)[:, used]
 
     # y = C z + D u; columns after u do not reach y directly

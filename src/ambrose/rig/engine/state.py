@@ -32,6 +32,7 @@ from ambrose.model.effects import (
     unbalance,
 )
 from ambrose.model.effects.rotor import (
+    STANDARD_GRAVITY,
     Rotor,
     displacement_row,
     finite_element_rotor,
@@ -43,6 +44,9 @@ from ambrose.model.ports import ports, sensor_ports
 from ambrose.model.static_load import operating_magnets
 
 RIG_MODES = 3  # bending modes per plane, as many as identification models
+# of every touchdown bearing: race x, y, ring x, y, their velocities likewise, spin of the race
+BEHIND = 9
+_BLOW = 10.0  # times its share of the weight: what rolling elements usually carry at first
 _NO_BIAS_LAG = 5000.0  # rad/s at which the bias current follows an ideal amplifier
 
 
@@ -61,7 +65,11 @@ class Constants(NamedTuple):
     direction: np.ndarray  # (S, 2) cosine and sine of the angle from x to a station's first axis
     angle: np.ndarray  # (S,) that angle [rad]
     magnet: np.ndarray  # (b, 10) physics.magnet.parameters
-    touchdown: np.ndarray  # (b, 7) physics.touchdown.parameters
+    touchdown: np.ndarray  # (b, 21) physics.touchdown.parameters
+    # states of race and ring behind every contact, 9 (``BEHIND``), or 0 where none has any
+    behind: int
+    stator: np.ndarray  # (b, 4) physics.touchdown.inverses
+    contact_step: float  # [s] that race and ring need in contact, infinite without
     # (2 t + e, 4 t + e) [f; x'] by [q; q'; x] of the registered effects at t stations, e states, in
     # their axes, at the point
     reaction: np.ndarray
@@ -134,15 +142,21 @@ class Rig:
     @property
     def states(self) -> int:
         """Length of the state: displacements and velocities, amplifiers, bias currents, sensors,
-        seals, registered effects.
+        seals, registered effects, races and rings of the touchdown bearings.
         """
-        return self.attached.stop
+        return self.behind.stop
 
     @property
     def attached(self) -> slice:
         """Where the states of the registered effects are in the state, after those of the seals."""
         start = self.sensed.stop + 2 * self.constants.seal_lags[..., 0].size
         return slice(start, start + len(self.constants.reaction) - 2 * self.attached_stations)
+
+    @property
+    def behind(self) -> slice:
+        """Where races and rings of the touchdown bearings are in the state; they are last."""
+        start = self.attached.stop
+        return slice(start, start + self.constants.behind * len(self.machine.bearings))
 
     @property
     def attached_stations(self) -> int:
@@ -215,11 +229,16 @@ def build(
     base = foundation(machine)
     reaction = joined([item for _, item in reactions(machine, point)])
     force_at, force_constants = _forces(machine)
+    shapes = _deflections(rotor, [port.position for port in places[0::2]], modes.shapes)
+    landing = [touchdown.parameters(machine, b) for b in bearings]
+    met = [*zip(landing, (shapes[: len(bearings)] ** 2).sum(axis=1).tolist(), strict=True)]
+    mass = float(1 / np.abs(modes.shapes[:, 0]).max() ** 2)
+    heavy = _BLOW * STANDARD_GRAVITY * mass / len(bearings)
     constants = Constants(
         stiffness=frequencies**2,
         damping=2 * modes.damping_ratios(machine)[0::2] * frequencies,
         gyroscopic=np.ascontiguousarray(gyroscopic_of(rotor, modes)[0::2, 1::2]),
-        shape=_deflections(rotor, [port.position for port in places[0::2]], modes.shapes),
+        shape=shapes,
         sensor_shape=_deflections(rotor, [port.position for port in sensed[0::2]], modes.shapes),
         sensor_direction=np.array(
             [[np.cos(port.direction), np.sin(port.direction)] for port in sensed[0::2]]
@@ -229,7 +248,13 @@ def build(
         direction=np.column_stack([np.cos(angles), np.sin(angles)]),
         angle=angles,
         magnet=np.array([item.of_force for item in magnets]),
-        touchdown=np.array([touchdown.parameters(machine, b) for b in bearings]),
+        touchdown=np.array(landing, dtype=float),
+        behind=BEHIND * any(item.moves for item in landing),
+        stator=np.array([touchdown.inverses(*pair) for pair in met], dtype=float),
+        contact_step=min(
+            (touchdown.longest_steps(*pair, heavy)[0] for pair in met if pair[0].moves),
+            default=np.inf,
+        ),
         reaction=np.ascontiguousarray(reaction.block()),
         reaction_mass=reaction.mass,
         force_at=force_at,
@@ -251,13 +276,12 @@ def build(
         support_shape=base.stator_rows([port.name.rpartition("_")[0] for port in places[0::2]]),
         sensor_support=base.sensor_rows([port.name.rpartition("_")[0] for port in sensed[0::2]]),
     )
-    translation = modes.shapes[:, 0]
     return Rig(
         machine,
         point,
         constants,
         tuple(port.name for port in places),
-        float(1 / np.abs(translation).max() ** 2),
+        mass,
     )
 
 
