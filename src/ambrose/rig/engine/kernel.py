@@ -162,7 +162,8 @@ def _yield(rig: Any, b: int, fx: float, fy: float, moment: float, s: Any, ds: An
     x, y, ring x, y, their velocities, spin of the race.
     """
     p = rig.touchdown[b]
-    race, spin, ring = rig.stator[b, 0], rig.stator[b, 1], rig.stator[b, 2]
+    race, ring = rig.stator[b, 0], rig.stator[b, 2]
+    spin = rig.stator[b, 1]
     for j in range(9):
         ds[j] = 0.0
     gx, gy = -fx, -fy  # on the ring
