@@ -23,6 +23,7 @@ from ambrose import load_machine
 from ambrose.annexes.site.balancing.synchronous import unbalance_from_amplitudes
 from ambrose.code.block.fixed import build_block
 from ambrose.code.c.run import CompiledRun
+from ambrose.code.c.synchronous import CompiledSynchronous
 from ambrose.code.pipeline import machine_limits
 from ambrose.code.sampled import deploy
 from ambrose.code.synchronous import RunUnit, run_unit
@@ -50,7 +51,7 @@ MACHINES = (
     "process-compressor",
 )
 _SMALL = 0.02  # 1/s: the gain of the brute-force search
-_HOLD, _FROM = 3.5, 2.5  # s: a run on the rig, and from when on its end counts
+_HOLD, _SETTLED = 3.5, 8.0  # s of a run on the rig, at least; time constants before its last second
 
 
 def controlled(name: str) -> tuple[Machine, StateSpace]:
@@ -71,12 +72,30 @@ def growth_of(
     """ln|z|/dt [1/s] of the outermost pole of a sampled full plant under a continuous controller,
     one sample late, with the block of T (a, a) complex and eps [1/s] at a speed [rad/s].
     """
-    G = select(plant.system, plant.named("u"), plant.named("y"))
-    n, states = len(T), G.n_states
+    return growth_with(held_plant(plant, dt), K, speed, dt, T, eps)
 
-    # zero-order hold: exp of [[A, B], [0, 0]] dt
+
+def held_plant(plant: Plant, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """A, B of the plant from u to y under a zero-order hold, and its C, D."""
+    G = select(plant.system, plant.named("u"), plant.named("y"))
+    n, states = G.B.shape[1], G.n_states
+
+    # exp of [[A, B], [0, 0]] dt
     held = sla.expm(np.block([[G.A, G.B], [np.zeros((n, states + n))]]) * dt)
-    A, B = held[:states, :states], held[:states, states:]
+    return held[:states, :states], held[:states, states:], G.C, G.D
+
+
+def growth_with(
+    held: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    K: StateSpace,
+    speed: float,
+    dt: float,
+    T: np.ndarray,
+    eps: float,
+) -> float:
+    """``growth_of`` a plant that is held already (``held_plant``)."""
+    A, B, C, D = held
+    n, states = len(T), len(A)
 
     # Tustin: x+ = (1 - A dt/2)^-1 ((1 + A dt/2) x + B dt e), output at (x + x+)/2
     half = np.eye(K.n_states) - K.A * dt / 2
@@ -91,7 +110,7 @@ def growth_of(
     x, k, v, re, im = (slice(a, b) for a, b in itertools.pairwise(ends))
     M, one = np.zeros((ends[-1], ends[-1])), np.eye(n)
     y = np.zeros((n, ends[-1]))
-    y[:, x], y[:, v] = G.C, G.D
+    y[:, x], y[:, v] = C, D
     e = y.copy()  # what is measured less what the block adds, c = Re w
     e[:, re] -= one
     M[x, x], M[x, v] = A, B
@@ -157,8 +176,11 @@ def hold(name: str, share: float = 0.85, *, quiet: bool = False) -> tuple[float,
     size = float(residual.moment)  # what the balance grade leaves, in the first bearing's plane
     weights = (Unbalance(first, size), Unbalance(last, 0.7 * size, phase=1.0))
     sampled = loop.controller(loop.plant(speed, conditions(machine)[0]))
-    scenario = Scenario("hold", _HOLD, unbalances=weights, speed=speed)
-    program = synchronous_program(machine, sampled, blocks, scenario)
+    counts = max(_HOLD - 1, _SETTLED * design.blocks[0].time_constant)
+    until = counts + 1
+    scenario = Scenario("hold", until, unbalances=weights, speed=speed)
+    block = CompiledSynchronous(blocks)
+    program = synchronous_program(machine, sampled, blocks, scenario, block=block)
     trace = run(machine, program, scenario, every=5)
     time = trace.record.time
 
@@ -171,9 +193,9 @@ def hold(name: str, share: float = 0.85, *, quiet: bool = False) -> tuple[float,
         )
 
     turn = 2 * np.pi / speed
-    before, after = tones(0.5 * turn, 4.5 * turn).max(), tones(_FROM, _HOLD).max()
-    beside = max(tones(_FROM, _HOLD).min(), 1e-12)
-    late = np.mean([a[0] for k, _, a, _ in program.history if k * sampled.dt > _FROM], axis=0)
+    before, after = tones(0.5 * turn, 4.5 * turn).max(), tones(counts, until).max()
+    beside = max(tones(counts, until).min(), 1e-12)
+    late = np.mean([a[0] for k, _, a, _ in program.history if k * sampled.dt > counts], axis=0)
     found = unbalance_from_amplitudes(loop, conditions(machine)[0], [speed], late[None])
     true = np.array([size, 0.7 * size * np.exp(1j)])
     told = 1 - float(np.linalg.norm(found.moments - true) / np.linalg.norm(true))

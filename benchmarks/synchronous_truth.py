@@ -1,15 +1,15 @@
 """What the design of a synchronous block promises, tried from outside: members, attack, run-up.
 
     python -m benchmarks.synchronous_truth --part members|attack|runup [--machine NAME ...]
-                                           [--count N]
+                                           [--count N] [--bands N] [--slow X]
 
 members: the designed T at random members of the tolerances, at every pressure: convergence for
 small gains at twelve speeds of each band (eigenvalues of T S, from the plant's ports), and exact
-poles with the designed eps at one random speed each, of the loop that ``synchronous.growth`` puts
+poles with the designed eps at one of those speeds each, of the loop that ``synchronous.growth`` puts
 together from the matrices of plant and controller.
 attack: random tables T of three knots with random phases, gains and coupling, in random bands. For
-each the proof over the band and the tolerances, then exact poles with a small eps at random speeds
-and members. ``refuted``: proved, and a pole outside although the loop is stable without the block.
+each the proof over the band and the tolerances, then exact poles with a random small eps at random
+speeds and members. ``refuted``: proved, and a pole outside although the loop is stable without the block.
 runup: the virtual rig through the designed bands, with and without the block: largest 1x control
 current, orbit and magnetic force while the block is on, and the largest sensitivity of an axis with
 and without it.
@@ -25,6 +25,7 @@ from functools import cache
 import numpy as np
 
 from ambrose import design
+from ambrose.code.c.synchronous import CompiledSynchronous
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import StateSpace
 from ambrose.core.synchronous import best_inverse
@@ -45,11 +46,11 @@ from ambrose.rig.synchronous import synchronous_program
 from ambrose.rig.virtual_rig import run
 from ambrose.synthesis.synchronous_design import check_base_loop, design_synchronous
 from benchmarks.box_attack import ports
-from benchmarks.synchronous import MACHINES, controlled, growth_of
+from benchmarks.synchronous import MACHINES, controlled, growth_with, held_plant
 
 _SPEEDS = 12  # of each band, at which all members are tried for small gains
 _PROBES = 4  # speeds and members against one proof
-_SMALL = 0.02  # 1/s: eps of the attack
+_SUSPECTS = 6, 10  # speeds of a band and members at each, of which those are drawn
 _ROUNDING = 1e-9  # 1/s: beyond which a pole that a block moved counts as outside
 
 
@@ -139,72 +140,91 @@ def members_of(name: str, count: int) -> Members:
         for condition in conditions(machine):
             width = len(tolerances_around(plant_at(machine, low, condition)))
             delta = draws(rng, count, width)
-            for speed in np.linspace(low, high, _SPEEDS):
-                plant = plant_at(machine, float(speed), condition)
-                S = sensitivity_of(loop, plant, float(speed), delta)
-                spare = angles(table.at(float(speed)), S)
+            place = rng.integers(_SPEEDS, size=count)
+            for k, speed in enumerate(np.linspace(low, high, _SPEEDS).tolist()):
+                plant, T = plant_at(machine, speed, condition), table.at(speed)
+                S = sensitivity_of(loop, plant, speed, delta)
+                spare = angles(T, S)
                 least = min(least, float(spare.min()))
                 tried[0] += len(spare)
                 lost[0] += int((spare <= 0).sum())
-            for row in delta:
-                speed = float(rng.uniform(low, high))
-                outcome = poles_of(
-                    machine, law, loop, speed, condition, row, table.at(speed), block.gain
-                )
-                tried[1] += 1
-                unstable += outcome is None
-                lost[1] += outcome is not None and outcome > 0
+                for row in delta[place == k]:
+                    outcome = poles_of(plant, law, loop, speed, row, T, block.gain)
+                    tried[1] += 1
+                    unstable += outcome is None
+                    lost[1] += outcome is not None and outcome > 0
     return Members((tried[0], tried[1]), (lost[0], lost[1]), unstable, least)
 
 
 def poles_of(
-    machine: Machine,
+    plant: Plant,
     law: StateSpace,
     loop: SynchronousLoop,
     speed: float,
-    condition: Condition,
     row: np.ndarray,
     T: np.ndarray,
     eps: float,
 ) -> float | None:
-    """The outermost pole's growth [1/s] of one member with the block, less rounding; None where the
-    member is unstable without one.
+    """The outermost pole's growth [1/s] of one member of a plant with the block, less rounding;
+    None where the member is unstable without one.
     """
-    plant = plant_at(machine, speed, condition)
-    around = tolerances_around(plant)
-    if around:
-        values = {item.parameter: float(v) for item, v in zip(around, row, strict=True)}
-        plant = perturbed(plant, values, around)
     dt = loop.timing.sample_time
-    if growth_of(plant, law, speed, dt, T, 0.0) > _ROUNDING:
+    member = held_plant(moved(plant, row), dt)
+    if growth_with(member, law, speed, dt, T, 0.0) > _ROUNDING:
         return None
-    return growth_of(plant, law, speed, dt, T, eps) - _ROUNDING
+    return growth_with(member, law, speed, dt, T, eps) - _ROUNDING
 
 
-def attack_on(name: str, count: int) -> tuple[int, int, int]:
+def moved(plant: Plant, row: np.ndarray) -> Plant:
+    """A member of a plant's tolerances, in [-1, 1] each."""
+    around = tolerances_around(plant)
+    values = {item.parameter: float(v) for item, v in zip(around, row, strict=True)}
+    return perturbed(plant, values, around) if around else plant
+
+
+def attack_on(name: str, count: int, spans: int) -> tuple[int, int, int]:
     """Tables tried, proved over band and box, and refuted by exact poles."""
     machine, law = held(name)
     loop = synchronous_loop(machine, law)
     rng = np.random.default_rng(11)
-    top, at = machine.operation.design.speed, conditions(machine)
+    top, at, dt = machine.operation.design.speed, conditions(machine), loop.timing.sample_time
     proved = refuted = 0
-    for band in bands(rng, top, 8):
+    for band in bands(rng, top, spans):
         condition = at[int(rng.integers(len(at)))]
         around = tolerances_around(plant_at(machine, band[0], condition))
         pencils = loop_pencils(loop, condition, *band, around)
-        for table in tables(rng, loop, condition, band, -(-count // 8)):
+        suspects = suspects_of(machine, law, dt, band, condition, rng)
+        for table in tables(rng, loop, condition, band, -(-count // spans)):
             if not prove_interval(pencils, table.at, table.speeds.tolist(), *band).proved:
                 continue
             proved += 1
-            for _ in range(_PROBES):
-                speed = float(rng.uniform(*band))
-                row = draws(rng, 1, len(around))[0]
-                T = table.at(speed)
-                outcome = poles_of(machine, law, loop, speed, condition, row, T, _SMALL)
-                if outcome is not None and outcome > 0:
+            for k in rng.integers(len(suspects), size=_PROBES).tolist():
+                speed, row, plant = suspects[k]
+                eps = 10 ** rng.uniform(-3, -1)
+                if growth_with(plant, law, speed, dt, table.at(speed), eps) > _ROUNDING:
                     refuted += 1
                     print(f"{name}: refuted at {speed:.4g} rad/s, {condition.label}, {row}")
-    return 8 * (-(-count // 8)), proved, refuted
+    return spans * (-(-count // spans)), proved, refuted
+
+
+def suspects_of(
+    machine: Machine,
+    law: StateSpace,
+    dt: float,
+    band: tuple[float, float],
+    condition: Condition,
+    rng: np.random.Generator,
+) -> list[tuple[float, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]]:
+    """Random speeds of a band and members, sampled, that are stable without a block."""
+    found = []
+    for speed in rng.uniform(*band, _SUSPECTS[0]).tolist():
+        plant = plant_at(machine, speed, condition)
+        for row in draws(rng, _SUSPECTS[1], len(tolerances_around(plant))):
+            member = held_plant(moved(plant, row), dt)
+            one = np.eye(len(machine.axes))
+            if growth_with(member, law, speed, dt, one, 0.0) <= _ROUNDING:
+                found.append((speed, row, member))
+    return found
 
 
 def bands(rng: np.random.Generator, top: float, count: int) -> list[tuple[float, float]]:
@@ -246,8 +266,10 @@ class RunUp:
     sensitivity: tuple[float, float]
 
 
-def run_up(name: str) -> tuple[str, RunUp]:
-    """``runup`` of the module's text, through the widest band of the design."""
+def run_up(name: str, slow: float) -> tuple[str, RunUp]:
+    """``runup`` of the module's text, through the widest band of the design; slow: times as long as
+    80 time constants.
+    """
     machine, law = held(name)
     loop = synchronous_loop(machine, law)
     found = design_synchronous(machine, law)
@@ -259,7 +281,7 @@ def run_up(name: str) -> tuple[str, RunUp]:
     size = float(residual.moment)
     weights = (Unbalance(first, size), Unbalance(last, 0.7 * size, phase=1.0))
     # slow against the block: what it lags behind is the change in a time constant
-    ramp = max(1.0, 80 * block.time_constant)
+    ramp = max(1.0, 80 * slow * block.time_constant)
     hold = max(0.3, 5 * block.time_constant)
     # held at the lower edge until it has converged, then up
     start = low + block.hysteresis
@@ -270,7 +292,10 @@ def run_up(name: str) -> tuple[str, RunUp]:
     wanted = []
     for switched_off in (((0.0, scenario.duration),), ()):
         blocks = running_law((block,), loop)
-        program = synchronous_program(machine, sampled, blocks, scenario, switched_off=switched_off)
+        compiled = CompiledSynchronous(blocks)
+        program = synchronous_program(
+            machine, sampled, blocks, scenario, block=compiled, switched_off=switched_off
+        )
         trace = run(machine, program, scenario, every=5)
         wanted.append((trace, program))
     figures = [one_x(machine, trace.record, start, high, hold) for trace, _ in wanted]
@@ -322,6 +347,8 @@ def main() -> None:
     parser.add_argument("--part", choices=("members", "attack", "runup"), default="members")
     parser.add_argument("--machine", nargs="*", default=MACHINES)
     parser.add_argument("--count", type=int, default=500)
+    parser.add_argument("--bands", type=int, default=8, help="of the attack")
+    parser.add_argument("--slow", type=float, default=1.0, help="of the run-up")
     options = parser.parse_args()
     for name in options.machine:
         if options.part == "members":
@@ -333,10 +360,10 @@ def main() -> None:
                 flush=True,
             )
         elif options.part == "attack":
-            tried, proved, refuted = attack_on(name, options.count)
+            tried, proved, refuted = attack_on(name, options.count, options.bands)
             print(f"{name}: {tried} tables, {proved} proved, {refuted} refuted", flush=True)
         else:
-            words, r = run_up(name)
+            words, r = run_up(name, options.slow)
             print(
                 f"{name}, {words}: 1x current {r.current:.1f} dB, force {r.force:.1f} dB, orbit "
                 f"{r.orbit:.1f} dB, on {r.share_on:.0%}; S {r.sensitivity[0]:.3g} without, "

@@ -14,6 +14,7 @@ from ambrose.code.block.fixed import build_block
 from ambrose.code.sampled import deploy
 from ambrose.code.structured_text_run import FAULTS, generate_run_structured_text
 from ambrose.code.synchronous import RunUnit, run_unit
+from ambrose.code.targets import Mat, St
 from ambrose.core.checks import InvalidInput
 from ambrose.law.synchronous_block import (
     BlockFault,
@@ -128,6 +129,15 @@ def test_what_cannot_be_written_is_refused():
     taken = replace(unit, base=replace(unit.base, inputs=("theta", "err_y")))
     with pytest.raises(InvalidInput, match="'theta', but must be no word"):
         generate_run_structured_text(taken)
+
+
+def test_the_target_takes_blocks_where_a_mat_file_refuses_them():
+    target = St(name="unit")
+    target.check_beside()
+    files = target.files_beside(unit_of(), ())
+    assert {"unit.st", "unit_run.st", "unit_run_test.st"} <= files.keys()
+    with pytest.raises(InvalidInput, match="'c', 'fmu' or 'st'; a MAT-file holds the linear law"):
+        Mat(name="unit").check_beside()
 
 
 @pytest.mark.study
