@@ -1,5 +1,5 @@
-"""The worst corner of the tolerances around a plant: the parameters' feedback is closed frequency
-by frequency.
+"""The worst point found of the tolerances around a plant: the parameters' feedback is closed
+frequency by frequency, at the corners, and from the worst of them along one parameter at a time.
 """
 
 from __future__ import annotations
@@ -17,16 +17,19 @@ from ambrose.synthesis.fixed_order.aims import Aims
 from ambrose.synthesis.fixed_order.loops import lateness, warped
 
 _CORNERS = 512  # at most, of a box
+_ALONG = np.linspace(-1.0, 1.0, 9)  # of one parameter
 
 
 def worst_member(
     plant: Plant, controller: StateSpace, timing: Timing | None, aims: Aims
 ) -> dict[str, float]:
-    """The corner of the tolerances around a plant with the largest sigma_max(S_o) over its limit;
+    """The point of the tolerances around a plant with the largest sigma_max(S_o) over its limit;
     {} without tolerances.
 
     By closing the parameters' feedback at frequencies where the nominal loop's ratio is above half
-    its largest; all corners, at most 512, drawn at random.
+    its largest: at all corners, at most 512, drawn at random; then, from the worst of them, at
+    points along one parameter after the other, for a wide tolerance among narrow ones may be worst
+    in between.
     """
     held = tolerances_around(plant)
     if not held:
@@ -60,16 +63,27 @@ def worst_member(
     out = out[near]
     S = S[near]
     limit = limit[near]
+
+    def climbed(tried: np.ndarray, best: float, worst: np.ndarray) -> tuple[float, np.ndarray]:
+        """The largest ratio of these points and of the best before, and where."""
+        for delta in tried:
+            # w = delta z:   y + d = (S + out delta (I - M delta)^-1 into) d
+            spread = delta[owner]
+            closed = S + out @ (spread[:, None] * np.linalg.solve(np.eye(n) - M * spread, into))
+            # the norm is no smaller than the gain
+            larger = np.linalg.norm(closed, axis=(1, 2)) > best * limit
+            if larger.any():
+                gain = float((largest_gain(closed[larger]) / limit[larger]).max())
+                if gain > best:
+                    best, worst = gain, delta
+        return best, worst
+
     tried = _corners(len(names))
-    best, worst = -np.inf, tried[0]
-    for delta in tried:
-        # w = delta z:   y + d = (S + out delta (I - M delta)^-1 into) d
-        spread = delta[owner]
-        closed = S + out @ (spread[:, None] * np.linalg.solve(np.eye(n) - M * spread, into))
-        # the norm is no smaller than the gain
-        larger = np.linalg.norm(closed, axis=(1, 2)) > best * limit
-        if larger.any() and (gain := (largest_gain(closed[larger]) / limit[larger]).max()) > best:
-            best, worst = gain, delta
+    best, worst = climbed(tried, -np.inf, tried[0])
+    for k in range(len(names)):
+        along = np.repeat(worst[None], len(_ALONG), axis=0)
+        along[:, k] = _ALONG
+        best, worst = climbed(along, best, worst)
     return dict(zip(names, map(float, worst), strict=True))
 
 
@@ -78,7 +92,7 @@ def _corners(count: int) -> np.ndarray:
     as well.
     """
     if count == 1:
-        return np.linspace(-1, 1, 9)[:, None]
+        return _ALONG[:, None]
     if 2**count <= _CORNERS:
         return np.array(list(product((-1.0, 1.0), repeat=count)))
     return np.random.default_rng(0).choice([-1.0, 1.0], (_CORNERS, count))
