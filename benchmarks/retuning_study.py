@@ -30,6 +30,7 @@ from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.identification.parameters import nominal_values
 from ambrose.judge.sampled_box import sampled_box
 from ambrose.law.loop import match_controller
+from ambrose.machine.description import MagneticBearing
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import TIMING
 from ambrose.model.assemble import assemble
@@ -54,22 +55,27 @@ MEMBERS = 64  # of the identified box, at random, beside its middle, for the pre
 
 
 def truth(machine: Machine, rng: np.random.Generator) -> Machine:
-    """The machine with magnets 5 to 25 % off, and worn seals."""
+    """The machine with magnets 5 to 25 % off, and worn seals. K_i and K_s go with the area of the
+    poles, which is what is off where they follow from the magnets' dimensions.
+    """
 
-    def off(values: tuple[float, float] | None) -> tuple[float, float]:
-        if values is None:
-            raise InvalidInput(f"{machine.name} states no coefficients of its magnets")
+    def off(values: Any) -> tuple[float, float]:
         factor = 1 + rng.choice([-1.0, 1.0]) * rng.uniform(0.05, 0.25)
         return factor * values[0], factor * values[1]
 
-    bearings = tuple(
-        replace(
+    def other(item: MagneticBearing) -> MagneticBearing:
+        if item.force_per_current is None or item.negative_stiffness is None:
+            if item.geometry is None:
+                raise InvalidInput(f"{machine.name} states neither coefficients nor pole areas")
+            area, _ = off((item.geometry.pole_area, 0.0))
+            return replace(item, geometry=replace(item.geometry, pole_area=area))
+        return replace(
             item,
             force_per_current=off(item.force_per_current),
             negative_stiffness=off(item.negative_stiffness),
         )
-        for item in machine.bearings
-    )
+
+    bearings = tuple(other(item) for item in machine.bearings)
     seals = tuple(
         replace(item, k=1.5 * item.k) if item.geometry is None and item.table is None else item
         for item in machine.seals

@@ -26,8 +26,11 @@ from ambrose.core.statespace import (
     static_gain,
 )
 from ambrose.judge import nominal
+from ambrose.judge.sampled_box import sampled_box
+from ambrose.law.loop import match_controller
 from ambrose.law.pid import first_settings, pid_controller
 from ambrose.law.timing import Timing, machine_timing
+from ambrose.machine.description import Tolerance
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.rotor import free_modes
 from ambrose.model.reduce import reduce
@@ -389,6 +392,30 @@ def test_the_worst_member_is_that_of_the_perturbed_plants(tuned):
     assert worst_member(SMALL[2], tuned.controller, RUNS, aims).keys() == {
         "bearing.DE.negative_stiffness"
     }
+
+
+def test_a_wide_tolerance_among_narrow_ones_is_worst_in_between():
+    """Cross-coupled stiffness from none to twice its value: the reference PID of the seal rig loses
+    it a quarter of the way beyond, where S is far above that of either end.
+    """
+    rig = amb.load_machine("seal-rig")
+    wide, narrow = (
+        Tolerance("seal.center.k", relative=1.0),
+        Tolerance("bearing.A.negative_stiffness", relative=0.002),
+    )
+    rig = replace(rig, tolerances=(wide, narrow))
+    plant = reduce(assemble(rig, rig.operation.design), 2)
+    assert rig.reference is not None
+    law = pid_controller(rig.reference, rig)
+    found = worst_member(plant, law, RUNS, aims_of(rig, law))
+    assert abs(found["seal.center.k"]) < 1
+
+    def peak(k):
+        loop = RUNS.in_loop(match_controller(law, plant))
+        gains = sampled_box(plant, loop, rig.tolerances).gains
+        return gains(np.geomspace(20, 5e3, 300), np.array([[k, 0.0]])).max()
+
+    assert peak(found["seal.center.k"]) > 2 * max(peak(-1.0), peak(1.0))
 
 
 @pytest.mark.campaign
