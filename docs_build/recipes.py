@@ -32,7 +32,7 @@ SHORT = {
 POINT = {"zero pressure": "zero", "nominal pressure": "nominal", "twice nominal pressure": "twice"}
 QUANTITY = {
     "sensitivity.output.max": "sensitivity",
-    "unbalance.orbit": "orbit",
+    "unbalance.orbit_0p": "orbit",
     "impulse.settling": "settling",
 }
 ROBUST = {

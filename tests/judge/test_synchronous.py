@@ -285,7 +285,7 @@ def test_the_plain_notch_is_refused_with_where_it_is_unstable_and_what_would_be_
     assert "unstable for every gain at 400" in margin.detail
     assert "stable 437.55 to 520 rad/s" in margin.detail
     assert "S^-1" in margin.detail
-    assert "contains a forbidden speed" in checks["synchronous.orbit"].detail
+    assert "contains a forbidden speed" in checks["synchronous.orbit_0p"].detail
 
 
 @pytest.mark.campaign

@@ -84,9 +84,11 @@ def test_checks_limits_and_the_last_axis(rig_response):
     checks = {check.name: check for check in checks}
     assert checks["impulse.settling"].value == found.settling().max()
     assert checks["impulse.settling"].passed is bool(found.settling().max() <= 0.05)
-    assert checks["impulse.current"].value == np.abs(found.current).max()
-    assert checks["impulse.current"].passed is False and checks["impulse.current"].limit == 0.06
-    assert checks["impulse.force"].limit == 7500.0 and checks["impulse.force"].passed is True
+    assert checks["impulse.current_0p"].value == np.abs(found.current).max()
+    assert (
+        checks["impulse.current_0p"].passed is False and checks["impulse.current_0p"].limit == 0.06
+    )
+    assert checks["impulse.force_0p"].limit == 7500.0 and checks["impulse.force_0p"].passed is True
     worst = plant.axes[int(np.argmax(found.settling()))]
     assert [curve.name for curve in curves] == ["impulse.displacement", "impulse.current"]
     assert all(worst in curve.title and curve.kind == "time" for curve in curves)

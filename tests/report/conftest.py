@@ -208,7 +208,7 @@ def sample_checks(label: str, whirl: float) -> Checks:
                 "at 83 Hz, loop A_zeta",
             ),
             Check(
-                "unbalance.orbit",
+                "unbalance.orbit_0p",
                 "Unbalance orbit up to 200 Hz",
                 8.0004e-6,
                 "m",

@@ -445,12 +445,12 @@ def test_a_trace_shows_itself():
         fake_loop(0.1, 0.0, 1e-3), Scenario("x", 0.1, pulses=(Pulse("f_A_zeta", 1.0, 0.0, 1e-3),))
     )
     assert repr(trace).startswith(
-        "Trace(scenario=x, outcome=completed, stable=True, duration=0.1 s, largest_displacement="
+        "Trace(scenario=x, outcome=completed, stable=True, duration=0.1 s, largest_displacement_0p="
     )
     assert len(repr(trace)) < 200
     assert "<table>" in trace._repr_html_()
     plain = json.loads(json.dumps(trace.to_dict(), allow_nan=False))
-    assert plain["peaks"] == peaks(trace)
+    assert plain["peaks_0p"] == peaks(trace)
     assert plain["pole"] == [trace.pole.real, trace.pole.imag]
 
 

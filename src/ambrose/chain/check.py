@@ -217,7 +217,7 @@ def insight(plant: Plant) -> dict[str, Any]:
                 "k_s": b.negative_stiffness,
                 "max_force": b.force,
                 "weight": b.load,
-                "current": b.current,
+                "static_current": b.current,
             }
             for b in bearings
         ],

@@ -63,7 +63,7 @@ def _mesh(errors: list[float]) -> str:
 
 def _bearing(item: dict[str, Any]) -> tuple[str, str]:
     force = f"{item['max_force']:.4g} N for {item['weight']:.4g} N of the weight"
-    if item["current"]:
+    if item["static_current"]:
         force += f", which takes {item['current']:.3g} A"
     return (
         f"bearing {item['name']}",

@@ -110,7 +110,7 @@ class Study(Presented):
                         {
                             "start_s": s.start,
                             "speed_rad_s": s.speed,
-                            "peak_m": s.peak,
+                            "peak_m_0p": s.peak,
                             "settling_s": to_plain(s.settling),
                         }
                         for s in steps

@@ -168,6 +168,6 @@ def _assembled(
     if requirements.unbalance_to is not None and speeds[0] < requirements.unbalance_to < high:
         speeds = np.unique(np.append(speeds, requirements.unbalance_to))
     curve = replace(
-        unbalance_curve(plant_at, speeds, controller, residual), name="unbalance.assembled"
+        unbalance_curve(plant_at, speeds, controller, residual), name="unbalance.assembled_0p"
     )
     return [stability, assembled_check(curve, requirements)], [curve]

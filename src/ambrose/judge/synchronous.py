@@ -7,7 +7,7 @@ orbit, current and force.
 | synchronous.margin.box | the same over the tolerances, proved or found at members | deg |
 | synchronous.gain | eps over the largest one with stable exact poles, at a few speeds | - |
 | synchronous.time | slowest convergence over the band, 2/(eps Re lambda) | s |
-| synchronous.orbit | worst-case orbit with the block converged, against the limit | m |
+| synchronous.orbit_0p | worst-case orbit with the block converged, against the limit | m |
 | synchronous.current | largest 1x control current with it, over that without | dB |
 | synchronous.force | largest 1x magnetic force on the housing, the same | dB |
 | synchronous.sensitivity | peak of an axis' sensitivity with the block on (ISO 14839-3) | - |
@@ -397,7 +397,7 @@ def _unbalance_checks(item: BlockLoop) -> tuple[list[Check], list[Curve]]:
         detail = f"the band contains a forbidden speed, {forbidden[0]}; take it out of the band"
     checks = [
         judge(
-            "synchronous.orbit",
+            "synchronous.orbit_0p",
             "Worst-case orbit, block converged, 0-p",
             orbit,
             "m",
@@ -413,7 +413,7 @@ def _unbalance_checks(item: BlockLoop) -> tuple[list[Check], list[Curve]]:
     lines = ("without the block", "block converged")
     curves = [
         Curve(
-            "synchronous.orbit",
+            "synchronous.orbit_0p",
             "Worst-case 1x orbit, 0-p",
             "speed",
             speeds,

@@ -5,9 +5,9 @@ changes.
 |---|---|---|
 | axial.capacity | process thrust over the largest static force against it | - |
 | axial.current | static control current that holds it | A |
-| axial.change.displacement | largest motion while the thrust goes from one end to the other | m |
-| axial.change.current | largest control current on the way, the static one with it | A |
-| axial.change.voltage | slew: L di/dt of a coil on the way, L at rest without an inductance | V |
+| axial.change.displacement_0p | largest motion while the thrust goes from end to end | m |
+| axial.change.current_0p | largest control current on the way, the static one with it | A |
+| axial.change.voltage_0p | slew: L di/dt of a coil on the way, L at rest if none is given | V |
 
 The change is from the least to the largest thrust of all operating points within load_time, or
 back; the loop is the linear one of the point. Rows of the change are absent where there is none.
@@ -123,7 +123,7 @@ def _change_checks(
     )
     return [
         judge(
-            "axial.change.displacement",
+            "axial.change.displacement_0p",
             "Largest displacement while the thrust changes",
             float(np.abs(moved).max()),
             "m",
@@ -131,7 +131,7 @@ def _change_checks(
             words,
         ),
         judge(
-            "axial.change.current",
+            "axial.change.current_0p",
             "Largest control current while the thrust changes",
             peak,
             "A",
@@ -139,7 +139,7 @@ def _change_checks(
             words,
         ),
         information(
-            "axial.change.voltage",
+            "axial.change.voltage_0p",
             "Coil voltage while the thrust changes",
             inductance * slope,
             "V",
@@ -147,7 +147,7 @@ def _change_checks(
         )
         if amplifier.max_voltage is None
         else judge(
-            "axial.change.voltage",
+            "axial.change.voltage_0p",
             "Coil voltage while the thrust changes",
             inductance * slope,
             "V",

@@ -4,9 +4,9 @@ forces.
 | check | what | unit |
 |---|---|---|
 | impulse.settling | time after the pulse until all displacements stay in the band | s |
-| impulse.displacement | largest measured displacement | m |
-| impulse.current | largest control current of the axis nearest to its limit | A |
-| impulse.force | largest magnetic force k_i i + k_s q of the axis nearest to its limit | N |
+| impulse.displacement_0p | largest measured displacement | m |
+| impulse.current_0p | largest control current of the axis nearest to its limit | A |
+| impulse.force_0p | largest magnetic force k_i i + k_s q of the axis nearest to its limit | N |
 
 Curves: "impulse.displacement" and "impulse.current", the response to the pulse on the axis that
 settles last.
@@ -123,7 +123,7 @@ def pulse_checks(
             f"pulse on {axes[worst]}: {words}{open_end}",
         ),
         information(
-            "impulse.displacement",
+            "impulse.displacement_0p",
             "Largest displacement after a current pulse",
             largest[at],
             "m",
@@ -131,14 +131,14 @@ def pulse_checks(
         ),
         axis_limit_check(
             plant,
-            "impulse.current",
+            "impulse.current_0p",
             "Largest control current after a current pulse",
             _peaks(response.current),
             requirements,
         ),
         axis_limit_check(
             plant,
-            "impulse.force",
+            "impulse.force_0p",
             "Largest magnetic force after a current pulse",
             _peaks(force),
             requirements,

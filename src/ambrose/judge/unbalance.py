@@ -12,18 +12,18 @@ pulls with F = U W^2 (ISO 21940-11). How U is spread is unknown, so that three c
 
 | check | what | unit |
 |---|---|---|
-| unbalance.orbit | largest worst-case orbit, zero to peak, up to the required speed | m |
-| unbalance.in_phase | largest orbit with the unbalance in phase | m |
-| unbalance.antiphase | the same in antiphase | m |
+| unbalance.orbit_0p | largest worst-case orbit, zero to peak, up to the required speed | m |
+| unbalance.in_phase_0p | largest orbit with the unbalance in phase | m |
+| unbalance.antiphase_0p | the same in antiphase | m |
 | unbalance.clearance | worst-case orbit over the smallest touchdown or air gap (ISO 14839-2) | - |
-| unbalance.current | worst-case control current of the axis nearest to its limit | A |
-| unbalance.force | worst-case magnetic force k_i i + k_s q of the axis nearest to its limit | N |
-| unbalance.voltage | worst-case voltage w L i of a coil, with a max_voltage | V |
+| unbalance.current_0p | worst-case control current of the axis nearest to its limit | A |
+| unbalance.force_0p | worst-case force k_i i + k_s q of the axis nearest to its limit | N |
+| unbalance.voltage_0p | worst-case voltage w L i of a coil, with a max_voltage | V |
 | unbalance.separation | amplification factor over the allowed near running_speeds (API 617) | - |
-| unbalance.assembled | worst-case orbit with the rotor assembled anew at every speed | m |
+| unbalance.assembled_0p | worst-case orbit with the rotor assembled anew at every speed | m |
 
-The curves are "unbalance" (frozen at the plant's speed), "unbalance.assembled" and
-"unbalance.current".
+The curves are "unbalance" (frozen at the plant's speed), "unbalance.assembled_0p" and
+"unbalance.current_0p".
 """
 
 from __future__ import annotations
@@ -143,22 +143,26 @@ def unbalance_checks(
     names = [bearing.name for bearing in machine.bearings]
     checks = [
         judge(
-            "unbalance.orbit",
+            "unbalance.orbit_0p",
             f"Worst-case unbalance orbit up to {highest / TWO_PI:.4g} Hz, 0-p",
             worst.value,
             "m",
             demand("unbalance orbit", requirements),
             f"{_at(worst)}; {note}",
         ),
-        _distribution("unbalance.in_phase", "in phase", in_phase, names),
-        _distribution("unbalance.antiphase", "in antiphase", antiphase, names),
+        _distribution("unbalance.in_phase_0p", "in phase", in_phase, names),
+        _distribution("unbalance.antiphase_0p", "in antiphase", antiphase, names),
         *_clearance(machine, worst, requirements),
         axis_limit_check(
-            plant, "unbalance.current", "Worst-case unbalance current, 0-p", currents, requirements
+            plant,
+            "unbalance.current_0p",
+            "Worst-case unbalance current, 0-p",
+            currents,
+            requirements,
         ),
         axis_limit_check(
             plant,
-            "unbalance.force",
+            "unbalance.force_0p",
             "Worst-case magnetic force under unbalance, 0-p",
             forces,
             requirements,
@@ -176,7 +180,7 @@ def unbalance_checks(
     return checks, [
         _orbit_curve(machine, omega, orbits, requirements),
         Curve(
-            "unbalance.current",
+            "unbalance.current_0p",
             "Worst-case unbalance current, 0-p",
             "speed",
             omega,
@@ -212,7 +216,7 @@ def _voltage(
     )
     return [
         judge(
-            "unbalance.voltage",
+            "unbalance.voltage_0p",
             "Worst-case coil voltage under unbalance, 0-p",
             peaks[k].value,
             "V",
@@ -286,7 +290,7 @@ def axis_limit_check(
     """One check for a current or force (by ``name``) known per axis: of the axis that comes nearest
     to its limit.
     """
-    current = name.endswith("current")
+    current = name.endswith("current_0p")
     bearings = plant.machine.axis_bearings
     limits = [bearing.max_current if current else bearing.max_force for bearing in bearings]
     required = demand("current" if current else "information", requirements)
@@ -375,7 +379,7 @@ def assembled_check(curve: Curve, requirements: Requirements) -> Check:
     values = np.where(inside, curve.y[0], 0.0)
     k = int(np.argmax(values))
     return judge(
-        "unbalance.assembled",
+        "unbalance.assembled_0p",
         "Worst-case unbalance orbit, rotor assembled at every speed, 0-p",
         values[k],
         "m",

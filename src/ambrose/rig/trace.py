@@ -53,7 +53,7 @@ class Trace(Presented):
             "stable": self.stable,
             "duration": f"{self.record.time[-1] if self.record.values.size else 0.0:.4g} s",
             **(
-                {"largest_displacement": f"{max(displacement.values()):.4g} m"}
+                {"largest_displacement_0p": f"{max(displacement.values()):.4g} m"}
                 if displacement
                 else {}
             ),
@@ -75,7 +75,7 @@ class Trace(Presented):
         )
         pole = None if self.pole is None else [self.pole.real, self.pole.imag]
         return to_plain(
-            {**{name: getattr(self, name) for name in names}, "pole": pole, "peaks": peaks(self)}
+            {**{name: getattr(self, name) for name in names}, "pole": pole, "peaks_0p": peaks(self)}
         )
 
     def to_frame(self) -> Any:

@@ -94,7 +94,7 @@ def test_the_command(tmp_path):
     assert run.exit_code == 0, run.output
     sheet = json.loads(run.output)["magnets"][0]
     i_0, k_i = 4.0, sheet["force_per_current"][0]
-    assert sheet["force_at_full_modulation"] == pytest.approx(k_i * i_0, rel=1e-9)
+    assert sheet["force_at_full_modulation_0p"] == pytest.approx(k_i * i_0, rel=1e-9)
     assert sheet["force_per_current_left"] == pytest.approx(0.5, rel=1e-9)
     assert 0.05 < sheet["linearity_zeta"]["largest_error"] < 0.15
     assert "Error of the straight law" in page.read_text(encoding="utf-8")

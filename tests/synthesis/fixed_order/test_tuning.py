@@ -354,8 +354,8 @@ def test_what_is_said_of_it_is_what_verification_finds(tuned):
     # the limit is 3, less at low frequencies
     assert max(peaks) / 3 <= said["ratio_sensitivity"] * (1 + 1e-6)
     for check, limit, ratio in (
-        ("unbalance.orbit", 40e-6, "orbit"),
-        ("unbalance.current", 6.0, "current"),
+        ("unbalance.orbit_0p", 40e-6, "orbit"),
+        ("unbalance.current_0p", 6.0, "current"),
     ):
         largest = max(item[check].value for item in found)
         assert largest <= 1.005 * limit * said[f"ratio_{ratio}"]

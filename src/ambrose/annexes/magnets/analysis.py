@@ -73,7 +73,7 @@ class MagnetSheet(Presented):
             "inductance": self.inductance,
             "flux_density_at_bias": self.flux_density[0],
             "flux_density_at_full_modulation": self.flux_density[1],
-            "force_at_full_modulation": self.capacity,
+            "force_at_full_modulation_0p": self.capacity,
             "force_when_a_coil_opens": self.lost_force,
             "force_per_current_left": self.lost_share,
         }

@@ -98,7 +98,7 @@ class WhipMap:
             "mount_stiffness": self.stiffness.tolist(),
             "mount_damping": self.damping.tolist(),
             "frequency": plain(self.frequency),
-            "force": plain(self.force),
+            "force_0p": plain(self.force),
             "place": None if self.place is None else list(self.place),
         }
 
@@ -188,18 +188,18 @@ def fall_data(result: Landing) -> dict[str, Any]:
     ):
         plain[name] = {
             "first_contact": float(row[0]) if row[0] >= 0 else None,
-            "first_force_peak": float(row[1]),
-            "largest_force": float(row[2]),
-            "largest_element_load": float(row[3]),
+            "first_force_0p": float(row[1]),
+            "largest_force_0p": float(row[2]),
+            "largest_element_load_0p": float(row[3]),
             "time_in_contact": float(row[4]),
-            "largest_displacement": float(row[5]),
+            "largest_displacement_0p": float(row[5]),
             "turns_against_spin": float(row[6] / (2 * np.pi)),
             "turns_with_spin": float(row[7] / (2 * np.pi)),
             "largest_race_speed": float(row[10]),
             "slip_energy": float(slip),
         }
     for name, share in zip(result.fallen.seal_names, result.fall.seals, strict=True):
-        plain[name] = {"largest_displacement_over_gap": float(share)}
+        plain[name] = {"largest_displacement_0p_over_gap": float(share)}
     return plain
 
 

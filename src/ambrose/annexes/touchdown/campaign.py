@@ -108,9 +108,9 @@ class Campaign:
             "whirl": "three whole turns against the spin without going back, at any bearing",
             "share_that_whirls": float(whirls.mean()),
             "whirl_frequency": self.quantiles(self.whirl_frequency) if whirls.any() else None,
-            "force": [self.quantiles(column) for column in self.force.T],
+            "force_0p": [self.quantiles(column) for column in self.force.T],
             "slip_energy": [self.quantiles(column) for column in self.slip.T],
-            "penetration": [self.quantiles(column) for column in self.seals.T],
+            "penetration_0p": [self.quantiles(column) for column in self.seals.T],
         }
 
 

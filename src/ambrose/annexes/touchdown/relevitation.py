@@ -45,7 +45,7 @@ class Recovery:
     def to_dict(self) -> dict[str, Any]:
         """Plain data, SI; a recovery that never came is null."""
         time = self.time if math.isfinite(self.time) else None
-        return {"power_back": self.start, "time": time, "largest_force": self.force}
+        return {"power_back": self.start, "time": time, "largest_force_0p": self.force}
 
 
 def with_magnets(machine: Machine, fallen: FallenRotor, rig: Rig, point: OperatingPoint) -> Rig:

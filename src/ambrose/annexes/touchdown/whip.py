@@ -122,7 +122,7 @@ class Whip:
             "bearings": list(self.bearings),
             "friction": self.friction,
             "frequency": float(self.frequency) if finite else None,
-            "force": [float(value) for value in self.force] if bounded else None,
+            "force_0p": [float(value) for value in self.force] if bounded else None,
             "rolling": self.rolling,
             "beyond_stop": self.stop,
         }

@@ -27,7 +27,7 @@ T = TypeVar("T")
 _LOOPS = (  # (curve, the check that holds its refined peak)
     ("sensitivity.output", "sensitivity.output.max"),
     ("compliance", "compliance.max"),
-    ("unbalance", "unbalance.orbit"),
+    ("unbalance", "unbalance.orbit_0p"),
 )
 _COLUMNS = 4  # panels beside each other
 # bins of a response in time inside and outside the view; points of an outline

@@ -232,7 +232,7 @@ def _details(candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
 
 
 # the rotor assembled at every speed where that was done, else frozen at one
-_CURVES = ("unbalance.assembled", "unbalance")
+_CURVES = ("unbalance.assembled_0p", "unbalance")
 _HASHES = (
     "Hashes are SHA-256: of all that is computed with in the machine file, and the digest in each "
     "controller's file. "

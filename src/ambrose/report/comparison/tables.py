@@ -27,10 +27,10 @@ _LONGEST = 80  # characters of where something occurs, in one cell
 _AT_A_POINT: dict[str, Better] = {
     "sensitivity.output.max": min,
     "compliance.max": min,
-    "unbalance.orbit": min,
-    "unbalance.current": min,
+    "unbalance.orbit_0p": min,
+    "unbalance.current_0p": min,
     "impulse.settling": min,
-    "impulse.current": min,
+    "impulse.current_0p": min,
     "poles.log_decrement.lowest": max,
 }
 _IN_THE_BOX: dict[str, Better] = {

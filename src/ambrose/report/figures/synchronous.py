@@ -17,7 +17,7 @@ _BEFORE, _AFTER = "without the block", "block converged"
 _ROWS = (
     ("synchronous.current", "1× control current, zero to peak"),
     ("synchronous.force", "1× force on the housing"),
-    ("synchronous.orbit", "Worst-case 1× orbit, zero to peak"),
+    ("synchronous.orbit_0p", "Worst-case 1× orbit, zero to peak"),
     ("synchronous.margin", "Angle by which all phases may be off"),
 )
 _HEIGHT, _GAP = 170, 64  # [px] of a panel, and between two

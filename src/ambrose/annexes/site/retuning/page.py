@@ -28,9 +28,9 @@ _COMPARED = (
     ("sensitivity.output.max", "largest output sensitivity"),
     ("margin.disk.output", "disk margin, all outputs"),
     ("control.max", "largest gain from error to current"),
-    ("unbalance.orbit", "unbalance orbit"),
-    ("unbalance.current", "unbalance current"),
-    ("impulse.current", "current after a pulse"),
+    ("unbalance.orbit_0p", "unbalance orbit"),
+    ("unbalance.current_0p", "unbalance current"),
+    ("impulse.current_0p", "current after a pulse"),
 )
 _OUTCOMES = {True: "pass", False: "fail", None: "none"}
 _AROUND = 0.1  # s about a change of controllers that is drawn
