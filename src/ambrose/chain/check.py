@@ -22,12 +22,14 @@ from ambrose.judge.stability import judge_stability
 from ambrose.judge.unavoidable import beyond_reach, unavoidable_sensitivity, unavoidable_words
 from ambrose.law.pid import axes_mixings, channel_chains, first_settings, mixings, pid_controller
 from ambrose.law.timing import machine_timing
+from ambrose.machine.attachment import attached
 from ambrose.machine.criteria import demand
 from ambrose.machine.description import MagneticBearing
 from ambrose.machine.machine import Machine
 from ambrose.machine.seals import Seal
 from ambrose.model.assemble import assemble, attached_rotor
 from ambrose.model.basis import bending_modes_of, judged_bending
+from ambrose.model.effects.clearance import Clearance
 from ambrose.model.effects.rotor import (
     STANDARD_GRAVITY,
     MassProperties,
@@ -292,6 +294,22 @@ def _sizes(machine: Machine, properties: MassProperties) -> Iterator[str]:
     for bearing in machine.bearings:
         yield from _gaps(bearing)
         yield from _touchdown(machine, bearing)
+    yield from clearance_doubts(machine)
+
+
+def clearance_doubts(machine: Machine) -> Iterator[str]:
+    """Clearances that the rotor uses up before it lands: a radial one given for the diametral."""
+    gaps = {b.name: 2 * b.touchdown_gap for b in machine.bearings if b.touchdown_gap}
+    if not gaps:
+        return
+    name, diametral = min(gaps.items(), key=lambda item: item[1])
+    for _, part in attached(machine):
+        if isinstance(part, Clearance) and part.diametral < diametral:
+            yield (
+                f"the diametral clearance of {part.name}, {1e3 * part.diametral:,.4g} mm, is below "
+                f"that of touchdown bearing {name}, {1e3 * diametral:,.4g} mm: the rotor would rub "
+                "there before it lands; give the diametral clearance, not the radial one"
+            )
 
 
 def _touchdown(machine: Machine, bearing: MagneticBearing) -> Iterator[str]:

@@ -21,9 +21,11 @@ from ambrose.annexes.rotordynamics.loop import shaft_loop
 from ambrose.annexes.rotordynamics.page import lateral_page
 from ambrose.annexes.rotordynamics.placement import place, shaft_modes, span_middle
 from ambrose.annexes.rotordynamics.stations import lay_out
-from ambrose.core.checks import InvalidInput
+from ambrose.chain.check import clearance_doubts
+from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.law.timing import timing_of
 from ambrose.machine.file.toml import loads_machine
+from ambrose.model.effects.clearance import Clearance
 from ambrose.registry import registered, resolve
 
 RPM = math.pi / 30
@@ -248,6 +250,50 @@ def test_what_cannot_be_analysed_is_said():
         amb.lateral(rest)
     with pytest.raises(InvalidInput, match="no magnetic bearings"):
         amb.design(machine, "pid")
+
+
+def test_a_radial_clearance_for_the_diametral_one_is_said():
+    """0.2 mm where the touchdown bearings leave 0.4 mm: nothing could land."""
+    machine = amb.load_machine("turboexpander")
+    tight, wide = (
+        replace(machine, effects=(Clearance("labyrinth", 0.2, size),)) for size in (2e-4, 5e-4)
+    )
+    assert not list(clearance_doubts(wide))
+    (said,) = clearance_doubts(tight)
+    assert said.endswith("give the diametral clearance, not the radial one")
+    assert "0.2 mm, is below that of touchdown bearing" in said and "0.4 mm" in said
+
+
+def test_a_seal_with_a_geometry_enters_the_clearances():
+    gaps = {gap.name: gap for gap in lay_out(amb.load_machine("turboexpander")).gaps}
+    (seal,) = amb.load_machine("turboexpander").seals
+    narrow = min(seal.geometry.inlet_clearance, seal.geometry.exit_clearance)
+    assert gaps["seal piston"].diametral == 2 * narrow
+
+
+def test_a_table_that_does_not_reach_trip_speed_is_said():
+    """Films over 3000 to 6000 rpm: the running speed without a stated trip, a refusal with one."""
+    rows = {"K": K, "C": C}
+    text = FILE.format(modulus=2_100_000, first=0.0, second=1.0, stiffness=K, damping=C, more="")
+    for letter, value in rows.items():
+        for axis in ("xx", "yy"):
+            row = f'{letter}_{axis} = ["{value} N/m"]'.replace(
+                "N/m", "N/m" if letter == "K" else "N s/m"
+            )
+            assert row in text
+            text = text.replace(row, f"{letter}_{axis} = [{value}, {value}]")
+    text = text.replace("K_xx", 'speed = ["3000 rpm", "6000 rpm"]\nK_xx')
+    machine = loads_machine(text, "tables")
+    with pytest.raises(InvalidInput, match=r"goes to the trip speed, 659.734 rad/s, which the"):
+        amb.lateral(machine, trip=6300 * RPM)
+
+
+def test_a_mode_that_cannot_be_followed_is_said(monkeypatch):
+    machine = films(STAGE)
+    loop = shaft_loop(lay_out(machine), machine.operation.nominal, None, None)
+    monkeypatch.setattr("ambrose.annexes.rotordynamics.loop._CLOSE", 0.0)
+    with pytest.raises(NumericalFailure, match=r"could not be followed within 30 steps; take"):
+        loop.mode_near(-10 + 180j)
 
 
 def test_data_are_plain_and_as_the_schema_has_them():

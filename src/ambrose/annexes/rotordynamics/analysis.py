@@ -27,6 +27,7 @@ from ambrose.annexes.rotordynamics.response import respond
 from ambrose.annexes.rotordynamics.result import Lateral, ModeRow
 from ambrose.annexes.rotordynamics.stations import Layout, lay_out
 from ambrose.annexes.rotordynamics.tolerances import least_decrements
+from ambrose.chain.check import clearance_doubts
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
 from ambrose.judge.stability import judge_stability
@@ -93,9 +94,10 @@ def lateral(
     def loop_at(speed: float) -> ShaftLoop:
         return shaft_loop(layout, replace(chosen, speed=speed, label=""), law, timing)
 
-    early: tuple[str, ...] = ()
+    early = tuple(text[0].upper() + text[1:] + "." for text in clearance_doubts(machine))
     if stated is None and not _covers(loop_at, trip):
         early = (
+            *early,
             f"The machine file does not cover {trip / standard.RPM:.5g} rpm, 1.05 times the "
             "running speed; without a stated trip speed the analysis ends at the running speed.",
         )

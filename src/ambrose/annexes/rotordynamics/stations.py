@@ -171,7 +171,7 @@ def _gaps(machine: Machine) -> Iterator[Gap]:
         sides = [
             radial
             for name in ("inlet_clearance", "exit_clearance")
-            if (radial := getattr(seal, name, None))
+            if (radial := getattr(seal.geometry, name, None))
         ]
         if sides:
             yield Gap(f"seal {seal.name}", "seal", seal.position, 2 * min(sides), CLEARANCE_SHARE)
