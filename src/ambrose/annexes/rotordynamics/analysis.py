@@ -162,6 +162,7 @@ def lateral(
         *rows.phase(budgets),
         *rows.circuit(circuit_change(machine, chosen, law, timing, modes)),
         *rows.iso(machine, at_top, response, highest, law, timing),
+        *rows.iso_vibration(machine, found, scale[0]),
         *rows.not_covered(machine),
     )
     if running is None:

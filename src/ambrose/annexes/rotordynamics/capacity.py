@@ -178,7 +178,9 @@ def _unbalance(loop: ShaftLoop, response: Response, axis: int) -> Iterator[Deman
         voltage = np.abs(voltage + s * drive.back_emf[axis] * motion)
         current = np.abs(current)
         last = len(speeds) - 1
-        places = {int(np.argmax(current)): "largest", int(np.argmax(voltage)): "largest voltage"}
+        places = {int(np.argmax(current)): "largest"}
+        if drive.inductance:
+            places = {int(np.argmax(voltage)): "largest voltage"} | places
         for place, word in (places | {last: "at trip"}).items():
             i = float(current[place])
             yield Demand(

@@ -5,6 +5,9 @@ write(lateral_page(lateral(machine, controller)), "lateral.html")
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from ambrose.annexes.rotordynamics import figures, standard
@@ -56,12 +59,22 @@ _CAPACITY = (
 _DEMANDS = (
     "Force: control current times k_i. An impulse is drawn at the sine with its largest current "
     "and slope. Seals and stages: their force at trip by a lever, part of what unbalance takes. "
-    "Voltage: (R + j w L) i + j w k_u q of a coil."
+    "Voltage: (R + j w L) i + j w k_u q of a coil (- where the file has no inductance)."
 )
 _PHASE = (
     "From the shaft's displacement to the current that makes force, element after element, at the "
     "free rotor's bending modes at rest. Negative: late. What the controller adds is its lead."
 )
+_SECTIONS = {  # where a row's figure stands, by the first word of its name
+    "critical_speed": "Unbalance response",
+    "vibration": "Unbalance response",
+    "scale_factor": "Clearances",
+    "clearance": "Clearances",
+    "level_one": "Stability, Level I",
+    "level_two": "Stability, Level II",
+    "capacity": "Load capacity",
+    "phase": "Phase budget",
+}
 _HYPHEN, _SPACE = "\u2011", "\u00a0"  # where no line ends
 _BESIDE = (
     "Critical speeds and modes are paired so that all pairs together lie as near as they can. "
@@ -74,7 +87,7 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
     empty).
     """
     sections = [
-        Section("Summary sheet", _SUMMARY, (), (summary_table(result),)),
+        Section("Summary sheet", _SUMMARY),
     ]
     if result.response is not None:
         sections += _response_sections(result)
@@ -121,10 +134,13 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
     opening = Section(
         "Rotor", "", (Figure("Rotor and its parts", machine_drawing(result.machine)),)
     )
+    summary, *rest = sections
+    ordered = (summary, opening, *rest)
+    summary = replace(summary, tables=(summary_table(result, ordered),))
     return Page(
         "Lateral analysis",
         result.machine,
-        (opening, *sections),
+        (summary, *ordered[1:]),
         (),
         facts,
         date,
@@ -169,14 +185,28 @@ def comparison_texts(pair: Pair) -> tuple[str, ...]:
     )
 
 
-def summary_table(result: Lateral) -> Table:
-    """Clause, basis, value, limit and verdict of every row."""
-    return Table(
-        "Clause by clause",
-        ("Item", "Clause", "Value", "Limit", "Verdict"),
-        tuple(_summary_row(item) for item in result.items),
-        _BASIS,
-    )
+def summary_table(result: Lateral, sections: Sequence[Section] = ()) -> Table:
+    """Clause, basis, value, limit, verdict and figure of every row; sections: those of the page, in
+    order.
+    """
+    places = _places(sections)
+    rows = tuple((*_summary_row(item), _figure_of(item, places)) for item in result.items)
+    columns = ("Item", "Edition and clause", "Basis", "Value", "Limit", "Verdict", "Figure")
+    return Table("Clause by clause", columns, rows, _BASIS)
+
+
+def _places(sections: Sequence[Section]) -> dict[str, Cell]:
+    """Title of a section -> its first figure's number, or "table", as a link to it."""
+    number, found = 1, {}
+    for k, section in enumerate(sections):
+        text = f"{number}" if section.figures else "table"
+        found[section.title] = Cell(text, link=f"#section-{k + 1}")
+        number += len(section.figures)
+    return found
+
+
+def _figure_of(item: Item, places: Mapping[str, Cell]) -> Cell:
+    return places.get(_SECTIONS.get(item.name.partition(".")[0], ""), Cell("-"))
 
 
 def _summary_row(item: Item) -> Row:
@@ -185,8 +215,13 @@ def _summary_row(item: Item) -> Row:
     unit = "" if item.unit == "-" else f" {_whole(item.unit)}"
     value = "-" if item.value is None else f"{_number(item.value)}{unit}"
     limit = "-" if item.limit is None else f"{_relation(item.relation)} {_number(item.limit)}{unit}"
-    clause = Cell(f"{item.standard}", detail=f"{item.clause}; {item.basis}")
-    return (Cell(item.title, detail=item.note), clause, *numbers(value, limit), Cell(word, mark))
+    return (
+        Cell(item.title, detail=item.note),
+        Cell(_edition(item.standard), detail=item.clause),
+        item.basis,
+        *numbers(value, limit),
+        Cell(word, mark),
+    )
 
 
 def _whole(text: str) -> str:
@@ -194,6 +229,13 @@ def _whole(text: str) -> str:
     for end in ("p", "0"):
         text = text.replace(f" {end}-p", f"{_SPACE}{end}{_HYPHEN}p")
     return text
+
+
+def _edition(text: str) -> str:
+    """A standard's number and edition that no line ends within."""
+    whole, comma, part = text.rpartition(", ")
+    kept = (whole or part).replace(" ", _SPACE).replace("-", _HYPHEN)
+    return f"{kept}{comma}{part if whole else ''}"
 
 
 def _relation(text: str) -> str:
@@ -339,7 +381,7 @@ def demand_table(axis: AxisCapacity) -> Table:
                 f"{item.frequency / (2 * np.pi):.4g}",
                 f"{item.force:.3g}",
                 f"{item.current:.3g}",
-                f"{item.voltage:.3g}",
+                f"{item.voltage:.3g}" if axis.limits.inductance else "-",
                 "-" if item.kind == PART else f"{axis.limits.margin(item)[0]:.3g}",
             ),
         )
