@@ -64,7 +64,7 @@ def _mesh(errors: list[float]) -> str:
 def _bearing(item: dict[str, Any]) -> tuple[str, str]:
     force = f"{item['max_force']:.4g} N for {item['weight']:.4g} N of the weight"
     if item["static_current"]:
-        force += f", which takes {item['current']:.3g} A"
+        force += f", which takes {item['static_current']:.3g} A"
     return (
         f"bearing {item['name']}",
         f"k_i {item['k_i']:.4g} N/A, k_s {item['k_s'] / 1e6:.4g} N/um, {force}",

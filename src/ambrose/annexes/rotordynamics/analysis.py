@@ -211,7 +211,10 @@ def _trip(trip: float | None, highest: float) -> float:
         return TRIP * highest
     if not (math.isfinite(trip) and trip >= highest):
         raise invalid(
-            "the trip speed", f"{trip:g} rad/s", f"{highest:g} rad/s or more", "it ends the curves"
+            "the trip speed",
+            f"{trip / standard.RPM:.6g} rpm",
+            f"{highest / standard.RPM:.6g} rpm or more",
+            "it ends the curves",
         )
     return trip
 
