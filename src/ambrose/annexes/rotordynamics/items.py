@@ -286,7 +286,7 @@ def level_two(table: Sequence[ModeRow], highest: float) -> Iterator[Item]:
         value = float(least.least or 0.0)
         yield Item(
             "level_two.log_decrement.tolerances",
-            "The same, least found over the tolerances",
+            "Level II: least log decrement found over the tolerances",
             "Ambrose",
             "search over ends and steepest corners",
             OWN,
@@ -307,9 +307,9 @@ def capacity(found: Sequence[AxisCapacity]) -> Iterator[Item]:
     if not found:
         return
     kinds = (
-        ("unbalance", UNBALANCE, "Control current and voltage left over what unbalance takes"),
-        ("impulse", IMPULSE, "The same for an impulse on top of unbalance at trip"),
-        ("surge", SURGE, "The same for a surge on top of unbalance at trip"),
+        ("unbalance", UNBALANCE, "Load capacity over what unbalance takes"),
+        ("impulse", IMPULSE, "Load capacity over an impulse on top of unbalance at trip"),
+        ("surge", SURGE, "Load capacity over a surge on top of unbalance at trip"),
     )
     for name, kind, title in kinds:
         rows = [(margin, axis) for axis in found if (margin := axis.least(kind)) is not None]

@@ -234,8 +234,10 @@ def _whole(text: str) -> str:
 def _edition(text: str) -> str:
     """A standard's number and edition that no line ends within."""
     whole, comma, part = text.rpartition(", ")
-    kept = (whole or part).replace(" ", _SPACE).replace("-", _HYPHEN)
-    return f"{kept}{comma}{part if whole else ''}"
+    first, last = (
+        words.replace(" ", _SPACE).replace("-", _HYPHEN) for words in (whole or part, part)
+    )
+    return f"{first}{comma}{last}" if whole else first
 
 
 def _relation(text: str) -> str:
