@@ -144,8 +144,20 @@ def test_a_rotor_that_cannot_ring_has_its_unbalance_placed_as_a_rigid_one():
     curve, w = response.major_axis(response.layout.nearest(0.5), 0), response.fine
     exact = weight.amount * w**2 / np.hypot(k - m * w**2, c * w)
     assert curve == pytest.approx(exact, rel=2e-3)
-    titles = [section.title for section in lateral_page(result).sections]
-    assert "Unbalance response" in titles
+    page = lateral_page(result)
+    titles = [section.title for section in page.sections]
+    assert titles[:2] == ["Summary sheet", "Rotor"]
+    # every row of the sheet with its basis, and where its figure stands
+    (sheet,) = page.sections[0].tables
+    assert sheet.columns == (
+        *("Item", "Edition and clause", "Basis", "Value", "Limit", "Verdict", "Figure"),
+    )
+    place = titles.index("Unbalance response")
+    before = sum(len(section.figures) for section in page.sections[:place])
+    (vibration,) = [row for row in sheet.rows if row[0].text.startswith("Largest probe")]
+    assert vibration[2] == "recalled" and vibration[1].detail.startswith("6.8.2")
+    assert vibration[-1].link == f"#section-{place + 1}" and vibration[-1].text == f"{before + 1}"
+    assert page.signatures
 
 
 def test_shares_add_up_to_the_log_decrement():
