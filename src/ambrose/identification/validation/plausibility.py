@@ -20,8 +20,10 @@ from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
 
 _MISSED = 0.3
 _FAR = 2.0  # factor by which a value may leave the file's
-_ALIKE = 0.02  # relative, by which ratios of one cause differ
-_MOVED = 0.05  # relative; a mean change below is none
+_MOVED = 0.04  # relative; a mean change below is none
+_SURELY = 3.0  # standard deviations of a mean, by which its change is none of the single ratios'
+_ALIKE = 0.02  # relative, by which two means of one cause differ at least
+_OTHER_RATIO = 0.15  # relative change of a bearing's K_s/K_i, bias over gap; assumed
 # of what is left unexplained, or of what still follows the excitation: another delay must leave
 # less
 _CLEARLY = 0.7
@@ -43,6 +45,7 @@ def diagnose_result(
     findings = [
         *_signs(result),
         *_sizes(machine, result),
+        *_stiffness_alone(machine, result),
         *_common_factor(result),
         *_thrust(machine, result, outputs),
         *diagnose_outputs(machine, outputs),
@@ -167,25 +170,71 @@ def _stated(machine: Machine, result: ParameterEstimate, path: str, start: float
     return max(widths, default=float("inf"))
 
 
+def _ratios(result: ParameterEstimate) -> dict[str, dict[str, list[float]]]:
+    """Values over their starts: quantity of the magnets -> bearing -> one per axis."""
+    found: dict[str, dict[str, list[float]]] = {}
+    for path, value, start in zip(result.paths, result.values, result.start, strict=True):
+        if path.startswith("bearing.") and start > 0:
+            parameter = parse_parameter(path)
+            named = found.setdefault(parameter.quantity, {}).setdefault(parameter.name, [])
+            named.append(float(value / start))
+    return found
+
+
+def _stiffness_alone(machine: Machine, result: ParameterEstimate) -> list[Finding]:
+    """A bearing whose K_s moved and whose K_i did not, where the file states no tolerance of its
+    K_s: a magnet's K_s/K_i is bias over gap, and a spring that the file lacks changes it.
+    """
+    ratios = _ratios(result)
+    found = []
+    for name, values in ratios.get("negative_stiffness", {}).items():
+        others = ratios.get("force_per_current", {}).get(name)
+        rows = zip(result.paths, result.start, result.standard_deviations, strict=True)
+        own = [row for row in rows if row[0].startswith(f"bearing.{name}.negative_stiffness")]
+        stated = [_stated(machine, result, path, float(start)) for path, start, _ in own]
+        if not others or np.isfinite(stated).any():
+            continue
+        ks, ki = float(np.mean(values)), float(np.mean(others))
+
+        # the K_s of a bearing's axes err alike where what is beside them is not known well
+        doubt = COVERAGE * float(np.mean([deviation / start for _, start, deviation in own]))
+        if abs(ks / ki - 1) > _OTHER_RATIO + doubt:
+            found.append(
+                f"bearing.{name}: K_s is {ks:.3g} times its start, K_i {ki:.3g} times, so bias "
+                f"over gap {ks / ki:.3g} times"
+            )
+    if not found:
+        return []
+    remedy = (
+        "no record tells a bearing's K_s from a coupling, seal or other spring beside it that the "
+        "file lacks, or another seal pressure: look for one, measure bias and gap, or state the "
+        "tolerance of K_s"
+    )
+    what = "negative_stiffness moved where force_per_current did not"
+    return [Finding(Code.FAR_FROM_FILE, WARNING, what, ", ".join(found), remedy)]
+
+
 def _common_factor(result: ParameterEstimate) -> list[Finding]:
     """All K_i and K_s moved by one factor: that is what a wrong mass does, and the fit cannot
     tell.
+
+    One factor: the mean change is large beside what the values of a kind scatter about their own
+    mean, and K_i and K_s have the same one.
     """
-    ratios = [
-        value / start
-        for path, value, start in zip(result.paths, result.values, result.start, strict=True)
-        if path.startswith("bearing.") and start > 0
-    ]
-    kinds = {parse_parameter(path).quantity for path in result.paths if path.startswith("bearing.")}
-    if len(ratios) < 4 or len(kinds) < 2:
+    kinds = [np.concatenate([*by_name.values()]) for by_name in _ratios(result).values()]
+    count = sum(map(len, kinds))
+    if count < 4 or len(kinds) < 2:
         return []
-    mean = float(np.mean(ratios))
-    if abs(mean - 1) <= _MOVED or float(np.ptp(ratios)) > 2 * _ALIKE * mean:
+    mean, apart = float(np.mean(np.concatenate(kinds))), float(np.ptp([v.mean() for v in kinds]))
+    spread = float(np.sqrt(sum(np.sum((v - v.mean()) ** 2) for v in kinds) / (count - len(kinds))))
+    doubt = spread / np.sqrt(count)
+
+    # the difference of two means of half the values each has twice the mean's deviation
+    alike = apart <= max(2 * _SURELY * doubt, 2 * _ALIKE * mean)
+    if abs(mean - 1) <= max(_MOVED, _SURELY * doubt) or not alike:
         return []
     what = "every force_per_current and negative_stiffness moved by the same factor"
-    evidence = (
-        f"{mean:.4g} times the start, all within {100 * float(np.ptp(ratios)) / 2 / mean:.2g} %"
-    )
+    evidence = f"{mean:.4g} times the start, with {100 * spread / mean:.2g} % of scatter"
     remedy = (
         "a rotor mass that is wrong by this factor does exactly that, and no closed-loop record "
         "can tell: weigh the rotor"

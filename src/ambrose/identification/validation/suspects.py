@@ -20,8 +20,13 @@ import numpy as np
 
 from ambrose.core.checks import AmbroseError
 from ambrose.identification.findings import WARNING, Code, Finding
-from ambrose.identification.output_error.closed_loop import LeastSquares, ParameterEstimate
+from ambrose.identification.output_error.closed_loop import (
+    LeastSquares,
+    Loop,
+    ParameterEstimate,
+)
 from ambrose.identification.output_error.lagged_products import coloured_products
+from ambrose.identification.output_error.loop_model import LoopModel
 from ambrose.identification.output_error.normal_equations import (
     jacobian_pieces,
     normal_equations,
@@ -31,6 +36,7 @@ from ambrose.identification.output_error.problem import Experiment, FitOptions, 
 from ambrose.identification.output_error.residual_analysis import residual_scores
 from ambrose.identification.output_error.statistics import verdict_of
 from ambrose.identification.parameters import magnet_paths, unit_of
+from ambrose.identification.validation.channel_faults import Fault, faulty_loop
 from ambrose.law.law import LawLike
 from ambrose.machine.axial import AxialMachine
 from ambrose.machine.description import AMPLIFIER_PARAMETERS
@@ -62,7 +68,8 @@ _DAMPED = (
 class Suspect:
     """One more unknown: by how much it would change (``step``, SI) and how surely (``score``
     standard deviations), which part of the residuals' energy that explains, and by how much the
-    fitted values (q,) would move (``shift``, SI).
+    fitted values (q,) would move (``shift``, SI). unit: of the step, where ``path`` is no path of
+    the machine; harmless: up to which step it is none of anybody's concern.
     """
 
     path: str
@@ -70,6 +77,8 @@ class Suspect:
     score: float
     explains: float
     shift: np.ndarray
+    unit: str = ""
+    harmless: float = np.inf
 
 
 def suspects(
@@ -84,7 +93,8 @@ def suspects(
 
     Tried are the delays of controller and excitation, the amplifier's other parameters, gains and
     stiffnesses of bearings and couplings, the seals' coefficients and the first two bending modes,
-    as far as the fit took them as known.
+    as far as the fit took them as known; and the faults of channels and magnets
+    (channel_faults.py).
     """
     options = replace(options, period=None)
     modes = min(options.bending_modes + _FURTHER, bending_modes_of_mesh(machine))
@@ -116,7 +126,12 @@ def suspects(
             half = len(extra) // 2
             return [] if not half else scored(extra[:half]) + scored(extra[half:])
 
-    suspected = [*scored(timing), *scored(rest), *([] if cut is None else [cut])]
+    suspected = [
+        *scored(timing),
+        *scored(rest),
+        *_faults(machine, records, controller, result, options),
+        *([] if cut is None else [cut]),
+    ]
     return tuple(sorted(suspected, key=lambda item: -item.explains))
 
 
@@ -153,7 +168,9 @@ def judged(result: ParameterEstimate, suspected: Sequence[Suspect], dt: float) -
     names cause and effect.
 
     Where no value would move by more than 2 % (a delay: of a sample ``dt`` [s]) and more than its
-    standard deviation, what the residuals hold is no doubt about the values: the warning goes.
+    standard deviation, what the residuals hold is no doubt about the values: the warning goes,
+    unless a fault of a channel or a magnet is as large: one step from the wrong structure does not
+    tell where the values end in the right one.
     """
     if not suspected:
         if all(test.passed for test in result.tests):
@@ -190,7 +207,7 @@ def judged(result: ParameterEstimate, suspected: Sequence[Suspect], dt: float) -
     )
     verdict = verdict_of(result.tests, result.converged, lacking)
     warnings = [finding for finding in result.warnings if finding.code != Code.RESIDUALS]
-    if effect > _HARMLESS:
+    if effect > _HARMLESS or any(abs(item.step) > item.harmless for item in suspected):
         warnings.append(Finding(Code.RESIDUALS, WARNING, verdict))
     wider = result.widened(np.hypot(result.standard_deviations, moves.max(axis=0)))
     return replace(wider, verdict=verdict, warnings=tuple(warnings))
@@ -219,6 +236,8 @@ def causes(suspected: Sequence[Suspect]) -> str:
 
 
 def _sized(item: Suspect) -> str:
+    if item.unit:
+        return f"{item.step:+.3g} {item.unit}"
     if item.path.endswith(BENDING_MODES):
         return f"instead of {int(item.path.split()[0]) - _FURTHER}"
     return (
@@ -256,13 +275,20 @@ def _known(path: str, paths: Sequence[str]) -> bool:
 
 
 def _equations(
-    experiment: Experiment, theta: np.ndarray, coloured: bool = False
+    experiment: Experiment,
+    theta: np.ndarray,
+    coloured: bool = False,
+    loops: Sequence[Loop] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
-    """J'J (q, q), J'r (q,), r'r at theta (q,), and, ``coloured``, the covariance of J'r (q, q)."""
-    loops = LeastSquares(experiment, normal_equations).loops(theta)
-    H = np.zeros((len(theta), len(theta)))
-    middle = np.zeros((len(theta), len(theta)))
-    g = np.zeros(len(theta))
+    """J'J (q, q), J'r (q,), r'r at theta (q,), and, ``coloured``, the covariance of J'r (q, q).
+    loops: of the experiment's models (None: as they are), with more directions perhaps.
+    """
+    if loops is None:
+        loops = LeastSquares(experiment, normal_equations).loops(theta)
+    count = len(loops[0][1])
+    H = np.zeros((count, count))
+    middle = np.zeros((count, count))
+    g = np.zeros(count)
     cost = 0.0
     for task in experiment.tasks:
         loop, directions = loops[task.place]
@@ -286,32 +312,77 @@ def _scores(experiment: Experiment, result: ParameterEstimate) -> list[Suspect]:
     )
     theta[positions] = result.values
     H, g, cost, middle = _equations(experiment, theta, coloured=True)
-    size = np.sqrt(np.maximum(np.diag(H), 1e-300))
-    H = H / size / size[:, None]
-    g = g / size
-    middle = middle / size / size[:, None]
     scores = []
-    for c in (i for i in range(len(theta)) if i not in positions):
-        x = np.linalg.solve(H[np.ix_(positions, positions)], H[positions, c])
-        left, slope = H[c, c] - H[c, positions] @ x, g[c] - g[positions] @ x
-        if left <= 1e-9:  # no record tells it from the others
+    for c, path in enumerate(experiment.paths):
+        if c in positions:
             continue
-        weights = np.append(-x, 1.0)
-        spread = float(weights @ middle[np.ix_([*positions, c], [*positions, c])] @ weights)
-        step, score = slope / left, abs(slope) / np.sqrt(max(spread, 1e-300))
-        path = experiment.paths[c]
         most = (
             _SAMPLES
             if path in TIMING
             else _DAMPED
             if path.startswith("rotor.") and path.endswith("damping")
             else _OWN
-        )
-        if score > _CERTAIN and abs(step) / size[c] < most * max(
-            experiment.scale[c], abs(theta[c])
-        ):
-            shift = -x * step / size[positions]
-            scores.append(
-                Suspect(path, step / size[c], float(score), float(slope**2 / left / cost), shift)
-            )
-    return scores
+        ) * max(experiment.scale[c], abs(theta[c]))
+        scores.append(_score(H, g, cost, middle, positions, c, Fault(path, "", np.inf, most)))
+    return [item for item in scores if item is not None]
+
+
+def _faults(
+    machine: Machine,
+    records: Sequence[Record],
+    controller: LawLike,
+    result: ParameterEstimate,
+    options: FitOptions,
+) -> list[Suspect]:
+    """The faults of channels and magnets that noise cannot make; none where the delay is no whole
+    number of samples, or where other signals than displacements were fitted.
+    """
+    try:
+        experiment = build_experiment(machine, records, controller, result.paths, options)
+    except AmbroseError:
+        return []
+    models = [model for model in experiment.models if isinstance(model, LoopModel)]
+    displacements = all(name.startswith("y_") for name in experiment.signals)
+    if len(models) < len(experiment.models) or not displacements:
+        return []
+    q = len(result.paths)
+    tried = [
+        faulty_loop(model, np.asarray(result.values), experiment.paths, experiment.sizes)
+        for model in models
+    ]
+    loops = [(item.loop, item.directions) for item in tried]
+    H, g, cost, middle = _equations(experiment, result.values, coloured=True, loops=loops)
+    scores = [
+        _score(H, g, cost, middle, list(range(q)), c, one)
+        for c, one in enumerate(tried[0].faults, q)
+    ]
+    return [item for item in scores if item is not None]
+
+
+def _score(
+    H: np.ndarray,
+    g: np.ndarray,
+    cost: float,
+    middle: np.ndarray,
+    positions: list[int],
+    c: int,
+    what: Fault,
+) -> Suspect | None:
+    """The unknown at place ``c`` beside those at ``positions``; None where noise can make it."""
+    size = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    H = H / size / size[:, None]
+    g = g / size
+    middle = middle / size / size[:, None]
+    x = np.linalg.solve(H[np.ix_(positions, positions)], H[positions, c])
+    left, slope = H[c, c] - H[c, positions] @ x, g[c] - g[positions] @ x
+    if left <= 1e-9:  # no record tells it from the others
+        return None
+    weights = np.append(-x, 1.0)
+    spread = float(weights @ middle[np.ix_([*positions, c], [*positions, c])] @ weights)
+    step, score = slope / left, abs(slope) / np.sqrt(max(spread, 1e-300))
+    if score <= _CERTAIN or abs(step) / size[c] >= what.most:
+        return None
+    shift = -x * step / size[positions]
+    explains = float(slope**2 / left / cost)
+    own = step / size[c]
+    return Suspect(what.name, own, float(score), explains, shift, what.unit, what.harmless)
