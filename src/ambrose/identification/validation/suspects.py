@@ -52,6 +52,8 @@ _NOT_THESE = (  # what is left once every suspect was tried in vain
     "likeliest first: magnets beyond their linear range, a different controller"
 )
 BENDING_MODES = "bending modes"
+# of a number that the machine file gives and the fit takes, one standard deviation; assumed
+_FILE = 0.03
 _FURTHER = 3  # bending modes beyond those modelled, which are tried
 _SEEN = 0.3  # standard deviations of a value, below which the modes beyond are left alone
 _MODES = 2  # bending modes that may be wrong; assumed: those beyond hardly show
@@ -69,7 +71,9 @@ class Suspect:
     """One more unknown: by how much it would change (``step``, SI) and how surely (``score``
     standard deviations), which part of the residuals' energy that explains, and by how much the
     fitted values (q,) would move (``shift``, SI). unit: of the step, where ``path`` is no path of
-    the machine; harmless: up to which step it is none of anybody's concern.
+    the machine; harmless: up to which step it is none of anybody's concern. held: noise can make
+    the step; step and shift are then what the machine file's own number may be off by, and what
+    that does.
     """
 
     path: str
@@ -79,6 +83,7 @@ class Suspect:
     shift: np.ndarray
     unit: str = ""
     harmless: float = np.inf
+    held: bool = False
 
 
 def suspects(
@@ -88,8 +93,8 @@ def suspects(
     result: ParameterEstimate,
     options: FitOptions,
 ) -> tuple[Suspect, ...]:
-    """The suspects that noise cannot make, the best explanation first; none where no further
-    unknown can be tried.
+    """The suspects that noise cannot make, the best explanation first, then those held by the file;
+    none where no further unknown can be tried.
 
     Tried are the delays of controller and excitation, the amplifier's other parameters, gains and
     stiffnesses of bearings and couplings, the seals' coefficients and the first two bending modes,
@@ -132,7 +137,7 @@ def suspects(
         *_faults(machine, records, controller, result, options),
         *([] if cut is None else [cut]),
     ]
-    return tuple(sorted(suspected, key=lambda item: -item.explains))
+    return tuple(sorted(suspected, key=lambda item: (item.held, -item.explains)))
 
 
 def _truncation(
@@ -172,6 +177,10 @@ def judged(result: ParameterEstimate, suspected: Sequence[Suspect], dt: float) -
     unless a fault of a channel or a magnet is as large: one step from the wrong structure does not
     tell where the values end in the right one.
     """
+    # what the file holds and the records hardly see: as much as it may be off, all independent
+    held = np.sum([item.shift**2 for item in suspected if item.held], axis=0)
+    result = result.widened(np.sqrt(result.standard_deviations**2 + held))
+    suspected = [item for item in suspected if not item.held]
     if not suspected:
         if all(test.passed for test in result.tests):
             return result
@@ -217,6 +226,7 @@ def explained(finding: Finding, suspected: Sequence[Suspect]) -> Finding:
     """A finding that the model misses a response, with the suspects before the causes that no
     single unknown stands for.
     """
+    suspected = [item for item in suspected if not item.held]
     if finding.code != Code.MISSING_RESPONSE or not suspected:
         return finding
     return replace(
@@ -323,7 +333,9 @@ def _scores(experiment: Experiment, result: ParameterEstimate) -> list[Suspect]:
             if path.startswith("rotor.") and path.endswith("damping")
             else _OWN
         ) * max(experiment.scale[c], abs(theta[c]))
-        scores.append(_score(H, g, cost, middle, positions, c, Fault(path, "", np.inf, most)))
+        held = 0.0 if path in TIMING or path.startswith("rotor.") else _FILE * abs(theta[c])
+        what = Fault(path, "", np.inf, most)
+        scores.append(_score(H, g, cost, middle, positions, c, what, held))
     return [item for item in scores if item is not None]
 
 
@@ -367,19 +379,28 @@ def _score(
     positions: list[int],
     c: int,
     what: Fault,
+    held: float = 0.0,
 ) -> Suspect | None:
-    """The unknown at place ``c`` beside those at ``positions``; None where noise can make it."""
+    """The unknown at place ``c`` beside those at ``positions``; where noise can make it None, or,
+    where its number is known to ``held``, what that does.
+    """
     size = np.sqrt(np.maximum(np.diag(H), 1e-300))
     H = H / size / size[:, None]
     g = g / size
     middle = middle / size / size[:, None]
     x = np.linalg.solve(H[np.ix_(positions, positions)], H[positions, c])
     left, slope = H[c, c] - H[c, positions] @ x, g[c] - g[positions] @ x
-    if left <= 1e-9:  # no record tells it from the others
+    if left <= 1e-9 and not held:  # no record tells it from the others
         return None
+    left = max(float(left), 0.0)
     weights = np.append(-x, 1.0)
     spread = float(weights @ middle[np.ix_([*positions, c], [*positions, c])] @ weights)
-    step, score = slope / left, abs(slope) / np.sqrt(max(spread, 1e-300))
+    step, score = slope / max(left, 1e-9), abs(slope) / np.sqrt(max(spread, 1e-300))
+    if held and (score <= _CERTAIN or left <= 1e-9):
+        # known by the file to ``held``, by the records to sqrt(spread) / left: both together
+        known = 1 / np.hypot(1 / (held * size[c]), left / np.sqrt(max(spread, 1e-300)))
+        moved = -x * known / size[positions]
+        return Suspect(what.name, known / size[c], float(score), 0.0, moved, held=True)
     if score <= _CERTAIN or abs(step) / size[c] >= what.most:
         return None
     shift = -x * step / size[positions]
