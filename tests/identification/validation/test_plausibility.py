@@ -10,6 +10,7 @@ from ambrose.core.statespace import StateSpace
 from ambrose.identification import pipeline
 from ambrose.identification.findings import Code
 from ambrose.identification.output_error.closed_loop import ParameterEstimate
+from ambrose.identification.parameters import magnet_paths
 from ambrose.identification.validation.plausibility import _bursts, _tone, diagnose_result
 from ambrose.identification.validation.simulated_output import SimulatedOutput
 from ambrose.machine.description import OperatingPoint, Tolerance
@@ -48,6 +49,49 @@ def test_a_bearing_beyond_its_stated_tolerance_is_told_once_noise_cannot_make_it
         machine, estimate(path, 1.12, 0.02), ()
     )
     assert not diagnose_result(machine, estimate(path, 1.09), ())
+
+
+def magnets(ki, ks, deviation=0.002, machine="three-bearing-train"):
+    """K_i and K_s of every bearing and axis as multiples of the file's, in its order."""
+    paths = magnet_paths(load_machine(machine))
+    values = np.array([*ki, *ks], float)
+    one = np.eye(len(paths))
+    return ParameterEstimate(
+        machine, OperatingPoint(), tuple(paths), values, np.ones(len(paths)), deviation**2 * one,
+        one, one, (), (), 1.0, True, 1, (), "",
+    )  # fmt: skip
+
+
+SCATTER = np.array([1.02, 0.98, 1.03, 0.97, 1.0, 1.0])
+
+
+def test_a_stiffness_that_moves_alone_is_named_beside_what_no_record_tells_from_it():
+    """A coupling that the model lacks: K_s of the train's DE bearing 27 % off, exit status 0."""
+    machine = load_machine("three-bearing-train")
+    found = diagnose_result(machine, magnets(SCATTER, SCATTER * [0.73, 0.72, 1, 1, 1, 1]), ())
+    assert [item.code for item in found] == [Code.FAR_FROM_FILE]
+    assert "bearing.DE: K_s is 0.725 times its start" in found[0].evidence
+    assert "coupling, seal or other spring" in found[0].remedy
+
+    # what the scatter of magnets makes, or noise, is none; a stated tolerance is the file's word
+    assert not diagnose_result(machine, magnets(SCATTER, SCATTER[::-1]), ())
+    noisy = magnets(SCATTER, SCATTER * [0.73, 0.72, 1, 1, 1, 1], 0.1)
+    assert not diagnose_result(machine, noisy, ())
+    wide = replace(machine, tolerances=(Tolerance("bearing.DE.negative_stiffness", relative=0.4),))
+    assert not diagnose_result(wide, magnets(SCATTER, SCATTER * [0.73, 0.72, 1, 1, 1, 1]), ())
+
+
+def test_a_common_factor_is_seen_through_the_scatter_of_the_magnets():
+    """A rotor 7 % heavier than drawn among magnets that scatter by 3 %: exit status 0 before."""
+    machine = replace(load_machine("three-bearing-train"), tolerances=())
+    found = diagnose_result(machine, magnets(SCATTER / 1.07, SCATTER[::-1] / 1.07), ())
+    assert [item.code for item in found] == [Code.COMMON_FACTOR]
+    assert "weigh the rotor" in found[0].remedy
+
+    # more bias moves K_s by its square, and is no mass
+    more = diagnose_result(machine, magnets(1.08 * SCATTER, 1.08**2 * SCATTER[::-1]), ())
+    assert Code.COMMON_FACTOR not in [item.code for item in more]
+    assert not diagnose_result(machine, magnets(SCATTER / 1.02, SCATTER[::-1] / 1.02), ())
 
 
 @pytest.mark.parametrize("unknown", ("delay", ("controller.delay",), ("delay", "excitation.delay")))
