@@ -29,8 +29,10 @@ from ambrose.core.statespace import StateSpace
 from ambrose.identification.output_error.loop_model import LoopModel
 
 # assumed: below what a channel is calibrated to, and a part mounted; of a lag: of a sample
-_GAIN, _ANGLE, _LAG = 2.0, 2.0, 0.1
-_MOST_GAIN, _MOST_ANGLE, _MOST_LAG = 50.0, 30.0, 3.0
+_GAIN, _ANGLE = 2.0, 2.0
+_LAG = 0.1
+_MOST_GAIN, _MOST_ANGLE = 50.0, 30.0
+_MOST_LAG = 3.0
 _RANK_ONE = 1e-6  # second over first singular value of a magnet's direction, at most
 
 
