@@ -36,6 +36,7 @@ from ambrose.model.effects.stage import Stage
 from ambrose.model.static_load import sag_line, static_sag
 
 _POINTS = 200
+_SAME = 0.03  # of a speed: the largest voltage nearer to the largest current is not told apart
 UNBALANCE, PART = "unbalance", "part of unbalance"
 SEALS = "seals"
 
@@ -179,8 +180,10 @@ def _unbalance(loop: ShaftLoop, response: Response, axis: int) -> Iterator[Deman
         current = np.abs(current)
         last = len(speeds) - 1
         places = {int(np.argmax(current)): "largest"}
-        if drive.inductance:
-            places = {int(np.argmax(voltage)): "largest voltage"} | places
+        slews = int(np.argmax(voltage))
+        beside = np.abs(speeds[[*places, last]] - speeds[slews])
+        if drive.inductance and (beside > _SAME * speeds[slews]).all():
+            places[slews] = "largest voltage"
         for place, word in (places | {last: "at trip"}).items():
             i = float(current[place])
             yield Demand(

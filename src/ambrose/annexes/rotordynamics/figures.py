@@ -54,13 +54,14 @@ def response_figure(
     lowest, top, trip = (speed / standard.RPM for speed in speeds)
     theme.guide(figure, _ONE, [rpm[0], rpm[-1]], [limit, limit], color=theme.LIMIT, width=1.4)
     theme.note(figure, _ONE, "vibration limit", rpm[0], limit, "left", "bottom")
-    for speed, word in ((lowest, "lowest"), (top, "highest running"), (trip, "trip")):
-        if word == "lowest" and lowest == top:
-            continue
+    marks = {lowest: "lowest", top: "highest running"}
+    marks[trip] = "highest running, trip" if trip == top else "trip"
+    # one below the other: they stand close together
+    for k, (speed, word) in enumerate(marks.items()):
         theme.guide(
             figure, _ONE, [speed, speed], [0, highest], color=theme.MUTED, width=1, dash="dot"
         )
-        theme.note(figure, _ONE, word, speed, highest, "right", "top")
+        theme.note(figure, _ONE, word, speed, highest, "right", "top", yshift=-15 * k)
     theme.dress(figure, 300, legend=True)
     figure.update_xaxes(title_text="Speed [rpm]")
     figure.update_yaxes(title_text="Reading [um p-p]", rangemode="tozero")
