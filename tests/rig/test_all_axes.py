@@ -83,6 +83,13 @@ def test_one_c_function_holds_all_axes(tmp_path):
         r = np.hypot(record[f"q_{axis}_zeta"], record[f"q_{axis}_eta"])
         assert r[(time > 0.1) & (time < 3.5)].max() < 0.2 * gap
         assert gap < r[time > 4.5].mean() and r.max() < 2 * gap
+    # landing goes on where the run was when its magnets had let go: the same blow
+    fallen = amb.landing(machine(), "rated", record=record, trip=3.503, duration=0.02)
+    first = fallen.fall.figures[0]
+    r = np.hypot(record["q_A_zeta"], record["q_A_eta"])
+    assert 3.503 + first[0] == pytest.approx(time[np.argmax((r > 0.2e-3) & (time > 3.5))], abs=1e-4)
+    blow = (time > 3.5) & (time < 3.523)
+    assert first[5] == pytest.approx(r[blow].max(), rel=0.02)
     z = record["q_T_z"]
     assert np.abs(z[(time > 0.1) & (time < 3.5)]).max() < 0.5 * 0.25e-3
     assert z[time > 3.6].max() < -0.25e-3  # on the stop to which the thrust pulls

@@ -21,6 +21,7 @@ from ambrose.annexes.touchdown.relevitation import (
 )
 from ambrose.annexes.touchdown.run_down import RunDown, run_down
 from ambrose.annexes.touchdown.thrust_face import thrust_rows
+from ambrose.annexes.touchdown.trip import speed_at, state_at
 from ambrose.annexes.touchdown.verdict import Row, judge_landing
 from ambrose.annexes.touchdown.whip import (
     Whip,
@@ -40,6 +41,7 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
 from ambrose.model.effects.rotor import STANDARD_GRAVITY
 from ambrose.model.unbalance import residual_unbalance
+from ambrose.record.record import Record
 
 WHIP_MODEL = (
     "linear rotor without its magnets, touchdown bearing at its clearance and in steady slip, one "
@@ -219,6 +221,8 @@ def landing(
     bending_modes: int = 2,
     law: LawLike | None = None,
     power_back: float = 0.1,
+    record: Record | None = None,
+    trip: float | None = None,
     workers: int | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Landing:
@@ -229,7 +233,9 @@ def landing(
     drop (None: until the races turn with the rotor, ``usual_duration``), after which the rest of
     the run-down is estimated. bending_modes: per plane in drops.
     law: a controller under which the magnets come on again ``power_back`` [s] after they were lost,
-    in another drop that goes on for ``duration`` after that. workers: processors (None: all).
+    in another drop that goes on for ``duration`` after that. record, trip [s]: the one drop begins
+    with the rotor's place, motion and speed at that time of a record (``trip.state_at``).
+    workers: processors (None: all).
     progress: is told every stage. Raises InvalidInput where a bearing has no touchdown_gap, a seal
     is narrower than it, or the rotor does not turn.
     """
@@ -254,6 +260,16 @@ def landing(
             f"{machine.name} does not turn at the operating point {chosen.label!r}, so that "
             "friction whirls nothing; give a point with a speed"
         )
+    if (record is None) != (trip is None):
+        raise InvalidInput(
+            "a record and the time of its trip belong together; give both or neither"
+        )
+    if record is not None and trip is not None:
+        chosen = replace(chosen, speed=speed_at(record, trip))
+        if chosen.speed == 0:
+            raise InvalidInput(
+                f"the rotor of the record does not turn at {trip:g} s; give the time of a trip"
+            )
     progress("the rotor without its magnets")
     fallen = fallen_rotor(machine, chosen)
     moving = fallen_rotor(machine, chosen, bending_modes)
@@ -273,6 +289,13 @@ def landing(
     shares = (0.0,) * b if left is None else tuple(left.moment * part for part in left.share)
     drop = Drop(chosen.speed, shares, (0.0,) * b)
     case, state = case_of(moving, rig, drop, brake_of(machine))
+    if record is not None and trip is not None:
+        n = len(moving.mass_matrix)
+        place, motion = state_at(machine, moving, record, trip)
+        # beside the orbit that its own unbalance makes
+        state[:n] += place
+        own = state[n : 2 * n] if moving.weight.any() else 0.0
+        state[n : 2 * n] = own + motion
     fall = run(rig, case, state, lasts, dt, rows=_LOG)
     down = run_down(moving, float(fall.log[-1, 1]), brake_of(machine), rig.windage)
     recovery = None

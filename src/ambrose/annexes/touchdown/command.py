@@ -49,6 +49,13 @@ from ambrose.terminal import (
     show_default=True,
     help="With --controller: when they do [s].",
 )
+@click.option(
+    "--from",
+    "source",
+    type=click.Path(path_type=Path),
+    help="The one drop begins as the rotor moves in this record (*.h5), at --trip.",
+)
+@click.option("--trip", type=float, help="With --from: when the power is lost [s].")
 @click.option("--workers", type=click.IntRange(1, 256), help="Default: one for each processor.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="The page (*.html).")
 @AS_JSON
@@ -60,6 +67,8 @@ def landing_command(
     seed: int,
     controller: Path | None,
     power_back: float,
+    source: Path | None,
+    trip: float | None,
     workers: int | None,
     output: Path | None,
     as_json: bool,
@@ -71,9 +80,11 @@ def landing_command(
     over what nobody knows. Exit status 1: a limit of [bearing.touchdown.limits] fails.
     """
     from ambrose.annexes.touchdown.analysis import WHIP_MODEL, landing
+    from ambrose.record.files import read_record
 
     description = load(machine)
     law = None if controller is None else load_controller(controller, description)
+    record = None if source is None else read_record(source)
     claim(page=output)
     with progress_shown(as_json) as progress:
         result = landing(
@@ -84,6 +95,8 @@ def landing_command(
             seed=seed,
             law=law,
             power_back=power_back,
+            record=record,
+            trip=trip,
             workers=workers,
             progress=progress,
         )
