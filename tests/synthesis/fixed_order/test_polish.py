@@ -143,6 +143,7 @@ def test_a_cost_that_is_renewed_on_the_way_is_asked_again():
 
     def renew(x):
         calls.append(np.array(x))
+        return True
 
     def cost(v):
         return rosen(v) + 10.0 * len(calls), rosen_der(v)
@@ -150,7 +151,24 @@ def test_a_cost_that_is_renewed_on_the_way_is_asked_again():
     start = np.array([-1.2, 1.0, -0.5, 0.8])
     x, used = descend(cost, lambda v: True, start, 300, 1e-12, lambda: True, renew)
     np.testing.assert_allclose(x, 1.0, atol=1e-4)
-    assert len(calls) == 1 + used // 10 and (calls[0] == start).all()
+    assert len(calls) == 2 + used // 10 and (calls[0] == start).all()
+
+
+def test_a_descent_goes_back_where_its_cost_had_left_something_out():
+    """x[0] > 0.3 is not allowed, which the cost sees only once it was told so."""
+    told = []
+
+    def renew(x):
+        told.append(x[0] <= 0.3)
+        return told[-1]
+
+    def cost(v):
+        barred = not all(told) and v[0] > 0.3
+        return (np.inf, np.zeros(4)) if barred else (rosen(v), rosen_der(v))
+
+    start = np.array([-1.2, 1.0, -0.5, 0.8])
+    x, _ = descend(cost, lambda v: True, start, 300, 1e-12, lambda: True, renew)
+    assert not all(told) and x[0] <= 0.3 and rosen(x) < rosen(start)
 
 
 def test_reduction_keeps_the_gain_at_zero_and_cuts_no_pair(plant, start):

@@ -41,7 +41,13 @@ from ambrose.synthesis.fixed_order.channels import _by_samples
 from ambrose.synthesis.fixed_order.job import bending_modes_for, prepare, with_states
 from ambrose.synthesis.fixed_order.loops import loop_model, unwarped, warped
 from ambrose.synthesis.fixed_order.members import worst_member
-from ambrose.synthesis.fixed_order.objective import Objective, Ratio, largest_gains
+from ambrose.synthesis.fixed_order.objective import (
+    Objective,
+    Ratio,
+    largest_gains,
+    schatten,
+    together_below,
+)
 from ambrose.synthesis.fixed_order.structure import axis_groups, structured
 from ambrose.synthesis.fixed_order.tuning import tune_controller
 
@@ -465,7 +471,7 @@ def test_bad_input(change, message):
 
 @pytest.fixture
 def all_rounds(monkeypatch):
-    monkeypatch.setattr(tuning, "_POWERS", (10.0, 25.0, 60.0, 120.0, 120.0))
+    monkeypatch.setattr(tuning, "_POWERS", (10, 24, 60, 120, 120))
     monkeypatch.setattr(tuning, "_ITERATIONS", 200)
 
 
@@ -491,3 +497,22 @@ def test_the_turboexpander_holds_from_standstill_to_full_speed(rate, all_rounds)
     assert len(verdict.points) == 6 and verdict.passed
     peaks = [point["sensitivity.output.max"].value for point in verdict.points]
     assert max(peaks) < (2.5 if rate is None else 2.75)
+
+
+def test_the_sum_of_powers_of_singular_values_and_its_slope():
+    """Beside LAPACK's singular values; the slope beside central differences."""
+    rng = np.random.default_rng(3)
+    T = rng.normal(size=(450, 3, 2)) + 1j * rng.normal(size=(450, 3, 2))
+    step = rng.normal(size=T.shape) + 1j * rng.normal(size=T.shape)
+    sums, slopes = schatten(T, 6)
+    assert np.allclose(sums, (np.linalg.svd(T, compute_uv=False) ** 6).sum(axis=1))
+    ahead, back = schatten(T + 1e-6 * step, 6)[0], schatten(T - 1e-6 * step, 6)[0]
+    along = 6 * np.einsum("kij,kji->k", slopes, step).real
+    assert np.allclose((ahead - back) / 2e-6, along, rtol=1e-6, atol=1e-3)
+
+
+def test_what_is_left_out_has_together_less_than_its_share():
+    shares = [np.array([[1.0, 1e-3], [2e-3, 0.0]]), np.array([4e-3, 0.5])]
+    kept = together_below(shares, 0.005)  # of 1.507: 0.0075, which 0, 1, 2 and 4 thousandths fill
+    assert [mask.tolist() for mask in kept] == [[[True, False], [False, False]], [False, True]]
+    assert all(mask.all() for mask in together_below([np.ones(4)], 0.2))

@@ -13,21 +13,36 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ambrose.synthesis.fixed_order.channels import Channel, Settling
+from ambrose.synthesis.fixed_order.channels import S_O, Channel, Scaled, Settling
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ActivePart:
     """A channel A - B Q C at its active pairs: pairs (k,) of all, A (k, r, c), B (k, r, a), C (k,
-    a, c), and B*, C*.
+    a, c).
     """
 
     pairs: np.ndarray
     A: np.ndarray
     B: np.ndarray
     C: np.ndarray
-    B_h: np.ndarray
-    C_h: np.ndarray
+
+    def response(self, S: np.ndarray, Q: np.ndarray) -> np.ndarray:
+        """T (k, r, c)."""
+        return np.asarray(self.A - self.B @ Q[self.pairs] @ self.C)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ActiveScaled:
+    """A channel factor S_o or factor Q at its active pairs (k,), factor (k, 1, 1)."""
+
+    pairs: np.ndarray
+    of: str
+    factor: np.ndarray
+
+    def response(self, S: np.ndarray, Q: np.ndarray) -> np.ndarray:
+        """T (k, a, a)."""
+        return np.asarray((S if self.of == S_O else Q)[self.pairs] * self.factor)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,22 +50,23 @@ class Active:
     """Pairs of model and frequency, ordered by frequency.
 
     G (p, a, a): u -> y there. omega (p,): frequency index. distinct: the frequencies that occur,
-    and starts: their first pairs. slow (k,): models whose settling counts; timed (k, w): their
-    pairs.
+    and starts: their first pairs. slow (k,): models whose settling counts; timed (w, k): their
+    pairs. driven (k,): the pairs of channels that are made of Q.
     """
 
     G: np.ndarray
     omega: np.ndarray
     distinct: np.ndarray
     starts: np.ndarray
-    parts: tuple[ActivePart, ...]
+    parts: tuple[ActivePart | ActiveScaled, ...]
     slow: np.ndarray
     timed: np.ndarray
+    driven: np.ndarray
 
 
 def active(
     G: np.ndarray,
-    channels: Sequence[Channel],
+    channels: Sequence[Channel | Scaled],
     masks: Sequence[np.ndarray],
     settling: Settling | None,
     slow: np.ndarray,
@@ -70,17 +86,26 @@ def active(
     place = np.zeros(used.shape, int)
     place[omega, models] = np.arange(len(omega))
     distinct, starts = np.unique(omega, return_index=True)
-    parts = []
+    parts: list[ActivePart | ActiveScaled] = []
+    driven = np.zeros(len(omega), bool)
     for channel, mask in zip(channels, masks, strict=True):
         i, j = np.nonzero(mask)
-        if len(i):
-            A, B, C = (
-                np.broadcast_to(M, (*mask.shape, *M.shape[2:]))[i, j]
-                for M in (channel.A, channel.B, channel.C)
-            )
-            B_h, C_h = (np.ascontiguousarray(M.conj().swapaxes(1, 2)) for M in (B, C))
-            parts.append(ActivePart(place[channel.at[j], i], A, B, C, B_h, C_h))
+        if not len(i):
+            continue
+        pairs = place[channel.at[j], i]
+        if isinstance(channel, Scaled):
+            parts.append(ActiveScaled(pairs, channel.of, channel.factor[j, None, None]))
+            driven[pairs] |= channel.of != S_O
+            continue
+        A, B, C = (
+            np.broadcast_to(M, (*mask.shape, *M.shape[2:]))[i, j]
+            for M in (channel.A, channel.B, channel.C)
+        )
+        parts.append(ActivePart(pairs, A, B, C))
+        driven[pairs] = True
     timed = (
-        np.zeros((0, 0), int) if settling is None else place[settling.at[None, :], slow[:, None]]
+        np.zeros((0, 0), int) if settling is None else place[settling.at[:, None], slow[None, :]]
     )
-    return Active(G[models, omega], omega, distinct, starts, tuple(parts), slow, timed)
+    return Active(
+        G[models, omega], omega, distinct, starts, tuple(parts), slow, timed, np.flatnonzero(driven)
+    )

@@ -26,10 +26,13 @@ _PHASE = 0.15  # rad
 SETTLING_POWER = 0.4  # of the settling ratio: an exponential decay enters about as a rate
 
 
+S_O, DRIVE = "S_o", "Q"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Channel:
-    """A (m, w, r, c), B (m, w, r, a), C (m, w, a, c), rows divided by their limits; at: which
-    frequencies of the grid.
+    """T = A - B Q C: A (m, w, r, c), B (m, w, r, a), C (m, w, a, c), rows divided by their limits;
+    at: which frequencies of the grid.
     """
 
     name: str
@@ -38,34 +41,47 @@ class Channel:
     C: np.ndarray
     at: np.ndarray
 
+    def response(self, S: np.ndarray, Q: np.ndarray) -> np.ndarray:
+        """T (m, w, r, c) at the channel's frequencies; S = S_o and Q (m, w, a, a) at all."""
+        return np.asarray(self.A - self.B @ Q[:, self.at] @ self.C)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scaled:
+    """T = factor S_o, or factor Q: of says which; factor (w,), one over the limit; at: as there."""
+
+    name: str
+    of: str
+    factor: np.ndarray
+    at: np.ndarray
+
+    def response(self, S: np.ndarray, Q: np.ndarray) -> np.ndarray:
+        """As of a channel."""
+        whole = S if self.of == S_O else Q
+        return np.asarray(whole * self.factor[None, :, None, None])
+
 
 def channels_of(
     P: np.ndarray, a: int, omega: np.ndarray, aims: Aims, models: Sequence[LoopModel]
-) -> list[Channel]:
+) -> list[Channel | Scaled]:
     """Sensitivity, gain, compliance, and under unbalance orbit, currents and forces, each over its
     limit.
     """
-    # Columns of P: u, f; rows: y, q, i. With u = -K y: y = G u + G_yf f gives u = -Q G_yf f.
+    # Columns of P: u, f; rows: y, q, i. With u = -K y: y = G u + G_yf f gives u = -Q G_yf f,
+    # G the rows y and columns u.
     u, f = slice(0, a), slice(a, 2 * a)
-    G, G_yf = P[:, :, u, u], P[:, :, u, f]
+    G_yf = P[:, :, u, f]
     q, i = slice(a, 2 * a), slice(2 * a, None)
     G_qu = P[:, :, q, u]
     G_qf = P[:, :, q, f]
     G_iu = P[:, :, i, u]
     G_if = P[:, :, i, f]
-    every, eye = np.arange(len(omega)), np.eye(a)[None, None]
+    every = np.arange(len(omega))
 
     # S_o = I - G Q,   K S_o = Q
-    limit = 1 / aims.sensitivity_limit(omega)[None, :, None, None]
-    found = [
-        Channel("sensitivity", np.broadcast_to(eye * limit, G.shape), G * limit, eye, every),
-        Channel(
-            "gain",
-            np.zeros((1, 1, a, a)),
-            -eye / aims.gain_limit(omega)[None, :, None, None],
-            eye,
-            every,
-        ),
+    found: list[Channel | Scaled] = [
+        Scaled("sensitivity", S_O, 1 / aims.sensitivity_limit(omega), every),
+        Scaled("gain", DRIVE, 1 / aims.gain_limit(omega), every),
     ]
 
     # f -> q: G_qf - G_qu Q G_yf
@@ -156,42 +172,40 @@ class Settling:
         self.early = weights(PULSE.duration * np.linspace(0.1, 2.5, 24))
 
     def ratios(
-        self, G: np.ndarray, Q: np.ndarray, peak: np.ndarray | None = None
+        self, H: np.ndarray, peak: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """|y| over its band (m, t, axis, pulsed axis), y itself, the band (m, pulsed axis), and the
+        """|y| over its band (t, m, axis, pulsed axis), y itself, the band (m, pulsed axis), and the
         peaks it is taken of.
 
-        G, Q (m, w, a, a): at the frequencies ``at``. peak (m, pulsed axis): None takes those of the
-        response itself.
+        H (w, m, a, a): S_o G = G - G Q G, a pulse of u -> y in the closed loop, at the frequencies
+        ``at``. peak (m, pulsed axis): None takes those of the response itself.
         """
-        # pulse of u -> y in the closed loop: S_o G = G - G Q G
-        H = G - G @ Q @ G
+        flat = H.reshape(len(H), -1)
         if peak is None:
-            peak = np.abs(np.einsum("tw,mwab->mtab", self.early, H, optimize=True).real).max(
-                axis=(1, 2)
-            )
-        y = np.einsum("tw,mwab->mtab", self.late, H, optimize=True).real
+            early = (self.early @ flat).real.reshape(-1, *H.shape[1:])
+            peak = np.abs(early).max(axis=(0, 2))
+        y = (self.late @ flat).real.reshape(-1, *H.shape[1:])
         band = PULSE.band * peak
-        return np.abs(y) / band[:, None, None, :], y, band, peak
+        return np.abs(y) / band[None, :, None, :], y, band, peak
 
     def slope(
-        self, G: np.ndarray, timed: tuple[np.ndarray, ...], top: float, power: float
+        self, timed: tuple[np.ndarray, ...], top: float, power: float
     ) -> tuple[float, np.ndarray]:
-        """The part of the p-norm's sum, and its slope by Q (m, w, a, a); timed: what ``ratios``
-        returned for G.
+        """The part of the p-norm's sum, and the conjugate transpose (w, m, a, a) of its slope by
+        H; timed: what ``ratios`` returned.
         """
         ratio, y, band, _ = timed
 
         # d share / p = share 0.4 / ratio d ratio,   d ratio = sign(y) dy / band (the band is held)
         share = (ratio**SETTLING_POWER / top) ** power
         weight = (
-            share * SETTLING_POWER / np.maximum(ratio, 1e-300) * np.sign(y) / band[:, None, None, :]
+            share * SETTLING_POWER / np.maximum(ratio, 1e-300) * np.sign(y) / band[None, :, None, :]
         )
 
-        # y = Re sum_w late H,   dH = -G dQ G
-        slope = np.einsum("tw,mtab->mwab", self.late.conj(), weight, optimize=True)
-        back = G.conj().swapaxes(2, 3)
-        return float(share.sum()), -(back @ slope @ back)
+        # y = Re sum_w late H: the slope is late* weight, its conjugate transpose late weight^T
+        turned = np.ascontiguousarray(weight.swapaxes(2, 3))
+        slope = self.late.T @ turned.reshape(len(turned), -1)
+        return float(share.sum()), slope.reshape(-1, *turned.shape[1:])
 
 
 def _by_samples(weights: np.ndarray, fine: np.ndarray, w: np.ndarray) -> np.ndarray:

@@ -20,17 +20,19 @@ def descend(
     iterations: int,
     tolerance: float,
     proceed: Callable[[], bool],
-    renew: Callable[[np.ndarray], None] | None = None,
+    renew: Callable[[np.ndarray], bool] | None = None,
     least: float = -np.inf,
 ) -> tuple[np.ndarray, int]:
     """x (k,) with a lower cost, reached through allowed points only, and the iterations used.
 
     x (k,): allowed. Ends after ``iterations``, when ten of them gain less than ``tolerance``, when
-    the cost is below ``least``, or when ``proceed`` says no. renew: called with x at the start and
-    every ten steps, it may change what the cost leaves out.
+    the cost is below ``least``, or when ``proceed`` says no. renew: called with x at the start,
+    every ten steps and at the end, it may change what the cost leaves out. Where it says False the
+    cost had left out that x is not allowed: the descent goes on from where it last said True.
     """
     if renew is not None:
         renew(x)
+    safe = x
     value, g = cost(x)
     pairs: list[tuple[np.ndarray, np.ndarray]] = []
     values = [value]
@@ -42,7 +44,11 @@ def descend(
         if renew is not None and used % _RENEWED == 0:
             # leaving out other parts changes the cost at the same x: earlier values move along, so
             # that gains can still be told
-            renew(x)
+            if not renew(x):
+                x = safe
+                renew(x)
+                pairs.clear()
+            safe = x
             before = value
             value, g = cost(x)
             values = [item + value - before for item in values]
@@ -88,7 +94,7 @@ def descend(
         values.append(value)
         if value < least or (len(values) > 10 and values[-11] - value < tolerance):
             break
-    return x, used
+    return (x if renew is None or renew(x) else safe), used
 
 
 def _direction(g: np.ndarray, pairs: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:

@@ -2,11 +2,12 @@
 frequencies, models and poles.
 
 A channel is a closed-loop response T = A - B Q C with Q = K (I + G K)^-1, its rows divided by their
-limits. From dQ = S_i dK S_o follows dT = -B S_i dK S_o C, so that all channels' slopes are added up
-in one matrix per frequency before the controller's own derivative is taken (the p-norm is smooth;
-Apkarian & Noll 2006 work with the subgradients of its limit). The settling of a pulse is a channel
-in time, y(t) = sum over frequencies of weights (t, w) times G - G Q G. Poles enter by their damping
-ratios, with derivatives from left and right eigenvectors.
+limits, or S_o or Q itself over a limit. From dQ = S_i dK S_o follows dT = -B S_i dK S_o C, so that
+all channels' slopes are added up in one matrix per frequency before the controller's own derivative
+is taken (the p-norm is smooth; Apkarian & Noll 2006 work with the subgradients of its limit). The
+settling of a pulse is a channel in time, y(t) = sum over frequencies of weights (t, w) times
+H = S_o G. Poles enter by their damping ratios, with derivatives from left and right eigenvectors;
+between two calls of ``narrow`` only those of models whose damping counts are computed.
 """
 
 from __future__ import annotations
@@ -16,24 +17,39 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ambrose.core.checks import memberwise
 from ambrose.core.frequency import frequency_response, largest_gain
 from ambrose.core.statespace import StateSpace
 from ambrose.model.separation import needed_damping, runs_within
-from ambrose.synthesis.fixed_order.active import Active, active
+from ambrose.synthesis.fixed_order.active import Active, ActiveScaled, active
 from ambrose.synthesis.fixed_order.aims import Aims
 from ambrose.synthesis.fixed_order.bank import FilterBank
-from ambrose.synthesis.fixed_order.channels import SETTLING_POWER, Channel, Settling, channels_of
+from ambrose.synthesis.fixed_order.channels import (
+    S_O,
+    SETTLING_POWER,
+    Channel,
+    Scaled,
+    Settling,
+    channels_of,
+)
 from ambrose.synthesis.fixed_order.loops import LoopModel, unwarped, warped
 from ambrose.synthesis.fixed_order.structure import Structure
 from ambrose.synthesis.weight_tuning import BAND
 
-_IGNORED = 1e-8  # share of the p-norm below which a frequency of a model is left out
-_NOTHING = 1e-5  # and a pole
+_IGNORED = 1e-7  # share of the p-norm's sum that all together have that is left out
+# where it grew to this share, the descent goes back and leaves out so much less
+_GROWN, _FINER = 1e-2, 1e-3
+_TOGETHER = 200  # matrices of one step
+_NOTHING = 1e-5  # share below which a pole's slope is left out
 _APART = 1e6  # condition number of eigenvectors that divide no more than a few digits away
+_COINCIDE = 1e14  # of eigenvectors that do not divide at all
 _RINGING = 0.7  # imaginary part over modulus above which a pole is held to a damping ratio
 _WATCHED = 20.0  # times the damping asked for: better damped poles are left out
 _MATCHED = np.geomspace(max(BAND[0], 2 * np.pi), BAND[1], 30)  # rad/s
 _BARRIER = 0.02  # of the controller's own poles
+_STABLE = -1e-6  # rad/s; a pole to the right of it is none of a stable model
+# models with as many states together: their places, and A, B, C, D (m, ...)
+Stacks = list[tuple[list[int], list[np.ndarray]]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,9 +83,13 @@ class Objective:
     fence: float | None = None
     _P: np.ndarray = field(init=False)
     _G: np.ndarray = field(init=False)
-    _stacks: list[tuple[list[int], list[np.ndarray]]] = field(init=False)
+    _stacks: Stacks = field(init=False)
+    _followed: Stacks = field(init=False)  # those of models whose poles count
+    _follow_all: bool = field(init=False)
+    _ignored: float = field(init=False)
+    _masks: list[np.ndarray] | None = field(init=False)  # of what counts (None: not known)
     # on first use: stability needs neither
-    _made: tuple[list[Channel], Settling | None] | None = field(init=False)
+    _made: tuple[list[Channel | Scaled], Settling | None] | None = field(init=False)
     _active: Active | None = field(init=False)  # None: everything
     # of the pulse responses, which the settling band is taken of
     _peak: np.ndarray | None = field(init=False)
@@ -79,13 +99,15 @@ class Objective:
         self._P = np.stack([model.response(self.omega) for model in self.models])
         a = self._P.shape[-1] // 2
         self._G = self._P[..., :a, :a]
-        self._stacks = _stacks(self.models)
+        self._stacks = self._followed = _stacks(self.models)
+        self._follow_all, self._ignored = False, _IGNORED
+        self._masks = None
         self._made = self._active = self._peak = None
         if self.reference is not None:
             values = frequency_response(self.reference, _MATCHED).values
             self._wanted = np.abs(np.diagonal(values, axis1=1, axis2=2))
 
-    def _parts(self) -> tuple[list[Channel], Settling | None]:
+    def _parts(self) -> tuple[list[Channel | Scaled], Settling | None]:
         if self._made is None:
             # grids of a few points serve the poles alone
             timed = self.aims.settling is not None and len(self.omega) > 20
@@ -96,40 +118,77 @@ class Objective:
             )
         return self._made
 
-    def narrow(self, x: np.ndarray, power: float) -> None:
-        """From now on only what counts near x: models and frequencies whose share of the p-norm is
-        above a millionth or so.
+    def narrow(self, x: np.ndarray, power: float) -> bool:
+        """From now on only what counts near x: channels and poles of models and frequencies; all
+        that is left out has together less than a ten-millionth of the p-norm's sum.
 
-        All poles still count. A descent calls this every few steps, so that what has grown joins.
+        A descent calls this every few steps, so that what has grown joins. False where a model is
+        unstable at x, or what had been left out has grown to a hundredth of the sum: from now on
+        the poles of all are computed, and less is left out.
         """
+        theta = self.structure.theta(x)
+        poles = [_loops(theta, stack).poles() for _, stack in self._stacks]
+        if max(values.real.max() for values in poles) >= _STABLE:
+            self._follow_all, self._followed = True, self._stacks
+            self._masks = None
+            return False
         channels, settling = self._parts()
-        K, _, _ = self._controller(x)
-        Q = K @ np.linalg.inv(np.eye(K.shape[-1]) + self._G @ K)
-        sizes = [
-            frobenius(channel.A - channel.B @ Q[:, channel.at] @ channel.C) for channel in channels
-        ]
+        S, Q, H = self._closed(x)
 
-        # |T|_F / sqrt(c) <= sigma_max(T) <= |T|_F: some ratio is at least ``top``, and what is left
-        # out has less than the ignored share of top^p.
-        ratios = [
-            size / np.sqrt(channel.C.shape[-1])
-            for size, channel in zip(sizes, channels, strict=True)
+        # |T|_F / sqrt(c) <= sigma_max(T), and sum sigma_i^p <= |T|_F^p: what is below ``least`` has
+        # together less than the ignored share of top^p. Shares are told over top^p.
+        loops = [channel.response(S, Q) for channel in channels]
+        norms = [frobenius(T) for T in loops]
+        damping = [
+            self._damping(values, places)[0]
+            for values, (places, _) in zip(poles, self._stacks, strict=True)
         ]
-        top = max(float(ratio.max(initial=0.0)) for ratio in ratios)
-        slow = np.zeros(0, int)
+        top = max(
+            float(norm.max(initial=0.0)) / np.sqrt(T.shape[-1])
+            for norm, T in zip(norms, loops, strict=True)
+        )
+        top = max(top, *(float(ratio.max()) for ratio in damping))
+        late = np.zeros((0, 0, 0, 0))
         if settling is not None:
-            late, _, _, self._peak = settling.ratios(
-                self._G[:, settling.at], Q[:, settling.at], self._peak
-            )
-            late = late.max(axis=(1, 2, 3)) ** SETTLING_POWER
+            late, _, _, self._peak = settling.ratios(H[:, settling.at].swapaxes(0, 1), self._peak)
+            late = late**SETTLING_POWER
             top = max(top, float(late.max()))
-            slow = np.flatnonzero(late >= top * _IGNORED ** (1 / power))
-        masks = [size >= top * _IGNORED ** (1 / power) for size in sizes]
-        self._active = active(self._G, channels, masks, settling, slow)
+        least = top * (self._ignored / sum(norm.size for norm in norms)) ** (1 / power)
+        shares = []
+        for norm, T in zip(norms, loops, strict=True):
+            near = norm >= least
+            shares.append(np.zeros(norm.shape))
+            shares[-1][near] = schatten(T[near] / top, int(power))[0]
+        if settling is not None:
+            shares.append(((late / top) ** power).sum(axis=(0, 2, 3)))
+        shares += [((ratio / top) ** power).sum(axis=1) for ratio in damping]
+        if self._left_out(shares) > _GROWN:
+            self._follow_all, self._followed = True, self._stacks
+            self._ignored *= _FINER
+            self._masks = None
+            return False
+        masks = self._masks = together_below(shares, self._ignored)
+        count = len(channels)
+        slow = np.zeros(0, int) if settling is None else np.flatnonzero(masks[count])
+        self._active = active(self._G, channels, masks[:count], settling, slow)
+        if not self._follow_all:
+            self._followed = []
+            for mask, (places, stack) in zip(masks[-len(poles) :], self._stacks, strict=True):
+                rows = np.flatnonzero(mask)
+                if len(rows):
+                    self._followed.append(([places[i] for i in rows], [M[rows] for M in stack]))
+        return True
+
+    def _left_out(self, shares: Sequence[np.ndarray]) -> float:
+        """The share of the sum that is not counted since the last ``narrow``."""
+        if self._masks is None:
+            return 0.0
+        out = sum(float(s[~mask].sum()) for s, mask in zip(shares, self._masks, strict=True))
+        return out / sum(float(share.sum()) for share in shares)
 
     def __call__(self, x: np.ndarray, power: float) -> tuple[float, np.ndarray]:
         """ln of the p-norm, for an even power, and its gradient (k,); inf where a model is
-        unstable.
+        unstable (after ``narrow``: one whose poles are followed).
         """
         if power % 2:
             raise ValueError(
@@ -139,9 +198,9 @@ class Objective:
 
         # Poles on the axis or to the right of it: the frequency responses would mean nothing.
         theta = self.structure.theta(x)
-        closed = [_loops(theta, stack) for _, stack in self._stacks]
+        closed = [_loops(theta, stack) for _, stack in self._followed]
         poles = [loops.poles() for loops in closed]
-        if max(values.real.max() for values in poles) >= -1e-6:
+        if max((values.real.max() for values in poles), default=-np.inf) >= _STABLE:
             return np.inf, np.zeros(len(x))
         channels, settling = self._parts()
         if self._active is None:
@@ -154,19 +213,21 @@ class Objective:
                 np.arange(0 if settling is None else len(self.models)),
             )
 
-        # K = C (sI - A)^-1 B + D, S = S_o = (I + G K)^-1, Q = K S_o and T = A - B Q C, at the pairs
-        # that count.
+        # K = C (sI - A)^-1 B + D, S = S_o = (I + G K)^-1, Q = K S_o and H = S_o G, at the pairs
+        # that count; Q where a channel is made of it.
         kept = self._active
         K, X, Y = self._controller(x)
         K = K[kept.omega]
         S = np.linalg.inv(np.eye(K.shape[-1]) + kept.G @ K)
-        Q = K @ S
-        loops = [part.A - part.B @ Q[part.pairs] @ part.C for part in kept.parts]
+        H = S @ kept.G
+        Q = np.zeros_like(S)
+        Q[kept.driven] = K[kept.driven] @ S[kept.driven]
+        loops = [part.response(S, Q) for part in kept.parts]
 
         # The poles' ratios (0 where none is asked for).
         damping = [
             self._damping(values, places)[0]
-            for values, (places, _) in zip(poles, self._stacks, strict=True)
+            for values, (places, _) in zip(poles, self._followed, strict=True)
         ]
 
         # All ratios are taken over ``top``, for the powers to stay in range; |T|_F / sqrt(c) <=
@@ -180,27 +241,30 @@ class Objective:
         timed = None
         if settling is not None and len(kept.slow):
             if self._peak is None:  # everything counts
-                self._peak = settling.ratios(kept.G[kept.timed], Q[kept.timed])[3]
-            timed = settling.ratios(kept.G[kept.timed], Q[kept.timed], self._peak[kept.slow])
+                self._peak = settling.ratios(H[kept.timed])[3]
+            timed = settling.ratios(H[kept.timed], self._peak[kept.slow])
             top = max(top, float(timed[0].max()) ** SETTLING_POWER)
 
-        # total = sum (ratio / top)^p; Z (pairs, a, a) is its slope by Q over p, d total / p =
-        # Re tr(Z^H dQ).
-        total, Z = 0.0, np.zeros(Q.shape, complex)
+        # total = sum (ratio / top)^p, and d total / p = Re tr(psi^H dK) at every pair, with
+        # psi^H = S_o (by_Q S_i - by_H H):   dQ = S_i dK S_o,   dS_o = -H dK S_o,   dH = -H dK H
+        total = 0.0
+        by_H, by_Q = np.zeros(S.shape, complex), np.zeros(S.shape, complex)
         for part, T in zip(kept.parts, (T / top for T in loops), strict=True):
-            # sum_i sigma_i^p = tr (T* T)^(p/2);   d of it / p = Re tr((T (T* T)^(p/2 - 1))^H dT),
-            # dT = -B dQ C / top
-            gram = T.conj().swapaxes(1, 2) @ T
-            # T slope is U diag(s^(p-1)) Vh
-            slope = np.linalg.matrix_power(gram, int(power) // 2 - 1)
-            total += float(np.einsum("pij,pji->", slope, gram).real)
-            Z[part.pairs] -= part.B_h @ (T @ slope / top) @ part.C_h
+            sums, slope = schatten(T, int(power))
+            total += float(sums.sum())
+            slope /= top
+            if not isinstance(part, ActiveScaled):
+                by_Q[part.pairs] -= part.C @ slope @ part.B  # dT = -B dQ C
+            elif part.of == S_O:
+                by_H[part.pairs] += slope * part.factor
+            else:
+                by_Q[part.pairs] += slope * part.factor
 
         # the same of y(t), at the pairs of the models that settle late
         if timed is not None and settling is not None:
-            late, slope = settling.slope(kept.G[kept.timed], timed, top, power)
+            late, slope = settling.slope(timed, top, power)
             total += late
-            Z[kept.timed] += slope
+            by_H[kept.timed] += kept.G[kept.timed] @ slope
 
         # the poles' sum, and its slope by Theta over p
         slope_theta = self._poles_slope(theta, closed, damping, top, power)
@@ -221,12 +285,12 @@ class Objective:
             barrier, slope = _barrier(self.structure.matrices(x)[0], self.fence)
             extra[len(extra) - len(slope) :, extra.shape[1] - len(slope) :] += total * slope
 
-        # psi = S_i^H Z S_o^H is the slope by K; the models share K, so that it is summed over the
-        # pairs of each frequency.
-        S_i = np.eye(Q.shape[-1]) - Q @ kept.G  # dQ = S_i dK S_o
-        psi = S_i.conj().swapaxes(1, 2) @ Z @ S.conj().swapaxes(1, 2)
-        psi = np.add.reduceat(psi, kept.starts, axis=0)
-        slope = _theta_slope(psi, X[kept.distinct], Y[kept.distinct])
+        # the models share K, so that psi^H is summed over the pairs of each frequency
+        inside = -by_H @ H
+        at = kept.driven
+        inside[at] += by_Q[at] - by_Q[at] @ Q[at] @ kept.G[at]  # S_i = I - Q G
+        psi_h = np.add.reduceat(S @ inside, kept.starts, axis=0)
+        slope = _theta_slope(psi_h, X[kept.distinct], Y[kept.distinct])
         gradient = self.structure.gradient(x, slope + slope_theta + extra)
         return float(np.log(top) + np.log(total) / power) + barrier, gradient / total
 
@@ -263,20 +327,19 @@ class Objective:
 
     def ratios(self, x: np.ndarray) -> dict[str, Ratio]:
         """By channel: the largest ratio over models and grid, and where it is."""
-        K, _, _ = self._controller(x)
-        Q = K @ np.linalg.inv(np.eye(K.shape[-1]) + self._G @ K)
+        S, Q, H = self._closed(x)
         found: dict[str, Ratio] = {}
         channels, settling = self._parts()
         for channel in channels:
-            size = largest_gains(channel.A - channel.B @ Q[:, channel.at] @ channel.C)
+            size = largest_gains(channel.response(S, Q))
             if size.size:
                 i, j = np.unravel_index(int(size.argmax()), size.shape)
                 found[channel.name] = Ratio(
                     float(size[i, j]), self.models[int(i)].label, float(self.omega[channel.at[j]])
                 )
         if settling is not None:
-            late, _, _, _ = settling.ratios(self._G[:, settling.at], Q[:, settling.at])
-            worst = late.max(axis=(1, 2, 3))
+            late, _, _, _ = settling.ratios(H[:, settling.at].swapaxes(0, 1))
+            worst = late.max(axis=(0, 2, 3))
             found["settling"] = Ratio(
                 float(worst.max()) ** SETTLING_POWER,
                 self.models[int(worst.argmax())].label,
@@ -297,9 +360,14 @@ class Objective:
 
     def sensitivity(self, x: np.ndarray) -> np.ndarray:
         """sigma_max(S_o) over its limit, (models, w)."""
+        S, _, _ = self._closed(x)
+        return np.asarray(largest_gain(S) / self.aims.sensitivity_limit(self.omega))
+
+    def _closed(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """S = S_o, Q = K S_o and H = S_o G of all models at all frequencies, (m, w, a, a)."""
         K, _, _ = self._controller(x)
         S = np.linalg.inv(np.eye(K.shape[-1]) + self._G @ K)
-        return np.asarray(largest_gain(S) / self.aims.sensitivity_limit(self.omega))
+        return S, K @ S, S @ self._G
 
     def _controller(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """K (w, a, a), X = (sI - A)^-1 B (w, n, a), Y = C (sI - A)^-1 (w, a, n)."""
@@ -318,7 +386,7 @@ class Objective:
     ) -> np.ndarray:
         """Of those models only of which a pole counts."""
         slope = np.zeros_like(theta)
-        for loops, ratio, (places, _) in zip(closed, damping, self._stacks, strict=True):
+        for loops, ratio, (places, _) in zip(closed, damping, self._followed, strict=True):
             # eigenvectors cost more than the poles alone: only of models that count
             rows = np.flatnonzero((ratio / top).max(axis=1) ** power > _NOTHING)
             if not len(rows):
@@ -382,10 +450,10 @@ class Objective:
         ratio = float(np.sqrt((error**2).mean())) / self.match
 
         # d ratio = sum error d ln|k| / (N ratio match^2),   d ln|k| = Re(dk / k)
-        psi = np.zeros((len(_MATCHED), len(D), len(D)), complex)
+        psi_h = np.zeros((len(_MATCHED), len(D), len(D)), complex)
         i = np.arange(len(D))
-        psi[:, i, i] = error / (max(ratio, 1e-9) * self.match**2) / error.size / np.conj(k)
-        return ratio, _theta_slope(psi, X, Y)
+        psi_h[:, i, i] = error / (max(ratio, 1e-9) * self.match**2) / error.size / k
+        return ratio, _theta_slope(psi_h, X, Y)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -429,7 +497,7 @@ class _Loops:
         """The poles with their slopes, of some of the models."""
         # d lambda_i = w_i dA v_i with the rows w_i of V^-1; a pseudo-inverse where poles coincide
         values, V = np.linalg.eig(self.A[rows])
-        W = np.linalg.pinv(V) if np.linalg.cond(V).max() > 1e14 else np.linalg.inv(V)
+        W = _inverse(V)
         return _LoopPoles(values, W @ self.into[rows], self.out[rows] @ V)
 
 
@@ -464,14 +532,28 @@ def _resolvent(
     A where they are apart.
     """
     values, V = np.linalg.eig(A)
-    if len(A) and np.linalg.cond(V) < _APART:
-        W = np.linalg.inv(V)
-
+    W = memberwise(np.linalg.inv, V[None])[0]
+    if len(A) and _condition(V, W) < _APART:
         # (sI - A)^-1 = V diag(1 / (s - lambda)) V^-1
         share = (1 / (s[:, None] - values))[:, None, :]
         return (V * share) @ (W @ B), (C @ V * share) @ W
     inverse = np.linalg.inv(s[:, None, None] * np.eye(len(A)) - A)
     return inverse @ B, C @ inverse
+
+
+def _inverse(V: np.ndarray) -> np.ndarray:
+    """The inverse of matrices of eigenvectors (..., n, n), a pseudo-inverse where they coincide."""
+    n = V.shape[-1]
+    W = memberwise(np.linalg.inv, V.reshape(-1, n, n)).reshape(V.shape)
+    return W if _condition(V, W) < _COINCIDE else np.linalg.pinv(V)
+
+
+def _condition(V: np.ndarray, W: np.ndarray) -> float:
+    """The largest condition number |V| |W| in Frobenius norms, W the inverse of V, which is not
+    below that of singular values; inf where there is no inverse.
+    """
+    worst = float((frobenius(V) * frobenius(W)).max(initial=0.0))
+    return worst if np.isfinite(worst) else np.inf
 
 
 def frobenius(T: np.ndarray) -> np.ndarray:
@@ -482,6 +564,32 @@ def frobenius(T: np.ndarray) -> np.ndarray:
         np.einsum("...ij,...ij->...", T.real, T.real)
         + np.einsum("...ij,...ij->...", T.imag, T.imag)
     )
+
+
+def together_below(shares: Sequence[np.ndarray], ignored: float) -> list[np.ndarray]:
+    """Which entries of all arrays count: the smallest are left out (False) as long as together
+    they stay below the share ``ignored`` of the sum.
+    """
+    every = np.sort(np.concatenate([share.ravel() for share in shares]))
+    few = int(np.searchsorted(every.cumsum(), ignored * every.sum(), side="right"))
+    return [share > (every[few - 1] if few else -np.inf) for share in shares]
+
+
+def schatten(T: np.ndarray, power: int) -> tuple[np.ndarray, np.ndarray]:
+    """sum of sigma_i^p of every matrix T (k, r, c), for an even power, and its slope over p, (k, c,
+    r): d sum sigma_i^p / p = Re tr(slope dT).
+    """
+    # sum sigma_i^p = tr (T* T)^(p/2), slope = (T* T)^(p/2 - 1) T*; some hundred matrices at a time
+    # stay in the processor's cache
+    sums, slopes = np.empty(len(T)), np.empty((len(T), T.shape[2], T.shape[1]), complex)
+    for first in range(0, len(T), _TOGETHER):
+        at = slice(first, first + _TOGETHER)
+        T_h = T[at].conj().swapaxes(1, 2)
+        gram = T_h @ T[at]
+        inner = np.linalg.matrix_power(gram, power // 2 - 1)
+        sums[at] = np.einsum("kij,kij->k", gram.conj(), inner).real
+        np.matmul(inner, T_h, out=slopes[at])
+    return sums, slopes
 
 
 def largest_gains(T: np.ndarray) -> np.ndarray:
@@ -498,7 +606,7 @@ def largest_gains(T: np.ndarray) -> np.ndarray:
     return np.asarray(bound)
 
 
-def _stacks(models: Sequence[LoopModel]) -> list[tuple[list[int], list[np.ndarray]]]:
+def _stacks(models: Sequence[LoopModel]) -> Stacks:
     """The models of every size together: their places, and A, B, C, D (m, ...)."""
     groups: dict[int, list[int]] = {}
     for i, model in enumerate(models):
@@ -512,7 +620,7 @@ def _stacks(models: Sequence[LoopModel]) -> list[tuple[list[int], list[np.ndarra
 def _barrier(A: np.ndarray, fence: float) -> tuple[float, np.ndarray]:
     """The barrier of the controller's own poles, and its slope by A (n, n)."""
     values, V = np.linalg.eig(A)
-    W = np.linalg.pinv(V) if len(A) and np.linalg.cond(V) > 1e14 else np.linalg.inv(V)
+    W = _inverse(V)
     room = 1 - np.abs(values) ** 2 / fence**2
     if (room <= 0).any():
         return np.inf, np.zeros_like(A)
@@ -523,13 +631,16 @@ def _barrier(A: np.ndarray, fence: float) -> tuple[float, np.ndarray]:
     return -_BARRIER * float(np.log(room).sum()), np.asarray(((W * weight[:, None]).T @ V.T).real)
 
 
-def _theta_slope(psi: np.ndarray, X: np.ndarray, Y: np.ndarray) -> np.ndarray:
-    """df/dTheta from df/dK (w, a, a), Theta = [[D, C], [B, A]]."""
-    # dK = dD + dC X + Y dB + Y dA X, and df = Re tr(psi^H dK)
-    XH, YH = X.conj().swapaxes(1, 2), Y.conj().swapaxes(1, 2)
+def _theta_slope(psi_h: np.ndarray, X: np.ndarray, Y: np.ndarray) -> np.ndarray:
+    """df/dTheta from df = sum Re tr(psi^H dK), psi_h (w, a, a), Theta = [[D, C], [B, A]]."""
+    # dK = dD + dC X + Y dB + Y dA X: df/dD = Re(psi^H)^T, df/dC = Re(X psi^H)^T,
+    # df/dB = Re(psi^H Y)^T, df/dA = Re(X psi^H Y)^T, summed over frequencies
+    by_X = X @ psi_h
+    left = by_X.transpose(1, 0, 2).reshape(X.shape[1], -1)
+    right = Y.reshape(-1, Y.shape[2])
     return np.block(
         [
-            [psi.sum(axis=0).real, (psi @ XH).sum(axis=0).real],
-            [(YH @ psi).sum(axis=0).real, (YH @ psi @ XH).sum(axis=0).real],
+            [psi_h.sum(axis=0).real.T, by_X.sum(axis=0).real.T],
+            [(psi_h @ Y).sum(axis=0).real.T, (left @ right).real.T],
         ]
     )

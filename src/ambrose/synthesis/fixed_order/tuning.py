@@ -45,8 +45,10 @@ from ambrose.synthesis.fixed_order.structure import Structure, axis_groups, stru
 
 _POWERS = (10, 24, 60, 120, 120)  # even
 INTERRUPTED = "interrupted"
-# no round follows one of this power after which all, new members too, meet all with this room
+# no round follows one of this power after which all, new members too, meet all with this room, and
+# where these are no worse than what was tuned on by more than this factor
 _SHARP, _ROOM = 60, 0.9
+_NEARLY = 1.03
 # the first of these rounds for a law that was tuned before, and for one with more states
 _AGAIN, _GROWN = 2, 1
 _ITERATIONS, _GAIN = 200, 1e-4  # steps of L-BFGS, a round, and what ten of them gain at least
@@ -170,9 +172,10 @@ def _improve(
         if place == len(powers) - 1:
             break
         law = _add_members(job, law)
-        if power >= _SHARP and rounds[-1].worst <= _ROOM:
+        own = rounds[-1].worst
+        if power >= _SHARP and own <= _ROOM:
             rounds[-1] = _judged(job, rounds[-1].law, job.models)
-            if rounds[-1].worst <= _ROOM:
+            if rounds[-1].worst <= min(_ROOM, _NEARLY * own):
                 break
     return None
 
