@@ -1,6 +1,7 @@
 """Synchronous unbalance control against brute force, on the rig, and its code against its twin.
 
     python -m benchmarks.synchronous [--part borders|hold|code] [--machine flywheel ...]
+                                     [--share 0.85]
 
 borders: the speed from which the plain notch (T = 1) is stable for small gains, by the sign of
 Re lambda(S), and by bisection on the poles of the sampled full plant with the block in it, put
@@ -197,7 +198,9 @@ def hold(name: str, share: float = 0.85, *, quiet: bool = False) -> tuple[float,
     beside = max(tones(counts, until).min(), 1e-12)
     late = np.mean([a[0] for k, _, a, _ in program.history if k * sampled.dt > counts], axis=0)
     found = unbalance_from_amplitudes(loop, conditions(machine)[0], [speed], late[None])
-    true = np.array([size, 0.7 * size * np.exp(1j)])
+    # a scenario's phases count from the bearing's own first axis
+    turned = np.exp(1j * np.array([machine.bearings[0].angle, machine.bearings[-1].angle]))
+    true = np.array([size, 0.7 * size * np.exp(1j)]) * turned
     told = 1 - float(np.linalg.norm(found.moments - true) / np.linalg.norm(true))
     return 20 * np.log10(after / before), 20 * np.log10(beside / before), told
 
@@ -224,6 +227,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--part", choices=("borders", "hold", "code"), default="borders")
     parser.add_argument("--machine", nargs="*", default=MACHINES)
+    parser.add_argument("--share", type=float, default=0.85, help="of the top speed, of hold")
     options = parser.parse_args()
     for name in options.machine:
         if options.part == "borders":
@@ -236,7 +240,7 @@ def main() -> None:
             print(f"{name}: {proof:.1f} rad/s, brute force {brute:.1f}, {off:.2f} % apart")
         elif options.part == "hold":
             for quiet in (False, True):
-                change, beside, told = hold(name, quiet=quiet)
+                change, beside, told = hold(name, options.share, quiet=quiet)
                 words = "without noise" if quiet else "as the file has it"
                 print(f"{name}, {words}: {change:.1f} dB, {beside:.1f} dB, {told:.1%} told")
         else:
