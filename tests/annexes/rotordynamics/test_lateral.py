@@ -20,7 +20,7 @@ from ambrose.annexes.rotordynamics.level_two import shares
 from ambrose.annexes.rotordynamics.loop import shaft_loop
 from ambrose.annexes.rotordynamics.page import lateral_page
 from ambrose.annexes.rotordynamics.placement import place, shaft_modes, span_middle
-from ambrose.annexes.rotordynamics.stations import lay_out
+from ambrose.annexes.rotordynamics.stations import lay_out, rigid_support_critical
 from ambrose.chain.check import clearance_doubts
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.law.timing import timing_of
@@ -204,6 +204,16 @@ def test_bending_between_films_is_pulled_at_its_antinode(first, second, signs):
     assert weight.station == span_middle(layout)
     assert weight.carried == pytest.approx(mass_of(machine), rel=1e-6)
     assert {w.angle for w in inside[0].weights} == signs
+
+
+def test_the_first_critical_on_rigid_supports_is_the_simply_supported_beams():
+    """omega = pi^2 sqrt(E I/(rho A L^4)), from which the screening takes its speed ratio."""
+    machine = films(STAGE, modulus=21)
+    found = rigid_support_critical(lay_out(machine))
+    # I/A = d^2/16
+    assert found == pytest.approx(math.pi**2 * math.sqrt(21e9 * 0.1**2 / 16 / 7800), rel=1e-3)
+    stiff = amb.lateral(films(STAGE), trip=6300 * RPM, density=10.0)
+    assert "region" not in " ".join(stiff.level_one.screening.reasons)
 
 
 def test_conical_motion_gets_two_weights_half_a_turn_apart():

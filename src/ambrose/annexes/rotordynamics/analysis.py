@@ -25,7 +25,7 @@ from ambrose.annexes.rotordynamics.placement import (
 )
 from ambrose.annexes.rotordynamics.response import respond
 from ambrose.annexes.rotordynamics.result import Lateral, ModeRow
-from ambrose.annexes.rotordynamics.stations import Layout, lay_out
+from ambrose.annexes.rotordynamics.stations import Layout, lay_out, rigid_support_critical
 from ambrose.annexes.rotordynamics.tolerances import least_decrements
 from ambrose.chain.check import clearance_doubts
 from ambrose.core.arguments import names_wrong_types
@@ -299,8 +299,9 @@ def _level_one(
     notes: tuple[str, ...] = (_BARE_NOTE,) if machine.seals else ()
     if anticipated is None:
         notes = (*notes, "No [[stage]] in the machine file: Level I finds the border Q0 alone.")
+    # critical speed ratio: maximum continuous speed over the first critical on rigid supports
+    ratio = point.speed / rigid_support_critical(layout)
     try:
-        ratio = None
         return sweep(loop, stations, anticipated, _MODES_TO * trip, ratio, density), notes
     except NumericalFailure as error:
         return None, (*notes, f"Level I was not done: {error}")

@@ -10,14 +10,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import eigvalsh, null_space
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.attachment import attached
+from ambrose.machine.limits import FINE_MESH_MODES
 from ambrose.machine.machine import Machine
 from ambrose.model.effects.clearance import Clearance
 from ambrose.model.effects.journal_bearing import JournalBearing
 from ambrose.model.effects.probe import Probe
-from ambrose.model.effects.rotor import finite_element_rotor
+from ambrose.model.effects.rotor import displacement_row, finite_element_rotor, free_modes
 from ambrose.model.static_load import weight_in_plane
 
 GRAVITY = 9.80665  # [m/s^2]
@@ -134,6 +136,20 @@ def journals_of(machine: Machine) -> tuple[Journal, ...]:
         Journal(name, position, float(force) / GRAVITY, magnetic)
         for (name, position, magnetic), force in zip(found, load, strict=True)
     )
+
+
+def rigid_support_critical(layout: Layout) -> float:
+    """The first undamped critical speed [rad/s] of the shaft at rest on supports that do not move.
+
+    In modes q of the free rotor, M = I and K = diag(w^2), the journals stand still: R q = 0. With
+    q = N z, N an orthonormal basis of R's null space: omega^2 = least eigenvalue of N^T K N.
+    """
+    rotor = finite_element_rotor(layout.machine)
+    modes = free_modes(rotor, min(2 * rotor.n_nodes - 2, FINE_MESH_MODES))
+    w, shapes = modes.frequencies[0::2], modes.shapes[:, 0::2]
+    rows = np.array([displacement_row(rotor, j.position, 0.0) for j in layout.journals])
+    N = null_space(rows @ shapes)
+    return float(np.sqrt(eigvalsh(N.T @ (w[:, None] ** 2 * N))[0]))
 
 
 def _readings(machine: Machine) -> Iterator[Reading]:
