@@ -16,6 +16,7 @@ from ambrose.code.c.compiler import has_compiler
 from ambrose.code.compiled_axes import CompiledAxes
 from ambrose.core.checks import InvalidInput
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
+from ambrose.report.record import record_page
 from ambrose.rig.disturbances import Failure, Pulse, SpeedChange, Unbalance
 from ambrose.rig.scenario import Scenario
 
@@ -62,6 +63,9 @@ def test_each_part_moves_as_by_itself():
         for name in record.signals:
             assert np.array_equal(run.record[name], record[name]), name
     assert np.abs(run.record["q_T_z"][-1]) < 1e-4 < np.abs(run.record["q_T_z"][0])
+    page = record_page(run, machine())
+    (section,) = (part for part in page.sections if part.title == "Along the shaft")
+    assert len(section.figures) == 4  # between the stops, outputs, currents, forces
 
 
 @pytest.mark.campaign

@@ -600,6 +600,7 @@ def record_page(
     sections = (
         Section("Motion", "", tuple(motion)),
         Section("Currents and forces", "", tuple(effort)),
+        Section("Along the shaft", "", () if along else _along(record, machine, label)),
         Section("Everything else", "", tuple(curves.values()), (signals_table(record),)),
     )
     verdicts = record_verdicts(record, machine, places, trace)
@@ -613,6 +614,19 @@ def record_page(
         date,
         result=_result(verdicts),
     )
+
+
+def _along(record: Record, machine: Machine, label: str) -> tuple[Figure, ...]:
+    """The collar between its stops, currents and forces, where a record of all axes has them."""
+    if not machine.has_axis:
+        return ()
+    part = machine.axial
+    kinds = {f"{kind}_{axis}" for kind in "qy" for axis in part.axes}
+    if not kinds & set(record.signals):
+        return ()
+    curves = [radius_curve(record, stations(record, part), part), *signal_curves(record, part)]
+    own = {"record.radius", "record.u", "record.i", "record.f_magnet"}
+    return tuple(_over_time(curve, label) for curve in curves if curve.name in own)
 
 
 def _around(
