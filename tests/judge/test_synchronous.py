@@ -248,7 +248,7 @@ def test_a_design_is_proved_and_leaves_the_forbidden_band_out(designed, flywheel
     )
     assert checks["synchronous.sensitivity"].value < 1.7
     assert {curve.name for curve in checks.curves} == {
-        f"synchronous.{name}" for name in ("margin", "orbit", "current", "force")
+        f"synchronous.{name}" for name in ("margin", "orbit_0p", "current_0p", "force_0p")
     }
 
 

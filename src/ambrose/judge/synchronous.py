@@ -424,7 +424,7 @@ def _unbalance_checks(item: BlockLoop) -> tuple[list[Check], list[Curve]]:
             (("limit", float(limits.min())),),
         ),
         Curve(
-            "synchronous.current",
+            "synchronous.current_0p",
             "Largest 1x control current, 0-p",
             "speed",
             speeds,
@@ -434,8 +434,8 @@ def _unbalance_checks(item: BlockLoop) -> tuple[list[Check], list[Curve]]:
             "A",
         ),
         Curve(
-            "synchronous.force",
-            "Largest 1x force on the housing",
+            "synchronous.force_0p",
+            "Largest 1x force on the housing, 0-p",
             "speed",
             speeds,
             np.array([before[2], after[2]]),

@@ -15,8 +15,8 @@ from ambrose.report.figures.axes import drawn
 
 _BEFORE, _AFTER = "without the block", "block converged"
 _ROWS = (
-    ("synchronous.current", "1× control current, zero to peak"),
-    ("synchronous.force", "1× force on the housing"),
+    ("synchronous.current_0p", "1× control current, zero to peak"),
+    ("synchronous.force_0p", "1× force on the housing, zero to peak"),
     ("synchronous.orbit_0p", "Worst-case 1× orbit, zero to peak"),
     ("synchronous.margin", "Angle by which all phases may be off"),
 )
