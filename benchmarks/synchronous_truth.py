@@ -65,7 +65,8 @@ def held(name: str) -> tuple[Machine, StateSpace]:
     try:
         check_base_loop(loop, conditions(machine), 0.1 * top, top)
     except InvalidInput:
-        return machine, design(machine, "tuned").controller
+        rate, late = loop.timing.rate, loop.timing.delay_samples
+        return machine, design(machine, "tuned", rate=rate, delay_samples=late).controller
     return machine, law
 
 
