@@ -4,6 +4,7 @@ a sentence; never a traceback.
 
 from __future__ import annotations
 
+import json
 import re
 import sys
 from dataclasses import replace
@@ -82,7 +83,6 @@ def run(folder, line):
         "trade-off five.toml#axial --over unbalance_orbit --values 10um,20um",
         "synthesize five.toml#axial --method pid --synchronous current-free",
         "synthesize five.toml#axial --method lpv",
-        "campaign plan.toml -o campaign",
     ],
 )
 def test_what_is_of_the_radial_axes_is_refused_in_a_sentence(folder, line):
@@ -121,6 +121,23 @@ def test_missing_weights_are_named_where_the_axis_has_them(folder, method):
     done = run(folder, f"synthesize five.toml#axial --method {method}")
     assert done.exit_code == 2
     assert "add a [thrust_bearing.weights] table" in done.stderr
+
+
+@pytest.mark.campaign
+def test_a_campaign_varies_the_axis(folder):
+    """Its file's keys and tolerances, the peak of each case as verify has it."""
+    vary = '[vary]\n"tolerance.thrust_bearing.T.force_per_current" = [0.0, 1.0]\n'
+    (folder / "axis.toml").write_text(PLAN.replace("[vary]\n", vary))
+    done = run(folder, "campaign axis.toml -o axis --workers 1")
+    assert done.exit_code in {0, 1}, done.output
+    text = (folder / "axis" / "rows.jsonl").read_text()
+    rows = [json.loads(line) for line in text.splitlines()]
+    peaks = [row["values"]["sensitivity.output.max"] for row in rows]
+    assert len(peaks) == 2 and peaks[0] != peaks[1]
+    axial = machine().axial
+    law = pid_synthesis(amb.assemble(axial, axial.operation.design))
+    checks = amb.verify(axial, law, tolerances=False).points[0]
+    assert checks["sensitivity.output.max"].value == pytest.approx(peaks[0], rel=2e-3)
 
 
 def test_a_map_of_the_axis_is_its_pulses(folder):

@@ -24,6 +24,7 @@ from ambrose.annexes.campaigns.plan import Case, Times, Value, number_of
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.judge.result import Synthesis, synthesis_of
 from ambrose.law.law import LawLike, law_of
+from ambrose.machine.axial import SUFFIX
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.file.parse import machine_from_document
 from ambrose.machine.machine import Machine
@@ -81,6 +82,8 @@ def subject(case: Case, bases: Bases, fixed: Mapping[str, Any]) -> Subject:
     name = str(values["machine"])
     machine = machine_with(bases.machines[name], tuple(parts.get("machine", {}).items()))
     base = machine_with(bases.machines[name], ())
+    if name.endswith(SUFFIX):
+        machine, base = machine.axial, base.axial
     controller: LawLike | None = bases.controllers.get((str(values["controller"]), name))
     gains = parts.get("controller", {})
     if other := [key for key in gains if key != "gain"]:

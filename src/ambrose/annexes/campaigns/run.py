@@ -224,12 +224,8 @@ def bases_of(plan: Plan, progress: Progress = lambda stage: None) -> Bases:
     controllers = {}
     scenarios = {}
     for name in plan.named("machine"):
-        if name.endswith(AXIAL):
-            raise InvalidInput(
-                f"{name} is the axis along the shaft, which no campaign varies; take the machine "
-                f'without "{AXIAL}", or call ambrose verify and simulate on it'
-            )
-        machines[name] = json.dumps(parse_toml(read_machine_text(place(name)), name))
+        file = place(name.removesuffix(AXIAL))  # the axis along the shaft is of the same file
+        machines[name] = json.dumps(parse_toml(read_machine_text(file), name))
         for controller in plan.named("controller") if plan.task != "design" else ():
             if plan.place(controller).is_file():
                 controllers[controller, name] = read_controller(plan.place(controller))
@@ -240,7 +236,8 @@ def bases_of(plan: Plan, progress: Progress = lambda stage: None) -> Bases:
                 )
             else:
                 progress(f"{controller}: controller for {name}")
-                machine = load_machine(place(name))
+                machine = load_machine(file)
+                machine = machine.axial if name.endswith(AXIAL) else machine
                 controllers[controller, name] = design(
                     assemble(machine, machine.operation.design), controller
                 )
