@@ -1,7 +1,7 @@
 """What the design of a synchronous block promises, tried from outside: members, attack, run-up.
 
-    python -m benchmarks.synchronous_truth --part members|attack|runup [--machine NAME ...]
-                                           [--count N] [--bands N] [--slow X]
+    python -m benchmarks.synchronous_truth --part members|attack|runup|through [--machine NAME ...]
+                                           [--count N] [--bands N] [--slow X] [--span LOW HIGH] [--rate X]
 
 members: the designed T at random members of the tolerances, at every pressure: convergence for
 small gains at twelve speeds of each band (eigenvalues of T S, from the plant's ports), and exact
@@ -13,6 +13,7 @@ speeds and members. ``refuted``: proved, and a pole outside although the loop is
 runup: the virtual rig through the designed bands, with and without the block: largest 1x control
 current, orbit and magnetic force while the block is on, and the largest sensitivity of an axis with
 and without it.
+through: a run-up with all blocks of a design over a span, through the bands that it leaves out.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from ambrose.code.c.synchronous import CompiledSynchronous
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import StateSpace
 from ambrose.core.synchronous import best_inverse
+from ambrose.judge.synchronous_bands import orbit_limit
 from ambrose.judge.synchronous_sensitivity import sensitivity_peak
 from ambrose.law.synchronous import Condition, SynchronousLoop, conditions, synchronous_loop
 from ambrose.law.synchronous_block import BlockState
@@ -343,12 +345,56 @@ def one_x(
         begin += width
 
 
+def through(name: str, low: float, high: float, duration: float) -> list[str]:
+    """``through`` of the module's text: a line per block, then the largest orbit of the whole run
+    [m], without and with the blocks, and its limit.
+    """
+    machine, law = held(name)
+    loop = synchronous_loop(machine, law)
+    found = design_synchronous(machine, law, band=(low, high))
+    residual = residual_unbalance(machine)
+    assert residual is not None
+    first, last = machine.bearings[0].name, machine.bearings[-1].name
+    size = float(residual.moment)
+    weights = (Unbalance(first, size), Unbalance(last, 0.7 * size, phase=1.0))
+    scenario = Scenario(
+        "through", duration, unbalances=weights, speed=low, to_speed=high, ramp=duration
+    )
+    sampled = loop.controller(loop.plant(low, conditions(machine)[0]))
+    records = []
+    for switched_off in (((0.0, duration),), ()):
+        blocks = running_law(found.blocks, loop)
+        compiled = CompiledSynchronous(blocks)
+        program = synchronous_program(
+            machine, sampled, blocks, scenario, block=compiled, switched_off=switched_off
+        )
+        records.append(run(machine, program, scenario, every=5).record)
+    rate, lines = (high - low) / duration, []
+    for block in found.blocks:
+        # on from the hysteresis, ramped in half a second, settled after five time constants
+        settled = block.band[0] + block.hysteresis + rate * (5 * block.time_constant + 0.5)
+        span = (settled - low) / rate, (block.band[1] - low) / rate
+        inside = [one.between(0.0, span[1]) for one in records]
+        ends = low + rate * float(inside[0].time[-1])
+        before, after = (one_x(machine, one, low, ends, span[0]) for one in inside)
+        change = [20 * np.log10(b / a) for a, b in zip(before, after, strict=True)]
+        words = ", ".join(f"{x:.1f} dB" for x in change)
+        lines.append(f"{block.mode} {settled:.4g} to {block.band[1]:.4g} rad/s: {words}")
+    largest = [one_x(machine, one, low, high, 0.0)[2] for one in records]
+    limit = orbit_limit(machine, high)
+    return [*lines, f"orbit {largest[0]:.3g}, {largest[1]:.3g} m, limit {limit:.3g} m"]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--part", choices=("members", "attack", "runup"), default="members")
+    parser.add_argument(
+        "--part", choices=("members", "attack", "runup", "through"), default="members"
+    )
     parser.add_argument("--machine", nargs="*", default=MACHINES)
     parser.add_argument("--count", type=int, default=500)
     parser.add_argument("--bands", type=int, default=8, help="of the attack")
+    parser.add_argument("--span", type=float, nargs=2, default=(700.0, 1250.0), help="rad/s")
+    parser.add_argument("--rate", type=float, default=25.0, help="rad/s^2, of through")
     parser.add_argument("--slow", type=float, default=1.0, help="of the run-up")
     options = parser.parse_args()
     for name in options.machine:
@@ -363,6 +409,10 @@ def main() -> None:
         elif options.part == "attack":
             tried, proved, refuted = attack_on(name, options.count, options.bands)
             print(f"{name}: {tried} tables, {proved} proved, {refuted} refuted", flush=True)
+        elif options.part == "through":
+            low, high = options.span
+            for line in through(name, low, high, (high - low) / options.rate):
+                print(f"{name}: {line}", flush=True)
         else:
             words, r = run_up(name, options.slow)
             print(
