@@ -208,8 +208,8 @@ def _peaks(true: Machine, law: Any) -> list[float | None]:
     found: list[float | None] = []
     for part in amb.verify(true, law, tolerances=False).points:
         checks = {check.name: check for check in part.checks}
-        stable = checks["stability"].passed
-        found.append(round(float(checks["sensitivity"].value), 3) if stable else None)
+        peak = checks["sensitivity.output.max"].value if part.stable else None
+        found.append(None if peak is None else round(float(peak), 3))
     return found
 
 

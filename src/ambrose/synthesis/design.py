@@ -53,7 +53,7 @@ def design(
 
     method: one of the methods with its options, or the name of one, its options then by name:
     ``Tuned`` (to the requirements themselves, at all operating points of the plant's machine and
-    with the worst corners of the tolerances around each; the others know the plant's point alone),
+    with the worst members of the tolerances around each; the others know the plant's point alone),
     ``Pid`` (the machine's reference controller), ``Hinf`` (H-infinity for the nominal plant),
     ``Mu`` (D-K iteration over the machine's tolerances), ``Polish`` (the mu controller at half its
     order, refined for the worst case), ``Lpv`` (scheduled over speed, pressure or both).

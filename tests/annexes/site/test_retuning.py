@@ -6,12 +6,14 @@ import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 import ambrose as amb
+from ambrose.annexes.site.retuning import chain
 from ambrose.annexes.site.retuning.chain import (
     CODE,
     CONTROLLER,
@@ -23,7 +25,7 @@ from ambrose.annexes.site.retuning.page import retuning_page
 from ambrose.annexes.site.retuning.result import Moved
 from ambrose.cli import main
 from ambrose.code.difference import checksum_of
-from ambrose.core.checks import InvalidInput
+from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.law.timing import Timing
 from ambrose.machine.description import Tolerance
 from ambrose.report.page import render
@@ -180,6 +182,63 @@ def test_without_commands_another_controller_is_named_among_the_causes(tmp_path)
     done = amb.retune(machine(), blind, stronger, tmp_path / "blind", unknown=UNKNOWN)
     assert done.outcome == "stopped"
     assert "no record holds u_<axis>, so that another controller" in done.steps[-1].words
+
+
+@pytest.mark.parametrize("last", ["designed", "proved", "coded"])
+def test_it_stops_at_the_first_step_that_does_not_hold(tmp_path, monkeypatch, last):
+    """Every step but the one in question is a stand-in that holds; what follows it is never come
+    to, and what went before stays in the folder.
+    """
+
+    def identified(made, *given, **options):
+        made.made |= {"identification": SimpleNamespace(machine=machine()), "before": held}
+        made.say("identified", "identified", True, "as it is")
+
+    def refused(*given, **options):
+        raise NumericalFailure("nothing holds") if last == "designed" else InvalidInput("no room")
+
+    held = SimpleNamespace(passed=last != "proved", points=(), boxes=(), left_out=("cold",))
+    held.labelled, held.facts = (), dict
+    monkeypatch.setattr(chain, "_identified", identified)
+    monkeypatch.setattr(chain, "_needed", lambda *given: True)
+    monkeypatch.setattr(chain, "_beside", lambda *given: "alike")
+    monkeypatch.setattr(chain, "_verified", lambda *given: held)
+    monkeypatch.setattr(chain, "resume_or_design", lambda *given: law())
+    monkeypatch.setattr(chain, "write_code", refused)
+    if last == "designed":
+        monkeypatch.setattr(chain, "resume_or_design", refused)
+    monkeypatch.setattr(chain, "_switched", lambda *given: pytest.fail("came to the rig"))
+    monkeypatch.setattr(chain, "_accepted", lambda *given: pytest.fail("came to the acceptance"))
+    done = amb.retune(machine(), record(1.0), law(), tmp_path, accept_from=["after.h5"])
+    assert done.outcome == "stopped" and done.stopped_at.name == done.steps[-1].name == last
+    kept = json.loads((tmp_path / STATE).read_text())
+    assert [step["name"] for step in kept["steps"]] == [step.name for step in done.steps]
+    assert kept["outcome"] == "stopped"
+
+
+def test_what_was_done_survives_a_kill(tmp_path, monkeypatch):
+    """The state after every step, with the day of the beginning, which a later run takes over."""
+
+    def killed(made, *given, **options):
+        made.say("identified", "identified", True, "as it is")
+        made.began["date"] = "2020-02-29"
+        made.say("changed", "changed", None, "nothing")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(chain, "_identified", killed)
+    given = (machine(), record(1.0), law(), tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        amb.retune(*given)
+    kept = json.loads((tmp_path / STATE).read_text())
+    assert [step["name"] for step in kept["steps"]] == ["identified", "changed"]
+    assert kept["outcome"] == "under way"
+
+    def later(made, *given, **options):
+        assert made.began["date"] == "2020-02-29"
+        made.say("identified", "identified", False, "doubted")
+
+    monkeypatch.setattr(chain, "_identified", later)
+    assert amb.retune(*given).outcome == "stopped"
 
 
 def test_refusals(tmp_path):

@@ -413,7 +413,7 @@ def _judged(job: Job, law: Law, models: Sequence[LoopModel]) -> _Round:
 
 
 def _add_members(job: Job, law: Law) -> Law:
-    """The worst corner of the tolerances around every point, and the worst point of every range,
+    """The worst member of the tolerances around every point, and the worst point of every range,
     join the models; the controller brought to hold them all.
     """
     controller = as_system(law, job.full[0].machine)

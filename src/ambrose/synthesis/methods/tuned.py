@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tuned(Method):
-    """Tuned to the machine's requirements at every operating point, with the worst corners of the
+    """Tuned to the machine's requirements at every operating point, with the worst members of the
     tolerances around each, from its PID or a first guess.
 
     order: states (None: three per axis; of "filters" six). structure: "free", "plane" (zeta and eta

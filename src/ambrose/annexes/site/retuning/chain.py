@@ -67,6 +67,7 @@ IDENTIFIED, CONTROLLER = "identified.toml", "controller.json"
 CODE = "code"
 _PEAK = "sensitivity.output.max"
 STATE, PAGE = "retuning.json", "retuning.html"
+UNDER_WAY = "under way"  # in the state of a chain that has not ended, or was cut off
 _HALF = 0.5  # s on either side of a change of controllers on the rig
 _BUMP = 0.1  # of the gap, how far the rotor may go when its controllers change; assumed
 _NARROW = 1e-4  # m, the gap where the machine file states none; assumed
@@ -88,12 +89,22 @@ class _Chain:
     timing: Timing
     folder: Path
     progress: Progress
+    began: dict[str, Any]
     steps: list[Step]
     made: dict[str, Any]
 
+    def keep(self, outcome: str | None = None) -> Retuning:
+        """The state as it is now, kept in the folder; outcome: None as the steps say."""
+        done = self.result()
+        said = {} if outcome is None else {"outcome": outcome}
+        kept = {"began": self.began, **done.to_dict(), **said}
+        write_json(self.folder / STATE, kept, "state of the retuning")
+        return done
+
     def say(self, name: str, title: str, passed: bool | None, words: str, *files: str) -> bool:
-        """Note a step; whether the chain goes on."""
+        """Note a step, so that it stays whatever comes; whether the chain goes on."""
         self.steps.append(Step(name, title, passed, words, files))
+        self.keep(UNDER_WAY)
         return passed is not False
 
     def result(self) -> Retuning:
@@ -158,17 +169,15 @@ def retune(
         make_folder(folder)
         wanted = (unknown,) if isinstance(unknown, str) else tuple(unknown)
         began = _begun(folder, given, running, names, (*wanted, f"{bending_modes} bending modes"))
-        chain = _Chain(given, running, timing, folder, progress, [], {})
+        chain = _Chain(given, running, timing, folder, progress, began, [], {})
         fit = {"unknown": unknown, "bending_modes": bending_modes}
         files = tuple(name for name, _ in names)
-        _identified(chain, measured, files, fit, began, changed=changed)
+        _identified(chain, measured, files, fit, changed=changed)
         if chain.steps[-1].passed is not False and _needed(chain, anyway):
             _changed(chain)
         if chain.steps[-1].passed is not False and not _none_given(accept_from):
             _accepted(chain, accept_from)
-        done = chain.result()
-        write_json(folder / STATE, {"began": began, **done.to_dict()}, "state of the retuning")
-    return done
+        return chain.keep()
 
 
 def _none_given(records: Records) -> bool:
@@ -237,12 +246,11 @@ def _identified(
     records: Sequence[Record],
     names: tuple[str, ...],
     fit: dict[str, Any],
-    began: dict[str, Any],
     *,
     changed: bool,
 ) -> None:
     """The record judged, the machine identified and written back with its intervals."""
-    origin = Provenance(names, "the running controller", began["date"])
+    origin = Provenance(names, "the running controller", chain.began["date"])
     delay = chain.timing.delay_samples
     done = identify(
         chain.given,
