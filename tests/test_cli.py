@@ -508,3 +508,15 @@ def test_continuous_figures_beside_those_of_the_loop_that_runs_are_explained():
     (line,) = _beside({**far, "continuous sensitivity_peak": 2.6})
     assert "times off" not in line
     assert _beside({"sensitivity_peak": 2.6}) == []
+
+
+def test_a_check_loads_no_optimiser():
+    """Half of the time of ``ambrose check`` was what it did not use."""
+    code = (
+        "import sys; from ambrose.cli import main; from click.testing import CliRunner; "
+        "done = CliRunner().invoke(main, ['check', 'seal-rig']); assert not done.exit_code, done; "
+        "heavy = {'scipy.optimize', 'scipy.interpolate', 'numba', 'plotly', 'pint', 'h5py'}; "
+        "sys.exit(', '.join(sorted(heavy & set(sys.modules))) or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -20,7 +20,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import eigvalsh
-from scipy.optimize import brentq
 
 from ambrose.core.checks import check_shape, invalid
 from ambrose.core.statespace import StateSpace
@@ -184,6 +183,8 @@ def borders(
     value: frequency [rad/s] -> the smallest real part (``convergence``). grid (w,): ascending; two
     roots between neighbouring points are not seen. tolerance: relative, of each root.
     """
+    from scipy.optimize import brentq
+
     levels = [value(float(w)) for w in grid]
     speeds = []
     for k in range(len(grid) - 1):

@@ -22,7 +22,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import scipy.optimize as so
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import largest_gain
@@ -156,7 +155,9 @@ class SampledBox:
         # the maximum between the best point's neighbours, never below the best point itself
         low = grid[max(best - 1, 0)]
         high = grid[min(best + 1, len(grid) - 1)]
-        refined = so.minimize_scalar(
+        from scipy.optimize import minimize_scalar
+
+        refined = minimize_scalar(
             lambda w: -float(self.gains(np.array([w]), delta[None])[0, 0]),
             bounds=(low, high),
             method="bounded",

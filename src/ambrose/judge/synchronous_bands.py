@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq, minimize_scalar
 
 from ambrose.core.checks import InvalidInput
 from ambrose.law.synchronous import Condition, Converged, SynchronousLoop, forward_patterns
@@ -126,6 +125,8 @@ def forbidden_bands(
     share: of the limit, for a design that is to keep clear of it. Borders are roots of orbit/limit
     - 1, peaks between points are refined first. Raises InvalidInput.
     """
+    from scipy.optimize import brentq, minimize_scalar
+
     residual, machine = unbalance_of(loop.machine), loop.machine
     points = (
         max(9, int(np.ceil(_POINTS * (band[1] - band[0]) / band[1]))) if points is None else points

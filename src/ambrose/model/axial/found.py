@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.thrust import ThrustBearing
@@ -36,6 +35,8 @@ def with_found(
         return np.log([at.force_per_current / k_i, at.stiffness / k_s])
 
     start = np.log([part.face_scale, part.gap_scale])
+    from scipy.optimize import least_squares
+
     found = least_squares(off, start, bounds=np.log([[_WIDE[0]] * 2, [_WIDE[1]] * 2]), xtol=1e-15)
     if np.abs(found.fun).max() > _CLOSE:
         raise InvalidInput(

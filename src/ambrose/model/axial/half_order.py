@@ -24,7 +24,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import least_squares
 
 from ambrose.core.checks import InvalidInput, check_positive
 from ambrose.core.statespace import StateSpace
@@ -122,6 +121,8 @@ def _fitted(tau: float, n: int) -> Lags:
     # rho dp at the nodes, over p for the gain of each lag
     rho = tau * np.sqrt(poles) / (np.pi * (1 + tau**2 * poles))
     start = np.concatenate([np.log(rho), np.log(poles)])
+    from scipy.optimize import least_squares
+
     found = least_squares(errors, start, max_nfev=200).x
     for power in (2, 4):
         found = least_squares(

@@ -24,7 +24,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.optimize import brentq
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.axial import AxialMachine, Condition
@@ -185,6 +184,8 @@ def loaded(part: ThrustBearing, load: float, place: float) -> Loaded:
             f"but the process thrust is {abs(load):,.4g} N: nothing holds the rotor; raise "
             "max_current or the poles' areas, or correct the load"
         )
+    from scipy.optimize import brentq
+
     current = float(brentq(lambda i: force(part, i, place) + load, -most, most, xtol=1e-14))
     left, right = sides(part)
     parts = []

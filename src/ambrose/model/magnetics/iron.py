@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import PchipInterpolator
 
 from ambrose.core.checks import check_positive, check_shape, invalid
 from ambrose.model.magnetics.vacuum import VACUUM_PERMEABILITY
@@ -103,7 +103,9 @@ class MeasuredCurve:
         last = self.flux_densities[-1]
         return np.minimum(b, last), np.maximum(b - last, 0.0)
 
-    def _curve(self) -> PchipInterpolator:
+    def _curve(self) -> Any:
+        from scipy.interpolate import PchipInterpolator
+
         return PchipInterpolator((0.0, *self.flux_densities), (0.0, *self.fields))
 
 
