@@ -511,7 +511,7 @@ def test_continuous_figures_beside_those_of_the_loop_that_runs_are_explained():
 
 
 def test_a_check_loads_no_optimiser():
-    """Half of the time of ``ambrose check`` was what it did not use."""
+    """A seventh of the processor time of ``ambrose check`` was what it did not use."""
     code = (
         "import sys; from ambrose.cli import main; from click.testing import CliRunner; "
         "done = CliRunner().invoke(main, ['check', 'seal-rig']); assert not done.exit_code, done; "
