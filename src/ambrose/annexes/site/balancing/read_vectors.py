@@ -74,9 +74,9 @@ def coefficients_of_trials(
     initial (m,), trials (m, p): readings; column j with the weight ``weights[j]`` complex in plane
     j. kept: whether a trial weight stays on in the runs after it. Raises InvalidInput.
     """
-    W = np.atleast_1d(np.asarray(weights, complex))
-    v = check_shape(np.asarray(initial, complex), "initial", "(m,)")
-    runs = check_shape(np.asarray(trials, complex), "trials", "(m, p)", m=len(v), p=len(W))
+    W = _vectors(weights, "weights", "(p,)")
+    v = _vectors(initial, "initial", "(m,)")
+    runs = _vectors(trials, "trials", "(m, p)", m=len(v), p=len(W))
     if not W.all():
         raise invalid("a trial weight", 0, "not zero", "give what was put on, at its angle")
 
@@ -100,8 +100,8 @@ def balance_vectors(
     names (none: "1", "2", ...). Raises InvalidInput for fewer readings than planes, and for columns
     that depend on one another.
     """
-    v = check_shape(np.asarray(initial, complex), "initial", "(m,)")
-    A = check_shape(np.asarray(coefficients, complex), "coefficients", "(m, p)", m=len(v))
+    v = _vectors(initial, "initial", "(m,)")
+    A = _vectors(coefficients, "coefficients", "(m, p)", m=len(v))
     names = tuple(planes) or tuple(str(number) for number in range(1, A.shape[1] + 1))
     if len(names) != A.shape[1]:
         raise invalid("the number of planes", len(names), f"{A.shape[1]}, one per column", "name")
@@ -126,6 +126,17 @@ def balance_vectors(
     return VectorCorrection(
         names, w, v + A @ w, condition, tuple(names[j] for j in dependent), norm
     )
+
+
+def _vectors(values: ArrayLike, name: str, shape: str, **sizes: int) -> np.ndarray:
+    """What was read or put on, complex. Raises InvalidInput."""
+    try:
+        numbers = np.asarray(values, complex)
+    except (TypeError, ValueError, OverflowError):
+        raise invalid(
+            name, repr(values)[:40], "complex numbers", "give size * exp(1j * angle) of each"
+        ) from None
+    return check_shape(numbers, name, shape, **sizes)
 
 
 def _limits(names: Sequence[str], limits: Mapping[str, float]) -> np.ndarray:
