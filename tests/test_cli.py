@@ -249,6 +249,8 @@ def test_an_infeasible_design_leaves_the_other_controllers_their_verdict(tmp_pat
         return design(plant, method, **options)
 
     monkeypatch.setattr("ambrose.chain.control.design", only_pid)
+    # in this process, where the method is exchanged
+    monkeypatch.setattr("ambrose.chain.study.processors", lambda: 1)
     (tmp_path / "rig.toml").write_text(coarse_text())
     done = call("study", tmp_path / "rig.toml", "-o", tmp_path, "--json")
     assert done.exit_code == 1, done.stderr
