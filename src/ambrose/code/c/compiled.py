@@ -105,7 +105,7 @@ class Words:
 
     @property
     def counted(self) -> str:
-        """C that makes errors[i] [m] a number of the code, within its word."""
+        """C that makes errors[i], in metres, a number of the code, within its word."""
         if not self.whole:
             return "(errors[i] / metre[i])"
         ends = np.iinfo(self.signal)
