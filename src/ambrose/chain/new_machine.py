@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,9 @@ from ambrose.machine.description import (
     Requirements,
 )
 from ambrose.machine.file.annotated import annotated_machine
-from ambrose.machine.file.toml import loads_machine
+from ambrose.machine.file.stations import read_rotor
+from ambrose.machine.file.toml import loads_machine, read_machine_text, read_toml
+from ambrose.machine.file.update import machine_text
 from ambrose.machine.machine import Machine
 from ambrose.machine.rotor_model import Disc, RotorModel, ShaftSection
 from ambrose.machine.stator import Sensor
@@ -135,6 +138,18 @@ def new_machine(
     )
     quantities = {key: quantity_of(key, value) for key, value in known.items() if value is not None}
     return machine_of_rotor(rotor, Known(vertical=vertical, rate=rate, **quantities))
+
+
+def text_of_file(path: Path, speed: str = "") -> str:
+    """The text of the machine file that a file gives: its own, or that of a rotor alone (a model of
+    ROSS, a table of stations) on magnets chosen for it; speed: its highest one, where it has none.
+    Raises InvalidInput.
+    """
+    if path.suffix.lower() == ".toml" and "machine" in read_toml(path, "machine file"):
+        return read_machine_text(path)
+    rotor = read_rotor(path)
+    known = quantity_of("speed", speed) if speed else rotor.speed
+    return machine_text(machine_of_rotor(replace(rotor, speed=known or rotor.speed)))
 
 
 @named_failure("the new machine")

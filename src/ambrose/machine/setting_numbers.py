@@ -4,7 +4,8 @@ with its place, also those of notches and of channels with a chain of their own.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
@@ -22,6 +23,7 @@ KINDS = {
     "phase": "angle",
 }
 Place = tuple[str | int, ...]
+_SAME = 1e-9  # a number that was turned and turned back is its old one to rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,3 +98,27 @@ def expression(part: Any, place: Place, value: float, words: str) -> str:
         return f"({before}{new}, {after})" if i + 1 < len(part) else f"({before}{new},)"
     inner = expression(getattr(part, str(head)), rest, value, f"{words}.{head}")
     return f"replace({words}, {head}={inner})"
+
+
+def _moved(settings: PidSettings, values: Mapping[str, float]) -> Iterator[tuple[Number, float]]:
+    """What stands elsewhere than in the settings."""
+    for item in numbers_of(settings):
+        new = values.get(item.name, item.value)
+        if not math.isclose(new, item.value, rel_tol=_SAME):
+            yield item, new
+
+
+def with_numbers(settings: PidSettings, values: Mapping[str, float]) -> PidSettings:
+    """The settings with other numbers by their names."""
+    for item, new in _moved(settings, values):
+        settings = with_number(settings, item.place, new)
+    return settings
+
+
+def lines_of(settings: PidSettings, values: Mapping[str, float]) -> list[str]:
+    """Lines of Python that make of ``settings`` those with other numbers."""
+    lines = []
+    for item, new in _moved(settings, values):
+        lines.append(f"settings = {expression(settings, item.place, new, 'settings')}")
+        settings = with_number(settings, item.place, new)
+    return lines

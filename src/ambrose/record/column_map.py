@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -152,3 +152,41 @@ def read_columns(document: Mapping[str, Any], name: str = "column map") -> Colum
         return ColumnMap(**{**stated, "notes": tuple(stated.get("notes", {}).items())})
     except InvalidInput as error:
         raise InvalidInput(f"{name}: {error}") from error
+
+
+def columns_in_words(machine: str, names: Iterable[str], said: Mapping[str, str]) -> dict[str, Any]:
+    """The document of a column map from words as a form takes them; raises InvalidInput for what
+    should be a number and is none.
+
+    names: of the signals; said: "from.<name>", the variable, a factor may stand before it
+    ("-127 * probe"); "unit.<name>"; "speed" and "pressure"; "rate" [Hz]; "time" and "time.unit".
+    What is empty or absent is left out.
+    """
+    document: dict[str, Any] = {
+        "machine": machine,
+        "point": {"speed": said.get("speed", ""), "seal_pressure": said.get("pressure", "")},
+        "signal": [_in_words(name, said) for name in names if said.get(f"from.{name}")],
+    }
+    if said.get("rate"):
+        document["sample_rate_hz"] = _number(said["rate"])
+    if said.get("time"):
+        document["time"] = {"source": said["time"], "unit": said.get("time.unit", "s")}
+    return document
+
+
+def _in_words(name: str, said: Mapping[str, str]) -> dict[str, Any]:
+    factor, star, source = said[f"from.{name}"].partition("*")
+    known: dict[str, Any] = {"name": name, "source": (source if star else factor).strip()}
+    if star:
+        known["scale"] = _number(factor)
+    if unit := said.get(f"unit.{name}", ""):
+        known["unit"] = unit
+    return known
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        told = f"{text[:40]!r} is no number; write it as 10000 or -1.5e-3"
+        raise InvalidInput(told) from None

@@ -16,6 +16,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.judge.controller_file import read_controller
 from ambrose.machine.controller import Channel, Notch, PidSettings, Section
 from ambrose.machine.file.toml import bundled_machines, load_machine
+from ambrose.machine.setting_numbers import lines_of, with_numbers
 
 
 @pytest.fixture(scope="module")
@@ -110,9 +111,9 @@ def test_every_number_of_every_file_is_put_where_it_came_from():
         fields = sliders.fields_of(settings, machine.axes)
         assert fields
         for field in fields:
-            same = sliders.settings_with(settings, {field["name"]: field["value"] * (1 + 1e-13)})
+            same = with_numbers(settings, {field["name"]: field["value"] * (1 + 1e-13)})
             assert same is settings
-            other = sliders.settings_with(settings, {field["name"]: field["value"] * 1.5})
+            other = with_numbers(settings, {field["name"]: field["value"] * 1.5})
             values = {f["name"]: f["value"] for f in sliders.fields_of(other, machine.axes)}
             before = {f["name"]: f["value"] for f in fields}
             assert values == {**before, field["name"]: field["value"] * 1.5}
@@ -125,9 +126,9 @@ def test_notches_and_chains_have_sliders_too():
     fields = {f["name"]: f for f in sliders.fields_of(settings, ("A_zeta", "A_eta"))}
     assert fields["notches.0.frequency"]["label"] == "Notch 1 frequency"
     assert not fields["channels.0.sections.0.phase"]["log"]
-    new = sliders.settings_with(settings, {"channels.0.sections.0.phase": 0.1})
+    new = with_numbers(settings, {"channels.0.sections.0.phase": 0.1})
     assert new.channels[0].sections[0].phase == 0.1
-    (line,) = sliders.python_of(settings, {"channels.0.sections.0.phase": 0.1})
+    (line,) = lines_of(settings, {"channels.0.sections.0.phase": 0.1})
     names = {"settings": settings, "replace": replace}
     exec(line, names)
     assert names["settings"] == new

@@ -1,6 +1,7 @@
 """Jobs are processes that end when they are told, with their server, and are found again."""
 
 import asyncio
+import json
 import os
 import random
 import shutil
@@ -149,6 +150,10 @@ def test_a_server_that_is_killed_takes_its_jobs_along_and_finds_them_again(
         {"kind": "verify", "controller": "mine.json", "pressure_rate": "--help"},
         {"kind": "verify", "controller": "mine.json", "speed_rate": "1; rm"},
         {"kind": "export", "controller": "mine.json", "target": "../c", "arithmetic": "double"},
+        {"kind": "size", "areas": "--help"},
+        {"kind": "campaign", "plan": "../machine.toml"},
+        {"kind": "campaign", "plan": "absent.toml"},
+        {"kind": "retune", "controller": "mine.json", "record": "/etc/passwd"},
     ],
 )
 def test_what_is_no_job_is_refused(project, said):
@@ -172,6 +177,36 @@ def test_what_a_page_says_stands_in_the_command(project):
     assert words[-4:] == ("--report", "reports/verify.html", "--speed-rate", "20")
     export = {"kind": "export", **said, "target": "c", "arithmetic": "float"}
     assert jobs._words(export)[-2:] == ("-o", "code/c-float")
+    retune = jobs._words({"kind": "retune", **said, "changed": True, "anyway": "yes"})
+    assert retune[-3:] == ("--changed", "-o", "retuning")
+    project.path("plans", "mine.toml").write_text("")
+    campaign = jobs._words({"kind": "campaign", "plan": "mine.toml"})
+    assert campaign == ("campaign", "plans/mine.toml", "-o", "campaign")
+    assert jobs._words({"kind": "size", "areas": "0.5, 1"})[2:4] == ("--areas", "0.5, 1")
+
+
+def test_every_job_is_a_command_that_takes_its_options(project):
+    from ambrose.cli import main
+
+    for words in module.KINDS.values():
+        command = main.commands[words[0]]
+        known = {name for option in command.params for name in option.opts}
+        assert {word for word in words if word.startswith("-")} <= known
+
+
+def test_a_job_whose_words_lead_out_of_the_folder_is_none_of_ours(project):
+    for number, word in enumerate(["../other.toml", "/etc/passwd", "machine.toml"]):
+        kept = {"name": f"check-{number}", "words": ["check", word], "state": "done"}
+        folder = project.folder("jobs") / f"check-{number}"
+        folder.mkdir()
+        (folder / "job.json").write_text(json.dumps(kept))
+    assert [job["name"] for job in Jobs(project).listing()] == ["check-2"]
+
+
+def test_no_job_writes_through_a_link_that_leads_out(project, tmp_path_factory):
+    (project.root / "study").symlink_to(tmp_path_factory.mktemp("elsewhere"))
+    with pytest.raises(InvalidInput, match="leads out"):
+        Jobs(project, workers=0).start({"kind": "study"})
 
 
 def test_states_of_strangers_are_not_read(project):

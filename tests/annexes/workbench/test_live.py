@@ -12,9 +12,10 @@ pytest.importorskip("starlette", reason="the extra workbench is not installed")
 
 from ambrose.annexes.workbench.live import SAMPLES, LiveSession, packed
 from ambrose.annexes.workbench.project import Project, begin
-from ambrose.annexes.workbench.server import build, listening, names_of
+from ambrose.annexes.workbench.server import build
 from ambrose.annexes.workbench.viewers import _Viewer
 from ambrose.core.checks import InvalidInput
+from ambrose.core.listening import listening, names_of
 from ambrose.record.files import read_record
 from asgi_client import HOST, Client
 

@@ -194,17 +194,17 @@ def test_the_desk_answers_refuses_and_begins_anew(project):
         desk = Desk(project)
         with pytest.raises(Refusal, match="there is no screen"):
             await desk.ask("nothing", "", {})
-        first = desk._process.pid
+        first = desk.process.pid
         os.kill(first, signal.SIGKILL)
         with pytest.raises(Refusal, match="ended suddenly"):
             await desk.ask("nothing", "", {})
         with pytest.raises(Refusal, match="there is no screen"):
             await desk.ask("nothing", "", {})
-        assert desk._process.pid != first
-        desk._longest = 0.0
+        assert desk.process.pid != first
+        desk.process.longest = 0.0
         with pytest.raises(Refusal, match="longer than 0 s"):
             await desk.ask("machine", "", {})
-        assert desk._process is None
+        assert desk.process.pid is None
 
     asyncio.run(run())
 

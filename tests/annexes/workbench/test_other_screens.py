@@ -132,3 +132,51 @@ def test_code_is_tested_and_packed(project):
     for name in ("../records", "absent", "c-double/..", 3):
         with pytest.raises((Refusal, amb.InvalidInput)):
             ask(project, "deploy", "test", code=name)
+
+
+def test_a_plan_is_written_as_the_command_reads_it(project):
+    from ambrose.annexes.campaigns.plan import read_plan
+
+    project.path("controllers", "mine.json").write_text("{}")
+    _, blocks = ask(project, "studies")
+    fields = {field["name"]: field["value"] for field in blocks["plan"]["fields"]}
+    told, blocks = ask(project, "studies", "plan", **fields)
+    assert "plan.toml is written" in told["told"]
+    plan = read_plan(project.path("plans", "plan.toml"))
+    assert plan.place(plan.machine).samefile(project.machine)
+    assert plan.place(plan.controller).name == "mine.json"
+    assert plan.size >= 7
+    assert blocks["do-campaign"]["fields"][0]["value"] == "plan.toml"
+    # another one of that name stands beside it
+    told, blocks = ask(project, "studies", "plan", **{**fields, "controller": "every controller"})
+    every = read_plan(project.path("plans", "plan-2.toml"))
+    assert every.named("controller") == ("../controllers/mine.json",)
+
+
+@pytest.mark.parametrize(
+    "given, field",
+    [
+        ({"name": "../x"}, "name"),
+        ({"vary": "controller.gain = ["}, "vary"),
+        ({"vary": 'machine = ["/etc/passwd"]'}, "vary"),
+        ({"vary": 'controller = ["../../secret.json"]'}, "vary"),
+    ],
+)
+def test_a_plan_that_cannot_be_is_refused_beside_its_field(project, given, field):
+    before = project.names("plans")
+    with pytest.raises(Refusal) as caught:
+        ask(project, "studies", "plan", **{"task": "screen", "name": "bad", "vary": "", **given})
+    assert caught.value.content["fields"][field] == caught.value.content["error"]
+    assert project.names("plans") == before
+
+
+def test_the_controller_of_a_retuning_joins_the_others(project):
+    with pytest.raises(Refusal, match="retune first"):
+        ask(project, "retuning", "take")
+    project.path("retuning", "controller.json").write_text('{"new": 1}')
+    project.path("retuning", "retuning.html").write_text("<p>")
+    _, blocks = ask(project, "retuning")
+    assert blocks["page"]["src"] == "/files/retuning/retuning.html"
+    told, _ = ask(project, "retuning", "take")
+    assert told["told"] == "controllers/retuned.json is written."
+    assert project.path("controllers", "retuned.json").read_text() == '{"new": 1}'

@@ -5,21 +5,17 @@ machine file, a model of ROSS, a table of stations). One that was there before i
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from ambrose.annexes.workbench import blocks
 from ambrose.annexes.workbench.blocks import Block, Refusal
 from ambrose.annexes.workbench.given import word
 from ambrose.annexes.workbench.project import MACHINE, Project, begin
-from ambrose.chain.new_machine import Known, machine_of_rotor, new_machine, quantity_of
+from ambrose.chain.new_machine import new_machine, text_of_file
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.atomic_write import write_text
-from ambrose.machine.file.stations import read_rotor
-from ambrose.machine.file.toml import bundled_machines, loads_machine, read_machine_text, read_toml
+from ambrose.machine.file.toml import bundled_machines, loads_machine, read_machine_text
 from ambrose.machine.file.update import machine_text
-from ambrose.machine.machine import Machine
 
 _SHAFT = {"length": "600 mm", "diameter": "40 mm", "speed": "12000 rpm"}
 
@@ -76,22 +72,12 @@ def template(project: Project, given: Mapping[str, Any]) -> str:
 def take(project: Project, given: Mapping[str, Any]) -> str:
     """A file of the folder machines becomes the machine; what was done, in words."""
     path = project.path("machines", given.get("source"))
-    if path.suffix.lower() == ".toml" and "machine" in read_toml(path, "machine file"):
-        text = read_machine_text(path)
-    else:
-        text = machine_text(_rotor(path, word(given, "speed")))
+    text = text_of_file(path, word(given, "speed"))
     try:
         loads_machine(text, path.name)
     except InvalidInput as error:
         raise Refusal(str(error)) from None
     return keep(project, text)
-
-
-def _rotor(path: Path, speed: str) -> Machine:
-    """A rotor alone, on magnets that are chosen for it."""
-    rotor = read_rotor(path)
-    known = rotor.speed if not speed else quantity_of("speed", speed)
-    return machine_of_rotor(replace(rotor, speed=known or rotor.speed), Known())
 
 
 def keep(project: Project, text: str) -> str:

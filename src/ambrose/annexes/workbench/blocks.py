@@ -50,9 +50,9 @@ def picture(key: str, svg: str, title: str = "", caption: str = "", half: bool =
     }
 
 
-def page(key: str, name: str, title: str) -> Block:
-    """A page of results out of the folder reports, shown and to be opened alone."""
-    return {"key": key, "kind": "page", "title": title, "src": f"/files/reports/{name}"}
+def page(key: str, name: str, title: str, folder: str = "reports") -> Block:
+    """A page of results out of a folder of the project, shown and to be opened alone."""
+    return {"key": key, "kind": "page", "title": title, "src": f"/files/{folder}/{name}"}
 
 
 def link(key: str, address: str, text: str) -> Block:

@@ -38,9 +38,10 @@ def workbench(
     good once; whoever opens it may do here what you may. Ctrl-C ends it, with all that it started.
     """
     from ambrose.core.checks import InvalidInput
+    from ambrose.core.listening import listening
 
     try:
-        from ambrose.annexes.workbench.server import listening, serve
+        from ambrose.annexes.workbench.server import serve
     except ModuleNotFoundError as error:
         if error.name not in {"starlette", "uvicorn", "websockets", "anyio"}:
             raise

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from ambrose.annexes.workbench import blocks
+from ambrose.annexes.workbench.project import KINDS as FOLDERS
 from ambrose.annexes.workbench.project import MACHINE, Project, slug
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.atomic_write import make_folder, write_json
@@ -45,9 +46,20 @@ KINDS: dict[str, tuple[str, ...]] = {
         *("export", "{controller}", "--to", "{target}", "--arithmetic", "{arithmetic}"),
         *("--machine", MACHINE, "--rate-hz", "{rate}", "-o", "code/{target}-{arithmetic}"),
     ),
+    "retune": (
+        *("retune", MACHINE, "{record}", "--controller", "{controller}"),
+        *("--unknown", "{unknown}", "--changed", "{changed}", "--anyway", "{anyway}"),
+        *("-o", "retuning"),
+    ),
+    "size": (
+        *("size", MACHINE, "--areas", "{areas}", "--biases", "{biases}", "--rate-hz", "{rate}"),
+        *("-o", "reports/size.html", "--machine-out", "machines/sized.toml"),
+    ),
+    "campaign": ("campaign", "{plan}", "-o", "campaign"),
+    "study": ("study", MACHINE, "-o", "study"),
 }
 # what a page may put into them: files of a folder, some words, what is left out where it is empty
-_FOLDERS = {"controller": "controllers", "record": "records"}
+_FOLDERS = {"controller": "controllers", "record": "records", "plan": "plans"}
 CHOICES: dict[str, tuple[str, ...]] = {
     "method": ("pid", "tuned", "hinf", "mu"),
     "target": ("c", "mat", "fmu", "st"),
@@ -58,7 +70,10 @@ _FREE = {
     "speed_rate": r"\d[\d.eE+-]*",
     "rate": r"\d[\d.eE+]*",
     "unknown": r"[A-Za-z*][\w.* -]*",
+    "areas": r"\d[\d., ]*",
+    "biases": r"\d[\d., ]*",
 }
+_FLAGS = ("changed", "anyway")
 _PATIENCE = 0.6  # [s] from the request to end to the kill
 _UNDER_WAY = ("waiting", "running")
 _SHOWN = 3  # of a screen's commands
@@ -99,6 +114,8 @@ class Jobs:
         job = Job(**{**content, "words": tuple(content["words"])})
         if slug(job.name, "job") != path.parent.name or path.resolve() != path:
             return
+        if any(Path(word).is_absolute() or ".." in Path(word).parts for word in job.words):
+            return  # it was not written here, and would leave the folder
         unfinished = job.state in _UNDER_WAY
         self._jobs[job.name] = job
         if unfinished:
@@ -143,8 +160,9 @@ class Jobs:
         """A job of a kind, or again one that is over. Raises InvalidInput."""
         again = said.get("again")
         words = self._named(again).words if again else self._words(said)
-        for folder in ("controllers", "machines", "reports", "code"):
-            self._project.folder(folder)
+        for folder in ("controllers", "machines", "reports", "code", words[-1]):
+            if folder in FOLDERS:  # that leads out through no link
+                self._project.folder(folder)
         number = 1 + max([int(name.rpartition("-")[2]) for name in self._jobs], default=0)
         job = Job(f"{words[0]}-{number}", words)
         make_folder(self._project.folder("jobs") / job.name)
@@ -166,6 +184,8 @@ class Jobs:
                 words.append(self._file(name, said))
             elif name in CHOICES:
                 words.append(self._chosen(name, said))
+            elif name in _FLAGS:
+                del words[len(words) - (said.get(name) is not True) :]
             else:
                 # an option for each word; none where there is no word
                 option = words.pop()

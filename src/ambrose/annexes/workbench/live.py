@@ -35,9 +35,6 @@ SAMPLES = 2048  # of a message at most: a spectrum
 _LATE = 0.1  # [s] that a frame makes up for at most; more is dropped
 _BUSY = 0.02  # [s] of computing in a frame, as fast as it can
 _PACES = {"real": 1.0, "slow": 0.1, "fast": math.inf}
-_PUSH = 0.05  # a knock's first displacement over the gap, roughly
-_SHAKE = 0.025  # excitation over the limit of the currents: far from it also on top of the weight
-_GRADE = 2.5e-3  # [m/s], G2.5 of ISO 21940-11
 _SAME = """import ambrose as amb
 from ambrose.rig.live import LiveRig
 machine = amb.load_machine("machine.toml")
@@ -56,6 +53,7 @@ class LiveSession:
         from ambrose.machine.file.toml import load_machine
         from ambrose.machine.machine import require_magnets
         from ambrose.rig.live import LiveRig
+        from ambrose.rig.live_ranges import ranges_of
 
         self._project = project
         self._stamp = _stamp(project)
@@ -64,6 +62,7 @@ class LiveSession:
         self.controller = controller or _first_controller(project, self.machine)
         law = _read(project, self.controller, self.machine)
         self.rig = LiveRig(self.machine, law, initial=initial)
+        self.ranges = ranges_of(self.rig, self.machine)
         self.pace = "real"
         self.realtime = 1.0
         self._clock: float | None = None
@@ -73,7 +72,7 @@ class LiveSession:
         self._excited = 0.0
         self._failed: list[str] = []
         self._recorded = ""
-        self._strength = self._impulse
+        self._strength = self.ranges.impulse
         self._near = True
         nominal = self.machine.operation.nominal
         self._targets = {"speed": nominal.speed, "pressure": nominal.seal_pressure}
@@ -92,55 +91,38 @@ class LiveSession:
             "stations": rig.stations,
             "bearings": b,
             "gaps": [*gaps, *[None] * (len(rig.stations) - b)],
-            "scale": self._smallest,
+            "scale": self.ranges.gap,
             "zones": {limit.zone: limit.value for limit in CLEARANCE.limits},
             "columns": self.columns,
             "axes": rig.axes,
             "limits": [float(most) if np.isfinite(most) else None for most in rig.limits],
             "dt": rig.dt,
-            "speed": self._top_speed,
+            "speed": self.ranges.speed,
             "controls": self._controls(),
             "scope": _scope_form(self.columns, f"y {rig.axes[0]}"),
             "same": {"Python": _SAME},
         }
 
-    @property
-    def _top_speed(self) -> float:
-        """The speed at which the slider ends [rad/s]."""
-        operation = self.machine.operation
-        speeds = [*operation.speed_range, *(point.speed for point in operation.points), 100.0]
-        return 1.2 * max(speeds)
-
-    @property
-    def _top_pressure(self) -> float:
-        """The seal pressure at which the slider ends [Pa]."""
-        points = self.machine.operation.points
-        return 2.5 * max([point.seal_pressure for point in points], default=0.0)
-
     def _controls(self) -> list[Block]:
         """What can be turned, pushed and broken, as forms."""
-        turned = [_slider("speed", "Speed", 0, self._top_speed, "rpm", 30 / math.pi)]
+        turned = [_slider("speed", "Speed", 0, self.ranges.speed, "rpm", 30 / math.pi)]
         breaks = [blocks.button("Sensor fails", "fail", what="sensor")]
         breaks += [blocks.button("Amplifier fails", "fail", what="amplifier")]
         if self.machine.seals:
-            top = self._top_pressure or 1.0
+            top = self.ranges.pressure or 1.0
             turned.append(_slider("pressure", "Seal pressure", 0, top, "bar", 1e-5))
             lost = blocks.button("Pressure sensor fails", "fail", what="pressure")
             breaks.append(lost)
         where = blocks.choice("station", "Unbalance at", self.rig.stations)
         where["action"] = "unbalance"
-        # m e of the grade at the top speed
-        largest = 8 * self._mass * _GRADE * 1.2 / self._top_speed
-        turned += [where, _slider("unbalance", "Unbalance", 0, largest, "g mm", 1e6)]
+        turned += [where, _slider("unbalance", "Unbalance", 0, self.ranges.unbalance, "g mm", 1e6)]
         turned.append(_slider("gain", "Gain of the controller", -1, 1, "×", 1, log=True))
-        middle = math.log10(self._impulse)
+        middle = math.log10(self.ranges.impulse)
         strength = ("strength", "Strength of a knock", middle - 1.5, middle + 1.5, "N s", 1)
         pace = {**blocks.choice("pace", "Time", list(_PACES), self.pace), "action": "pace"}
         near = blocks.field("near", "Zoom in", True, "check", action="near")
         controllers = self._project.names("controllers")
         chosen = blocks.choice("controller", "Controller", controllers, self.controller)
-        limits = [most for most in self.rig.limits if np.isfinite(most)]
-        shake = _SHAKE * float(min(limits, default=1.0))
         axis = blocks.choice("axis", "Axis", self.rig.axes)
         return [
             blocks.form("turn", turned, title="Turn"),
@@ -155,7 +137,7 @@ class LiveSession:
                 "record",
                 (),
                 [
-                    blocks.button("Excite", "excite", value=shake),
+                    blocks.button("Excite", "excite", value=self.ranges.excitation),
                     blocks.button("Stop exciting", "excite", value=0),
                     blocks.button("Record", "record"),
                     blocks.button("Stop recording", "stop"),
@@ -165,25 +147,6 @@ class LiveSession:
             blocks.form("break", [axis], breaks, "Break"),
             starting_form(self._project, self.controller),
         ]
-
-    @property
-    def _mass(self) -> float:
-        """Of the rotor [kg]."""
-        from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
-
-        return mass_properties(finite_element_rotor(self.machine)).mass
-
-    @property
-    def _smallest(self) -> float:
-        """The smallest gap [m], which scales the pictures."""
-        gaps = [float(gap) for gap in self.rig.clearances if np.isfinite(gap)]
-        air = [bearing.gap for bearing in self.machine.bearings if bearing.gap]
-        return min([*gaps, *air], default=1e-4)
-
-    @property
-    def _impulse(self) -> float:
-        """Of a knock in the middle of its slider [N s]."""
-        return _PUSH * self._smallest * self._mass * 300.0
 
     @property
     def columns(self) -> list[str]:
@@ -303,13 +266,13 @@ class LiveSession:
     def speed(self, said: Mapping[str, Any]) -> None:
         """Another speed [rad/s], reached in about five seconds for the whole range."""
         value = number(said, "value")
-        self.rig.set_speed(value, rate=max(self._top_speed / 5.0, 1.0))
+        self.rig.set_speed(value, rate=max(self.ranges.speed / 5.0, 1.0))
         self._targets = {**self._targets, "speed": value}
 
     def pressure(self, said: Mapping[str, Any]) -> None:
         """Another seal pressure [Pa]."""
         value = number(said, "value")
-        self.rig.set_pressure(value, rate=max(self._top_pressure / 5.0, 1e3))
+        self.rig.set_pressure(value, rate=max(self.ranges.pressure / 5.0, 1e3))
         self._targets = {**self._targets, "pressure": value}
 
     def unbalance(self, said: Mapping[str, Any]) -> None:

@@ -1,6 +1,7 @@
 """A project is a folder of ordinary files: what the page does, the command line reads.
 
     machine.toml   controllers/*.json   records/*.h5   reports/*.html   code/*/   jobs/*/
+    plans/*.toml   campaign/   study/   retuning/
 
 Nothing is kept elsewhere. A name from a page is a slug and an ending that its kind knows; no name
 leads out of the folder, also not through a symbolic link.
@@ -23,6 +24,10 @@ KINDS: dict[str, tuple[str, ...]] = {
     "records": (".h5", ".csv", ".hdf5", ".mat", ".tdms", ".uff", ".unv", ".txt", ".toml"),
     "runs": (".h5",),
     "code": (".zip",),
+    "plans": (".toml",),
+    "campaign": (".html", ".csv", ".jsonl", ".nc"),
+    "study": (".html", ".json"),
+    "retuning": (".html", ".json", ".toml"),
     "reports": (".html", ".json"),
 }
 _SLUG = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import ipaddress
 import os
 import signal
 import socket
@@ -30,6 +29,7 @@ from ambrose.annexes.workbench.project import Project
 from ambrose.annexes.workbench.screens import TITLES
 from ambrose.annexes.workbench.viewers import THREAD, LiveRoom
 from ambrose.core.checks import AmbroseError, InvalidInput
+from ambrose.core.listening import names_of
 
 _TYPES = {
     ".html": "text/html; charset=utf-8",
@@ -106,9 +106,9 @@ def build(
 
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
-        desk.begin()
+        desk.process.begin()
         yield
-        desk.close()
+        desk.process.close()
         await asyncio.gather(jobs.close(), live.close())
 
     routes: list[Route | WebSocketRoute] = [
@@ -182,41 +182,6 @@ def _state(project: Project) -> dict[str, Any]:
         "screens": list(TITLES.items()),
         "files": {kind: project.names(kind) for kind in KINDS},
     }
-
-
-def listening(address: str, port: int) -> socket.socket:
-    """A socket that listens at an address of this computer. Raises InvalidInput."""
-    try:
-        place = ipaddress.ip_address(address)
-    except ValueError:
-        raise InvalidInput(
-            f"--listen is {address!r}, but must be an IP address of this computer, such as "
-            "192.168.0.10; look it up in its network settings"
-        ) from None
-    if place.is_unspecified:
-        raise InvalidInput(
-            f"--listen {address} means every network at once; give the address of the one that "
-            "may see the workbench"
-        )
-    family = socket.AF_INET6 if place.version == 6 else socket.AF_INET
-    listener = socket.socket(family, socket.SOCK_STREAM)
-    try:
-        listener.bind((address, port))
-        listener.listen(128)
-    except OSError as error:
-        listener.close()
-        raise InvalidInput(
-            f"cannot listen at {address}, port {port}: {error.strerror or error}; give another"
-        ) from error
-    return listener
-
-
-def names_of(listener: socket.socket) -> list[str]:
-    """ "address:port" by which a server at this socket is known; its own address first."""
-    address, port = listener.getsockname()[:2]
-    place = ipaddress.ip_address(address)
-    own = f"[{address}]:{port}" if place.version == 6 else f"{address}:{port}"
-    return [own, f"localhost:{port}"] if place.is_loopback else [own]
 
 
 def serve(project: Project, listener: socket.socket, announce: Callable[[str], None]) -> None:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ambrose.annexes.workbench.blocks import Block, field
 from ambrose.annexes.workbench.given import number
 from ambrose.machine.controller import PidSettings
-from ambrose.machine.setting_numbers import Number, expression, numbers_of, with_number
+from ambrose.machine.setting_numbers import numbers_of
 
 _DECADES = 1.0
-_SAME = 1e-9  # a slider that was not moved gives back its value to rounding
 # unit and factor of a kind of number
 _UNITS = {
     "gain": ("A/m", 1.0),
@@ -42,25 +41,6 @@ def fields_of(settings: PidSettings, axes: Sequence[str]) -> list[Block]:
     return found
 
 
-def _moved(settings: PidSettings, given: Mapping[str, Any]) -> Iterator[tuple[Number, float]]:
-    """What stands elsewhere than in the settings. Raises InvalidInput for what is no number."""
-    for item in numbers_of(settings):
-        new = number(given, item.name, item.value)
-        if not math.isclose(new, item.value, rel_tol=_SAME):
-            yield item, new
-
-
-def settings_with(settings: PidSettings, given: Mapping[str, Any]) -> PidSettings:
-    """The settings with what the sliders say. Raises InvalidInput."""
-    for item, new in _moved(settings, given):
-        settings = with_number(settings, item.place, new)
-    return settings
-
-
-def python_of(settings: PidSettings, given: Mapping[str, Any]) -> list[str]:
-    """Lines of Python that make the same settings from those of the machine file."""
-    lines = []
-    for item, new in _moved(settings, given):
-        lines.append(f"settings = {expression(settings, item.place, new, 'settings')}")
-        settings = with_number(settings, item.place, new)
-    return lines
+def values_of(settings: PidSettings, given: Mapping[str, Any]) -> dict[str, float]:
+    """Where the sliders stand. Raises InvalidInput for what is no number."""
+    return {item.name: number(given, item.name, item.value) for item in numbers_of(settings)}

@@ -27,6 +27,8 @@ TITLES: dict[str, str] = {
     "live": "Live rig",
     "acceptance": "Acceptance",
     "deploy": "Deploy",
+    "retuning": "Retuning",
+    "studies": "Studies",
     "jobs": "Jobs",
 }
 OWN = ("live", "jobs")

@@ -17,7 +17,7 @@ from ambrose.annexes.workbench.given import width, word
 from ambrose.annexes.workbench.jobs import CHOICES
 from ambrose.annexes.workbench.project import MACHINE, Project, slug
 from ambrose.annexes.workbench.screens import Screen
-from ambrose.annexes.workbench.sliders import fields_of, python_of, settings_with
+from ambrose.annexes.workbench.sliders import fields_of, values_of
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.controller_file import read_controller, write_controller
 from ambrose.judge.criteria import zone
@@ -31,6 +31,7 @@ from ambrose.machine.controller import PidSettings
 from ambrose.machine.criteria import SENSITIVITY
 from ambrose.machine.file.toml import loads_machine, read_machine_text
 from ambrose.machine.machine import Machine, require_magnets
+from ambrose.machine.setting_numbers import lines_of, with_numbers
 from ambrose.model.plant import Plant
 from ambrose.model.reduce import default_bending_modes, reduce
 from ambrose.report import tables, theme
@@ -60,6 +61,12 @@ def _bench(project: Project) -> tuple[Machine, tuple[Plant, ...]]:
 def _settings(machine: Machine) -> PidSettings:
     """Those of the machine file, or a PID to start from."""
     return machine.reference or first_settings(machine)
+
+
+def _turned(machine: Machine, given: Mapping[str, Any]) -> PidSettings:
+    """Those of the sliders."""
+    settings = _settings(machine)
+    return with_numbers(settings, values_of(settings, given))
 
 
 def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -100,7 +107,7 @@ def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
 def _look(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     """What the sliders do, beside the controllers that are compared."""
     machine, plants = _bench(project)
-    settings = settings_with(_settings(machine), given)
+    settings = _turned(machine, given)
     laws: dict[str, Law] = {_SLIDERS: law_of(pid_controller(settings, machine))}
     for name in _chosen(project, given):
         laws[name] = law_of(read_controller(project.path("controllers", name)))
@@ -202,7 +209,8 @@ def _same(machine: Machine, given: Mapping[str, Any], settings: PidSettings) -> 
         lines.append("settings = first_settings(machine)")
     else:
         lines.append("settings = machine.controller")
-    lines += python_of(_settings(machine), given)
+    before = _settings(machine)
+    lines += lines_of(before, values_of(before, given))
     lines.append("controller = pid_synthesis(amb.assemble(machine), settings)")
     lines.append("amb.verify(machine, controller, tolerances=False)")
     return blocks.same(f"ambrose synthesize {MACHINE} --method pid -o controllers/pid.json", *lines)
@@ -214,7 +222,7 @@ def _synthesis(project: Project, given: Mapping[str, Any]) -> tuple[Machine, Any
     from ambrose.synthesis.pid import pid_synthesis
 
     machine, _ = _bench(project)
-    settings = settings_with(_settings(machine), given)
+    settings = _turned(machine, given)
     return machine, pid_synthesis(assemble(machine), settings)
 
 
@@ -237,7 +245,7 @@ def _judge(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
 def _campbell(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     """The modes of the loop over speed, of the full plant."""
     machine, plants = _bench(project)
-    settings = settings_with(_settings(machine), given)
+    settings = _turned(machine, given)
     timing = machine_timing(replace(machine, controller=settings))
     law = running_law(pid_controller(settings, machine), plants[0], timing)
     frequencies, _ = campbell_map(plants[0], law, lambda stage: None)

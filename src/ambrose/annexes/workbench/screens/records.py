@@ -19,7 +19,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.machine.atomic_write import write_text
 from ambrose.machine.file.toml import load_machine
 from ambrose.machine.machine import Machine
-from ambrose.record.column_map import read_columns
+from ambrose.record.column_map import columns_in_words, read_columns
 from ambrose.record.files import read_record, write_record
 from ambrose.record.foreign import read_foreign
 from ambrose.report.record import record_page
@@ -125,16 +125,9 @@ def _map(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     path = project.path("records", given.get("source"))
     said = {key: text.strip() for key, text in texts(given, _FIELDS).items()}
     machine = load_machine(project.machine)
-    document: dict[str, Any] = {
-        "machine": machine.name,
-        "point": {"speed": said.get("speed", ""), "seal_pressure": said.get("pressure", "")},
-        "signal": [_signal(name, said) for name in _names(machine) if said.get(f"from.{name}")],
-    }
-    if said.get("rate"):
-        document["sample_rate_hz"] = _number(said["rate"])
-    if said.get("time"):
-        document["time"] = {"source": said["time"], "unit": said.get("time.unit", "s")}
+    names = [f"{kind}_{axis}" for kind in _KINDS for axis in machine.axes]
     try:
+        document = columns_in_words(machine.name, names, said)
         columns = read_columns(document, "the columns")
         record = read_foreign(path, columns)
     except InvalidInput as error:
@@ -145,27 +138,6 @@ def _map(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     write_record(record, target)
     told = f"records/{target.name} and records/{kept.name} are written."
     return {**show(project, {**given, "file": target.name}), "told": told}
-
-
-def _names(machine: Machine) -> list[str]:
-    return [f"{kind}_{axis}" for kind in _KINDS for axis in machine.axes]
-
-
-def _signal(name: str, said: Mapping[str, str]) -> dict[str, Any]:
-    factor, star, source = said[f"from.{name}"].partition("*")
-    known: dict[str, Any] = {"name": name, "source": (source if star else factor).strip()}
-    if star:
-        known["scale"] = _number(factor)
-    if unit := said.get(f"unit.{name}", ""):
-        known["unit"] = unit
-    return known
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise Refusal(f"{text[:40]!r} is no number; write it as 10000 or -1.5e-3") from None
 
 
 SCREEN = Screen(show, {"look": show, "map": _map})
