@@ -33,6 +33,7 @@ from ambrose.core.checks import (
 from ambrose.core.statespace import StateSpace, as_statespace, balance
 
 _CHUNK = 2_000_000  # numbers held for one batch of blocks: 16 MB, whatever the record length
+_DOUBLINGS = 6  # blocks of 64 samples of a free response
 _LIFTED = 8_000_000  # numbers allowed in the matrices of the lifted system: 64 MB
 _FINITE = (
     "the system is unstable over this record; shorten it, or stop at a limit as "
@@ -65,6 +66,35 @@ def simulate(
     u = check_shape(u, "u", "(m, k)", m=len(sampled.inputs)).astype(float)
     y, _ = _respond(sampled, u, _start(x0, sampled.n_states) / t)
     return y
+
+
+def pulses(system: StateSpace, amplitude: float, length: int, samples: int) -> np.ndarray:
+    """The outputs (m, p, k) of a sampled system that starts from rest, for a pulse on each of its m
+    inputs in turn: ``amplitude`` for ``length`` samples of all k = ``samples``.
+
+    Raises NumericalFailure when an unstable response overflows.
+    """
+    A, C = system.A, system.C
+    p, m = system.D.shape
+    # a column for each input
+    x = np.zeros((len(A), m))
+    y = np.empty((p, m, samples))
+    length = min(length, samples)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for i in range(length):
+            y[:, :, i] = C @ x + amplitude * system.D
+            x = A @ x + amplitude * system.B
+        # free from here on, a block at a time: [C; C A; ...; C A^(L - 1)] x, then A^L x
+        many, step = C, A
+        for _ in range(_DOUBLINGS):
+            many, step = np.vstack([many, many @ step]), step @ step
+        for first in range(length, samples, 2**_DOUBLINGS):
+            block = (many @ x).reshape(-1, p, m)[: samples - first]
+            y[:, :, first : first + len(block)] = block.transpose(1, 2, 0)
+            x = step @ x
+    if not np.isfinite(y).all():
+        raise NumericalFailure(f"the response overflows within {samples} samples: {_FINITE}")
+    return y.swapaxes(0, 1)
 
 
 def simulate_piecewise(

@@ -27,7 +27,7 @@ from ambrose.model.plant import Plant, top_speed
 
 _LOWEST = 0.5 * TWO_PI  # [rad/s]
 _PER_DECADE = 60  # points of the grid, beside those around the poles
-LARGEST = "largest of the axes"
+LARGEST, MOST = "largest of the axes", "axis that moves most"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,10 +68,10 @@ def glance(plant: Plant, given: LawLike, timing: Timing | None) -> Glance:
     poles = modes(closed, plant.ports).poles
     response = loop_evaluator(plant, law)(frequency_grid(poles, _LOWEST, highest, _PER_DECADE))
     curve = sensitivity_curve(response, requirements)
-    # the first row is the maximum singular value, the others are the axes
-    largest = replace(curve, y=curve.y[1:].max(axis=0)[None], labels=(LARGEST,))
+    largest = replace(curve, y=curve.y.max(axis=0)[None], labels=(LARGEST,))
     answer = pulse_response(closed, plant, longest=0.0)
     _, (moved, _) = pulse_checks(answer, plant, requirements)
     most = int(np.abs(moved.y).max(axis=1).argmax())
-    one = replace(moved, y=moved.y[most][None], labels=(moved.labels[most],))
+    # one name at every point, whichever axis it is, so that all stand in one picture
+    one = replace(moved, y=moved.y[most][None], labels=(MOST,))
     return Glance(stability, largest, response.omega, opened_loops(response, "output"), one)

@@ -118,10 +118,9 @@ def sensitivity_checks(
 
 
 def sensitivity_curve(response: LoopResponse, requirements: Requirements) -> Curve:
-    """The output sensitivity alone, the maximum singular value first, with its limits."""
-    quantity = _QUANTITIES[0]
-    labels = ("max", *response.axes)
-    return _curve(quantity, response, quantity.rows(response), labels, requirements)
+    """The output sensitivity of every axis alone, with its limits."""
+    rows = np.abs(np.einsum("wii->iw", response.output_sensitivity()))
+    return _curve(_QUANTITIES[0], response, rows, response.axes, requirements)
 
 
 def _roll_off(
@@ -178,7 +177,7 @@ def _curve(
     elif (wanted := demand(quantity.max_rule, requirements).limit) is not None:
         limits = (("required", wanted),)
     title = quantity.title[0].upper() + quantity.title[1:]
-    labels = ("maximum singular value", *labels[1:])
+    labels = tuple("maximum singular value" if label == "max" else label for label in labels)
     return Curve(
         quantity.name,
         title,

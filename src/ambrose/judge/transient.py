@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ambrose.core.response import simulate
+from ambrose.core.response import pulses
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
 from ambrose.judge.checks import Check, Curve
@@ -81,12 +81,8 @@ def pulse_response(
     while True:
         samples = int(np.ceil((record + pulse.duration) / dt))
         pulse_samples = max(1, round(pulse.duration / dt))
-        responses = []
-        for k in range(len(axes)):
-            u = np.zeros((len(axes), samples))
-            u[k, :pulse_samples] = pulse.amplitude
-            responses.append(simulate(sampled, u).reshape(3, len(axes), samples))
-        stacked = np.stack(responses)
+        answers = pulses(sampled, pulse.amplitude, pulse_samples, samples)
+        stacked = answers.reshape(len(axes), 3, len(axes), samples)
         response = PulseResponse(
             np.arange(samples) * dt, stacked[:, 0], stacked[:, 1], stacked[:, 2], pulse
         )

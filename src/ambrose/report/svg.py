@@ -38,7 +38,8 @@ _VARIABLES = {
 _LETTER = 0.55  # mean width of a letter over its height
 _WIDE_LETTER = 0.58  # of words that may not be cut off
 _ROW = 18  # [px] of the legend
-_MANY = 2000  # points of a line that are thinned before they are drawn
+_SOME = 100  # points of a line that goes to and fro; from here on they are thinned
+_MANY = 2000  # points of a line over x; from here on they are thinned before they are drawn
 _TICK = 12  # [px], height of the numbers at the axes
 
 
@@ -244,7 +245,7 @@ class _Drawing:
             around = [*ys, base, base]
             yield _line([*xs, xs[-1], xs[0]], around, {"width": 0}, str(trace.get("fillcolor")))
         if "lines" in mode:
-            if not trace.get("fill"):
+            if mode == "lines" and not trace.get("fill"):
                 xs, ys = _thinned(xs, ys)
             filled = trace.get("fill") == "toself"
             fill = str(trace.get("fillcolor") or "none") if filled else "none"
@@ -359,26 +360,35 @@ def _paint(colour: str) -> str:
 def _line(xs: Any, ys: Any, line: dict[str, Any], fill: str = "none") -> str:
     """A path through points (n,); it is broken where one is not finite."""
     width = line.get("width", 1.5)
-    parts = []
-    pen = "M"
-    points = np.clip(np.stack([xs, ys], axis=1).astype(float), -1e5, 1e5).tolist()
-    for x, y in points:
-        if not (math.isfinite(x) and math.isfinite(y)):
-            pen = "M"
-            continue
-        parts.append(f"{pen}{x:.1f} {y:.1f}")
-        pen = "L"
+    points = np.clip(np.stack([xs, ys], axis=1).astype(float), -1e5, 1e5)
+    drawn = np.isfinite(points).all(axis=1)
+    begins = drawn.copy()
+    begins[1:] &= ~drawn[:-1]
+    pens = np.where(begins, "M", "L")[drawn].tolist()
+    # a path of hundreds of points, many times a second: one format for all of it
+    numbers = points[drawn].ravel().tolist()
+    words = "".join(f"{pen}%.1f %.1f" for pen in pens) % tuple(numbers)
     stroke = _paint(str(line.get("color") or theme.INK)) if width else "none"
     dash = _dash(str(line.get("dash") or "solid"))
     return (
-        f'<path d="{"".join(parts)}" fill="{_paint(fill)}" stroke="{stroke}" '
+        f'<path d="{words}" fill="{_paint(fill)}" stroke="{stroke}" '
         f'stroke-width="{float(width):g}"{dash}/>'
     )
 
 
 def _thinned(xs: np.ndarray, ys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A line over ascending x with at most the lowest and the highest point of every pixel."""
-    if len(xs) < _MANY or not (np.diff(xs) >= 0).all() or not np.isfinite(ys).all():
+    """A line over ascending x with at most the lowest and the highest point of every pixel; another
+    one with no points that are nearer together than a pixel.
+    """
+    if len(xs) < _SOME:
+        return xs, ys
+    if not (np.diff(xs) >= 0).all():
+        steps = np.hypot(np.diff(xs), np.diff(ys))
+        way = np.cumsum(np.where(steps < 9.0, steps, 9.0))  # also into and out of what is not drawn
+        kept = np.diff(np.floor(way), prepend=[-1.0, 0.0]) > 0
+        kept[-1] = True
+        return xs[kept], ys[kept]
+    if len(xs) < _MANY or not np.isfinite(ys).all():
         return xs, ys
     starts = np.flatnonzero(np.diff(np.floor(xs), prepend=-np.inf))
     low, high = np.minimum.reduceat(ys, starts), np.maximum.reduceat(ys, starts)

@@ -9,9 +9,10 @@ title or none. Words are words: the page never reads them as markup. A picture i
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ambrose.report.page import Cell, Table
+if TYPE_CHECKING:
+    from ambrose.report.page import Cell, Table
 
 Block = dict[str, Any]
 
@@ -123,6 +124,8 @@ def job(text: str, kind: str) -> Block:
 
 def rows_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
     """A table of the reports from rows of words and cells."""
+    from ambrose.report.page import Table  # with all that reports need, which the server does not
+
     return Table(title, tuple(columns), tuple(tuple(row) for row in rows))
 
 

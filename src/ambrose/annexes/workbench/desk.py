@@ -15,6 +15,7 @@ from ambrose.core.answering import Answering, Unanswered
 from ambrose.core.checks import AmbroseError
 
 _LONGEST = 60.0  # [s] of an answer
+_FIRST = 0.7  # [s] that the first page has the processors for itself
 _Question = tuple[str, str, Mapping[str, Any]]  # screen, action, what the page gives
 _Told = tuple[bool, dict[str, Any]]  # whether it was refused, and what the page is told
 
@@ -25,6 +26,12 @@ class Desk:
     def __init__(self, project: Project, longest: float = _LONGEST) -> None:
         self.process = Answering(_screens, str(project.root), longest=longest)
         self._turn = asyncio.Lock()
+
+    async def begin(self) -> None:
+        """The process starts, a moment after the server, unless it was asked before."""
+        await asyncio.sleep(_FIRST)
+        async with self._turn:
+            await asyncio.to_thread(self.process.begin)
 
     async def ask(self, screen: str, action: str, given: Mapping[str, Any]) -> dict[str, Any]:
         """What a screen shows, or what an action made of it. Raises Refusal."""

@@ -106,8 +106,9 @@ def build(
 
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
-        desk.process.begin()
+        beginning = asyncio.create_task(desk.begin())
         yield
+        beginning.cancel()
         desk.process.close()
         await asyncio.gather(jobs.close(), live.close())
 
@@ -199,8 +200,8 @@ def serve(project: Project, listener: socket.socket, announce: Callable[[str], N
         server_header=False,
         ws_max_size=_MESSAGE,
         ws_per_message_deflate=False,
-        ws_ping_interval=5.0,
-        ws_ping_timeout=5.0,
+        ws_ping_interval=10.0,
+        ws_ping_timeout=30.0,  # a rig that is compiled leaves little time for answers
         timeout_graceful_shutdown=_PATIENCE,
         lifespan="on",
     )

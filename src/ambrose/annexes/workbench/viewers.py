@@ -77,6 +77,7 @@ class LiveRoom:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix=THREAD)
         self._drive: asyncio.Task[None] | None = None
         self._building = asyncio.Lock()
+        self._starting = False
 
     async def join(self, socket: WebSocket) -> None:
         """A page looks on until it leaves."""
@@ -85,6 +86,8 @@ class LiveRoom:
         self._viewers.append(viewer)
         sender = asyncio.create_task(viewer.send_frames())
         try:
+            if self._starting:
+                await viewer.tell(building=True)
             if self._session is not None:
                 await viewer.tell(**await self._in_thread(self._described))
             else:
@@ -144,6 +147,7 @@ class LiveRoom:
         """A new rig in place of the one that was there, or the reason why there is none."""
         await self._stop_driving()
         await self._tell_all(building=True)
+        self._starting = True
         controller, initial = message.get("controller", ""), message.get("initial", "levitated")
         try:
             self._session = await self._in_thread(
@@ -157,6 +161,8 @@ class LiveRoom:
             for viewer in self._viewers:
                 viewer.forget()
             await self._tell_all(**described)
+        finally:
+            self._starting = False
         self._ensure_driven()
 
     def _described(self) -> dict[str, Any]:

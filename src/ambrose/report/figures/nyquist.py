@@ -11,6 +11,7 @@ from ambrose.report import theme
 
 _HEIGHT = 320  # [px]
 _VIEW = ((-3.2, 1.2), (-1.8, 1.8))
+_NEAR = 6.0  # from zero, beyond which nothing is seen
 
 
 def nyquist_figure(loci: Sequence[tuple[str, np.ndarray]], peak: float | None = None) -> Any:
@@ -25,8 +26,12 @@ def nyquist_figure(loci: Sequence[tuple[str, np.ndarray]], peak: float | None = 
     style = theme.styles([label for label, _ in loci])
     for label, values in loci:
         for i in range(values.shape[1]):
-            # what lies far outside the view is no part of the picture
-            L = np.where(np.abs(values[:, i]) < 50, values[:, i], np.nan)
+            # what lies outside the view, and so do the points around it, is no part of the picture
+            inside = np.abs(values[:, i]) < _NEAR
+            near = inside.copy()
+            near[1:] |= inside[:-1]
+            near[:-1] |= inside[1:]
+            L = np.where(near, values[:, i], np.nan)
             theme.scatter(
                 figure, place, L.real, L.imag, label, shown=i == 0, line=style[label].line
             )
