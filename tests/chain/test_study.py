@@ -16,6 +16,7 @@ from click.testing import CliRunner
 
 from ambrose import bundled_machines, load_machine
 from ambrose.chain import study as workflow
+from ambrose.chain.recorded_under import Reference
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import static_gain
@@ -37,6 +38,9 @@ def stubs(monkeypatch):
         write_controller(path, LAW)
         return LAW
 
+    def refused(*rest):
+        raise InvalidInput("commissioning has tests of its own")
+
     made = {
         "full_plants": lambda machine: (plant,),
         "reduce": lambda plant: plant,
@@ -47,6 +51,8 @@ def stubs(monkeypatch):
         "evaluate": lambda name, law, plants, progress: Candidate(
             name, law, (Checks("p", True, ()),)
         ),
+        "commission": refused,
+        "reference": lambda plant, candidates, waiting=(): Reference(candidates[0]),
         "campbell_map": lambda *rest: (),
         "run_ups": lambda *rest: (),
         "write_report": lambda result, path: write_text(path, "report", "report"),
@@ -160,6 +166,16 @@ def test_a_study_that_fails_in_a_late_stage_keeps_its_report(stubs, tmp_path, st
     result = run(tmp_path)
     assert any(str(error) in why for _, why in result.failed)
     assert {"checks.json", "report.html"} <= set(names(tmp_path)) and result.best.name == "PID"
+
+
+def test_a_study_that_commissions_nothing_says_so(stubs, tmp_path):
+    """It ended with status 0 where a controller met every check."""
+    why = "nothing to record: PID does not hold the machine; state [controller] sample_time"
+    stubs.setattr(workflow, "reference", lambda *rest: Reference(None, why))
+    assert run(tmp_path / "api").passed and "report.html" in names(tmp_path / "api")
+    done = CliRunner().invoke(main, ["study", "seal-rig", "-o", str(tmp_path / "cli")])
+    assert done.exit_code == 1
+    assert f"Commissioning was not done: {why}" in " ".join(done.stdout.split())
 
 
 def test_a_controller_that_cannot_be_judged_leaves_the_others_their_report(stubs, tmp_path):

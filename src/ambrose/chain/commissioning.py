@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.chain.control import resume_or_design
+from ambrose.chain.recorded_under import as_recorded
 from ambrose.chain.stages import Stage, walk
 from ambrose.code.block.fixed import build_block
 from ambrose.code.c.code import write_code
@@ -28,7 +29,7 @@ from ambrose.identification.pipeline import identify
 from ambrose.identification.result import LoopIdentification, Provenance
 from ambrose.judge.controller_file import read_controller
 from ambrose.judge.plants import Progress, full_plants
-from ambrose.judge.result import Status, Synthesis
+from ambrose.judge.result import Synthesis
 from ambrose.law.design_problem import design_tolerances
 from ambrose.law.law import LawLike
 from ambrose.law.timing import DEFAULT, Timing, machine_timing
@@ -58,7 +59,7 @@ class Commissioning:
     run-up, top pressure and trip back to rest, run by the code; deployment: the sampled loop as
     designed; files: the code; apart: largest difference between the law of the running code and the
     design's, relative to the largest entry (None: the law in Python ran, for want of a C compiler,
-    or because it is not one sample late).
+    or because it is not one sample late); chosen: why this reference and not the PID, in words.
     """
 
     identification: LoopIdentification
@@ -68,6 +69,7 @@ class Commissioning:
     deployment: Deployment
     files: tuple[Path, ...]
     apart: float | None
+    chosen: str = ""
 
     @property
     def machine(self) -> Machine:
@@ -83,6 +85,7 @@ class Commissioning:
     def in_words(self) -> tuple[tuple[str, str], ...]:
         """(what, words) about the sampled controller and its code."""
         deployed = self.deployment
+        under = self.chosen or f"the {methods()[self.reference.method].title}"
         rate = 1 / deployed.controller.dt if deployed.controller.dt else float("nan")
         rows = [
             (
@@ -120,11 +123,12 @@ class Commissioning:
         rows.append(
             ("From rest through run-up, top pressure and trip back to rest", self.cycle.text)
         )
-        return tuple(rows)
+        return (("Record taken under", under), *rows)
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready data: the identification, the sampled loop, what ran on the rig."""
         return {
+            "reference": {"method": self.reference.method, "chosen": self.chosen},
             "identification": self.identification.to_dict(),
             "sampled": [
                 checks.to_dict() for checks in (*self.deployment.checks, *self.deployment.box)
@@ -141,20 +145,28 @@ class Commissioning:
 
 
 def commission(
-    plants: tuple[Plant, ...], reference: Synthesis, directory: Path, progress: Progress
+    plants: tuple[Plant, ...],
+    reference: Synthesis,
+    directory: Path,
+    progress: Progress,
+    chosen: str = "",
 ) -> Commissioning:
     """Everything under ``directory``: record.h5, identified.toml, identified.html, controller.json
     and the code.
 
     plants: of the machine that stands for the real one, the nominal first; reference: the
-    controller that holds it. Raises InvalidInput where the reference controller does not hold the
-    nominal plant or the machine lacks what a robust design needs, and what the stages raise.
+    controller that holds it; chosen: why this one, in words. Raises InvalidInput where the
+    reference controller does not hold the nominal plant as its loop is recorded or the machine
+    lacks what a robust design needs, and what the stages raise.
     """
-    if reference.status is not Status.VERIFIED:
+    held = as_recorded(plants[0], reference)
+    if not held.stable:
         raise InvalidInput(
-            "the reference controller does not hold the nominal plant, so there is nothing to "
-            "record"
+            f"the reference controller does not hold the nominal plant, {held.timing} "
+            f"({held.abscissa:+.3g} 1/s), so there is nothing to record; give one that does"
         )
+    if chosen:
+        progress(chosen)
     make_folder(directory)
     if problem := compiler_problem():
         progress(f"the code will be written, but its law runs in Python: {problem}")
@@ -178,6 +190,7 @@ def commission(
         deployment,
         files,
         results["law"][1],
+        chosen,
     )
 
 

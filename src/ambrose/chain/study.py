@@ -19,6 +19,7 @@ from typing import Any
 from ambrose.chain.beside import beside
 from ambrose.chain.commissioning import NAME, Commissioning, commission
 from ambrose.chain.control import resume_or_design
+from ambrose.chain.recorded_under import FIRST, Reference, reference
 from ambrose.chain.stages import FAILURES, Stage, walk
 from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.core.memory import remembering
@@ -26,7 +27,6 @@ from ambrose.core.presentation import Presented, data_frame, to_plain
 from ambrose.core.processes import can_start_processes, processors
 from ambrose.judge.checks import Curve, check_columns
 from ambrose.judge.plants import Progress, campbell_map, full_plants, plant_gain
-from ambrose.judge.result import Status, Synthesis
 from ambrose.machine.atomic_write import make_folder, set_aside, write_json
 from ambrose.machine.axial import AxialMachine, in_file
 from ambrose.machine.claim import claimed
@@ -39,8 +39,6 @@ from ambrose.rig.candidate import Candidate, check_trials, evaluate, points_of, 
 from ambrose.rig.trial import RunUp
 from ambrose.synthesis.design import methods_for
 from ambrose.synthesis.methods.choice import methods
-
-_SITE = "pid"  # the method of the controller that a machine on site runs under
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -233,13 +231,18 @@ class Designs:
 def _commissioning(
     plants: tuple[Plant, ...], designs: Designs, directory: Path, progress: Progress
 ) -> Commissioning:
-    """What commissioning gave on the rig, under the controller that is taken for the site's."""
-    reference, done = _reference(designs.candidates), designs.commissioning
+    """What commissioning gave on the rig, under a controller that holds the machine there."""
+    under, done = reference(plants[0], designs.candidates), designs.commissioning
     if isinstance(done, Exception):
         raise done
+    assert under is not None  # nothing is waited for
+    if under.candidate is None:
+        raise InvalidInput(under.words)
+    law = under.candidate.synthesis
     if done is not None:
-        return replace(done, reference=reference)
-    return commission(plants, reference, directory / "commissioned", progress)
+        return replace(done, reference=law)
+    folder = directory / "commissioned"
+    return commission(plants, law, folder, _prefixed(NAME, progress), under.words)
 
 
 def _all_candidates(designs: Designs, done: Commissioning | None) -> tuple[Candidate, ...]:
@@ -302,14 +305,15 @@ def _side_by_side(
     progress: Progress,
 ) -> tuple[dict[str, Candidate | str], Commissioning | Exception | None]:
     """``_group_made`` of all groups in so many processes, and commissioning among them as soon as
-    the controller is there that it takes in any case: the PID, where that holds.
+    the controller is there that it takes in any case: mostly the PID.
 
     Raises what a group raises, and BrokenProcessPool where a process dies.
     """
     made: dict[str, Candidate | str] = {}
     meanwhile: Commissioning | Exception | None = None
     # the PID soon: commissioning waits for it
-    waiting = sorted(groups, key=lambda group: (len(group) < 2, group != (_SITE,)))
+    waiting = sorted(groups, key=lambda group: (len(group) < 2, group != FIRST[:1]))
+    names = study_methods(plants[0])
     with beside(workers, progress) as work:
         under_way: set[Future[Any]] = set()
         commissioned: Future[Any] | None = None
@@ -322,10 +326,15 @@ def _side_by_side(
                     meanwhile = future.result()
                     continue
                 made |= future.result()
-                site = made.get(_SITE)
-                if commissioned is None and isinstance(site, Candidate) and _holds(site):
+                if commissioned is not None:
+                    continue
+                done = [made[name] for name in names if name in made]
+                candidates = [item for item in done if isinstance(item, Candidate)]
+                missing = [name for name in names if name not in made]
+                under = reference(plants[0], candidates, missing)
+                if under is not None and under.candidate is not None:
                     folder = directory / "commissioned"
-                    commissioned = work.start(_commissioned, plants, site.synthesis, folder)
+                    commissioned = work.start(_commissioned, plants, under, folder)
                     under_way.add(commissioned)
     return made, meanwhile
 
@@ -352,30 +361,14 @@ def _group_made(
 
 
 def _commissioned(
-    plants: tuple[Plant, ...], reference: Synthesis, directory: Path, progress: Progress
+    plants: tuple[Plant, ...], under: Reference, directory: Path, progress: Progress
 ) -> Commissioning | Exception:
+    assert under.candidate is not None
+    law, words = under.candidate.synthesis, under.words
     try:
-        return commission(plants, reference, directory, _prefixed(NAME, progress))
+        return commission(plants, law, directory, _prefixed(NAME, progress), words)
     except FAILURES as error:
         return error
-
-
-def _holds(candidate: Candidate) -> bool:
-    return candidate.synthesis.status is Status.VERIFIED
-
-
-def _reference(candidates: Sequence[Candidate]) -> Synthesis:
-    """Under which controller the machine is identified: the PID as on site, or else the first,
-    where it holds no point.
-    """
-    order = sorted(
-        candidates,
-        key=lambda item: (
-            not _holds(item),
-            item.synthesis.method != _SITE,
-        ),
-    )
-    return order[0].synthesis
 
 
 def _prefixed(name: str, progress: Progress) -> Progress:

@@ -33,13 +33,14 @@ from ambrose.terminal import (
 @AS_JSON
 def study_command(machine: str, output: Path | None, everything: bool, as_json: bool) -> None:
     """The whole chain: every controller the machine file allows, verified, simulated and compared
-    in report.html.
+    in report.html; exit status 1 where none meets every check or commissioning was not done.
     """
     from ambrose.chain.study import study
     from ambrose.core.checks import InvalidInput
     from ambrose.machine.ordinary_file import file_name
     from ambrose.report.comparison.envelope import decision
     from ambrose.report.tables import verdict
+    from ambrose.synthesis.methods.choice import methods
 
     description = load(machine)
     directory = output or Path(f"study-{file_name(description.name)}")
@@ -49,7 +50,10 @@ def study_command(machine: str, output: Path | None, everything: bool, as_json: 
     if as_json:
         say_json({**result.to_dict(), "report": report and str(report)})
     else:
-        rows = [(name, "design", why) for name, why in result.failed]
+        titles = {method.title for method in methods().values()}
+        rows = [
+            (name, "design" if name in titles else "not done", why) for name, why in result.failed
+        ]
         marks = ["red"] * len(rows)
         along = () if result.axial is None else result.axial.candidates
         for candidate in (*result.candidates, *along):
@@ -71,8 +75,10 @@ def study_command(machine: str, output: Path | None, everything: bool, as_json: 
             marks,
         )
         say(decision(result.candidates).text + (f" Report: {report}" if report else ""))
+        if result.commissioned is None:
+            say(f"Commissioning was not done: {dict(result.failed)['commissioning']}")
         if result.axial is not None:
             say(f"Along the shaft: {decision(along).text} Report: {directory / 'axial'}")
     if result.unwritten:
         raise InvalidInput("; ".join(result.unwritten))
-    sys.exit(0 if result.passed else 1)
+    sys.exit(0 if result.passed and result.commissioned is not None else 1)
