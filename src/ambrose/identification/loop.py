@@ -25,6 +25,8 @@ from ambrose.identification.output_error.problem import (
 )
 from ambrose.identification.parameters import COVERAGE, magnet_paths, plant_at, split_timing
 from ambrose.identification.result import LoopIdentification
+from ambrose.identification.validation.file_priors import fit_with_priors
+from ambrose.identification.validation.file_priors import words as priors_in_words
 from ambrose.identification.validation.plausibility import delay_findings, diagnose_result
 from ambrose.identification.validation.repeatability import of_estimates
 from ambrose.identification.validation.rotor_place import standing
@@ -51,6 +53,7 @@ def identify_loop(
     start: Mapping[str, float] | None = None,
     repeats: bool = False,
     others: Sequence[Record] = (),
+    along: bool = False,
     progress: Progress = lambda stage: None,
     options: FitOptions | None = None,
 ) -> LoopIdentification:
@@ -59,7 +62,9 @@ def identify_loop(
 
     unknown: none means usual_unknowns. repeats: the records repeat one experiment; each is
     identified alone, too, and a standard deviation below what their scatter allows for is widened
-    to it. others: records that are checked with these, as further numbers, and not fitted. Raises
+    to it. others: records that are checked with these, as further numbers, and not fitted. along:
+    where nothing but the residuals speaks against the result, the machine file's own numbers are
+    found along, if that explains them (validation/file_priors.py). Raises
     InvalidInput with every error that was found, each with its evidence and remedy.
     """
     options = options or FitOptions()
@@ -162,8 +167,21 @@ def identify_loop(
         suspected = suspects(machine, records, controller, result, options)
     checks += tuple(explained(item, suspected) for item in doubts)
     refuse(checks)
+    fitted, words = result, ""
     if result.converged and method == "closed-loop":
         result = judged(result, suspected, records[0].dt)
+    if along and method == "closed-loop" and not (result.adequate or checks or repeats):
+        progress("finding the machine file's own numbers along")
+        further = fit_with_priors(machine, records, controller, fitted, options)
+        if further is not None:
+            tried, estimate = further
+            estimate = judged(
+                estimate, suspects(machine, records, controller, estimate, options), records[0].dt
+            )
+            simulated = simulate_outputs(tried, records, estimate.values)
+            if not estimate.warnings and not diagnose_result(machine, estimate, simulated):
+                result, outputs = estimate, simulated
+                words = priors_in_words(result, len(fitted.paths))
     if not result.adequate and not any(finding.code == Code.OTHER_DELAY for finding in checks):
         # what was taken out went by the wrong one
         checks += _other_delay(machine, measured, controller, result, options)
@@ -181,6 +199,7 @@ def identify_loop(
         residual=residual,
         magnets=magnets,
         standing=stood,
+        found_along=words,
         **setup,
     )
     if measured_delay is not None:

@@ -118,7 +118,8 @@ def identify(
         law = law_of(controller, functions=False)
         how = loop.fit_options(law.delay_samples)
         # delays and "bending" alone: beside what is usual
-        if all("." not in path or path in TIMING for path in unknown):
+        usual = all("." not in path or path in TIMING for path in unknown)
+        if usual:
             unknown = (*usual_unknowns(machine, measured), *unknown)
             progress(
                 "unknown: "
@@ -156,6 +157,7 @@ def identify(
                 method=loop.method,
                 start=start,
                 repeats=repeats,
+                along=usual,
                 progress=progress,
                 options=how,
             )

@@ -226,7 +226,8 @@ class LoopIdentification(Identification):
     as in ``result``, where they were asked for. magnets: the nonlinearity that was taken out of the
     records beforehand (None: it was not certain, or the method another). seen_delay [samples]: of u
     behind the controller, taken as known although it was asked for. standing: where the rotor stood
-    off the sensors' zero, to which the values are carried (None: it stood there).
+    off the sensors' zero, to which the values are carried (None: it stood there). found_along: what
+    numbers of the machine file were found along, in words.
     """
 
     result: ParameterEstimate
@@ -239,6 +240,7 @@ class LoopIdentification(Identification):
     magnets: MagneticForce | None = None
     seen_delay: int | None = None
     standing: Standing | None = None
+    found_along: str = ""
 
     @property
     def method(self) -> str:
@@ -253,6 +255,8 @@ class LoopIdentification(Identification):
         at_zero = {} if self.standing is None else self.standing.currents
         records = [output.record for output in self.outputs]
         remarks = load_remarks(self.given, records, loads, at_zero)
+        if self.found_along:
+            remarks = (self.found_along, *remarks)
         if self.standing is not None and self.standing.words:
             remarks = (self.standing.words, *remarks)
         if self.seen_delay is not None:

@@ -282,7 +282,7 @@ def fit_samples(experiment: Experiment, begin: np.ndarray) -> ParameterEstimate:
     count = sum(len(signals) * len(task.e) for task in tasks)
     for number, (task, part) in enumerate(zip(tasks, minimum.parts, strict=True), 1):
         loop, directions = loops[task.place]
-        names = [_names(models[task.place], mix) for mix in task.mix.T]
+        names = [excitation_names(models[task.place], mix) for mix in task.mix.T]
         scores = residual_scores(loop, task, part, names, signals, count)
         coloured = coloured_products(
             jacobian_pieces(loop, directions, task, part), scores.covariance
@@ -436,7 +436,7 @@ def _estimate(
     )
 
 
-def _names(model: ParametricModel, mix: np.ndarray) -> str:
+def excitation_names(model: ParametricModel, mix: np.ndarray) -> str:
     """The excitations that a distinct signal drives: "e_A_zeta", or "e_A_zeta, -e_B_zeta"."""
     return ", ".join(
         ("-" if sign < 0 else "") + name

@@ -53,7 +53,7 @@ _NOT_THESE = (  # what is left once every suspect was tried in vain
 )
 BENDING_MODES = "bending modes"
 # of a number that the machine file gives and the fit takes, one standard deviation; assumed
-_FILE = 0.03
+FILE = 0.03
 _FURTHER = 3  # bending modes beyond those modelled, which are tried
 _SEEN = 0.3  # standard deviations of a value, below which the modes beyond are left alone
 _MODES = 2  # bending modes that may be wrong; assumed: those beyond hardly show
@@ -159,8 +159,10 @@ def _truncation(
             )
         except AmbroseError:
             return None
-        H, g, cost = _equations(experiment, result.values)[:3]
+        H, g, cost = equations_at(experiment, result.values)[:3]
         size = np.sqrt(np.diag(H))
+        if not (size > 0).all():  # a model of so many modes shows nothing of a parameter
+            return None
         step = np.linalg.solve(H / size / size[:, None], g / size) / size
         costs.append(cost - float(g @ step))
     if not np.any(np.abs(step) > _SEEN * result.standard_deviations):
@@ -257,7 +259,24 @@ def _sized(item: Suspect) -> str:
     )
 
 
+def file_numbers(machine: Machine, paths: Sequence[str]) -> list[str]:
+    """The paths of the numbers that the machine file states and a fit of ``paths`` takes as they
+    are.
+    """
+    return [path for path in _parts(machine) if not _known(path, paths)]
+
+
 def _others(machine: Machine, bending_modes: int) -> list[str]:
+    paths = _parts(machine)
+    if isinstance(machine, AxialMachine):
+        return paths
+    modes = range(1, 1 + min(_MODES, bending_modes, bending_modes_of_mesh(machine)))
+    return paths + [
+        f"rotor.{BENDING}{k}.{quantity}" for k in modes for quantity in ("frequency", "damping")
+    ]
+
+
+def _parts(machine: Machine) -> list[str]:
     paths = [f"amplifier.{name}" for name in AMPLIFIER_PARAMETERS[machine.amplifier.order]]
     paths += magnet_paths(machine)
     paths += [
@@ -266,13 +285,7 @@ def _others(machine: Machine, bending_modes: int) -> list[str]:
         for axis in ("zeta", "eta")
     ]
     plain = [item for item in machine.seals if item.geometry is None and item.table is None]
-    paths += [f"seal.{item.name}.{letter}" for item in plain for letter in "kKC"]
-    if isinstance(machine, AxialMachine):
-        return paths
-    modes = range(1, 1 + min(_MODES, bending_modes, bending_modes_of_mesh(machine)))
-    return paths + [
-        f"rotor.{BENDING}{k}.{quantity}" for k in modes for quantity in ("frequency", "damping")
-    ]
+    return paths + [f"seal.{item.name}.{letter}" for item in plain for letter in "kKCc"]
 
 
 def _known(path: str, paths: Sequence[str]) -> bool:
@@ -284,7 +297,7 @@ def _known(path: str, paths: Sequence[str]) -> bool:
     )
 
 
-def _equations(
+def equations_at(
     experiment: Experiment,
     theta: np.ndarray,
     coloured: bool = False,
@@ -321,7 +334,7 @@ def _scores(experiment: Experiment, result: ParameterEstimate) -> list[Suspect]:
         [experiment.paths.index(path) for path in result.paths],
     )
     theta[positions] = result.values
-    H, g, cost, middle = _equations(experiment, theta, coloured=True)
+    H, g, cost, middle = equations_at(experiment, theta, coloured=True)
     scores = []
     for c, path in enumerate(experiment.paths):
         if c in positions:
@@ -333,7 +346,7 @@ def _scores(experiment: Experiment, result: ParameterEstimate) -> list[Suspect]:
             if path.startswith("rotor.") and path.endswith("damping")
             else _OWN
         ) * max(experiment.scale[c], abs(theta[c]))
-        held = 0.0 if path in TIMING or path.startswith("rotor.") else _FILE * abs(theta[c])
+        held = 0.0 if path in TIMING or path.startswith("rotor.") else FILE * abs(theta[c])
         what = Fault(path, "", np.inf, most)
         scores.append(_score(H, g, cost, middle, positions, c, what, held))
     return [item for item in scores if item is not None]
@@ -363,7 +376,7 @@ def _faults(
         for model in models
     ]
     loops = [(item.loop, item.directions) for item in tried]
-    H, g, cost, middle = _equations(experiment, result.values, coloured=True, loops=loops)
+    H, g, cost, middle = equations_at(experiment, result.values, coloured=True, loops=loops)
     scores = [
         _score(H, g, cost, middle, list(range(q)), c, one)
         for c, one in enumerate(tried[0].faults, q)
@@ -397,9 +410,12 @@ def _score(
     spread = float(weights @ middle[np.ix_([*positions, c], [*positions, c])] @ weights)
     step, score = slope / max(left, 1e-9), abs(slope) / np.sqrt(max(spread, 1e-300))
     if held and (score <= _CERTAIN or left <= 1e-9):
-        # known by the file to ``held``, by the records to sqrt(spread) / left: both together
-        known = 1 / np.hypot(1 / (held * size[c]), left / np.sqrt(max(spread, 1e-300)))
-        moved = -x * known / size[positions]
+        # known by the file to ``held``, by the records to sqrt(spread) / left: both together, about
+        # a middle that leaves the file's number by the records' part of the step
+        by_file, by_records = 1 / (held * size[c]), left / np.sqrt(max(spread, 1e-300))
+        known = 1 / np.hypot(by_file, by_records)
+        middle_off = step * (known * by_records) ** 2
+        moved = -x * np.hypot(known, middle_off) / size[positions]
         return Suspect(what.name, known / size[c], float(score), 0.0, moved, held=True)
     if score <= _CERTAIN or abs(step) / size[c] >= what.most:
         return None
