@@ -16,7 +16,10 @@ from ambrose.annexes.workbench.server import build
 from ambrose.annexes.workbench.viewers import _Viewer
 from ambrose.core.checks import InvalidInput
 from ambrose.core.listening import listening, names_of
+from ambrose.judge.controller_file import write_controller
+from ambrose.model.assemble import assemble
 from ambrose.record.files import read_record
+from ambrose.synthesis.design import design
 from asgi_client import HOST, Client
 
 
@@ -188,3 +191,22 @@ def test_loopback_goes_by_two_names():
     with listening("127.0.0.1", 0) as listener:
         port = listener.getsockname()[1]
         assert names_of(listener) == [f"127.0.0.1:{port}", f"localhost:{port}"]
+
+
+@pytest.mark.campaign
+def test_a_pid_that_does_not_hold_the_rig_is_not_the_first_controller(tmp_path, monkeypatch):
+    """The turboexpander's fell over in its first second; it is said where it is chosen."""
+    made = Project(tmp_path)
+    begin(made, "turboexpander")
+    asked = []
+
+    def designed(plant, method, **options):
+        asked.append((method, options))
+        return design(plant, "pid" if method == "pid" else "hinf")  # which is quicker, and holds
+
+    monkeypatch.setattr("ambrose.synthesis.design.design", designed)
+    session = LiveSession(made)
+    assert asked[1] == ("tuned", {"rate": 1e4, "delay_samples": 1})
+    assert session.controller == "hinf.json" and not session._lost
+    write_controller(made.path("controllers", "pid.json"), design(assemble(session.machine), "pid"))
+    assert "pid.json does not hold the machine" in LiveSession(made)._lost

@@ -138,6 +138,22 @@ def test_what_a_narrowed_cost_leaves_out_is_small_and_its_gradient_exact():
     assert gradient @ direction == pytest.approx((4 * steps[1] - steps[0]) / 3, abs=1e-6 * scale)
 
 
+def test_a_narrowed_cost_may_be_of_settling_alone():
+    """With nothing else that counts there was no largest ratio, and a design ended on a defect."""
+    cost, x = objective(RUNS)
+    cost.aims = replace(cost.aims, settling=1e-6, gain=1e9)
+    whole = cost(x, 120)[0]
+    cost.narrow(x, 120)
+    assert not cost._active.parts and not cost._followed
+    value, gradient = cost(x, 120)
+    assert value == pytest.approx(whole, abs=1e-6)
+    direction = np.random.default_rng(1).normal(size=len(x))
+    h = 1e-6
+    slope = (cost(x + h * direction, 120)[0] - cost(x - h * direction, 120)[0]) / (2 * h)
+    scale = np.linalg.norm(gradient) * np.linalg.norm(direction)
+    assert gradient @ direction == pytest.approx(slope, abs=1e-5 * scale)
+
+
 def test_the_largest_gain_of_all_is_exact():
     """Others need no singular values: a Frobenius norm bounds them from above."""
     rng = np.random.default_rng(0)

@@ -28,6 +28,7 @@ from ambrose.machine.criteria import CLEARANCE
 
 if TYPE_CHECKING:
     from ambrose.judge.result import Synthesis
+    from ambrose.judge.stability import Stability
     from ambrose.machine.machine import Machine
     from ambrose.rig.live import Frame
 
@@ -61,6 +62,7 @@ class LiveSession:
         require_magnets(self.machine)
         self.controller = controller or _first_controller(project, self.machine)
         law = _read(project, self.controller, self.machine)
+        self._lost = _why_lost(self.controller, self.machine, law)
         self.rig = LiveRig(self.machine, law, initial=initial)
         self.ranges = ranges_of(self.rig, self.machine)
         self.pace = "real"
@@ -220,6 +222,8 @@ class LiveSession:
     def _warnings(self, told: Frame) -> str:
         """What is not as it should be, in words."""
         warnings = [told.ended] if told.ended else []
+        if self._lost:
+            warnings.append(self._lost)
         if any(told.contact):
             warnings.append("the rotor touches its touchdown bearings")
         if self._failed:
@@ -288,8 +292,10 @@ class LiveSession:
     def switch(self, said: Mapping[str, Any]) -> None:
         """Another controller of the project takes over."""
         name = word(said, "controller")
-        self.rig.switch(_read(self._project, name, self.machine))
+        law = _read(self._project, name, self.machine)
+        self.rig.switch(law)
         self.controller = name
+        self._lost = _why_lost(name, self.machine, law)
 
     def strength(self, said: Mapping[str, Any]) -> None:
         """The impulse of a knock at the edge of the picture [N s], which every page reads."""
@@ -397,19 +403,48 @@ def _slider(
 
 
 def _first_controller(project: Project, machine: Machine) -> str:
-    """The first controller that a live rig can run; a PID of the machine file where there is none,
-    written as `ambrose synthesize --method pid` writes it.
+    """The first controller that a live rig can run; where there is none the PID of the machine
+    file, or one tuned for the rig's rate where the PID does not hold the machine there, written as
+    `ambrose synthesize` writes it.
     """
     names = project.names("controllers")
     if names:
         return "pid.json" if "pid.json" in names else names[0]
     from ambrose.judge.controller_file import write_controller
+    from ambrose.law.timing import DEFAULT, timing_of
     from ambrose.model.assemble import assemble
     from ambrose.synthesis.design import design
 
-    path = project.path("controllers", "pid.json")
-    write_controller(path, design(assemble(machine), "pid"))
+    plant = assemble(machine)
+    made = design(plant, "pid")
+    if not _judged(machine, made).stable:
+        timing = timing_of(machine, made) or DEFAULT
+        made = design(plant, "tuned", rate=timing.rate, delay_samples=timing.delay_samples)
+    path = project.path("controllers", f"{made.method}.json")
+    write_controller(path, made)
     return path.name
+
+
+def _judged(machine: Machine, law: Synthesis) -> Stability:
+    """What the judge says of the loop as the rig starts it."""
+    from ambrose.judge.stability import judge_stability
+    from ambrose.law.timing import DEFAULT, timing_of
+    from ambrose.model.assemble import assemble
+
+    return judge_stability(assemble(machine), law, timing_of(machine, law) or DEFAULT)
+
+
+def _why_lost(name: str, machine: Machine, law: Synthesis) -> str:
+    """In words, what the judge says of a controller that does not hold the machine; "" of one that
+    does.
+    """
+    held = _judged(machine, law)
+    if held.stable:
+        return ""
+    return (
+        f"{name} does not hold the machine at {held.label}, {held.timing} "
+        f"({held.abscissa:+.3g} 1/s); choose another one"
+    )
 
 
 def _read(project: Project, name: str, machine: Machine) -> Synthesis:

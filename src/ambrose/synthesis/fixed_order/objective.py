@@ -231,10 +231,12 @@ class Objective:
         ]
 
         # All ratios are taken over ``top``, for the powers to stay in range; |T|_F / sqrt(c) <=
-        # sigma_max(T). f = ln top + ln(sum (ratio / top)^p) / p does not depend on it.
+        # sigma_max(T). f = ln top + ln(sum (ratio / top)^p) / p does not depend on it. Where only
+        # settling counts there are no others.
         top = max(
             [float(frobenius(T).max(initial=0.0)) / np.sqrt(T.shape[-1]) for T in loops]
-            + [float(ratio.max()) for ratio in damping]
+            + [float(ratio.max()) for ratio in damping],
+            default=0.0,
         )
 
         # Settling: |y| over its band, to the power 0.4 as a ratio.
