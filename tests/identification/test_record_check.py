@@ -45,6 +45,18 @@ def test_what_a_record_is_good_for(kinds, speed, commands):
     assert usable(check) == commands and check.passed == bool(commands)
 
 
+def test_where_it_ran_is_said_in_words():
+    contents = dict(amb.check_record(record("ye", speed=500.0)).contents)
+    assert contents["point"] == "without label (500 rad/s, 0 Pa)"
+
+
+def test_a_logger_s_table_of_several_axes_is_sent_to_the_column_map(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("Zeit;Kanal 1;Kanal 2\n" + "".join(f"{k};1,5;2,5\n" for k in range(20)))
+    with pytest.raises(InvalidInput, match=r"several axes of a machine .*convert --columns"):
+        amb.check_record(path)
+
+
 def test_a_missing_axis_and_a_silent_excitation_are_named():
     check = amb.check_record(record("ye", AXES[:3]), "seal-rig")
     (use,) = (use for use in check.uses if use.command == "identify")

@@ -19,7 +19,7 @@ from ambrose.identification.data_quality.signals import flat_tops, signal_findin
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding
 from ambrose.identification.one_axis.axis_record import is_text_table, read_axis
 from ambrose.identification.one_axis.identify import identify_generic
-from ambrose.machine.machine import Machine
+from ambrose.machine.machine import Machine, point_in_words
 from ambrose.machine.messages import BULLET
 from ambrose.record.files import read_record
 from ambrose.record.record import Record
@@ -194,7 +194,8 @@ def _axes(record: Record) -> tuple[str, ...]:
 def _contents(record: Record) -> tuple[tuple[str, str], ...]:
     seconds = record.values.shape[1] * record.dt
     words = f"{record.values.shape[1]}, {seconds:.6g} s at {record.sample_rate_hz:.6g} Hz"
-    rows = [("machine", record.machine), ("point", str(record.point)), ("samples", words)]
+    rows = [("machine", record.machine), ("point", point_in_words(record.point))]
+    rows += [("samples", words)]
     rows += [
         (name, _range(row, unit))
         for name, unit, row in zip(record.signals, record.units, record.values, strict=True)

@@ -114,7 +114,7 @@ class Machine(MachineDescription):
             ),
             (
                 "operating points",
-                "; ".join(_point_in_words(point) for point in self.operation.envelope),
+                "; ".join(point_in_words(point) for point in self.operation.envelope),
             ),
             ("tolerances", "; ".join(_tolerance_in_words(item) for item in self.tolerances)),
         ]
@@ -192,7 +192,8 @@ def _mode_in_words(mode: BendingMode) -> str:
     )
 
 
-def _point_in_words(point: OperatingPoint) -> str:
+def point_in_words(point: OperatingPoint) -> str:
+    """Label, speed and seal pressure."""
     return (
         f"{point.label or 'without label'} ({point.speed:.4g} rad/s, {point.seal_pressure:.4g} Pa)"
     )

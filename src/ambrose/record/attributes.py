@@ -30,8 +30,8 @@ from ambrose.record.record import FORMAT, POINT_KEYS, VERSION, Record, si_values
 def _format(value: object) -> str:
     if value != FORMAT:
         remedy = (
-            f"a record names its format and version {VERSION}; another program's needs a column "
-            "map, docs/records.md"
+            f"a record names its format and version {VERSION}; another program's becomes one by "
+            "ambrose convert FILE --columns MAP -o record.h5 (the map: docs/records.md)"
         )
         raise invalid("the format", quoted(value), repr(FORMAT), remedy)
     return FORMAT

@@ -219,7 +219,8 @@ def _check_needed(chosen: dict[str, str], known: list[str]) -> None:
         has = f" among {', '.join(known[:12])}" if known else " by its header"
         raise InvalidInput(
             f"no {' and no '.join(missing)} is found{has}; name the column, such as "
-            f"{missing[0]} 'column 2'"
+            f"{missing[0]} 'column 2'; several axes of a machine become a record by ambrose "
+            "convert --columns"
         )
 
 
