@@ -9,6 +9,7 @@ at once or after some seconds.
 from __future__ import annotations
 
 import _thread
+import gc
 import os
 import signal
 import sys
@@ -18,11 +19,17 @@ from contextlib import suppress
 from typing import Any
 
 _PATIENCE = 5.0  # s for what is open to be closed
+# objects made until cycles are looked for: what an import makes stays, and looking through it every
+# 700 objects is a tenth of a short command
+_OBJECTS = 50_000
 _WORDS = b"ambrose: interrupted; what was finished before stays on disk\n"
 
 
 def main() -> None:
     """The command, with the arguments of this process."""
+    # a machine file is read without pydantic's plugins: to look for some takes longer than to read
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+    gc.set_threshold(_OBJECTS, *gc.get_threshold()[1:])
     asked: list[int] = []
 
     def interrupt(number: int, frame: Any) -> None:

@@ -9,11 +9,12 @@ import pytest
 
 import ambrose as amb
 from ambrose.core.checks import NumericalFailure
+from ambrose.judge.static_stiffness import stiffness_margin
 from ambrose.law.pid import common_sections, pid_controller
 from ambrose.law.timing import Timing
 from ambrose.machine.controller import Channel, PidSettings
 from ambrose.machine.rotor_model import ShaftSection
-from ambrose.synthesis.explanation import explained, stiffness_margin, why_none, why_unstable
+from ambrose.synthesis.explanation import explained, why_none, why_unstable
 from ambrose.synthesis.pid import pid_synthesis
 from coarse import coarse
 

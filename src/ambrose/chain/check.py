@@ -19,6 +19,7 @@ import scipy.linalg as sla
 from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.judge.rotor_modes import PLANAR, whirl_measure
 from ambrose.judge.stability import judge_stability
+from ambrose.judge.static_stiffness import below_stiffness, stiffness_margin
 from ambrose.judge.unavoidable import beyond_reach, unavoidable_sensitivity, unavoidable_words
 from ambrose.law.pid import axes_mixings, channel_chains, first_settings, mixings, pid_controller
 from ambrose.law.timing import machine_timing
@@ -28,7 +29,7 @@ from ambrose.machine.description import MagneticBearing
 from ambrose.machine.machine import Machine
 from ambrose.machine.seals import Seal
 from ambrose.model.assemble import assemble, attached_rotor
-from ambrose.model.basis import bending_modes_of, judged_bending
+from ambrose.model.basis import bending_modes_of, judged_bending, modes_judged
 from ambrose.model.effects.clearance import Clearance
 from ambrose.model.effects.rotor import (
     STANDARD_GRAVITY,
@@ -44,8 +45,6 @@ from ambrose.model.plant import Plant, top_speed
 from ambrose.model.ports import measured_ports, sensor_turn
 from ambrose.model.reduce import free_mode_reduction
 from ambrose.model.static_load import magnet_coefficients, operating_magnets, static_sag
-from ambrose.synthesis.explanation import below_stiffness, stiffness_margin
-from ambrose.synthesis.fixed_order.job import bending_modes_for
 
 HERTZ = 2 * math.pi
 # [kg], [m], [m] of rotors on magnetic bearings
@@ -494,7 +493,7 @@ def _not_held(machine: Machine) -> Iterator[str]:
         except InvalidInput as error:  # outside a seal's table, or of the measured bias currents
             yield f"operating point {point.label} has no model: {error}"
             continue
-        modes = min(bending_modes_of(plant.rotor_model), bending_modes_for(plant) + _MODES)
+        modes = min(bending_modes_of(plant.rotor_model), modes_judged(plant) + _MODES)
         if not judge_stability(free_mode_reduction(plant, modes), law, timing).stable:
             lost.append(point.label)
     if lost:

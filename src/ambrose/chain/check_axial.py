@@ -8,6 +8,7 @@ from typing import Any
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import poles
+from ambrose.judge.static_stiffness import below_stiffness, stiffness_margin
 from ambrose.judge.unavoidable import beyond_reach, unavoidable_sensitivity
 from ambrose.machine.axial import AxialMachine, in_file
 from ambrose.machine.criteria import demand
@@ -18,7 +19,6 @@ from ambrose.model.axial.half_order import CORNER
 from ambrose.model.axial.magnet import at_point, core_lags, sides, tilt_stiffness
 from ambrose.model.axial.wiring import rotor_mass
 from ambrose.model.plant import top_speed
-from ambrose.synthesis.explanation import below_stiffness, stiffness_margin
 
 _GAP = (1e-4, 5e-3)  # [m] of thrust bearings; outside, a unit is probably wrong
 _RIM = 500.0  # [m/s] of a steel collar's rim, assumed

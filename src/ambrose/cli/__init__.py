@@ -9,31 +9,44 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator, MutableMapping
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any, NoReturn
 
 import click
 from click.exceptions import NoArgsIsHelpError
 
-from ambrose.cli.check import check, machines, scenarios
-from ambrose.cli.convert import convert
-from ambrose.cli.convert_controller import convert_controller
-from ambrose.cli.export import export
-from ambrose.cli.identify import identify
-from ambrose.cli.identify_generic import identify_generic
-from ambrose.cli.map import map_command
-from ambrose.cli.new import new
-from ambrose.cli.record_check import record_check
-from ambrose.cli.seal import seal
-from ambrose.cli.simulate import simulate
-from ambrose.cli.study import study_command
-from ambrose.cli.synthesize import synthesize
-from ambrose.cli.trade_off import trade_off
-from ambrose.cli.verify import verify
 from ambrose.machine.messages import BULLET
 from ambrose.registry import registered, resolve
 from ambrose.terminal import say, say_json, streams_settled
 from ambrose.version import __version__
+
+
+class OnDemand(MutableMapping[str, click.Command]):
+    """Commands by name, each imported when it is asked for: what one call does not need is not
+    loaded.
+
+    places: {name: the command, or its "module:attribute"}.
+    """
+
+    def __init__(self, places: dict[str, Any]) -> None:
+        self.places = places
+
+    def __getitem__(self, name: str) -> click.Command:
+        command: click.Command = resolve(self.places[name])
+        return command
+
+    def __setitem__(self, name: str, command: click.Command) -> None:
+        self.places[name] = command
+
+    def __delitem__(self, name: str) -> None:
+        del self.places[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.places)
+
+    def __len__(self) -> int:
+        return len(self.places)
 
 
 class AmbroseCommand(click.Group):
@@ -60,8 +73,8 @@ class AmbroseCommand(click.Group):
             with formatter.section(title):
                 formatter.write_dl(
                     [
-                        (f"{name:{width}}", command.get_short_help_str(room))
-                        for name, command in commands.items()
+                        (f"{name:{width}}", self.commands[name].get_short_help_str(room))
+                        for name in commands
                     ]
                 )
 
@@ -129,7 +142,41 @@ def stop(message: str, status: int = 2, *, as_json: bool = False) -> NoReturn:
     sys.exit(status)
 
 
-@click.group(cls=AmbroseCommand, context_settings={"help_option_names": ["-h", "--help"]})
+# the places of commands by what they are for; annexes add theirs
+GROUPS: dict[str, dict[str, str]] = {
+    "Design": {
+        "machines": "ambrose.cli.check:machines",
+        "scenarios": "ambrose.cli.check:scenarios",
+        "new": "ambrose.cli.new:new",
+        "check": "ambrose.cli.check:check",
+        "synthesize": "ambrose.cli.synthesize:synthesize",
+        "verify": "ambrose.cli.verify:verify",
+        "simulate": "ambrose.cli.simulate:simulate",
+        "export": "ambrose.cli.export:export",
+        "study": "ambrose.cli.study:study_command",
+    },
+    "Site": {
+        "record check": "ambrose.cli.record_check:record_check",
+        "identify": "ambrose.cli.identify:identify",
+        "identify --generic": "ambrose.cli.identify_generic:identify_generic",
+        "convert": "ambrose.cli.convert:convert",
+        "convert controller": "ambrose.cli.convert_controller:convert_controller",
+    },
+    "Research": {
+        "trade-off": "ambrose.cli.trade_off:trade_off",
+        "map": "ambrose.cli.map:map_command",
+        "seal": "ambrose.cli.seal:seal",
+    },
+}
+for title, commands in GROUPS.items():
+    commands.update(registered(f"{title.lower()} command"))
+
+
+@click.group(
+    cls=AmbroseCommand,
+    commands=OnDemand({name: place for group in GROUPS.values() for name, place in group.items()}),
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 @click.version_option(__version__, prog_name="ambrose")
 def main() -> None:
     """Rotors on active magnetic bearings with destabilising seal forces: model, control,
@@ -137,32 +184,3 @@ def main() -> None:
 
     MACHINE is a machine file (*.toml) or the name of a bundled machine; see `ambrose machines`.
     """
-
-
-# the commands by what they are for; annexes add theirs
-GROUPS: dict[str, dict[str, click.Command]] = {
-    "Design": {
-        "machines": machines,
-        "scenarios": scenarios,
-        "new": new,
-        "check": check,
-        "synthesize": synthesize,
-        "verify": verify,
-        "simulate": simulate,
-        "export": export,
-        "study": study_command,
-    },
-    "Site": {
-        "record check": record_check,
-        "identify": identify,
-        "identify --generic": identify_generic,
-        "convert": convert,
-        "convert controller": convert_controller,
-    },
-    "Research": {"trade-off": trade_off, "map": map_command, "seal": seal},
-}
-for title, commands in GROUPS.items():
-    for name, place in registered(f"{title.lower()} command").items():
-        commands[name] = resolve(place)
-    for name, command in commands.items():
-        main.add_command(command, name)

@@ -6,11 +6,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import MISSING, fields
-from typing import Any
+from functools import lru_cache
+from typing import Any, get_type_hints
 
 import numpy as np
 
 from ambrose.core.presentation import Presented
+
+
+@lru_cache(maxsize=256)
+def hints_of(part: type) -> dict[str, Any]:
+    """The types of a part's fields with what their annotations say, once for each kind of part."""
+    return get_type_hints(part, include_extras=True)
 
 
 class Part(Presented):

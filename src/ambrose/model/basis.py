@@ -28,7 +28,7 @@ from ambrose.model.effects.rotor import (
     residual_modes,
     to_plane,
 )
-from ambrose.model.plant import highest_verified
+from ambrose.model.plant import Plant, highest_verified
 from ambrose.model.ports import Port, ports, sensor_ports
 
 _HIGHEST = 2e5 * np.pi  # [rad/s] up to which every bending mode is kept
@@ -52,6 +52,15 @@ def judged_bending(machine: Machine) -> np.ndarray:
     rotor = finite_element_rotor(machine)
     frequencies = free_modes(rotor, bending_modes_of(rotor)).frequencies[4::2]
     return frequencies[frequencies <= highest_verified(machine)]
+
+
+def modes_judged(plant: Plant) -> int:
+    """How many bending modes per plane a model needs for the sensitivity to be judged on it: all
+    of ``judged_bending``, and one more.
+    """
+    available = bending_modes_of(plant.rotor_model)
+    frequencies = free_modes(plant.rotor_model, available).frequencies[4::2]
+    return min(int((frequencies <= highest_verified(plant.machine)).sum()) + 1, available)
 
 
 def modes_of(machine: Machine, rotor: Rotor, bending_modes: int | None) -> FreeModes:

@@ -14,21 +14,19 @@ from ambrose.core.statespace import StateSpace, select
 from ambrose.judge.checks import Check
 from ambrose.judge.envelope import envelope_of
 from ambrose.judge.result import Synthesis
+from ambrose.judge.static_stiffness import below_stiffness, stiffness_margin
 from ambrose.judge.unavoidable import beyond_reach, unavoidable_sensitivity
 from ambrose.judge.verdict import verify_points
 from ambrose.law.law import law_of
 from ambrose.law.loop import closed_loop
-from ambrose.law.pid import channel_chains
 from ambrose.law.timing import DEFAULT, Timing
 from ambrose.machine.axial import in_file
 from ambrose.machine.criteria import SENSITIVITY, demand
-from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
 from ambrose.model.basis import bending_modes_of, judged_bending
 from ambrose.model.effects.rotor import free_modes
 from ambrose.model.plant import Plant
 from ambrose.model.reduce import reduce_from
-from ambrose.model.static_load import magnet_coefficients
 
 _ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth")
 _PEAK = "maximum singular value of a sensitivity"
@@ -247,29 +245,6 @@ def why_unstable(
         else "use method tuned, or sample faster"
     )
     return f"the loop{loop} has a pole at {abscissa:+.4g} rad/s ({where}); {remedy}"
-
-
-def stiffness_margin(machine: Machine) -> float | None:
-    """The least K_p k_i / k_s of the channels of the reference controller; below 1 a bearing pushes
-    away at rest.
-    """
-    if machine.reference is None:
-        return None
-    k_i, k_s = magnet_coefficients(machine, machine.operation.design)
-    gains = np.array([gain for gain, _ in channel_chains(machine.reference, machine.axes)])
-    if machine.reference.coordinates != "axes":
-        k_i, k_s = np.full(len(gains), k_i.min()), np.full(len(gains), k_s.max())
-    with np.errstate(divide="ignore"):
-        return float((gains * k_i / k_s).min())
-
-
-def below_stiffness(margin: float) -> str:
-    """What to say of a margin below one."""
-    return (
-        f"K_p k_i is below k_s ({margin:.3g} of it): the [controller] leaves negative stiffness "
-        "and holds nothing; raise gain "
-        f"{1.5 / margin:.2g} times or more"
-    )
 
 
 def _rightmost(plant: Plant, law: StateSpace) -> tuple[float, float]:

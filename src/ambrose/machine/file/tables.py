@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from functools import lru_cache
 from types import GenericAlias, NoneType
-from typing import Annotated, Any, ClassVar, cast, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, cast, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, create_model, field_validator
 from pydantic_core import PydanticCustomError
@@ -21,7 +21,7 @@ from ambrose.machine.attachment import Attachment, attachments
 from ambrose.machine.description import SCHEMA_VERSION, MachineDescription, Tolerance
 from ambrose.machine.kinds import Choices, ListOf, NestedOf, Quantity, Ratio, Text, Texts, Version
 from ambrose.machine.parameters import parse_parameter
-from ambrose.machine.part import Part
+from ambrose.machine.part import Part, hints_of
 from ambrose.machine.rotor_model import Material
 from ambrose.machine.seals import SEAL_AXES, SEAL_COEFFICIENTS, SealTable
 
@@ -147,7 +147,7 @@ def make_table(
 
 def keys_of(noun: type[Part]) -> dict[str, tuple[Any, Any]]:
     """Type and pydantic field of every key, from the annotated fields of a part."""
-    hints = get_type_hints(noun, include_extras=True)
+    hints = hints_of(noun)  # type: ignore[arg-type]  # a class is hashable
     keys = {}
     for item in fields(noun):  # type: ignore[arg-type]
         *kinds, doc = getattr(hints[item.name], "__metadata__", (None,))

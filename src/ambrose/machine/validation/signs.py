@@ -6,11 +6,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import lru_cache
-from typing import Any, get_args, get_type_hints
+from typing import Any, get_args
 
 from ambrose.machine.kinds import PairOf
 from ambrose.machine.messages import complaint, number
-from ambrose.machine.part import Part
+from ambrose.machine.part import Part, hints_of
 from ambrose.machine.units import DIMENSIONS
 
 
@@ -37,7 +37,7 @@ def not_positive(
 @lru_cache(maxsize=256)
 def unit_and_names(part: type, key: str) -> tuple[str, list[str]]:
     """The unit of a field ("" for a ratio or a count), and the names of a pair's two values."""
-    kind = next(_dimensional(get_type_hints(part, include_extras=True)[key]), None)
+    kind = next(_dimensional(hints_of(part)[key]), None)
     unit = "" if kind is None else DIMENSIONS[kind.dimension].unit
     return "" if unit == "-" else unit, kind.names.split(", ") if isinstance(kind, PairOf) else []
 

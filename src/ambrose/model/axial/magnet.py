@@ -25,6 +25,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from ambrose.core.bracketed_root import bracketed_root
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.axial import AxialMachine, Condition
 from ambrose.machine.description import OperatingPoint
@@ -184,9 +185,7 @@ def loaded(part: ThrustBearing, load: float, place: float) -> Loaded:
             f"but the process thrust is {abs(load):,.4g} N: nothing holds the rotor; raise "
             "max_current or the poles' areas, or correct the load"
         )
-    from scipy.optimize import brentq
-
-    current = float(brentq(lambda i: force(part, i, place) + load, -most, most, xtol=1e-14))
+    current = bracketed_root(lambda i: force(part, i, place) + load, -most, most, absolute=1e-14)
     left, right = sides(part)
     parts = []
     for side, coil, gap in (

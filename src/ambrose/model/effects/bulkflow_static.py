@@ -23,6 +23,7 @@ from math import pi, sqrt
 
 import numpy as np
 
+from ambrose.core.bracketed_root import bracketed_root
 from ambrose.core.checks import NumericalFailure, invalid
 
 _CHOKED = 1 - 1e-9  # squared Mach number from which a station counts as choked
@@ -88,8 +89,6 @@ def static_flow(walls: Walls, cells: int) -> StaticFlow:
     Fourth-order Runge-Kutta with two steps per cell. Raises InvalidInput when the seal chokes
     before that exit pressure is reached, NumericalFailure when no mass flow fits.
     """
-    from scipy.optimize import brentq
-
     if not walls.p_out < walls.p_in:
         raise invalid(
             "the exit pressure [Pa] of the seal",
@@ -105,17 +104,14 @@ def static_flow(walls: Walls, cells: int) -> StaticFlow:
         least = next(
             g for i in range(1, _HALVINGS) if _excess(walls, g := most * 0.5**i, cells) > 0
         )
-        G = float(
-            brentq(
-                lambda g: _excess(walls, g, cells),
-                least,
-                2 * least,
-                xtol=least * 1e-15,
-                rtol=1e-14,
-                maxiter=200,
-            )
+        G = bracketed_root(
+            lambda g: _excess(walls, g, cells),
+            least,
+            2 * least,
+            absolute=least * 1e-15,
+            relative=1e-14,
         )
-    except (StopIteration, OverflowError, ValueError, RuntimeError) as error:
+    except (StopIteration, ArithmeticError, ValueError) as error:
         raise NumericalFailure(
             f"no mass flow was found that leaves the seal at {walls.p_out:g} Pa; "
             "use more cells, or check clearances, viscosity and pressures for their units"

@@ -20,9 +20,9 @@ from ambrose.law.timing import Timing
 from ambrose.machine.controller import PidSettings
 from ambrose.machine.limits import STATES
 from ambrose.machine.machine import Machine
-from ambrose.model.basis import bending_modes_of
+from ambrose.model.basis import bending_modes_of, modes_judged
 from ambrose.model.effects.rotor import free_modes
-from ambrose.model.plant import Plant, highest_verified
+from ambrose.model.plant import Plant
 from ambrose.model.reduce import reduce, reduce_from
 from ambrose.synthesis.fixed_order.aims import Aims, aims_of
 from ambrose.synthesis.fixed_order.bank import BANKS, first_bank
@@ -154,7 +154,7 @@ def bending_modes_for(
     """
     available = bending_modes_of(plant.rotor_model)
     frequencies = free_modes(plant.rotor_model, available).frequencies[4::2]
-    judged = min(int((frequencies <= highest_verified(plant.machine)).sum()) + 1, available)
+    judged = modes_judged(plant)
     top = np.inf if timing is None else np.pi / timing.sample_time
     above = np.flatnonzero(frequencies[judged:] < top)[:_LISTENED]
     if start is None or not len(above):
