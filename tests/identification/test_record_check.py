@@ -1,10 +1,12 @@
 """Whether a record can be used, and for what."""
 
 import json
+import re
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from docs_build import DOCS
 
 import ambrose as amb
 from ambrose.cli import main
@@ -43,6 +45,24 @@ def usable(check):
 def test_what_a_record_is_good_for(kinds, speed, commands):
     check = amb.check_record(record(kinds, speed=speed), "seal-rig")
     assert usable(check) == commands and check.passed == bool(commands)
+
+
+def test_a_record_written_by_hand_as_the_protocol_says_serves(tmp_path):
+    """The page's own head, columns in another order, rows by numpy: nothing of the package."""
+    page = (DOCS / "research" / "protocol.md").read_text(encoding="utf-8")
+    *head, names, row = re.search(r"```csv\n(# format.*?)\n```", page, re.S)[1].splitlines()
+    columns = np.array(names.split(","))
+    assert len(row.split(",")) == len(columns)
+    order = [0, *(1 + np.random.default_rng(1).permutation(len(columns) - 1))]
+    time = np.arange(20_000) / 10_000
+    waves = np.random.default_rng(0).standard_normal((len(columns) - 1, len(time)))
+    path = tmp_path / "by-hand.csv"
+    top = "\n".join([*head, ",".join(columns[order])])
+    rows = np.column_stack([time, waves.T])[:, order]
+    np.savetxt(path, rows, header=top, comments="", delimiter=",", fmt="%.7g")
+    check = amb.check_record(path)
+    assert check.passed and {"identify", "identify --method youla", "frf"} <= usable(check)
+    assert "314.2 rad/s" in dict(check.contents)["point"]
 
 
 def test_where_it_ran_is_said_in_words():
