@@ -11,14 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.code.block.supervised import SupervisedBlock
 from ambrose.code.c.code import Precision
-from ambrose.code.c.run import check_run_arithmetic
 from ambrose.code.c.synchronous import FAR, NEWTON
 from ambrose.code.rendering import render
 from ambrose.code.structured_text import (
@@ -31,7 +30,7 @@ from ambrose.code.structured_text import (
     whole_numbers,
 )
 from ambrose.code.synchronous import RunUnit, run_unit
-from ambrose.core.checks import InvalidInput
+from ambrose.core.checks import InvalidInput, invalid
 from ambrose.law.synchronous_block import DECAY, JUMP, LOST_TURNS, SECTORS, BlockLaw, circle
 
 FAULTS = (
@@ -75,7 +74,13 @@ def generate_run_structured_text(
     Raises InvalidInput for fixed point, a supervised controller, or names that structured text
     reserves.
     """
-    check_run_arithmetic(precision)
+    if precision not in get_args(Precision):
+        raise invalid(
+            "arithmetic beside a synchronous block",
+            repr(precision),
+            "double or float",
+            "structured text has no fixed point here; write C",
+        )
     base = unit.base
     if isinstance(base, SupervisedBlock):
         raise InvalidInput(

@@ -23,19 +23,26 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ambrose.code.block.cascade_fixed import FixedCascade
 from ambrose.code.block.fixed import ControlBlock
+from ambrose.code.block.fixed_point import FixedBlock
 from ambrose.code.block.run import (
     LIMITED,
     STATE_AT,
+    CascadeSteps,
     FixedSteps,
     ScheduledSteps,
+    WordSteps,
     follow_told,
     hold_last,
     supervised_bits,
     usable_errors,
+    usable_words,
 )
 from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.code.block.supervised import SupervisedBlock, supervised_twin
+from ambrose.code.block.synchronous_twin import SynchronousTwin, limited, shifted
+from ambrose.code.block.synchronous_words import SIGNAL, SynchronousWords, to_words
 from ambrose.core.checks import invalid
 from ambrose.law.supervision import State
 from ambrose.law.synchronous_block import SynchronousBlock, SynchronousLaw
@@ -138,6 +145,68 @@ def run_unit(
         states[k] = blocks.states
         amplitudes[k] = blocks.amplitudes()
     return UnitRun(currents, status, faults, states, c, amplitudes)
+
+
+def words_of(unit: RunUnit) -> SynchronousWords:
+    """The unit's blocks in whole numbers. Raises InvalidInput."""
+    return to_words(unit.law, unit.base.error_limit, unit.base.current_limit)
+
+
+def run_unit_words(
+    unit: RunUnit,
+    fixed: FixedBlock | FixedCascade,
+    pulses: ArrayLike,
+    errors: ArrayLike,
+    valid: ArrayLike | None = None,
+    contact: ArrayLike | None = None,
+    enabled: ArrayLike | None = None,
+) -> UnitRun:
+    """In whole numbers, bit by bit, over a record: currents and c in counts, amplitudes in metres.
+
+    fixed: the unit's controller in words; pulses (k,): as ``SynchronousTwin.step`` in counts of the
+    word, errors (k, m) likewise; the rest as ``run_unit``. Raises InvalidInput.
+    """
+    e, good = usable_words(fixed, errors, valid)
+    count, n = e.shape
+    marks = np.zeros(count, bool) if contact is None else np.asarray(contact, bool)
+    on = np.ones(count, bool) if enabled is None else np.asarray(enabled, bool)
+    steps = CascadeSteps(fixed) if isinstance(fixed, FixedCascade) else WordSteps(fixed)
+    twin, status = SynchronousTwin(words_of(unit)), hold_last(e, good, fixed.block.hold_samples)[1]
+    one, up = 1 << fixed.signal_bits, SIGNAL - fixed.signal_bits
+    touch = contact_counts(unit, one)
+    currents, c = np.zeros((count, n), np.int64), np.zeros((count, n), np.int64)
+    faults, states = np.zeros(count, int), np.zeros((count, len(unit.law.blocks)), int)
+    amplitudes = np.zeros((count, len(unit.law.blocks), n), complex)
+    seen, last = np.zeros(n, np.int64), np.zeros(n, np.int64)
+    now = 0
+    for k, pulse in enumerate(np.asarray(pulses, np.int64).tolist()):
+        usable = good[k]
+        read = np.where(usable, e[k], 0)
+        added = twin.step(
+            pulse << up,
+            (read << up).tolist(),
+            (last << up).tolist(),
+            bool(marks[k] or (np.abs(read) > touch).any()),
+            bool(now & LIMITED),
+            bool(on[k]),
+            not usable.all(),
+        )
+        c[k] = [limited(shifted(value, up), 2 * one - 1) for value in added]
+        seen = np.where(usable, np.clip(read + c[k], -one, one), seen)
+        last = steps.step(seen)
+        status[k] |= LIMITED * steps.limited
+        now = int(status[k])
+        currents[k] = last
+        faults[k] = int(np.bitwise_or.reduce([int(run.fault) for run in twin.running]))
+        states[k] = twin.states
+        amplitudes[k] = twin.amplitudes()
+    return UnitRun(currents, status, faults, states, c, amplitudes)
+
+
+def contact_counts(unit: RunUnit, one: int) -> np.ndarray:
+    """Counts (m,) beyond which an error counts as contact; more than any where it never does."""
+    share = np.minimum(unit.contact / unit.base.error_limit, 2.0)
+    return np.asarray(np.rint(share * one).astype(np.int64))
 
 
 def in_order(law: SynchronousLaw, axes: tuple[str, ...], base: Base) -> SynchronousLaw:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from ambrose.options import Options, count, hertz, option, positive
 
@@ -216,15 +216,13 @@ class C(Target):
         return {**generate(block, self.arithmetic, lines), **self._example(block)}
 
     def check_beside(self) -> None:
-        from ambrose.code.c.run import check_run_arithmetic
-
-        check_run_arithmetic(self.arithmetic)
+        """It holds them in every arithmetic that it has."""
 
     def files_beside(self, unit: RunUnit, lines: Sequence[str]) -> Files:
         """{name: content} of the block with its synchronous blocks."""
         from ambrose.code.c.run import generate_run
 
-        files = generate_run(unit, cast("Precision", self.arithmetic), lines)
+        files = generate_run(unit, self.arithmetic, lines)
         return {**files, **self._example(unit)}
 
     def _example(self, law: Block | RunUnit) -> Mapping[str, str]:
@@ -279,9 +277,7 @@ class Fmu(Target):
         return generate_fmus(block, self.arithmetic, lines, sources_only=self.sources_only)
 
     def check_beside(self) -> None:
-        from ambrose.code.c.run import check_run_arithmetic
-
-        check_run_arithmetic(self.arithmetic)
+        """It holds them in every arithmetic that it has."""
 
     def files_beside(self, unit: RunUnit, lines: Sequence[str]) -> Files:
         """{name: content} of the block with its synchronous blocks."""
@@ -310,9 +306,7 @@ class St(Target):
         return generate_structured_text(block, self.arithmetic, lines)
 
     def check_beside(self) -> None:
-        from ambrose.code.c.run import check_run_arithmetic
-
-        check_run_arithmetic(self.arithmetic)
+        """It holds them in every arithmetic that it has."""
 
     def files_beside(self, unit: RunUnit, lines: Sequence[str]) -> Files:
         """{name: content} of the block with its synchronous blocks."""

@@ -14,10 +14,11 @@ from ambrose.code.block.cascade import build_cascade
 from ambrose.code.block.fixed import build_block
 from ambrose.code.block.run import run_block, run_scheduled, run_supervised
 from ambrose.code.block.supervised import supervise
+from ambrose.code.c.code import in_words
 from ambrose.code.c.compiler import find_compiler, has_compiler
 from ambrose.code.c.run import CompiledRun, generate_run
 from ambrose.code.sampled import deploy
-from ambrose.code.synchronous import RunUnit, in_order, run_unit
+from ambrose.code.synchronous import RunUnit, in_order, run_unit, run_unit_words
 from ambrose.core.checks import InvalidInput
 from ambrose.law.pid import pid_controller
 from ambrose.law.supervision import Limits
@@ -46,6 +47,10 @@ def pd():
 
 def base_of(kind):
     fixed = build_block(deploy(pd(), DT, DT, force=True), "unit", ERROR, CURRENT)
+    if kind == "gain":  # what 16 bits hold without a word about their rounding
+        system = StateSpace(*(np.zeros(size) for size in ((0, 0), (0, 2), (2, 0))), pd().D)
+        system = replace(system, inputs=pd().inputs, outputs=pd().outputs)
+        return build_block(deploy(system, DT, DT, force=True), "unit", ERROR, CURRENT)
     if kind == "cascade":
         machine = load_machine("seal-rig")
         chain = (Section("pid", 0.2, 2e-3, 0.1), Section("low-pass", frequency=9e3, damping=0.7))
@@ -164,11 +169,59 @@ def test_blocks_are_released_while_the_schedule_is_not_in_charge():
     assert not (run.states[waiting] == BlockState.ON).any()
 
 
+def counts_of(kind, word):
+    """The record in counts: pulses, errors (no reading: beyond the limit), the rest as it is."""
+    unit, one = unit_of(kind), 1 << (word - 2)
+    pulses, errors, _, *rest = record(kind)
+    came = (pulses >= 0) & (pulses < DT)
+    ages = np.where(came, np.floor(pulses / DT * one), -1).astype(np.int64)
+    shares = np.nan_to_num(errors / unit.base.error_limit, nan=1.5)
+    words = np.rint(np.clip(shares, -1.5, 1.5) * one).astype(np.int64)
+    return ages, words, *rest
+
+
+@cache
+def fixed_of(kind, word):
+    unit = unit_of(kind)
+    return run_unit_words(unit, in_words(unit.base, word), *counts_of(kind, word))
+
+
+@pytest.mark.campaign
+@compiled
+@pytest.mark.parametrize(("kind", "word"), [("fixed", 32), ("gain", 16), ("cascade", 32)])
+def test_fixed_point_is_its_twin_to_the_last_bit(kind, word):
+    run = fixed_of(kind, word)
+    pulses, errors, *rest = counts_of(kind, word)
+    code = CompiledRun(unit_of(kind), f"fixed{word}").run(pulses, errors, None, *rest)
+    for name in ("status", "faults", "currents", "c"):
+        assert np.array_equal(getattr(run, name), getattr(code, name)), name
+    assert np.bitwise_or.reduce(run.faults) == sum(BlockFault)
+    assert set(run.states.ravel()) == {int(state) for state in BlockState}
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize(("kind", "word", "share"), [("fixed", 32, 2e-6), ("gain", 16, 3e-3)])
+def test_fixed_point_stays_near_double_over_a_run_up_with_faults(kind, word, share):
+    unit, fixed = unit_of(kind), fixed_of(kind, word)
+    pulses, errors, *rest = counts_of(kind, word)
+    one = 1 << (word - 2)
+    exact = run_unit(
+        unit, np.where(pulses < 0, -1, pulses * DT / one), errors / one * unit.base.error_limit,
+        None, *rest,
+    )  # fmt: skip
+    assert np.array_equal(fixed.states, exact.states)
+    assert np.array_equal(fixed.faults, exact.faults)
+    off = np.abs(fixed.c / one * unit.base.error_limit - exact.c).max()
+    assert off < share * np.abs(exact.c).max()
+
+
 @compiled
 @pytest.mark.parametrize(
     ("kind", "arithmetic"),
     [
         ("fixed", "double"),
+        pytest.param("cascade", "fixed32", marks=pytest.mark.campaign),
+        pytest.param("gain", "fixed16", marks=pytest.mark.campaign),
         pytest.param("scheduled", "float", marks=pytest.mark.campaign),
         pytest.param("supervised", "double", marks=pytest.mark.campaign),
     ],
@@ -178,6 +231,7 @@ def test_the_self_test_passes_and_can_fail(kind, arithmetic, tmp_path):
     files = generate_run(unit, arithmetic)
     name = unit.base.name
     broken = files[f"{name}_sync.c"].replace("b->re[i] + eps", "b->re[i] - eps")
+    broken = broken.replace("b->re[i] += count", "b->re[i] -= count")
     for text, status in ((files[f"{name}_sync.c"], 0), (broken, 1)):
         for file, content in {**files, f"{name}_sync.c": text}.items():
             (tmp_path / file).write_text(content)
@@ -188,10 +242,10 @@ def test_the_self_test_passes_and_can_fail(kind, arithmetic, tmp_path):
         assert ran.returncode == status, ran.stdout[-400:]
 
 
-def test_fixed_point_and_blocks_of_another_loop_are_refused():
+def test_fixed_point_beside_a_schedule_and_blocks_of_another_loop_are_refused():
     unit = unit_of("fixed")
-    with pytest.raises(InvalidInput, match="increments"):
-        generate_run(unit, "fixed32")
+    with pytest.raises(InvalidInput, match="scheduled"):
+        generate_run(unit_of("scheduled"), "fixed32")
     with pytest.raises(InvalidInput, match="sample time"):
         RunUnit(unit.base, replace(unit.law, sample_time=2 * DT))
 

@@ -153,8 +153,6 @@ def test_the_files_say_what_a_step_costs_and_need_no_library(tmp_path):
     ]
 
 
-def test_fixed_point_and_a_name_that_is_none_are_refused():
-    with pytest.raises(InvalidInput, match="arithmetic"):
-        generate_synchronous(law(), arithmetic="fixed32")
+def test_a_name_that_is_none_is_refused():
     with pytest.raises(InvalidInput, match="a name in C"):
         generate_synchronous(law(), "no name")

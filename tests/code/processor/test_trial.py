@@ -57,7 +57,7 @@ LAWS = {
     "synchronous": lambda: beside_of("fixed"),
     "synchronous beside a fallback": lambda: beside_of("supervised"),
 }
-FIXED_POINT = ("fixed", "cascade")
+FIXED_POINT = ("fixed", "cascade", "synchronous")
 
 
 def every():

@@ -277,115 +277,136 @@ def run_fixed(fixed: FixedBlock, errors: ArrayLike, valid: ArrayLike | None = No
     """Fixed point, bit by bit. errors (k, m): whole numbers of 2^-signal_bits error_limit; currents
     likewise.
     """
-    block, s = fixed.block, fixed.signal_bits
-    given, good = _inputs(block, errors, valid)
-    e = given.astype(np.int64)
-    one = 1 << s
-    e, status = hold_last(e, good & (e >= -one) & (e <= one), block.hold_samples)
-    n = block.n_states
-    X, largest = np.zeros(n, np.int64), np.zeros(n, np.int64)
-    edge = 1 << fixed.state_bits
-    currents = np.empty((len(e), len(block.outputs)), np.int64)
-
-    # sums of the inputs for all samples at once; states go in one by one
-    driven, direct = e @ fixed.update[:, n:].T, e @ fixed.output[:, n:].T
-    A, C = fixed.update[:, :n], fixed.output[:, :n]
-
-    # shifts with half a unit for rounding: double-word state to word, sums to outputs and to states
-    to_signal = _half(fixed.state_bits - s, n)
-    to_output = _half(fixed.output_bits)
-    to_cut = _half(fixed.cut_bits)
-    to_state, to_unwinding = (
-        _half(bits + s - fixed.state_bits) for bits in (fixed.update_bits, fixed.unwind_bits)
-    )
-    for k in range(len(e)):
-        # currents: C x + D e, then the limit
-        x = _shift(X, *to_signal)
-        u = _shift(direct[k] + C @ x, *to_output)
-        cut = np.minimum(np.maximum(u, -one), one)
-        currents[k] = cut
-
-        # states: increment and, where limited, the unwinding; both have state_bits
-        step = _shift(driven[k] + A @ x, *to_state)
-        if (cut != u).any():
-            status[k] |= LIMITED
-            step = step + _shift(fixed.unwind @ _shift(cut - u, *to_cut), *to_unwinding)
-        X = np.minimum(np.maximum(X + step, -edge), edge)
-        largest = np.maximum(largest, np.abs(X))
-    return BlockRun(currents, status, X, largest)
+    return _run_words(WordSteps(fixed), errors, valid)
 
 
 def run_fixed_cascade(
     fixed: FixedCascade, errors: ArrayLike, valid: ArrayLike | None = None
 ) -> BlockRun:
     """Fixed point of a cascade, bit by bit: as ``run_fixed``."""
-    block = fixed.block
-    s = fixed.signal_bits
-    n = fixed.block.n_states
-    given, good = _inputs(block, errors, valid)
-    e = given.astype(np.int64)
-    one = 1 << s
-    edge = 1 << fixed.state_bits
-    e, status = hold_last(e, good & (e >= -one) & (e <= one), block.hold_samples)
-    X = np.zeros(n, np.int64)
-    rest = np.zeros(n, np.int64)
-    largest = np.zeros(n, np.int64)
+    return _run_words(CascadeSteps(fixed), errors, valid)
 
-    # kept (c,), rest (n,): what shifts cut off channels' inputs and increments, for the next sample
-    kept, currents = (
-        np.zeros(len(block.into), np.int64),
-        np.empty((len(e), len(block.outputs)), np.int64),
-    )
-    to_signal, to_output, to_cut, to_input = (
-        _half(bits, count)
-        for bits, count in (
-            (fixed.state_bits - s, n),
-            (fixed.output_bits, None),
-            (fixed.cut_bits, None),
-            (fixed.into_bits, None),
-        )
-    )
-    to_section, to_state = _half(fixed.section_bits), _half(fixed.update_shift)
-    to_unwinding = _half(fixed.unwind_bits + s - fixed.state_bits)
+
+def _run_words(
+    steps: WordSteps | CascadeSteps, errors: ArrayLike, valid: ArrayLike | None
+) -> BlockRun:
+    e, good = usable_words(steps.fixed, errors, valid)
+    e, status = hold_last(e, good, steps.fixed.block.hold_samples)
+    currents = np.empty((len(e), len(steps.fixed.block.outputs)), np.int64)
+    largest = np.zeros(steps.fixed.block.n_states, np.int64)
     for k in range(len(e)):
-        v = e[k]
-        sums = np.empty(n, np.int64)
-        i = 0
-        if block.mixes:
-            # v = into e, with the fraction saved
-            total = fixed.into @ e[k] + kept
-            v = _shift(total, *to_input)
-            kept = (total - (v << fixed.into_bits)) * (n > 0)  # without states nothing is kept
-            v = np.clip(v, -one, one)
+        currents[k] = steps.step(e[k])
+        status[k] |= LIMITED * steps.limited
+        largest = np.maximum(largest, np.abs(steps.x))
+    return BlockRun(currents, status, steps.x, largest)
 
-        # section by section: (y, x1 step, x2 step) from (v, x1, x2), y saturated
-        x = _shift(X, *to_signal)
-        at = v.copy()
-        for j, stage in enumerate(block.stages):
+
+def usable_words(
+    fixed: FixedBlock | FixedCascade, errors: ArrayLike, valid: ArrayLike | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The errors (k, m) as whole numbers, and which of them (k, m) are used."""
+    given, good = _inputs(fixed.block, errors, valid)
+    e = given.astype(np.int64)
+    one = 1 << fixed.signal_bits
+    return e, good & (e >= -one) & (e <= one)
+
+
+class WordSteps:
+    """A fixed block in whole numbers, sample by sample, of errors that are plausible. x (n,): its
+    states; limited: whether the last step cut a current.
+    """
+
+    def __init__(self, fixed: FixedBlock) -> None:
+        n, s = fixed.block.n_states, fixed.signal_bits
+        self.fixed, self.limited, self.x = fixed, False, np.zeros(n, np.int64)
+        self._one, self._edge = 1 << s, 1 << fixed.state_bits
+        self._A, self._B = fixed.update[:, :n], fixed.update[:, n:]
+        self._C, self._D = fixed.output[:, :n], fixed.output[:, n:]
+
+        # shifts with half a unit for rounding: state to word, sums to outputs and to states
+        self._to_signal = _half(fixed.state_bits - s, n)
+        self._to_output, self._to_cut = _half(fixed.output_bits), _half(fixed.cut_bits)
+        self._to_state, self._to_unwinding = (
+            _half(bits + s - fixed.state_bits) for bits in (fixed.update_bits, fixed.unwind_bits)
+        )
+
+    def step(self, e: np.ndarray) -> np.ndarray:
+        """Currents (p,) from errors (m,)."""
+        # currents: C x + D e, then the limit
+        x = _shift(self.x, *self._to_signal)
+        u = _shift(self._D @ e + self._C @ x, *self._to_output)
+        given = np.minimum(np.maximum(u, -self._one), self._one)
+
+        # states: increment and, where limited, the unwinding; both have state_bits
+        step = _shift(self._B @ e + self._A @ x, *self._to_state)
+        self.limited = bool((given != u).any())
+        if self.limited:
+            cut = _shift(given - u, *self._to_cut)
+            step = step + _shift(self.fixed.unwind @ cut, *self._to_unwinding)
+        self.x = np.minimum(np.maximum(self.x + step, -self._edge), self._edge)
+        return given
+
+
+class CascadeSteps:
+    """A cascade in whole numbers, sample by sample: as ``WordSteps``."""
+
+    def __init__(self, fixed: FixedCascade) -> None:
+        n, s = fixed.block.n_states, fixed.signal_bits
+        self.fixed, self.limited, self.x = fixed, False, np.zeros(n, np.int64)
+        self._one, self._edge = 1 << s, 1 << fixed.state_bits
+        # what shifts cut off channels' inputs (c,) and increments (n,), for the next sample
+        self._kept, self._rest = np.zeros(len(fixed.block.into), np.int64), np.zeros(n, np.int64)
+        self._to_signal = _half(fixed.state_bits - s, n)
+        self._to_output, self._to_cut = _half(fixed.output_bits), _half(fixed.cut_bits)
+        self._to_input, self._to_section = _half(fixed.into_bits), _half(fixed.section_bits)
+        self._to_state = _half(fixed.update_shift)
+        self._to_unwinding = _half(fixed.unwind_bits + s - fixed.state_bits)
+
+    def step(self, e: np.ndarray) -> np.ndarray:
+        """Currents (p,) from errors (m,)."""
+        fixed, one = self.fixed, self._one
+        at, sums = self._sections(self._mixed(e))
+
+        # currents and their limit
+        u = _shift(fixed.output @ at, *self._to_output)
+        given = np.minimum(np.maximum(u, -one), one)
+
+        # increments with the fraction saved, then the unwinding
+        sums += self._rest
+        step = _shift(sums, *self._to_state)
+        self._rest = sums - (step << fixed.update_shift)
+        self.limited = bool((given != u).any())
+        if self.limited:
+            cut = _shift(given - u, *self._to_cut)
+            step = step + _shift(fixed.unwind @ cut, *self._to_unwinding)
+        self.x = np.minimum(np.maximum(self.x + step, -self._edge), self._edge)
+        return given
+
+    def _mixed(self, e: np.ndarray) -> np.ndarray:
+        """v = into e, with the fraction saved."""
+        fixed, one = self.fixed, self._one
+        if not fixed.block.mixes:
+            return e
+        total = fixed.into @ e + self._kept
+        v = _shift(total, *self._to_input)
+        # without states nothing is kept
+        self._kept = (total - (v << fixed.into_bits)) * (fixed.block.n_states > 0)
+        return np.clip(v, -one, one)
+
+    def _sections(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Section by section (y, x1 step, x2 step) from (v, x1, x2), y saturated."""
+        x, at, i = _shift(self.x, *self._to_signal), v.copy(), 0
+        sums = np.empty(len(self.x), np.int64)
+        for j, stage in enumerate(self.fixed.block.stages):
             local = np.array(
                 [at[stage.channel], *x[i : i + stage.order], *[0] * (2 - stage.order)], np.int64
             )
-            y, *added = fixed.sections[j] @ local
+            y, *added = self.fixed.sections[j] @ local
             sums[i : i + stage.order] = added[: stage.order]
-            y = _shift(np.array([y]), to_section[0][j, :1], to_section[1][j, :1])[0]
-            at[stage.channel] = min(max(y, -one), one)
+            y = _shift(np.array([y]), self._to_section[0][j, :1], self._to_section[1][j, :1])[0]
+            at[stage.channel] = min(max(y, -self._one), self._one)
             i += stage.order
-
-        # currents and their limit
-        u = _shift(fixed.output @ at, *to_output)
-        cut = np.minimum(np.maximum(u, -one), one)
-        currents[k] = cut
-
-        # increments with the fraction saved, then the unwinding
-        sums += rest
-        step = _shift(sums, *to_state)
-        rest = sums - (step << fixed.update_shift)
-        if (cut != u).any():
-            status[k] |= LIMITED
-            step = step + _shift(fixed.unwind @ _shift(cut - u, *to_cut), *to_unwinding)
-        X = np.minimum(np.maximum(X + step, -edge), edge)
-        largest = np.maximum(largest, np.abs(X))
-    return BlockRun(currents, status, X, largest)
+        return at, sums
 
 
 def _half(bits: int | np.ndarray, count: int | None = None) -> tuple[np.ndarray, np.ndarray]:

@@ -41,7 +41,7 @@ from ambrose.machine.atomic_write import write_files
 
 Arithmetic = Literal["double", "float", "fixed32", "fixed16"]
 Precision = Literal["double", "float"]
-_WORDS = {"fixed32": 32, "fixed16": 16}
+WORDS = {"fixed32": 32, "fixed16": 16}
 _SINGLE_TOLERANCE = 1e-4  # of the current limit, of a scheduled block
 LARGEST = {"double": "DBL_MAX", "float": "FLT_MAX"}
 _DOUBLE_TOLERANCE = 1e-12  # of the current asked for
@@ -76,7 +76,7 @@ def generate(
         kind = "scheduled"
         source, tolerance = "scheduled.c.j2", scheduled_tolerance(block, run, arithmetic)
     else:
-        fixed = in_words(block, _WORDS[arithmetic], largest_error) if arithmetic in _WORDS else None
+        fixed = in_words(block, WORDS[arithmetic], largest_error) if arithmetic in WORDS else None
         run = make_vectors(block, fixed, single=arithmetic == "float")
         facts = {**_facts(block, arithmetic, provenance), **_word_facts(block, fixed)}
         tables = _floating_tables(block, arithmetic) if fixed is None else _fixed_tables(fixed)
@@ -192,7 +192,7 @@ def _facts(
     block: ControlBlock | ScheduledBlock, arithmetic: str, provenance: Sequence[str]
 ) -> dict[str, Any]:
     """What header, source, self-test and report share."""
-    word = _WORDS.get(arithmetic, 0)
+    word = WORDS.get(arithmetic, 0)
     types, floating = (
         {"double": "double", "float": "float"},
         {"double": "double precision", "float": "single precision"},
@@ -461,10 +461,10 @@ def _scheduled_tables(block: ScheduledBlock, arithmetic: str) -> dict[str, Any]:
 
 def _replay(run: Vectors, tolerance: np.ndarray, arithmetic: str) -> dict[str, Any]:
     """What the self-test holds: the vectors as C, and the tolerance."""
-    table = integer_table if arithmetic in _WORDS else real_table(arithmetic)
+    table = integer_table if arithmetic in WORDS else real_table(arithmetic)
     number = (
         {"number_format": "%ld", "number_cast": "long"}
-        if arithmetic in _WORDS
+        if arithmetic in WORDS
         else {
             "number_format": "%.17g",
             "number_cast": "double",

@@ -9,21 +9,31 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from typing import Any, get_args
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ambrose.code.block.fixed import ControlBlock
 from ambrose.code.block.names import as_comment
 from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.code.block.supervised import SupervisedBlock
-from ambrose.code.c.code import Precision, generate
+from ambrose.code.c.code import WORDS, Arithmetic, generate, in_words
 from ambrose.code.c.compiler import COMPILERS, build_library, find_compiler, load_library
-from ambrose.code.c.literals import literal, real_table
+from ambrose.code.c.literals import integer_table, literal, real_table
 from ambrose.code.c.synchronous import generate_synchronous
+from ambrose.code.c.synchronous_fixed import generate_words
 from ambrose.code.rendering import render
-from ambrose.code.synchronous import Base, RunUnit, UnitRun, run_unit
-from ambrose.core.checks import InvalidInput, invalid
+from ambrose.code.synchronous import (
+    Base,
+    RunUnit,
+    UnitRun,
+    contact_counts,
+    run_unit,
+    run_unit_words,
+    words_of,
+)
+from ambrose.core.checks import InvalidInput
 
 _FLAGS = ("-Wall", "-Wextra", "-pedantic", "-Werror", "-ffp-contract=off")
 _EVERY = 61  # samples between two rows of the self-test
@@ -41,59 +51,52 @@ _WINDOWS = {  # shares of the self-test in which something is wrong
 }
 
 
-def check_run_arithmetic(arithmetic: str) -> None:
-    """Refuse fixed point for synchronous blocks. Raises InvalidInput."""
-    if arithmetic not in get_args(Precision):
-        remedy = (
-            "in fixed point the increments eps Ts T e of an amplitude vanish below its last bit; "
-            "use double or float"
-        )
-        raise invalid(
-            "arithmetic beside a synchronous block", repr(arithmetic), "double or float", remedy
-        )
-
-
 def generate_run(
-    unit: RunUnit, arithmetic: Precision = "double", provenance: Sequence[str] = ()
+    unit: RunUnit, arithmetic: Arithmetic = "double", provenance: Sequence[str] = ()
 ) -> dict[str, str]:
     """The files of a unit by name: the controller's (``code.c.code.generate``), <name>_sync.h and
-    .c, <name>_run.h, .c and _run_test.c. Raises InvalidInput, also for fixed point.
+    .c, <name>_run.h, .c and _run_test.c, of fixed point also <name>_sync_report.md. Raises
+    InvalidInput, also for fixed point beside a schedule.
     """
-    check_run_arithmetic(arithmetic)
-    base = unit.base
-    files = {
-        **generate(base, arithmetic, provenance),
-        **generate_synchronous(unit.law, f"{base.name}_sync", arithmetic, provenance),
-    }
+    base, sync = unit.base, f"{unit.base.name}_sync"
+    files = generate(base, arithmetic, provenance)
+    if word := WORDS.get(arithmetic, 0):
+        files |= generate_words(words_of(unit), word, sync, provenance)
+    else:
+        files |= generate_synchronous(unit.law, sync, arithmetic, provenance)
     if arithmetic == "float":
         unit = RunUnit(base.single(), unit.law, unit.contact)
-    facts = {**_facts(unit, arithmetic, provenance), **_self_test(unit, arithmetic)}
+    facts = _facts(unit, arithmetic, provenance) | _self_test(unit, arithmetic)
     for end in ("_run.h", "_run.c", "_run_test.c"):
         files[f"{base.name}{end}"] = render(f"{end[1:]}.j2", facts)
     return files
 
 
 def _facts(unit: RunUnit, arithmetic: str, provenance: Sequence[str]) -> dict[str, Any]:
-    base, table = unit.base, real_table(arithmetic)
+    base, word = unit.base, WORDS.get(arithmetic, 0)
+    table = integer_table if word else real_table(arithmetic)
     supervised = isinstance(base, SupervisedBlock)
     told = [one.name for one in base.along.each] if isinstance(base, ScheduledBlock) else []
     told += ["estimate", "half_width"] if supervised else []
     touches = bool(np.isfinite(unit.contact).all())
+    contact = contact_counts(unit, 1 << (word - 2)) if word else unit.contact
+    floating = {"double": "double precision", "float": "single precision"}
     return {
         "name": base.name,
         "prefix": base.name.upper(),
         "sync": f"{base.name.upper()}_SYNC",
         "n": len(base.inputs),
-        "type": arithmetic,
-        "arithmetic": {"double": "double precision", "float": "single precision"}[arithmetic],
+        "fixed": bool(word),
+        "type": f"int{word}_t" if word else arithmetic,
+        "arithmetic": floating.get(arithmetic, f"fixed point, {word} bits"),
         "sample_time": f"{base.sample_time:.9g}",
         "provenance": [as_comment(line) for line in provenance] or ["provenance: not given"],
         "supervised": supervised,
         "transfers": base.transfers,
         "touches": touches,
-        "contact": table(unit.contact) if touches else "",
-        "error_limit": table(base.error_limit),
-        "zero": literal(0.0, arithmetic),
+        "contact": table(contact) if touches else "",
+        "error_limit": "" if word else table(base.error_limit),
+        "zero": "0" if word else literal(0.0, arithmetic),
         "told_parameters": "".join(f"{arithmetic} {name}, " for name in told),
         "told_arguments": "".join(f"{name}, " for name in told),
     }
@@ -129,13 +132,38 @@ def _self_test(unit: RunUnit, arithmetic: str) -> dict[str, Any]:
     pulses = np.where((turn < steps) & ~within["lost"], dt * (turn / steps), -1.0)
 
     # a triangle of each channel, |2^32 - at| - 2^30, at = turn + 1000000007 i
-    scale = _SHARE * base.error_limit / 2**30
     at = (turn[:, None] + np.arange(n) * 1000000007) % 2**32
-    wave = np.where(at < 2**31, at, 2**32 - at).astype(float) - 2.0**30
-    errors = wave * np.where(within["large"][:, None], 8.0 * scale, scale)
-    errors[within["none"], -1] = np.nan
+    wave = np.where(at < 2**31, at, 2**32 - at) - 2**30
     valid = np.ones((count, n), bool)
     valid[within["invalid"], 0] = False
+    shown = slice(_EVERY - 1, None, _EVERY)
+    facts: dict[str, Any] = {
+        "rows": rows,
+        "every": _EVERY,
+        "first": step,
+        "change": change,
+        "windows": {name: f"{a}, {b}" for name, (a, b) in windows.items()},
+    }
+    if word := WORDS.get(arithmetic, 0):
+        # the same in counts: eight tenths or a tenth of the limit, and a word beyond it
+        one = 1 << (word - 2)
+        came = (turn < steps) & ~within["lost"]
+        ages = np.where(came, turn * one // steps, -1)
+        large = np.where(within["large"][:, None], 8 * wave, wave)
+        counts = np.sign(large) * (np.abs(large) // (10 * (2**30 // one)))
+        counts[within["none"], -1] = one // 2 * 3
+        fixed = in_words(cast(ControlBlock, base), word)
+        run = run_unit_words(unit, fixed, ages, counts, valid, within["contact"], ~within["off"])
+        return facts | {
+            "told_test": "",
+            "currents": integer_table(run.currents[shown]),
+            "faults": _whole(run.faults[shown]),
+            "status": _whole(run.status[shown]),
+            "tolerance": integer_table(np.zeros(n)),
+        }
+    scale = _SHARE * base.error_limit / 2**30
+    errors = wave * np.where(within["large"][:, None], 8.0 * scale, scale)
+    errors[within["none"], -1] = np.nan
 
     middle = _middle(base)
     told = np.full((count, len(middle)), middle) if middle else None
@@ -146,16 +174,10 @@ def _self_test(unit: RunUnit, arithmetic: str) -> dict[str, Any]:
     elif told is not None and told.shape[1] == 1:
         told = told[:, 0]
     run = run_unit(unit, pulses, errors, told, valid, within["contact"], ~within["off"])
-    shown = slice(_EVERY - 1, None, _EVERY)
     table, largest = real_table(arithmetic), np.abs(run.currents).max(axis=0)
     share = {"double": 1e-9, "float": _FLOAT}[arithmetic]
-    return {
-        "rows": rows,
-        "every": _EVERY,
-        "first": step,
-        "change": change,
+    return facts | {
         "sample_time_double": literal(dt, "double"),
-        "windows": {name: f"{a}, {b}" for name, (a, b) in windows.items()},
         "told_test": "".join(f"{text}, " for text in texts),
         "scale": real_table("double")(scale),
         "currents": table(run.currents[shown]),
@@ -193,8 +215,8 @@ void record(long count, const double *pulses, const double *errors,
         for (i = 0; i < {n}; i++) currents[k * {n} + i] = current[i], c[k * {n} + i] = run.c[i];
         for (b = 0; b < {blocks}; b++)
             for (i = 0; i < {n}; i++) {{
-                amplitudes[(k * {blocks} + b) * {n2} + 2 * i] = run.sync.block[b].re[i];
-                amplitudes[(k * {blocks} + b) * {n2} + 2 * i + 1] = run.sync.block[b].im[i];
+                amplitudes[(k * {blocks} + b) * {n2} + 2 * i] = (double)run.sync.block[b].re[i];
+                amplitudes[(k * {blocks} + b) * {n2} + 2 * i + 1] = (double)run.sync.block[b].im[i];
             }}
     }}
 }}
@@ -205,9 +227,11 @@ class CompiledRun:
     """The unit's C code in this process."""
 
     def __init__(
-        self, unit: RunUnit, arithmetic: Precision = "double", compiler: str | None = None
+        self, unit: RunUnit, arithmetic: Arithmetic = "double", compiler: str | None = None
     ) -> None:
-        """Compiles the code. Raises InvalidInput where there is no C compiler, or it fails."""
+        """Compiles the code; in fixed point pulses, errors, currents, c are counts, amplitudes
+        stored numbers. Raises InvalidInput where there is no C compiler, or it fails.
+        """
         chosen = find_compiler(compiler)
         if chosen is None:
             raise InvalidInput(

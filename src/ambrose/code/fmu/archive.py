@@ -15,11 +15,11 @@ import uuid
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import cast, get_args
+from typing import get_args
 
 from ambrose.code.block.names import check_identifier
 from ambrose.code.block.scheduled import ScheduledBlock
-from ambrose.code.c.code import Arithmetic, Precision, block_facts, generate
+from ambrose.code.c.code import Arithmetic, block_facts, generate
 from ambrose.code.c.compiler import COMPILERS, build_library, build_probe, find_compiler
 from ambrose.code.c.run import generate_run
 from ambrose.code.fmu.description import (
@@ -119,7 +119,7 @@ def generate_sources(
     """The C of an FMU by name; in fmi2.c or fmi3.c the word TOKEN stands for the token."""
     block, beside = base_of(law), isinstance(law, RunUnit)
     if isinstance(law, RunUnit):
-        written = generate_run(law, cast("Precision", arithmetic), provenance)
+        written = generate_run(law, arithmetic, provenance)
     else:
         written = generate(law, arithmetic, provenance)
     name, sync = block.name, f"{block.name.upper()}_SYNC"

@@ -96,7 +96,12 @@ def _pulses(unit: Unit, count: int, share: np.ndarray) -> dict[str, Any]:
     passed = turned % 1.0
     came = passed * 2 * np.pi / speed
     quiet = (share >= _NO_PULSE[0]) & (share < _NO_PULSE[1])
-    pulses = np.where((came < dt) & ~quiet, came, -1.0)
+    fresh = (came < dt) & ~quiet
+    pulses = np.where(fresh, came, -1.0)
+    if np.dtype(unit.given("=")["pulse"]).kind == "i":
+        # whole numbers: the limit is one sample, as an error's limit is one
+        one = np.rint(unit.base.error_limit[0] / unit.metre[0])
+        pulses = np.where(fresh, np.floor(came / dt * one), -1.0)
     contact = (share >= _CONTACT[0]) & (share < _CONTACT[1])
     off = (share >= _OFF[0]) & (share < _OFF[1])
     return {"pulse": pulses, "flags": _CONTACT_BIT * contact + _OFF_BIT * off}

@@ -14,7 +14,7 @@ from ambrose.code.block.cost import padding_of
 from ambrose.code.block.fixed import ControlBlock
 from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.code.block.supervised import SupervisedBlock
-from ambrose.code.c.code import Arithmetic, Precision, generate, in_words
+from ambrose.code.c.code import Arithmetic, generate, in_words
 from ambrose.code.c.run import generate_run
 from ambrose.code.synchronous import RunUnit
 
@@ -138,7 +138,7 @@ def unit_of(
     if files is not None:
         files = dict(files)
     elif isinstance(law, RunUnit):
-        files = generate_run(law, cast(Precision, arithmetic))
+        files = generate_run(law, arithmetic)
     else:
         files = generate(law, arithmetic)
     metre, ampere = np.ones(len(base.inputs)), np.ones(len(base.outputs))

@@ -1,0 +1,361 @@
+"""Synchronous blocks in whole numbers, sample by sample: what the fixed-point C code does, bit by
+bit.
+
+The steps are those of ``law.synchronous_block`` in the same order; formats and bounds are in
+synchronous_words.py. Python's integers have no end: the code agrees because no sum of it leaves 64
+bits.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ambrose.code.block.synchronous_words import (
+    LARGEST,
+    ONE,
+    PER_REST,
+    PLACE,
+    REMAINDER,
+    SIGNAL,
+    SIXTH,
+    SPEED,
+    BlockWords,
+    SynchronousWords,
+)
+from ambrose.law.synchronous_block import BlockFault, BlockState
+
+_STILL = 1 << 62  # counts beyond which time stands still
+_FARTHEST = 1 << 31  # counts beyond which a turn counts as that long
+_FASTEST = 1 << SPEED  # one turn a sample
+
+
+def shifted(value: int, bits: int) -> int:
+    """value / 2^bits to the nearest, halves away from zero."""
+    half = 1 << (bits - 1) if bits > 0 else 0
+    return (value + half) >> bits if value >= 0 else -((half - value) >> bits)
+
+
+def limited(value: int, limit: int) -> int:
+    """value within +-limit."""
+    return min(max(value, -limit), limit)
+
+
+@dataclass(slots=True)
+class AngleWords:
+    """The rotor's angle: theta in 2^-32 turns, now in Q31 turns a sample, the rest as ``Angle``."""
+
+    time_bits: int
+    slope_bits: int
+    fastest: int
+    pulses: int = 0
+    tau: int = 0
+    period: int = 0
+    middle: int = 0
+    speed: int = 0
+    slope: int = 0
+    now: int = 0
+    theta: int = 0
+    turned: bool = False
+
+    def follow(self, pulse: int) -> BlockFault:
+        """One sample. pulse: how long ago it came in Q30 samples, 0 to 2^30 - 1; else none."""
+        fault, tb = BlockFault.NONE, self.time_bits
+        if self.tau < _STILL:
+            self.tau += 1 << tb
+
+        # a turn has ended: 2^40 turns a sample over its length
+        came = 0 <= pulse < ONE
+        if came:
+            ago = pulse >> (SIGNAL - tb)
+            period = min(self.tau - ago, _FARTHEST - 1)
+            self.tau = ago
+            if self.pulses > 0:
+                middle = min((1 << (SPEED + tb)) // period, _FASTEST)
+                if self.pulses > 1:
+                    fault = self._slope(middle, (period + self.period) // 2)
+                self.period, self.middle = period, middle
+                half = shifted(self.slope * period, self.slope_bits + tb + 1 - SPEED)
+                self.speed = min(max(middle + half, 0), _FASTEST)
+            self.pulses = min(self.pulses + 1, 3)
+
+        # W' tau,   theta = (2 W + W' tau) tau/2 modulo a turn, and W + W' tau
+        recent = min(self.tau, _FARTHEST - 1)
+        gained = shifted(self.slope * recent, self.slope_bits + tb - SPEED)
+        twice = (2 * self.speed + gained) * self.tau
+        self._place(self.speed + gained)
+        if self.pulses > 1 and self.speed * self.tau > 3 << (SPEED + tb - 1):
+            self.slope = 0
+            self._place(self.speed)
+            self.pulses = -1
+        if self.pulses < 2:
+            fault |= BlockFault.LOST
+            if came and self.pulses < 1:
+                self.pulses = 1
+        if self.tau < _STILL:
+            self.theta = (twice >> (SPEED + tb + 1 - 32)) & 0xFFFFFFFF
+        self.turned = came and not fault
+        return fault
+
+    def _slope(self, middle: int, span: int) -> BlockFault:
+        """W' of the last two turns, whose middles are ``span`` apart; a jump is none."""
+        change = middle - self.middle
+        explained = (self.fastest * span) >> (self.slope_bits + self.time_bits - SPEED)
+        if abs(change) > explained + self.middle // 10:
+            self.pulses = self.slope = 0
+            return BlockFault.JUMP
+        if abs(change) >= explained:
+            self.slope = self.fastest if change > 0 else -self.fastest if change < 0 else 0
+        else:
+            size = (abs(change) << (self.slope_bits + self.time_bits - SPEED)) // span
+            self.slope = limited(size if change > 0 else -size, self.fastest)
+        return BlockFault.NONE
+
+    def _place(self, speed: int) -> None:
+        self.now = min(max(speed >> (SPEED - PLACE), 0), LARGEST)
+
+
+@dataclass(slots=True)
+class _Running:
+    state: BlockState = BlockState.OFF
+    fault: BlockFault = BlockFault.NONE
+    clock: int = 0
+    ramp: int = 0
+    re: list[int] = field(default_factory=list)
+    im: list[int] = field(default_factory=list)
+    sum_re: list[int] = field(default_factory=list)
+    sum_im: list[int] = field(default_factory=list)
+    count: int = 0
+
+
+class SynchronousTwin:
+    """All blocks in whole numbers, running. ``step`` is one sample."""
+
+    __slots__ = ("angle", "running", "words")
+
+    def __init__(self, words: SynchronousWords) -> None:
+        self.words = words
+        self.begin()
+
+    def begin(self) -> None:
+        """At rest: no pulse yet, all off."""
+        words = self.words
+        self.angle = AngleWords(words.time_bits, words.slope_bits, words.fastest)
+        n = words.law.channels
+        self.running = [
+            _Running(re=[0] * n, im=[0] * n, sum_re=[0] * (2 * n), sum_im=[0] * (2 * n))
+            for _ in words.blocks
+        ]
+
+    @property
+    def states(self) -> tuple[BlockState, ...]:
+        """The state of every block."""
+        return tuple(run.state for run in self.running)
+
+    def amplitudes(self) -> np.ndarray:
+        """a (blocks, n) complex [m], the stored whole numbers in metres."""
+        return np.array(
+            [
+                (np.array(run.re, float) + 1j * np.array(run.im, float))
+                * 2.0**-block.amplitude_bits
+                * self.words.error_limit
+                for block, run in zip(self.words.blocks, self.running, strict=True)
+            ]
+        )
+
+    def step(
+        self,
+        pulse: int,
+        errors: list[int],
+        currents: list[int],
+        contact: bool = False,
+        saturated: bool = False,
+        enabled: bool = True,
+        unusable: bool = False,
+    ) -> list[int]:
+        """c (n,) of this sample, Q30 of the error limits; pulse: as ``AngleWords.follow``; errors,
+        currents (n,): Q30; the flags as of ``SynchronousBlock.step``.
+        """
+        fault = self.angle.follow(pulse)
+        fault |= BlockFault.CONTACT * contact | BlockFault.SATURATED * saturated
+        if unusable or any(abs(e) > ONE for e in errors):
+            fault |= BlockFault.INPUT
+        n, turns = self.words.law.channels, []
+        total = [0] * n
+        for block, run in zip(self.words.blocks, self.running, strict=True):
+            cosine, sine = self.turn(block.law.harmonic)
+            turns.append((cosine, sine))
+            self._advance(block, run, fault, enabled)
+            if block.law.per_turn:
+                self._end_of_turn(block, run)
+            to_word = block.amplitude_bits - SIGNAL
+            for i in range(n):
+                re, im = shifted(run.re[i], to_word), shifted(run.im[i], to_word)
+                total[i] += shifted(re * cosine - im * sine, SIGNAL)
+        c = [limited(value, LARGEST) for value in total]
+        for block, run, turn in zip(self.words.blocks, self.running, turns, strict=True):
+            self._learn(block, run, turn, errors, c, currents)
+        return c
+
+    def turn(self, harmonic: int) -> tuple[int, int]:
+        """Cosine and sine of n theta in Q30."""
+        turn = (harmonic * self.angle.theta) & 0xFFFFFFFF
+        # sector's middle plus d, |d| <= pi/256:   cos d = 1 - d^2/2, sin d = d - d^3/6
+        sector = (turn + (1 << 23)) >> 24
+        d = shifted((turn - (sector << 24)) * PER_REST, 24)
+        square = shifted(d * d, REMAINDER)
+        p = ONE - shifted(square, REMAINDER + 1 - SIGNAL)
+        q = d - shifted(shifted(square * d, REMAINDER) * SIXTH, 30)
+        cosine, sine = (int(value) for value in self.words.table[sector & 255])
+        small = REMAINDER - SIGNAL
+        return (
+            shifted(cosine * p - shifted(sine * q, small), SIGNAL),
+            shifted(sine * p + shifted(cosine * q, small), SIGNAL),
+        )
+
+    def _learn(
+        self,
+        block: BlockWords,
+        run: _Running,
+        turn: tuple[int, int],
+        errors: list[int],
+        c: list[int],
+        currents: list[int],
+    ) -> None:
+        """What a sample does to the amplitudes."""
+        if run.state is BlockState.RELEASE:
+            for part in (run.re, run.im):
+                for i, value in enumerate(part):
+                    part[i] = value - _share(block, block.fade, block.fade_bits, value)
+        if run.state is not BlockState.ON:
+            return
+        cosine, sine = turn
+        own = c if block.law.subtracts else [0] * len(c)
+        s = [limited(-e - added, LARGEST) for e, added in zip(errors, own, strict=True)]
+        if block.law.reads_currents:
+            s = [*s, *currents]
+        if block.law.per_turn:
+            for i, value in enumerate(s):
+                run.sum_re[i] += shifted(value * cosine, SIGNAL)
+                run.sum_im[i] -= shifted(value * sine, SIGNAL)
+            run.count += 1
+            return
+        x, y = self._drive(block, s)
+        ahead = [shifted(a * cosine + b * sine, SIGNAL) for a, b in zip(x, y, strict=True)]
+        beside = [shifted(b * cosine - a * sine, SIGNAL) for a, b in zip(x, y, strict=True)]
+        self._move(block, run, 1, ahead, beside)
+
+    def _end_of_turn(self, block: BlockWords, run: _Running) -> None:
+        """a += ramp eps t D mean, the mean of exp(-j n theta) s over the turn."""
+        on = run.state is BlockState.ON
+        if on and self.angle.turned and run.count > 0:
+            mean_re, mean_im = (
+                [_divided(value, run.count) for value in part] for part in (run.sum_re, run.sum_im)
+            )
+            x, y = self._drive(block, mean_re)
+            u, v = self._drive(block, mean_im)
+            # (x + j y) + j (u + j v)
+            real = [a - b for a, b in zip(x, v, strict=True)]
+            imaginary = [a + b for a, b in zip(y, u, strict=True)]
+            self._move(block, run, min(run.count, block.most), real, imaginary)
+        if not on or self.angle.turned:
+            run.count = 0
+            run.sum_re = [0] * len(run.sum_re)
+            run.sum_im = [0] * len(run.sum_im)
+
+    def _drive(self, block: BlockWords, s: list[int]) -> tuple[list[int], list[int]]:
+        """D(W) s in Q(30 - headroom), real and imaginary part."""
+        speeds, now = block.speeds, self.angle.now
+        k, share, after = 0, 0, 0
+        if len(speeds) > 1:
+            while k < len(speeds) - 2 and now >= speeds[k + 1]:
+                k += 1
+            beyond = max(now - int(speeds[k]), 0)
+            beyond = min(beyond, int(speeds[k + 1] - speeds[k]))
+            share = min((beyond * int(block.reciprocals[k])) >> int(block.reciprocal_bits[k]), ONE)
+            after = 1
+        found = []
+        for part in (block.re, block.im):
+            first, second = part[k].tolist(), part[k + after].tolist()
+            found.append(
+                [
+                    shifted(
+                        sum(
+                            (a + shifted(share * (b - a), SIGNAL)) * value
+                            for a, b, value in zip(row, other, s, strict=False)
+                        ),
+                        block.drive_bits + block.headroom,
+                    )
+                    for row, other in zip(first, second, strict=True)
+                ]
+            )
+        return found[0], found[1]
+
+    def _move(
+        self, block: BlockWords, run: _Running, count: int, x: list[int], y: list[int]
+    ) -> None:
+        """a += ramp eps t (x + j y) - leak t a, t = count samples, each amplitude within its
+        limit.
+        """
+        # an increment of more than the whole range counts as the range
+        gain = shifted(run.ramp * block.gain, SIGNAL)
+        most = (1 << block.amplitude_bits) // count
+        down = block.gain_bits + SIGNAL - block.headroom - block.amplitude_bits
+        for part, moved in ((run.re, x), (run.im, y)):
+            for i, value in enumerate(moved):
+                lost = _share(block, block.leak, block.leak_bits, part[i])
+                gained = limited(shifted(gain * value, down), most)
+                part[i] += count * gained - count * limited(lost, most)
+        to_word = block.amplitude_bits - SIGNAL
+        for i, limit in enumerate(block.limit.tolist()):
+            re, im = shifted(run.re[i], to_word), shifted(run.im[i], to_word)
+            square = re * re + im * im
+            if square > limit * limit:
+                # limit/|a|, rounded down, so that the amplitude is not beyond its limit again
+                factor = (limit << SIGNAL) // (math.isqrt(square) + 1)
+                run.re[i] = shifted(re * factor, 2 * SIGNAL - block.amplitude_bits)
+                run.im[i] = shifted(im * factor, 2 * SIGNAL - block.amplitude_bits)
+                run.fault |= BlockFault.LIMIT
+
+    def _advance(self, block: BlockWords, run: _Running, fault: BlockFault, enabled: bool) -> None:
+        """The state machine of one block, as of ``SynchronousBlock``."""
+        edge = block.hysteresis if run.state is BlockState.OFF else 0
+        inside = block.low + edge <= self.angle.now <= block.high - edge
+        at_limit = bool(run.fault & BlockFault.LIMIT)
+        run.fault = (
+            fault
+            | BlockFault.OUTSIDE * (not inside)
+            | BlockFault.DISABLED * (not enabled)
+            | BlockFault.LIMIT * (at_limit and run.state is not BlockState.OFF)
+        )
+        run.clock += run.state in (BlockState.HOLD, BlockState.RELEASE)
+        wanted, before = inside and enabled, run.state
+        clear = wanted and not fault and not at_limit
+        if before is BlockState.ON:
+            run.ramp = min(run.ramp + block.ramp, ONE)
+            if fault or at_limit:
+                run.state = BlockState.HOLD
+            elif not wanted:
+                run.state = BlockState.RELEASE
+        elif (wanted and not fault) if before is BlockState.OFF else clear:
+            run.state, run.ramp = BlockState.ON, 0
+        elif before is BlockState.HOLD and (run.clock >= block.hold or not (fault or wanted)):
+            run.state = BlockState.RELEASE
+        elif before is BlockState.RELEASE and run.clock >= block.release:
+            run.state = BlockState.OFF
+            run.re, run.im = [0] * len(run.re), [0] * len(run.im)
+        if run.state is not before:
+            run.clock = 0
+
+
+def _share(block: BlockWords, factor: int, bits: int, value: int) -> int:
+    """factor value in the amplitude's format, of the amplitude's leading bits."""
+    word = shifted(value, block.amplitude_bits - SIGNAL)
+    return shifted(factor * word, bits + SIGNAL - block.amplitude_bits)
+
+
+def _divided(value: int, count: int) -> int:
+    """value / count toward zero, as C divides."""
+    return value // count if value >= 0 else -(-value // count)
