@@ -124,7 +124,7 @@ def test_agrees_with_the_twin_over_a_run_up_with_faults(kind, update):
 
 def test_what_cannot_be_written_is_refused():
     unit = unit_of()
-    with pytest.raises(InvalidInput, match="increments eps Ts T e"):
+    with pytest.raises(InvalidInput, match="structured text has no fixed point"):
         generate_run_structured_text(unit, "fixed32")
     taken = replace(unit, base=replace(unit.base, inputs=("theta", "err_y")))
     with pytest.raises(InvalidInput, match="'theta', but must be no word"):

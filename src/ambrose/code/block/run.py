@@ -318,7 +318,8 @@ class WordSteps:
 
     def __init__(self, fixed: FixedBlock) -> None:
         n, s = fixed.block.n_states, fixed.signal_bits
-        self.fixed, self.limited, self.x = fixed, False, np.zeros(n, np.int64)
+        self.fixed, self.limited = fixed, False
+        self.x = np.zeros(n, np.int64)
         self._one, self._edge = 1 << s, 1 << fixed.state_bits
         self._A, self._B = fixed.update[:, :n], fixed.update[:, n:]
         self._C, self._D = fixed.output[:, :n], fixed.output[:, n:]
@@ -352,7 +353,8 @@ class CascadeSteps:
 
     def __init__(self, fixed: FixedCascade) -> None:
         n, s = fixed.block.n_states, fixed.signal_bits
-        self.fixed, self.limited, self.x = fixed, False, np.zeros(n, np.int64)
+        self.fixed, self.limited = fixed, False
+        self.x = np.zeros(n, np.int64)
         self._one, self._edge = 1 << s, 1 << fixed.state_bits
         # what shifts cut off channels' inputs (c,) and increments (n,), for the next sample
         self._kept, self._rest = np.zeros(len(fixed.block.into), np.int64), np.zeros(n, np.int64)
@@ -395,7 +397,8 @@ class CascadeSteps:
 
     def _sections(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Section by section (y, x1 step, x2 step) from (v, x1, x2), y saturated."""
-        x, at, i = _shift(self.x, *self._to_signal), v.copy(), 0
+        x, at = _shift(self.x, *self._to_signal), v.copy()
+        i = 0
         sums = np.empty(len(self.x), np.int64)
         for j, stage in enumerate(self.fixed.block.stages):
             local = np.array(

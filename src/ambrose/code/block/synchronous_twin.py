@@ -268,7 +268,8 @@ class SynchronousTwin:
     def _drive(self, block: BlockWords, s: list[int]) -> tuple[list[int], list[int]]:
         """D(W) s in Q(30 - headroom), real and imaginary part."""
         speeds, now = block.speeds, self.angle.now
-        k, share, after = 0, 0, 0
+        k = 0
+        share = after = 0
         if len(speeds) > 1:
             while k < len(speeds) - 2 and now >= speeds[k + 1]:
                 k += 1
