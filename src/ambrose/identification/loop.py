@@ -25,7 +25,7 @@ from ambrose.identification.output_error.problem import (
 )
 from ambrose.identification.parameters import COVERAGE, magnet_paths, plant_at, split_timing
 from ambrose.identification.result import LoopIdentification
-from ambrose.identification.validation.file_priors import fit_with_priors
+from ambrose.identification.validation.file_priors import fit_with_priors, prior_of
 from ambrose.identification.validation.file_priors import words as priors_in_words
 from ambrose.identification.validation.plausibility import delay_findings, diagnose_result
 from ambrose.identification.validation.repeatability import of_estimates
@@ -175,9 +175,9 @@ def identify_loop(
         further = fit_with_priors(machine, records, controller, fitted, options)
         if further is not None:
             tried, estimate = further
-            estimate = judged(
-                estimate, suspects(machine, records, controller, estimate, options), records[0].dt
-            )
+            prior = prior_of(tried, len(fitted.paths))
+            lacking = suspects(machine, records, controller, estimate, options, prior)
+            estimate = judged(estimate, lacking, records[0].dt)
             simulated = simulate_outputs(tried, records, estimate.values)
             if not estimate.warnings and not diagnose_result(machine, estimate, simulated):
                 result, outputs = estimate, simulated

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput
+from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.identification.findings import WARNING, Code, Finding
 from ambrose.identification.output_error.levenberg_marquardt import Minimum
 from ambrose.machine.parameters import TIMING
@@ -24,6 +24,7 @@ _UNSURE, _ALIKE = 0.3, 0.98
 # suspects.py's
 _TOLD = 0.02
 _BLIND = 0.1  # share of the excited response below which one that is missing must show; assumed
+_ROUNDING = 1e-11  # of the largest eigenvalue of a covariance with H's diagonal one
 _LONGEST = 4096  # samples of the noise's memory that are looked at
 
 
@@ -144,6 +145,35 @@ def sandwich_covariance(H: np.ndarray, middle: np.ndarray) -> np.ndarray:
     inverse = np.linalg.inv(H / size / size[:, None])
     covariance = inverse @ (middle / size / size[:, None]) @ inverse / size / size[:, None]
     return (covariance + covariance.T) / 2
+
+
+def step_with_prior(
+    H: np.ndarray, g: np.ndarray, middle: np.ndarray, prior: np.ndarray, off: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The step d (q,) to the likeliest values and their covariance (q, q) where some are known
+    before: normal, standard deviations prior (q,) (inf: not known), the values now ``off`` (q,)
+    from there.
+
+    H = J'J (q, q), g = J'r (q,), middle = M (q, q) the covariance of g, L = diag(1/prior^2):
+    (H M^-1 H + L) d = H M^-1 g - L off, and the inverse of that matrix is the covariance (Bayes'
+    rule; Ljung 1999, section 7.4). Raises NumericalFailure where values that nobody knows are not
+    told apart.
+    """
+    # unit diagonals; a value of which nothing is seen keeps its prior
+    diagonal = np.diag(H)
+    size = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    H, g, middle = H / size / size[:, None], g / size, middle / size / size[:, None]
+    L = np.diag(1 / np.maximum(prior * size, 1e-150) ** 2)
+
+    # M^-1 by its eigenvalues, those of rounding raised
+    values, vectors = np.linalg.eigh((middle + middle.T) / 2)
+    inverse = (vectors / np.maximum(values, _ROUNDING * values[-1])) @ vectors.T
+    A = H @ inverse @ H + L
+    if not np.isfinite(A).all() or np.linalg.cond(A) > 1 / np.finfo(float).eps:
+        raise NumericalFailure("these records do not tell the values apart")
+    step = np.linalg.solve(A, H @ inverse @ g - L @ (off * size)) / size
+    covariance = np.linalg.inv(A) / size / size[:, None]
+    return step, (covariance + covariance.T) / 2
 
 
 def column_cosine(H: np.ndarray) -> np.ndarray:

@@ -8,11 +8,9 @@ theta leaves g - H d, and the best one is the least of
 
     (g - H d)' M^-1 (g - H d) + (theta + d - theta_0)' L (theta + d - theta_0)
 
-L: diagonal, 1/(s c_0)^2 for the file's numbers and zero for those asked for. So
-
-    (H M^-1 H + L) d = H M^-1 g - L (theta - theta_0),      Cov theta = (H M^-1 H + L)^-1
-
-which also holds where the records cannot tell two numbers apart: then the file does.
+L: diagonal, 1/(s c_0)^2 for the file's numbers and zero for those asked for
+(statistics.step_with_prior), which also holds where the records cannot tell two numbers apart: then
+the file does.
 """
 
 from __future__ import annotations
@@ -48,8 +46,6 @@ _STEPS = 4  # of Gauss and Newton; the numbers are few per cent off, so two do
 _SETTLED = 0.05  # standard deviations of a last step
 # of the file's own uncertainty: numbers that the records know better, or move by more, are found
 _TOLD, _MOVED = 0.7, 0.5
-_SEEN = 1e-10  # of the largest effect; a number of less is not in these records
-_FLOOR = 1e-11  # of the largest eigenvalue of M with H's diagonal one: below it is rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,6 +108,15 @@ def fit_with_priors(
     return experiment, _estimate(experiment, found, result)
 
 
+def prior_of(experiment: Experiment, asked: int) -> np.ndarray:
+    """The standard deviations (q,) that the file's numbers have before a record; the first
+    ``asked`` are not known.
+    """
+    prior = FILE * np.abs(experiment.nominal)
+    prior[:asked] = np.inf
+    return prior
+
+
 def _begin(experiment: Experiment, result: ParameterEstimate) -> np.ndarray:
     """The file's values (q,), but for those found."""
     theta = experiment.nominal.copy()
@@ -124,32 +129,17 @@ def _posterior(experiment: Experiment, theta: np.ndarray, asked: int) -> _Poster
     steps do not settle, or leave the stable loops.
     """
     problem = LeastSquares(experiment, normal_equations)
-    prior = FILE * np.abs(experiment.nominal)
-    prior[:asked] = np.inf
+    prior = prior_of(experiment, asked)
     for _ in range(_STEPS):
         H, g, _, middle = equations_at(experiment, theta, coloured=True)
-
-        # unit diagonals; a number of which nothing is seen keeps its prior
-        effect = np.sqrt(np.maximum(np.diag(H), 0.0)) * experiment.scale
-        seen = effect > _SEEN * effect.max()
-        size = np.where(seen, effect / experiment.scale, 1.0)
-        H, g, middle = H / size / size[:, None], g / size, middle / size / size[:, None]
-        L = np.diag(1 / np.maximum(prior * size, 1e-150) ** 2)
-
-        # M^-1 by its eigenvalues, those of rounding raised
-        values, vectors = np.linalg.eigh((middle + middle.T) / 2)
-        inverse = (vectors / np.maximum(values, _FLOOR * values[-1])) @ vectors.T
-        A = H @ inverse @ H + L
-        if not np.isfinite(A).all() or np.linalg.cond(A) > 1 / np.finfo(float).eps:
-            return None
-        off = (theta - experiment.nominal) * size
-        step = np.linalg.solve(A, H @ inverse @ g - L @ off)
-        covariance = np.linalg.inv(A) / size / size[:, None]
-        theta = theta + step / size
+        step, covariance = statistics.step_with_prior(
+            H, g, middle, prior, theta - experiment.nominal
+        )
+        theta = theta + step
         if not slowest(loop for loop, _ in problem.loops(theta)) < 1:
             return None
-        if (np.abs(step / size) < _SETTLED * np.sqrt(np.diag(covariance))).all():
-            return _Posterior(theta, (covariance + covariance.T) / 2, H * size * size[:, None])
+        if (np.abs(step) < _SETTLED * np.sqrt(np.diag(covariance))).all():
+            return _Posterior(theta, covariance, H)
     return None
 
 

@@ -34,7 +34,7 @@ from ambrose.identification.output_error.normal_equations import (
 )
 from ambrose.identification.output_error.problem import Experiment, FitOptions, build_experiment
 from ambrose.identification.output_error.residual_analysis import residual_scores
-from ambrose.identification.output_error.statistics import verdict_of
+from ambrose.identification.output_error.statistics import step_with_prior, verdict_of
 from ambrose.identification.parameters import magnet_paths, unit_of
 from ambrose.identification.validation.channel_faults import Fault, faulty_loop
 from ambrose.law.law import LawLike
@@ -92,6 +92,7 @@ def suspects(
     controller: LawLike,
     result: ParameterEstimate,
     options: FitOptions,
+    prior: np.ndarray | None = None,
 ) -> tuple[Suspect, ...]:
     """The suspects that noise cannot make, the best explanation first, then those held by the file;
     none where no further unknown can be tried.
@@ -99,14 +100,15 @@ def suspects(
     Tried are the delays of controller and excitation, the amplifier's other parameters, gains and
     stiffnesses of bearings and couplings, the seals' coefficients and the first two bending modes,
     as far as the fit took them as known; and the faults of channels and magnets
-    (channel_faults.py).
+    (channel_faults.py). prior (q,): the standard deviations about ``result.start`` with which its
+    values were held in the fit (None: they were free).
     """
     options = replace(options, period=None)
     modes = min(options.bending_modes + _FURTHER, bending_modes_of_mesh(machine))
     cut = (
         None
         if modes <= options.bending_modes
-        else _truncation(machine, records, controller, result, options, modes)
+        else _truncation(machine, records, controller, result, options, modes, prior)
     )
     options = replace(options, bending_modes=max(modes, options.bending_modes))
     paths = [
@@ -147,6 +149,7 @@ def _truncation(
     result: ParameterEstimate,
     options: FitOptions,
     modes: int,
+    prior: np.ndarray | None,
 ) -> Suspect | None:
     """What ``modes`` bending modes would do to the values, by one step of Gauss and Newton; None
     where noise hides it.
@@ -159,11 +162,18 @@ def _truncation(
             )
         except AmbroseError:
             return None
-        H, g, cost = equations_at(experiment, result.values)[:3]
+        H, g, cost, middle = equations_at(experiment, result.values, coloured=prior is not None)
         size = np.sqrt(np.diag(H))
         if not (size > 0).all():  # a model of so many modes shows nothing of a parameter
             return None
-        step = np.linalg.solve(H / size / size[:, None], g / size) / size
+        if prior is None:
+            step = np.linalg.solve(H / size / size[:, None], g / size) / size
+        else:
+            off = result.values - result.start
+            try:
+                step = step_with_prior(H, g, middle, prior, off)[0]
+            except AmbroseError:
+                return None
         costs.append(cost - float(g @ step))
     if not np.any(np.abs(step) > _SEEN * result.standard_deviations):
         return None
