@@ -9,6 +9,7 @@ import pytest
 from ambrose.annexes.touchdown.arrays import Case
 from ambrose.annexes.touchdown.drop import Drop, case_of, rig_of, run
 from ambrose.annexes.touchdown.whip import alone, edge_alone, receptances
+from ambrose.annexes.touchdown.whip_at_stop import edge_at_stop, ring_distance
 from ambrose.model.effects.touchdown import element_force
 from free_mass import CLEARANCE, bush, polynomial_edge, rotor
 
@@ -135,6 +136,56 @@ def test_whip_of_race_elements_and_ring():
     fall = run(rig, case, state, 0.5, dt, rows=200)
     assert 2 * math.pi / fall.figures[0, 9] == pytest.approx(edge, rel=0.02)
     assert fall.log[-1, 4] == pytest.approx(force, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("k", "d", "mu", "travel", "stop", "race"),
+    [
+        (4e6, 3e3, 0.3, 3e-5, 2e7, False),
+        (4e6, 3e3, 0.4, 3e-5, 1e8, False),
+        (2e7, 5e3, 0.2, 1e-5, 2e8, False),
+        (1e7, 4e3, 0.3, 1e-4, 5e7, True),
+    ],
+)
+def test_whip_at_the_stop_of_the_mount(k, d, mu, travel, stop, race):
+    """The stop makes whip two to six times as fast and tens of times as hard; simulation agrees
+    within 2 %, in frequency, in force and in the ring's way.
+    """
+    bearing = bush(k, d, mass=0.05, contact=2e9)._replace(
+        damping=3e3, friction=mu, static_friction=mu, travel=travel, stop_stiffness=stop
+    )
+    if race:
+        bearing = bearing._replace(
+            ring_mass=0.4,
+            stiffness=5e8,
+            race_mass=0.3,
+            race_inertia=1e9,
+            hertz=3e9,
+            preload=2e-6,
+            element_damping=500.0,
+        )
+    fallen = one_mass(bearing, speed=2e4, weight=0.0)
+    w = np.geomspace(20, 2e4, 300)
+    rotor_there = receptances(fallen, w)[:, 0, 0]
+
+    def edge(bearings):
+        curve = alone("A", 0, w, rotor_there, bearings[0])
+        at, force = edge_alone(replace(fallen, bearings=bearings), 0, mu, curve)
+        return at, (force,)
+
+    (linear, _), (at, (force,)) = edge((bearing,)), edge_at_stop(edge, (bearing,), mu)
+    rig, dt = rig_of(fallen)
+    case, state = case_of(fallen, rig, Drop(fallen.speed, (0.0,), (0.0,)), 0.0)
+    state[0], state[3] = CLEARANCE, -0.4 * at * CLEARANCE
+    fall = run(rig, case, state, 0.5, dt, rows=200)
+    assert at > 2 * linear
+    assert 2 * math.pi / fall.figures[0, 9] == pytest.approx(at, rel=0.02)
+    assert fall.log[-1, 4] == pytest.approx(force, rel=0.02)
+    # s from k_s (1 - t/s) = kappa - k, in the simulation
+    turned = bearing._replace(mount_stiffness=k + stop * (1 - travel / np.hypot(*fall.state[6:8])))
+    assert ring_distance(turned, at, force, mu) == pytest.approx(
+        np.hypot(*fall.state[6:8]), rel=0.02
+    )
 
 
 def test_free_flight_precesses_and_turns_about_its_mass_centre():

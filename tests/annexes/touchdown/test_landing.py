@@ -16,7 +16,7 @@ from ambrose.annexes.touchdown.fallen import fallen_rotor
 from ambrose.annexes.touchdown.run_down import run_down
 from ambrose.annexes.touchdown.thrust_face import landing_force, thrust_rows
 from ambrose.annexes.touchdown.verdict import judge_landing
-from ambrose.annexes.touchdown.whip import beyond_stop
+from ambrose.annexes.touchdown.whip_at_stop import beyond_stop
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.file.toml import dumps_machine

@@ -27,11 +27,11 @@ from ambrose.annexes.touchdown.whip import (
     Whip,
     WhipCurve,
     alone,
-    beyond_stop,
     edge_alone,
     receptances,
     together,
 )
+from ambrose.annexes.touchdown.whip_at_stop import Edge, beyond_stop, edge_at_stop
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput
 from ambrose.core.presentation import Presented
@@ -40,6 +40,7 @@ from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
 from ambrose.model.effects.rotor import STANDARD_GRAVITY
+from ambrose.model.effects.touchdown import Bearing
 from ambrose.model.unbalance import residual_unbalance
 from ambrose.record.record import Record
 
@@ -279,7 +280,7 @@ def landing(
     frequency = np.geomspace(_LOWEST, min(_HIGHEST, max(_rolling(fallen))), _POINTS)
     rotor = receptances(fallen, frequency)
     curves = whip_curves(fallen, frequency, rotor)
-    whips = _different([_settled(fallen, curve) for curve in curves])
+    whips = _different([_settled(fallen, curve, frequency, rotor) for curve in curves])
     progress("whip over friction and mount")
     worst = worst_of(whips)
     whip_map = _mapped(fallen, worst.kind, frequency[::3], rotor[::3])
@@ -409,22 +410,39 @@ def curve_of(fallen: FallenRotor, kind: str, frequency: np.ndarray, rotor: np.nd
     return together(kind, angles, frequency, rotor, fallen.bearings)
 
 
-def _settled(fallen: FallenRotor, curve: WhipCurve) -> Whip:
-    """Where whip settles at the largest friction of the bearings that take part."""
-    mu = max(fallen.bearings[i].friction for i in curve.bearings)
-    rolling = min(_rolling(fallen)[i] for i in curve.bearings)
-    if len(curve.bearings) == 1:
-        w, force = edge_alone(fallen, curve.bearings[0], mu, curve)
-        forces: tuple[float, ...] = (force,)
-    else:
-        w, force = curve.edge(mu)
-        forces = (force,) * len(curve.bearings)
+def _settled(
+    fallen: FallenRotor, curve: WhipCurve, frequency: np.ndarray, rotor: np.ndarray
+) -> Whip:
+    """Where whip settles at the largest friction of the bearings that take part, at the mounts'
+    stops where these are met; ``curve`` is that of the mounts alone.
+    """
+    taking = curve.bearings
+    mu = max(fallen.bearings[i].friction for i in taking)
+    rolling = min(_rolling(fallen)[i] for i in taking)
+
+    def edge(bearings: tuple[Bearing, ...]) -> Edge:
+        whole = list(fallen.bearings)
+        for i, item in zip(taking, bearings, strict=True):
+            whole[i] = item
+        same = tuple(whole) == fallen.bearings
+        other = fallen if same else replace(fallen, bearings=tuple(whole))
+        its = curve if same else curve_of(other, curve.kind, frequency, rotor)
+        if len(taking) > 1:
+            return its.edge_of_each(mu)
+        w, force = edge_alone(other, taking[0], mu, its)
+        return w, (force,)
+
+    mounted = tuple(fallen.bearings[i] for i in taking)
+    w, forces = edge(mounted)
+    stop = any(beyond_stop(item, w, f, mu) for item, f in zip(mounted, forces, strict=True))
+    met = edge_at_stop(edge, mounted, mu) if stop else None
+    if met is not None:
+        w, forces = met
     if w > rolling:
-        w, forces = np.inf, (np.inf,) * len(curve.bearings)
-    names = tuple(fallen.names[i] for i in curve.bearings)
-    taking = (fallen.bearings[i] for i in curve.bearings)
-    stop = any(beyond_stop(item, w, f, mu) for item, f in zip(taking, forces, strict=True))
-    return Whip(curve.kind, names, mu, w, forces, rolling, stop)
+        w, forces = np.inf, (np.inf,) * len(taking)
+    names = tuple(fallen.names[i] for i in taking)
+    with_stop = not stop or met is not None
+    return Whip(curve.kind, names, mu, w, forces, rolling, stop, with_stop)
 
 
 def _different(whips: list[Whip]) -> tuple[Whip, ...]:

@@ -67,7 +67,9 @@ def whip_rows(result: Landing) -> tuple[tuple[str, str, str, str], ...]:
             at, force = "no whip", "-"
         elif np.isfinite(whip.frequency):
             at = f"{whip.frequency / (2 * np.pi):.4g} Hz"
-            force = force_text(max(whip.force)) + (" (stop met)" if whip.stop else "")
+            force = force_text(max(whip.force))
+            if whip.stop:
+                force += " (at the stop)" if whip.with_stop else " (without the stop, which is met)"
         else:
             at, force = "up to rolling", "not bounded"
         rows.append((whip.kind, f"{whip.friction:g}", at, force))

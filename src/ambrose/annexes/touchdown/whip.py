@@ -26,20 +26,23 @@ Source of the criterion: the joint receptance of rotor and stator, Black, J. Mec
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
 
 from ambrose.annexes.touchdown.fallen import FallenRotor, stator_receptance
+from ambrose.core.bracketed_root import bracketed_root
 from ambrose.model.effects.touchdown import Bearing
 
 MOST_FRICTION = 2.0  # beyond any pair of dry metals
 _NEWTON, _CLOSE = 12, 1e-10  # steps, and the change that ends them
-# rounds in which rolling elements take the stiffness of their load, from rigid ones on: a soft
-# start would look like a rotor that nothing holds
-_LOADS, _RIGID = 6, 1e9
+# rounds at most in which rolling elements take the stiffness of their load, from rigid ones on (a
+# soft start would look like a rotor that nothing holds), and the change that ends them
+_LOADS, _SAME = 40, 1e-6
+_RIGID = 1e9  # N
+_DOUBLINGS = 20  # of a load, up to which one is looked for that the elements carry
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,27 +75,31 @@ class WhipCurve:
         """(frequency [rad/s], largest force [N]) at which whip settles, between two points of the
         curve; (0, 0) where there is no whip, (inf, inf) where the curve ends below mu.
         """
-        at = self.band(mu)
+        w, forces = self.edge_of_each(mu)
+        return w, max(forces)
+
+    def edge_of_each(self, mu: float) -> tuple[float, tuple[float, ...]]:
+        """As ``edge``, with the force of every bearing."""
+        at, count = self.band(mu), self.force.shape[1]
         if at is None:
-            return 0.0, 0.0
+            return 0.0, (0.0,) * count
         if at == len(self.friction) - 1:
-            return np.inf, np.inf
-        w, force = self.frequency, self.force.max(axis=1)
-        after = at + 1
+            return np.inf, (np.inf,) * count
+        w, after = self.frequency, at + 1
         if not np.isfinite(self.friction[after]):
             # the joint resonance lies before the next point: on with the line of the last two
             before = self.friction[at - 1] if at else np.nan
             if not 0 < before < self.friction[at]:  # no resonance: the contact's own end
-                return float(w[after]), np.inf
+                return float(w[after]), (np.inf,) * count
             at, after = at - 1, at
-        # both 1/mu and 1/N fall to zero at the joint resonance, nearly straight
-        share = (1 / mu - 1 / self.friction[at]) / (
-            1 / self.friction[after] - 1 / self.friction[at]
-        )
+        # both 1/mu and 1/N fall to zero at the joint resonance, nearly straight:
+        # share = (1/mu - 1/mu_1)/(1/mu_2 - 1/mu_1)
+        low, high = self.friction[at], self.friction[after]
+        share = high * (low - mu) / (mu * (low - high))
         settled = w[at] + share * (w[after] - w[at])
-        flexible = 1 / force[at] + share * (1 / force[after] - 1 / force[at])
+        flexible = 1 / self.force[at] + share * (1 / self.force[after] - 1 / self.force[at])
         beyond = min(settled, w[min(after + 1, len(w) - 1)])
-        return float(beyond), float(1 / flexible) if flexible > 0 else np.inf
+        return float(beyond), tuple(float(1 / f) if f > 0 else np.inf for f in flexible)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +108,10 @@ class Whip:
 
     frequency [rad/s] and force (b,) [N] at the edge, 0 where there is no whip. A force of inf:
     nothing bounds it where the linear model ends; a frequency of inf: nothing but rolling ends it.
-    rolling [rad/s]: without slip; no whip is faster. stop: whether the ring would go beyond its
-    mount's stop there, which makes whip faster and harder than this.
+    rolling [rad/s]: without slip; no whip is faster. stop: whether a
+    ring would go beyond its mount's stop under the mounts alone; with_stop: whether frequency and
+    force hold with the stops that are met (``whip_at_stop``), False where those of several bearings
+    did not settle and the figures are the mounts' alone.
     """
 
     kind: str
@@ -112,6 +121,7 @@ class Whip:
     force: tuple[float, ...]
     rolling: float
     stop: bool
+    with_stop: bool = True
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, SI; what is not finite is null."""
@@ -125,16 +135,8 @@ class Whip:
             "force_0p": [float(value) for value in self.force] if bounded else None,
             "rolling": self.rolling,
             "beyond_stop": self.stop,
+            "with_stop": self.with_stop,
         }
-
-
-def beyond_stop(bearing: Bearing, w: float, force: float, mu: float) -> bool:
-    """Whether a ring goes further than its mount's travel under a whip's force [N] at w [rad/s]."""
-    if not bearing.ring_mass or not np.isfinite(bearing.travel):
-        return False
-    stiffness = bearing.mount_stiffness - bearing.ring_mass * w**2
-    moved = abs(1 / (stiffness + 1j * w * bearing.mount_damping)) * force * np.hypot(1, mu)
-    return bool(moved > bearing.travel)
 
 
 def receptances(fallen: FallenRotor, frequency: np.ndarray) -> np.ndarray:
@@ -153,19 +155,54 @@ def alone(
 
 def _needed(rotor: complex, w: float, bearing: Bearing) -> tuple[float, float]:
     """(mu, N) of (3); NaN where there is no whip."""
-    force = _RIGID
-    for _ in range(_LOADS):
-        A = rotor + stator_receptance(bearing, w, force)
-        if A.real >= 0:
-            return np.nan, np.nan
+
+    def room(A: complex) -> float:
         mu = max(A.imag / A.real, 0.0)
-        room = abs(A.real) * (1 + mu**2) - 1 / bearing.stiffness
-        if room <= 0:
-            return np.nan, np.nan  # the contact itself is softer: it opens no gap any more
-        force = bearing.clearance / room
-        if not bearing.race_mass:
+        return abs(A.real) * (1 + mu**2) - 1 / bearing.stiffness
+
+    found = _at_load(rotor, w, bearing, room)
+    if found is None:
+        return np.nan, np.nan
+    A, force = found
+    return max(A.imag / A.real, 0.0), force
+
+
+def _at_load(
+    rotor: complex, w: float, bearing: Bearing, room: Callable[[complex], float]
+) -> tuple[complex, float] | None:
+    """A and N of (3), N = c / room(A), where rolling elements have the stiffness of their load;
+    None where there is no whip, or the contact itself is softer: it opens no gap any more.
+    """
+
+    def joint(load: float) -> complex:
+        return rotor + stator_receptance(bearing, w, load)
+
+    load, A = _RIGID, joint(_RIGID)
+    for _ in range(_LOADS):
+        if A.real >= 0 or room(A) <= 0:
             break
-    return mu, force
+        last, load = load, bearing.clearance / room(A)
+        if not bearing.race_mass or abs(load - last) < _SAME * load:
+            return A, load
+        A = joint(load)
+    if load == _RIGID or not bearing.race_mass:
+        return None
+
+    # slow, or elements too soft at the load of rigid ones: up from there to one that they carry,
+    # N room(A(N)) = c
+    def missing(log_load: float) -> float:
+        A = joint(np.exp(log_load))
+        return float(np.exp(log_load) * room(A) - bearing.clearance) if A.real < 0 else -1.0
+
+    low = np.log(bearing.clearance / room(joint(_RIGID)))
+    way = -np.log(2) if missing(low) > 0 else np.log(2)
+    for _ in range(_DOUBLINGS):
+        high = low + way
+        if missing(high) * way > 0:
+            load = float(np.exp(bracketed_root(missing, low, high, absolute=_SAME)))
+            return joint(load), load
+        low = high
+    return None
 
 
 def edge_alone(fallen: FallenRotor, index: int, mu: float, curve: WhipCurve) -> tuple[float, float]:
@@ -182,11 +219,8 @@ def edge_alone(fallen: FallenRotor, index: int, mu: float, curve: WhipCurve) -> 
 
     def joint(w: float) -> complex:
         rotor = fallen.receptance(w)[index, index]
-        A = rotor + stator_receptance(bearing, w, _RIGID)
-        for _ in range(_LOADS if bearing.race_mass else 0):
-            load = bearing.clearance / max(room(A), 1e-3 / bearing.stiffness)
-            A = rotor + stator_receptance(bearing, w, load)
-        return complex(A)
+        found = _at_load(rotor, w, bearing, room)
+        return complex(rotor + stator_receptance(bearing, w, _RIGID) if found is None else found[0])
 
     def excess(w: float) -> float:
         # mu Re A = Im A; above zero where friction is more than whip needs (Re A < 0), below
@@ -197,7 +231,7 @@ def edge_alone(fallen: FallenRotor, index: int, mu: float, curve: WhipCurve) -> 
     low, high = curve.frequency[at], curve.frequency[at + 1]
     if excess(low) * excess(high) > 0:
         return float(high), np.inf  # the contact's own end
-    w = brentq(excess, low, high, xtol=1e-12, rtol=1e-12)
+    w = bracketed_root(excess, low, high, absolute=1e-12, relative=1e-12)
     left = room(joint(w))
     return w, bearing.clearance / left if left > 0 else np.inf
 
