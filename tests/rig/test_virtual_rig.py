@@ -21,6 +21,8 @@ from run_ups import RUN_UP
 RIG = load_machine("seal-rig")
 WEIGHTLESS = replace(RIG, gravity_direction=None)
 PID = pid_controller(RIG.controller, RIG)
+PUMP = load_machine("turbomolecular-pump")
+PUMP_PID = pid_controller(PUMP.controller, PUMP)
 POINTS = {point.label: point for point in RIG.operation.points}
 
 
@@ -110,6 +112,38 @@ def test_power_loss_rotor_comes_to_rest_at_the_bottom():
     end = trace.record.between(1.8, 2.0)
     down = -(end["q_A_zeta"] + end["q_A_eta"]) / np.sqrt(2)
     assert down.mean() == pytest.approx(RIG.bearings[0].touchdown_gap, rel=0.05)
+
+
+def test_power_returns_within_the_fall():
+    """Away for 2 ms, the rotor falls by less than g t^2/2 = 20 um and is caught again."""
+    dip = Scenario("dip", 0.4, failures=(Failure(0.05, until=0.052),))
+    trace = virtual_rig.run(RIG, PID, dip, point=POINTS["zero pressure"])
+    assert trace.outcome == "completed"
+    before, back = trace.record.between(0.03, 0.0499), trace.record.between(0.35, 0.4)
+    at_once = trace.record.between(0.0515, 0.0519)
+    for axis in RIG.axes:
+        weight = before[f"i_{axis}"].mean()
+        assert abs(at_once[f"i_{axis}"]).max() < 0.2 * abs(weight)
+        assert back[f"i_{axis}"].mean() == pytest.approx(weight, rel=0.02)
+    assert np.abs(back["y_A_zeta"]).max() < 1e-6
+
+
+def test_free_again_is_told_where_the_power_returns():
+    fall = Scenario("fall", 0.5, failures=(Failure(0.02, until=0.06),))
+    trace = virtual_rig.run(PUMP, PUMP_PID, fall)
+    assert trace.outcome == "touchdown"
+    free = float(trace.text.partition("free again since t = ")[2].split()[0])
+    places = trace.record.between(free + 2e-4, 0.5)
+    gap = PUMP.bearings[0].touchdown_gap
+    assert np.hypot(places["q_fore-vacuum_zeta"], places["q_fore-vacuum_eta"]).max() < gap
+    gone = replace(fall, failures=(Failure(0.02),))
+    assert "again" not in virtual_rig.run(PUMP, PUMP_PID, gone).text
+
+
+@pytest.mark.parametrize(("until", "words"), [(0.05, "after its time"), (0.3, "within 0 to")])
+def test_a_return_of_power_at_no_possible_time_is_refused(until, words):
+    with pytest.raises(InvalidInput, match=words):
+        Scenario("dip", 0.2, failures=(Failure(0.05, until=until),))
 
 
 def test_pressure_decides_over_stability_along_a_run():

@@ -125,10 +125,7 @@ def axis_order(
     ways = ("_zeta", "_eta", *(f"_{axis.rpartition('_')[2]}" for axis in axes))
     if not any(name.startswith(prefix) or name.endswith(ways) for name in names):
         return list(range(len(axes)))
-    axis_of = [
-        next((axis for axis in axes if name == axis or name.endswith(f"_{axis}")), None)
-        for name in names
-    ]
+    axis_of = [_axis_named(name, axes) for name in names]
     if sorted(map(str, axis_of)) != sorted(axes):
         remedy = (
             f"this controller is for another machine: design one for {machine or 'this'}, or give "
@@ -141,6 +138,15 @@ def axis_order(
             remedy,
         )
     return [axis_of.index(axis) for axis in axes]
+
+
+def _axis_named(name: str, axes: Sequence[str]) -> str | None:
+    """The axis that a signal's name ends with; generated code writes _ for a bearing's hyphens."""
+    for spelled in (str, lambda text: text.replace("-", "_")):
+        for axis in axes:
+            if f"_{spelled(name)}".endswith(f"_{spelled(axis)}"):
+                return axis
+    return None
 
 
 def running_law(law: LawLike, plant: Plant, timing: Timing | None) -> StateSpace:

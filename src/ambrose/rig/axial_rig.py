@@ -40,7 +40,7 @@ from ambrose.rig.engine.inputs import Plan, plan
 from ambrose.rig.engine.record import Recorder
 from ambrose.rig.scenario import LEVITATED, Scenario
 from ambrose.rig.trace import Trace
-from ambrose.rig.waveforms import sample_of, waveforms
+from ambrose.rig.waveforms import waveforms, without_power
 
 _STRETCH = 4000  # control samples computed at once
 _STEP = 1.25e-5  # [s], the longest; the flux of a core is settled to first order in it
@@ -348,7 +348,7 @@ def driven(task: Plan, first: int, count: int) -> Driven:
 
     powered = np.ones((1, count))
     for failure in scenario.failures:
-        powered[:, max(sample_of(failure.time, dt) - first, 0) :] = 0.0
+        powered[:, without_power(failure, dt, first, count)] = 0.0
     sigma = float(rig.constants.sensor[4])
     noise = sigma * task.noise.standard_normal((1, count)) if sigma else np.zeros((1, count))
     pushed = rows.get(f"f_{axis}")

@@ -307,16 +307,24 @@ class SpeedChange:
 @dataclass(frozen=True, slots=True)
 class Failure:
     """From ``time`` [s] on the amplifier of ``axis`` ("A_zeta") has no power; without an axis, none
-    has.
+    has. ``until`` [s] it returns (without one it does not); the controller has run on.
     """
 
     time: float
     axis: str | None = None
+    until: float | None = None
 
     def __post_init__(self) -> None:
         check_positive(
             self.time, "the time of the failure", "give it in seconds", zero_allowed=True
         )
+        if self.until is not None and not self.time < self.until < math.inf:
+            raise invalid(
+                "until of a failure",
+                self.until,
+                f"after its time, {self.time:g} s",
+                "correct it, or leave it out if the power stays away",
+            )
 
 
 Disturbance = Pulse | Sine | Chirp | Prbs

@@ -458,7 +458,11 @@ class LiveRig:
             pulses=tuple(
                 replace(p, start=p.start - now) for p in scenario.pulses if p.start >= now
             ),
-            failures=tuple(Failure(0.0, item.axis) for item in scenario.failures),
+            failures=tuple(
+                Failure(max(f.time - now, 0.0), f.axis, None if f.until is None else f.until - now)
+                for f in scenario.failures
+                if f.until is None or f.until > now
+            ),
             pressure_sensors=tuple(
                 replace(item, time=0.0) for item in scenario.pressure_sensors[-1:]
             ),

@@ -98,6 +98,9 @@ class Scenario(Presented):
             check_disturbance(item, self.duration)
         starts = [("the time of a change of pressure", item.time) for item in self.pressures]
         starts += [("the time of a failure", item.time) for item in self.failures]
+        starts += [
+            ("until of a failure", item.until) for item in self.failures if item.until is not None
+        ]
         starts += [("the time of a change of speed", item.time) for item in self.speed_changes]
         starts += [("the time of a pressure sensor", item.time) for item in self.pressure_sensors]
         if self.switch_at is not None:
@@ -349,6 +352,7 @@ _KINDS = {
             "dwell",
             "bit_time",
             "time",
+            "until",
             "switch_at",
         ),
         "time",

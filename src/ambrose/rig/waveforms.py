@@ -14,7 +14,7 @@ import numpy as np
 from ambrose.core.checks import InvalidInput, check_finite, invalid
 from ambrose.core.response import hermite
 from ambrose.core.statespace import index_of
-from ambrose.rig.disturbances import Chirp, Disturbance, Prbs, Pulse, Unbalance
+from ambrose.rig.disturbances import Chirp, Disturbance, Failure, Prbs, Pulse, Unbalance
 from ambrose.rig.scenario import Scenario
 
 _STRETCHED = 0.1  # share by which a duration or a bit may be rounded to whole samples
@@ -77,6 +77,12 @@ def waveforms(
     return driven, np.stack([rows[name] for name in driven], axis=1) if driven else np.zeros(
         (4, 0, k)
     )
+
+
+def without_power(failure: Failure, dt: float, first: int, count: int) -> slice:
+    """Those among the samples first .. first + count - 1 of dt [s]."""
+    end = count if failure.until is None else sample_of(failure.until, dt) - first
+    return slice(max(sample_of(failure.time, dt) - first, 0), max(end, 0))
 
 
 def sample_of(time: float, dt: float) -> int:

@@ -21,7 +21,7 @@ from ambrose.model.effects import seal, seal_rational
 from ambrose.rig.disturbances import sensed
 from ambrose.rig.engine.state import Rig
 from ambrose.rig.scenario import Scenario
-from ambrose.rig.waveforms import directions, sample_of, waveforms
+from ambrose.rig.waveforms import directions, sample_of, waveforms, without_power
 
 _SEAL_GRID = 50  # samples between the points at which a varying operating point is looked up
 
@@ -254,10 +254,8 @@ def _spread(mean: np.ndarray) -> np.ndarray:
 def _powered(plan: Plan, first: int, count: int) -> np.ndarray:
     powered = np.ones((len(plan.rig.axes), count))
     for failure in plan.scenario.failures:
-        since = max(sample_of(failure.time, plan.dt) - first, 0)
-        powered[
-            slice(None) if failure.axis is None else plan.rig.axes.index(failure.axis), since:
-        ] = 0.0
+        axis = slice(None) if failure.axis is None else plan.rig.axes.index(failure.axis)
+        powered[axis, without_power(failure, plan.dt, first, count)] = 0.0
     return powered
 
 

@@ -23,7 +23,8 @@ class Watch:
 
     lifted_at [s]: since when the rotor is free of the touchdown bearings (0: from the start; None:
     not yet). touched_at [s] and where: the first contact after that. contact [s]: how long any was
-    touched after that. deepest [m]: the largest displacement in a touchdown bearing beyond its gap.
+    touched after that, and when last. deepest [m]: the largest displacement in a touchdown bearing
+    beyond its gap. ended [s]: the last sample that was followed.
     """
 
     rig: Rig
@@ -32,6 +33,8 @@ class Watch:
     touched_at: float | None = None
     where: str = ""
     contact: float = 0.0
+    last_contact: float = 0.0
+    ended: float = 0.0
     deepest: float = 0.0
     limited: list[tuple[float, str]] = field(default_factory=list)
     # when the rotor first was beyond a magnet's air gap [s], and at which bearing
@@ -72,7 +75,9 @@ class Watch:
             for axis, row in zip(self.rig.axes, full, strict=True):
                 if row.any():
                     self.limited.append((float(time[np.flatnonzero(row)[-1]]), axis))
+        self.ended = float(time[-1]) if len(time) else self.ended
         if len(after):
+            self.last_contact = float(time[after[-1]])
             if self.touched_at is None:
                 self.touched_at = float(time[after[0]])
                 self.where = self.rig.machine.bearings[int(np.argmax(depth[:, after[0]]))].name
@@ -141,12 +146,21 @@ def classify_outcome(
     stay = (
         f"in contact for {monitor.contact:.3g} s, {monitor.deepest * 1e6:.3g} um beyond the gap at "
         "most"
-    )
+    ) + _again(monitor, scenario)
     return (
         "touchdown",
         f"touchdown at {monitor.where} at t = {monitor.touched_at:.6g} s{lifted}: "
         f"{_cause(monitor, scenario, pole)}; {stay}",
     )
+
+
+def _again(monitor: Watch, scenario: Scenario) -> str:
+    """Whether the rotor floats again where the power returns."""
+    if all(item.until is None for item in scenario.failures):
+        return ""
+    if monitor.ended - monitor.last_contact < _CLEAR:
+        return "; not free of the touchdown bearings again"
+    return f"; free again since t = {monitor.last_contact:.6g} s"
 
 
 def _cause(monitor: Watch, scenario: Scenario, pole: complex | None) -> str:
