@@ -26,6 +26,7 @@ from ambrose.core.statespace import (
     static_gain,
 )
 from ambrose.judge import nominal
+from ambrose.judge.certificate import fastest_pole
 from ambrose.judge.sampled_box import sampled_box
 from ambrose.law.loop import match_controller
 from ambrose.law.pid import first_settings, pid_controller
@@ -38,7 +39,13 @@ from ambrose.model.uncertainty import perturbed
 from ambrose.synthesis.fixed_order import tuning
 from ambrose.synthesis.fixed_order.aims import aims_of
 from ambrose.synthesis.fixed_order.channels import _by_samples
-from ambrose.synthesis.fixed_order.job import bending_modes_for, prepare, with_states
+from ambrose.synthesis.fixed_order.job import (
+    bending_modes_for,
+    first_law,
+    first_laws,
+    prepare,
+    with_states,
+)
 from ambrose.synthesis.fixed_order.loops import loop_model, unwarped, warped
 from ambrose.synthesis.fixed_order.members import worst_member
 from ambrose.synthesis.fixed_order.objective import (
@@ -257,6 +264,109 @@ def test_poles_at_the_fence_are_pushed_back():
     assert np.abs(np.linalg.eigvals(moved)).max() < fastest
     cost.fence = 0.999 * fastest
     assert cost(x, 12.0)[0] == np.inf
+
+
+def with_lag(pole):
+    """START with a first-order lag on every output: as good, and fast for its rate."""
+    eye = np.eye(4)
+    late = series(START, StateSpace(-pole * eye, pole * eye, eye, 0 * eye))
+    return StateSpace(late.A, late.B, late.C, late.D, START.inputs, START.outputs)
+
+
+def begun(start):
+    """What is tuned, on two points and one bending mode, and the laws to begin with."""
+    job = prepare(PLANTS[::2], start, RUNS, None, "free", 1, None, 100.0, None)
+    return job, first_laws(job, start, None, "free")
+
+
+def holds(law):
+    """Whether the sampled loop with a Tustin controller and a sample of delay is stable at both
+    points.
+    """
+    T = RUNS.sample_time
+    late = delayed(c2d(law, T, "tustin"), 1)
+    for small in (reduce(plant, 1) for plant in PLANTS[::2]):
+        plant = select(small.system, small.named("u"), small.named("y"))
+        closed = feedback(series(late, c2d(plant, T)), static_gain(np.eye(4), dt=T))
+        if np.abs(np.linalg.eigvals(closed.A)).max() >= 1:
+            return False
+    return True
+
+
+def test_a_lag_that_loses_the_loop_comes_last():
+    """vertical-pump and process-compressor: their PID, fast for its rate, holds every point, and
+    did not with the lag of 400 Hz that was always appended.
+    """
+    start = with_lag(4e4)
+    _, (first, last) = begun(start)
+    assert (first.n_states, last.n_states) == (12, 16)
+    assert holds(first) and not holds(last)
+    _, only = begun(START)
+    assert len(only) == 1 and fastest_pole(START) < 0.5 * np.pi / RUNS.sample_time
+
+
+def test_a_search_for_a_start_keeps_the_poles_below_half_the_rate():
+    """vertical-pump: one at 1.07 times half the rate, which the descent after it could not move."""
+    half = np.pi / RUNS.sample_time
+    job, (_, lost) = begun(with_lag(1.1 * half))
+    assert not holds(lost) and fastest_pole(lost) > half
+    found = tuning._holding(job, lost)
+    assert holds(found) and fastest_pole(found) < half
+
+
+def test_where_one_start_cannot_be_brought_to_hold_another_is_taken(monkeypatch):
+    monkeypatch.setattr(tuning, "_TRIES", 0)
+    said = []
+    job, (first, lost) = begun(with_lag(4e4))
+    job.say = said.append
+    assert tuning._first_holding(job, (lost, first)) is first
+    assert "no controller of order 16 that holds all 2 models" in said[-1]
+    with pytest.raises(NumericalFailure, match="allow a higher order"):
+        tuning._first_holding(job, (lost, lost))
+
+
+def test_a_descent_begins_with_room_for_its_fastest_poles():
+    half = np.pi / RUNS.sample_time
+    job, _ = begun(START)
+    near = with_lag(0.999 * half)
+    found = tuning._with_room(job, near)
+    assert fastest_pole(found) == pytest.approx(0.9 * half) and holds(found)
+    assert tuning._with_room(job, with_lag(0.9 * half)).n_states == near.n_states
+    # the gain at low frequency stays
+    slow = np.array([1.0, 10.0])
+    np.testing.assert_allclose(
+        frequency_response(found, slow).values, frequency_response(near, slow).values, rtol=1e-3
+    )
+
+
+def test_the_gradient_of_the_search_for_a_start_is_that_of_finite_differences():
+    cost, x = objective(RUNS)
+    size = np.abs(np.linalg.eigvals(cost.structure.matrices(x)[0]))
+    for room in (1.05, 3.0):  # some poles feel the barrier, and none
+        cost.fence = None
+        free = cost.unstable(x)[0]
+        cost.fence = room * size.max()
+        value, gradient = cost.unstable(x)
+        assert (value > free) == (room < 2)
+        direction = np.random.default_rng(1).normal(size=len(x))
+        step = 1e-6 * direction
+        slope = (cost.unstable(x + step)[0] - cost.unstable(x - step)[0]) / 2e-6
+        assert gradient @ direction == pytest.approx(slope, rel=1e-4)
+    cost.fence = 0.999 * size.max()
+    assert cost.unstable(x)[0] == np.inf
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("name", ["vertical-pump", "process-compressor"])
+def test_the_first_round_goes_down(name):
+    """It ended after one step, at 8.3 and 43 times a limit."""
+    machine = amb.load_machine(name)
+    plants = [assemble(machine, point) for point in machine.operation.points]
+    timing = machine_timing(machine)
+    job = prepare(plants, machine.reference, timing, None, "free", None, None, 600.0, None)
+    law, used = tuning._descended(job, first_law(job, machine.reference, None, "free"), 10)
+    assert used > 50
+    assert tuning._judged(job, law, job.models).worst < (1 if name == "vertical-pump" else 3)
 
 
 def test_an_integrator_that_drifted_is_set_back():

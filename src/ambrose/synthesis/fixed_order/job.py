@@ -27,11 +27,13 @@ from ambrose.model.reduce import reduce, reduce_from
 from ambrose.synthesis.fixed_order.aims import Aims, aims_of
 from ambrose.synthesis.fixed_order.bank import BANKS, first_bank
 from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, warped
-from ambrose.synthesis.fixed_order.structure import Groups, axis_groups
+from ambrose.synthesis.fixed_order.objective import Objective
+from ambrose.synthesis.fixed_order.structure import Groups, axis_groups, structured
 
 _LAG = 2 * np.pi * 400  # rad/s; appended where the start is too fast for its sample rate
 _WEAK = 1e-3  # of the start's gain: states that are added to reach the order
 _STATES_PER_AXIS, _MOST_PER_AXIS = 3, 6  # at first, and at most while requirements are not met
+HOLDS = -0.5  # rad/s; every pole of every model to the left of it: a start that holds them all
 FASTEST = 3.0  # times the fastest pole of the start, or the grid's end
 _BELOW = 0.95  # of half the rate: the fastest pole of a filter bank
 _ABOVE = 1.2  # times the highest bending mode of the models: there the grid ends at least
@@ -171,19 +173,47 @@ def bending_modes_for(
 
 
 def first_law(job: Job, start: Law, order: int | None, structure: str) -> Law:
-    """The start with a lag where its sample rate cannot show its poles, and with weak states, or
-    filters, up to the order.
+    """The first of ``first_laws``."""
+    return first_laws(job, start, order, structure)[0]
+
+
+def first_laws(job: Job, start: Law, order: int | None, structure: str) -> tuple[Law, ...]:
+    """Laws to begin with, the best first: the start with weak states, or filters, up to the order,
+    and the same with a lag where its sample rate cannot show its poles.
+
+    The lag of 400 Hz costs phase where the damping of rigid and bending modes comes from: it comes
+    first where it holds all models, or comes nearer to it than the start itself.
     """
     if structure in BANKS and isinstance(start, PidSettings):
-        return first_bank(start, job.full[0].machine, structure, order, job.fastest)
+        return (first_bank(start, job.full[0].machine, structure, order, job.fastest),)
     start = as_system(start, job.full[0].machine)
-    m, n = start.D.shape[0], start.n_states
+    plain = _of_order(job, start, order)
     late = job.timing is not None and fastest_pole(start) * job.timing.sample_time > 0.5 * np.pi
-    if late and (order is None or n + m <= order):
-        # lag l on every output: u' = l (C x + D err - u); states (x, u)
-        A = np.block([[start.A, np.zeros((n, m))], [_LAG * start.C, -_LAG * np.eye(m)]])
-        B, C = np.vstack([start.B, _LAG * start.D]), np.hstack([np.zeros((m, n)), np.eye(m)])
-        start = StateSpace(A, B, C, np.zeros((m, m)), start.inputs, start.outputs)
+    if not late or (order is not None and start.n_states + len(start.D) > order):
+        return (plain,)
+    lagged = _of_order(job, _lagged(start), order)
+    by_lag = _abscissa(job, lagged)
+    if by_lag < HOLDS or by_lag < _abscissa(job, plain):
+        return lagged, plain
+    return plain, lagged
+
+
+def _lagged(K: StateSpace) -> StateSpace:
+    """With a lag l on every output: u' = l (C x + D err - u); states (x, u)."""
+    m, n = K.D.shape[0], K.n_states
+    A = np.block([[K.A, np.zeros((n, m))], [_LAG * K.C, -_LAG * np.eye(m)]])
+    B, C = np.vstack([K.B, _LAG * K.D]), np.hstack([np.zeros((m, n)), np.eye(m)])
+    return StateSpace(A, B, C, np.zeros((m, m)), K.inputs, K.outputs)
+
+
+def _abscissa(job: Job, law: StateSpace) -> float:
+    """The largest real part of any model's closed-loop pole (in w) [rad/s]."""
+    structure, x = structured(law, job.groups)
+    return Objective(structure, job.models, np.array([100.0]), job.aims).abscissa(x)
+
+
+def _of_order(job: Job, start: StateSpace, order: int | None) -> StateSpace:
+    """The start with weak states up to the order. Raises InvalidInput for one that it exceeds."""
     wanted = max(_STATES_PER_AXIS * len(start.inputs), start.n_states) if order is None else order
     if wanted < start.n_states:
         raise invalid(

@@ -47,6 +47,7 @@ _RINGING = 0.7  # imaginary part over modulus above which a pole is held to a da
 _WATCHED = 20.0  # times the damping asked for: better damped poles are left out
 _MATCHED = np.geomspace(max(BAND[0], 2 * np.pi), BAND[1], 30)  # rad/s
 _BARRIER = 0.02  # of the controller's own poles
+_CLEAR = 0.25  # of the fence's square: below it a search for a start feels no barrier
 _STABLE = -1e-6  # rad/s; a pole to the right of it is none of a stable model
 # models with as many states together: their places, and A, B, C, D (m, ...)
 Stacks = list[tuple[list[int], list[np.ndarray]]]
@@ -300,7 +301,7 @@ class Objective:
         self, x: np.ndarray, power: float = 20.0, scale: float = 100.0
     ) -> tuple[float, np.ndarray]:
         """A soft maximum of the poles' real parts [100 rad/s], with its gradient: for a start that
-        does not hold all models.
+        does not hold all models. With a fence, its barrier for poles beyond half of that.
         """
         theta = self.structure.theta(x)
         parts = [_loops(theta, stack).eigen() for _, stack in self._stacks]
@@ -313,9 +314,14 @@ class Objective:
             share = np.exp((part.values.real - top) * power / scale)
             total += share.sum()
             slope += part.slope(share)
-        return float(top / scale + np.log(total) / power), self.structure.gradient(
-            x, slope
-        ) / total / scale
+        value = float(top / scale + np.log(total) / power)
+        gradient = self.structure.gradient(x, slope) / total / scale
+        if self.fence is not None:
+            barrier, by_A = _barrier(self.structure.matrices(x)[0], self.fence, _CLEAR)
+            of_theta = np.zeros_like(theta)
+            of_theta[len(theta) - len(by_A) :, theta.shape[1] - len(by_A) :] = by_A
+            value, gradient = value + barrier, gradient + self.structure.gradient(x, of_theta)
+        return value, gradient
 
     def abscissa(self, x: np.ndarray) -> float:
         """The largest real part of any model's closed-loop pole (in w) [rad/s]."""
@@ -619,18 +625,27 @@ def _stacks(models: Sequence[LoopModel]) -> Stacks:
     ]
 
 
-def _barrier(A: np.ndarray, fence: float) -> tuple[float, np.ndarray]:
-    """The barrier of the controller's own poles, and its slope by A (n, n)."""
+def _barrier(A: np.ndarray, fence: float, clear: float = 0.0) -> tuple[float, np.ndarray]:
+    """The barrier of the controller's own poles, and its slope by A (n, n); clear: the share of
+    fence^2 below which |pole|^2 adds nothing (0: every pole adds).
+    """
     values, V = np.linalg.eig(A)
     W = _inverse(V)
-    room = 1 - np.abs(values) ** 2 / fence**2
+
+    # part = (|lambda|^2 / fence^2 - clear) / (1 - clear), from 0 to 1 at the fence
+    part = np.maximum(np.abs(values) ** 2 / fence**2 - clear, 0.0) / (1 - clear)
+    room = 1 - part
     if (room <= 0).any():
         return np.inf, np.zeros_like(A)
 
-    # -d ln(1 - |lambda|^2 / fence^2) = 2 Re(conj(lambda) d lambda) / fence^2 / room,
+    # -d ln(1 - part) = 2 Re(conj(lambda) d lambda) / fence^2 / (1 - clear) / room,
     # d lambda_i = w_i dA v_i
+    value = -float(np.log(room).sum())
     weight = 2 * _BARRIER * values.conj() / fence**2 / room
-    return -_BARRIER * float(np.log(room).sum()), np.asarray(((W * weight[:, None]).T @ V.T).real)
+    if clear:  # -ln(1 - part) - part begins without a kink; its slope is part / room
+        value -= float(part.sum())
+        weight *= part / (1 - clear)
+    return _BARRIER * value, np.asarray(((W * weight[:, None]).T @ V.T).real)
 
 
 def _theta_slope(psi_h: np.ndarray, X: np.ndarray, Y: np.ndarray) -> np.ndarray:

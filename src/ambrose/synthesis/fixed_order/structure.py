@@ -63,6 +63,28 @@ class Structure:
         return np.asarray((slope * self.scale)[self.free])
 
 
+def slowed(K: StateSpace, fastest: float) -> StateSpace:
+    """The controller with its poles beyond ``fastest`` [rad/s] brought there, in modal coordinates.
+
+    What a pole adds to the gain at zero frequency stays: with A = S A S, B = S B, C = C S and a
+    diagonal S > 0, C A^-1 B does not change.
+    """
+    blocks = decoupled_blocks(K, np.arange(K.n_states))
+    A = sla.block_diag(*[block[0] for block in blocks])
+
+    # S^2 = fastest / |lambda|: two real poles side by side have one each, other blocks one in all
+    share = np.ones(len(A))
+    start = 0
+    for block, _, _ in blocks:
+        alone = not block[~np.eye(len(block), dtype=bool)].any()
+        size = np.abs(np.diag(block)) if alone else np.abs(np.linalg.eigvals(block)).max()
+        share[start : start + len(block)] = fastest / np.maximum(size, fastest)
+        start += len(block)
+    S = np.sqrt(share)
+    B, C = np.vstack([block[1] for block in blocks]), np.hstack([block[2] for block in blocks])
+    return StateSpace(A * S * S[:, None], B * S[:, None], C * S, K.D, K.inputs, K.outputs)
+
+
 def axis_groups(machine: Machine, kind: str) -> Groups:
     """Which axes share a part of the controller: the planes where all stands at one angle, each
     axis alone, or all of them.

@@ -31,17 +31,18 @@ from ambrose.synthesis.fixed_order.bank import FilterBank, advice, at_limits, fi
 from ambrose.synthesis.fixed_order.descent import descend
 from ambrose.synthesis.fixed_order.job import (
     FASTEST,
+    HOLDS,
     Job,
     Law,
     as_system,
-    first_law,
+    first_laws,
     prepare,
     with_states,
 )
 from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, unwarped
 from ambrose.synthesis.fixed_order.members import worst_member
 from ambrose.synthesis.fixed_order.objective import Objective, Ratio
-from ambrose.synthesis.fixed_order.structure import Structure, axis_groups, structured
+from ambrose.synthesis.fixed_order.structure import Structure, axis_groups, slowed, structured
 
 _POWERS = (10, 24, 60, 120, 120)  # even
 INTERRUPTED = "interrupted"
@@ -62,6 +63,8 @@ _APART, _SAME = 2e-3, 2e-4  # relative distances of two points, and of two known
 _AROUND, _HIGH = 15, 0.9
 _ROUNDING, _DRIFT = 1e-9, 0.1  # rad/s; of an integrator that is set back
 _BEYOND = 1.02  # of the fastest pole allowed: where its barrier is infinite
+_CLOSE = 0.98  # of it: a law with a pole so near begins a search with its poles slowed to one of:
+_SLOWED = (0.9, 0.95)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,12 +111,15 @@ def tune_controller(
     job = prepare(
         plants, start, timing, order, structure, bending_modes, reference, time_limit, progress
     )
-    return tuned(job, first_law(job, start, order, structure), structure)
+    law, *otherwise = first_laws(job, start, order, structure)
+    return tuned(job, law, structure, otherwise=otherwise)
 
 
-def tuned(job: Job, law: Law, structure: str, *, again: bool = False) -> Synthesis:
+def tuned(
+    job: Job, law: Law, structure: str, *, again: bool = False, otherwise: Sequence[Law] = ()
+) -> Synthesis:
     """``tune_controller`` from a law on; again: it was tuned before with this job, only the last
-    rounds are made.
+    rounds are made. otherwise: laws to begin with where it cannot be brought to hold all models.
     """
     powers = _POWERS[_AGAIN:] if again else _POWERS
     reason: str | None = None
@@ -121,7 +127,7 @@ def tuned(job: Job, law: Law, structure: str, *, again: bool = False) -> Synthes
     history: list[dict[str, float]] = []
     best: _Round | None = None
     try:
-        law = _holding(job, law)
+        law = _first_holding(job, (law, *otherwise))
         if again:
             rounds.append(_judged(job, law, job.models))
         while best is None:
@@ -191,16 +197,58 @@ def _law(structure: Structure | FilterBank, x: np.ndarray) -> Law:
     return structure.settings(x) if isinstance(structure, FilterBank) else structure.controller(x)
 
 
+def _limit(job: Job, law: Law) -> float:
+    """The fastest pole [rad/s] that a search may give the controller: three times that of the law,
+    or of the grid's end, and half the rate, beyond which export refuses it.
+    """
+    pole = fastest_pole(as_system(law, job.full[0].machine))
+    fastest = FASTEST * max(pole, job.aims.highest)
+    half = np.inf if job.timing is None else np.pi / job.timing.sample_time
+    if isinstance(law, PidSettings):  # whose poles end at their limit softly
+        return min(max(fastest, job.fastest), max(half, pole))
+    return min(fastest, half)
+
+
+def _with_room(job: Job, law: Law) -> Law:
+    """The law with its fastest poles slowed to below the limit, as far as it holds all models then.
+
+    Where a pole stands at the limit every step that moves it out is forbidden, however short: a
+    search would end there at once.
+    """
+    limit = _limit(job, law)
+    if isinstance(law, PidSettings) or fastest_pole(law) <= _CLOSE * limit:
+        return law
+    for share in _SLOWED:
+        slower = slowed(law, share * limit)
+        structure, x = _unknowns(job, slower)
+        if Objective(structure, job.models, np.array([100.0]), job.aims).abscissa(x) < 0:
+            return slower
+    return law
+
+
+def _first_holding(job: Job, laws: Sequence[Law]) -> Law:
+    """The first of these that holds all models or can be brought to."""
+    for law in laws[:-1]:
+        try:
+            return _holding(job, law)
+        except NumericalFailure as error:
+            job.say(f"{error}; beginning with another one")
+    return _holding(job, laws[-1])
+
+
 def _holding(job: Job, law: Law) -> Law:
     """A controller that holds all models, with some decay, by descent on the poles' real parts
-    alone.
+    alone; no pole of its own beyond the limit of the descents that follow.
     """
     before = np.inf
+    limit = _limit(job, law)
+    if isinstance(law, StateSpace) and fastest_pole(law) > limit:
+        law = slowed(law, _SLOWED[0] * limit)
     for attempt in range(_TRIES + 1):
         structure, x = _unknowns(job, law)
         cost = Objective(structure, job.models, np.array([100.0]), job.aims)
         abscissa = cost.abscissa(x)
-        if abscissa < (-0.5 if attempt == 0 else -_DECAY):
+        if abscissa < (HOLDS if attempt == 0 else -_DECAY):
             return law
         # holds, and gains little more
         if attempt == _TRIES or job.clock.left <= 0 or 1.1 * before < abscissa < 0:
@@ -211,6 +259,8 @@ def _holding(job: Job, law: Law) -> Law:
                 f"the start does not hold every model ({abscissa:+.3g} rad/s): looking for one "
                 "that does"
             )
+        if isinstance(law, StateSpace):
+            cost.fence = limit
         x, _ = descend(
             cost.unstable,
             lambda trial: True,
@@ -283,17 +333,11 @@ def _peaks(cost: Objective, x: np.ndarray) -> np.ndarray:
 
 def _descended(job: Job, law: Law, power: int) -> tuple[Law, int]:
     """One descent; true peaks of a denser grid are kept for the next."""
+    law = _with_room(job, law)
+    fastest = _limit(job, law)
     structure, x = _unknowns(job, law)
-    controller = structure.controller(x)
     rough = Objective(structure, job.models, np.array([100.0]), job.aims)
     cost = Objective(structure, job.models, _grid(job, rough, x, _TUNED), job.aims, job.reference)
-
-    # The fastest pole that the descent may use.
-    fastest = FASTEST * max(fastest_pole(controller), job.aims.highest)
-    if isinstance(structure, FilterBank):  # whose poles end at their limit softly
-        fastest = max(fastest, job.fastest)
-    if job.timing is not None:  # export refuses poles beyond half the rate
-        fastest = min(fastest, max(np.pi / job.timing.sample_time, fastest_pole(controller)))
 
     def allowed(trial: np.ndarray) -> bool:
         return (
