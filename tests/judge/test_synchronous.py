@@ -9,7 +9,13 @@ import pytest
 
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import StateSpace, select
-from ambrose.core.synchronous import borders, convergence, slowest_pole, with_resonator
+from ambrose.core.synchronous import (
+    borders,
+    convergence,
+    sector_angle,
+    slowest_pole,
+    with_resonator,
+)
 from ambrose.judge.controller_file import read_controller, write_controller
 from ambrose.judge.result import Synthesis
 from ambrose.judge.synchronous import block_loops, check_block
@@ -23,6 +29,7 @@ from ambrose.judge.synchronous_sensitivity import sensitivity
 from ambrose.law.pid import pid_controller
 from ambrose.law.synchronous import Condition, conditions, forward_patterns, synchronous_loop
 from ambrose.law.synchronous_pencils import loop_pencils, prove_interval
+from ambrose.law.synchronous_table import BlockTable, running_table
 from ambrose.machine.description import Tolerance
 from ambrose.machine.file.toml import load_machine
 from ambrose.machine.synchronous import Synchronous
@@ -102,11 +109,36 @@ def test_the_enclosure_is_the_sampled_loop_but_for_aliasing(loop):
 @pytest.mark.parametrize("mode", ["force-free", "vibration-free", "damping"])
 def test_the_enclosure_of_every_mode_is_its_response_but_for_aliasing(loop, mode):
     pencils, speed = loop_pencils(loop, REST, 500.0, 900.0, mode=mode), 610.0 + 5e-7
-    cell = pencils.pencil(610.0, 610.0 + 1e-6)
+    cell, units = pencils.pencil(610.0, 610.0 + 1e-6), pencils.units[:, None]
     R = cell.D + cell.C @ np.linalg.solve(cell.P0, cell.Q)
-    assert pytest.approx(loop.base_band(speed, REST, mode), abs=1e-11) == R
-    exact = loop.response(mode, speed, REST)
+    assert pytest.approx(units * loop.base_band(speed, REST, mode), abs=1e-11) == R
+    exact = units * loop.signals(mode, speed, REST)
     assert 0 < np.linalg.norm(R - exact, 2) <= pencils.aliasing(610.0, 610.1)
+    weighed = loop.weights(mode, speed, REST) @ loop.signals(mode, speed, REST)
+    assert pytest.approx(weighed, rel=1e-12) == loop.response(mode, speed, REST)
+
+
+def test_the_proof_is_of_the_table_that_runs_and_not_of_t_between_its_speeds(flywheel):
+    """Two knots far apart and a late loop: D = T Z is linear between them, T Z is not."""
+    machine, law = flywheel
+    loop = replace(synchronous_loop(machine, law, delay_samples=3), harmonic=4)
+    low, high = 600.0, 940.0
+    knots = np.array([low, high])
+    T = np.array([np.linalg.inv(loop.response("force-free", w, REST)) for w in knots])
+    table = BlockTable(knots, T)
+    running = running_table(table, loop, "force-free")
+    speeds = np.linspace(low, high, 41)
+    signals = [loop.signals("force-free", w, REST) for w in speeds]
+    true = min(sector_angle(running.at(w) @ R) for w, R in zip(speeds, signals, strict=True))
+    other = min(
+        sector_angle(table.at(w) @ loop.weights("force-free", w, REST) @ R)
+        for w, R in zip(speeds, signals, strict=True)
+    )
+    pencils = loop_pencils(loop, REST, low, high, mode="force-free")
+    proof = prove_interval(pencils, running.at, knots.tolist(), low, high)
+    assert proof.proved
+    assert other > true + np.radians(1.0)
+    assert true - np.radians(1.0) < proof.angle <= true
 
 
 @pytest.mark.campaign
@@ -123,23 +155,31 @@ def test_what_is_proved_of_other_modes_has_stable_poles(loop, mode):
         noise = rng.standard_normal((4, 4)) + 1j * rng.standard_normal((4, 4))
         inverse = np.linalg.inv(loop.response(mode, (low + high) / 2, REST))
         T = inverse @ (np.eye(4) + rng.uniform(0, 1.5) * noise / 2)
-        shown = prove_interval(pencils[k % 2], lambda w, T=T: T, (), low, high).proved
+        D = T @ loop.weights(mode, (low + high) / 2, REST)
+        shown = prove_interval(pencils[k % 2], lambda w, D=D: D, (), low, high).proved
         member = tuple(zip(names, rng.uniform(-1, 1, len(names)).tolist(), strict=True))
         speed = rng.uniform(low, high)
         closed = select(loop.sampled(speed, Condition(0.0, member)), None, loop.reads(mode))
-        D = T @ loop.weights(mode, speed, REST)
         stable = slowest_pole(closed, D, speed, 1e-3) < 0
         proved, unstable = proved + shown, unstable + (not stable)
         assert stable or not shown
     assert min(proved, unstable) > 3
 
 
-def test_a_box_with_the_amplifier_is_not_proved_of_force_free(flywheel):
+def test_force_free_is_proved_over_tolerances_of_the_amplifier_too(flywheel):
+    """The block weighs its signals as in the file, the members have other amplifiers."""
     machine, law = flywheel
     band = Tolerance("amplifier.bandwidth", 0.1)
     loop = synchronous_loop(replace(machine, tolerances=(*machine.tolerances, band)), law)
-    with pytest.raises(InvalidInput, match="counts on its nominal bandwidth"):
-        loop_pencils(loop, REST, 500.0, 600.0, None, mode="force-free")
+    low, high = 700.0, 720.0
+    pencils = loop_pencils(loop, REST, low, high, None, mode="force-free")
+    assert "amplifier.bandwidth" in {item.parameter for item in pencils.tolerances}
+    D = np.linalg.pinv(loop.signals("force-free", 710.0, REST))
+    proof = prove_interval(pencils, lambda w: D, (), low, high)
+    assert proof.proved
+    for size in (-1.0, 1.0):
+        member = Condition(0.0, (("amplifier.bandwidth", size),))
+        assert sector_angle(D @ loop.signals("force-free", low, member)) >= proof.angle
 
 
 def test_every_member_of_the_box_lies_in_the_enclosure(loop):

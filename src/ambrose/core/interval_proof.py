@@ -141,7 +141,7 @@ def proved_angle(
 
     def positive(phi: float) -> bool:
         turn = np.exp(1j * phi * np.array([1.0, -1.0]))[:, None, None, None, None]
-        spread = np.zeros((2, len(T), 1, *T.shape[1:]), complex)
+        spread = np.zeros((2, len(T), 1, *reached.shape[2:]), complex)
         if len(enclosure.slopes):
             # -|H_j| <= p_j H_j in the order of Hermitian matrices
             values, vectors = np.linalg.eigh(hermitian(turn * moved))

@@ -53,8 +53,8 @@ from ambrose.law.synchronous import (
     conditions,
     synchronous_loop,
 )
-from ambrose.law.synchronous_pencils import any_of_amplifier, loop_pencils, prove_interval
-from ambrose.law.synchronous_table import BlockTable, block_table
+from ambrose.law.synchronous_pencils import loop_pencils, prove_interval
+from ambrose.law.synchronous_table import BlockTable, block_table, running_table
 from ambrose.machine.criteria import TWO_PI, Demand, demand
 from ambrose.machine.machine import Machine
 from ambrose.machine.synchronous import Synchronous
@@ -77,6 +77,11 @@ class BlockLoop:
     block: Synchronous
     table: BlockTable
     conditions: tuple[Condition, ...]
+    running: BlockTable
+
+    def closed(self, speed: float, condition: Condition) -> np.ndarray:
+        """D R (a, a): how the amplitudes converge, with D as it runs."""
+        return self.running.at(speed) @ self.loop.signals(self.mode, speed, condition)
 
     @property
     def mode(self) -> str:
@@ -116,10 +121,12 @@ def block_loops(
     not fit the machine.
     """
     loop, at = synchronous_loop(machine, controller, rate, delay), conditions(machine)
-    return tuple(
-        BlockLoop(replace(loop, harmonic=block.harmonic), block, block_table(block, machine), at)
-        for block in blocks
-    )
+    items = []
+    for block in blocks:
+        here, table = replace(loop, harmonic=block.harmonic), block_table(block, machine)
+        running = running_table(table, here, block.mode)
+        items.append(BlockLoop(here, block, table, at, running))
+    return tuple(items)
 
 
 def check_block(
@@ -174,7 +181,7 @@ def _margin_checks(item: BlockLoop, progress: Progress, members: int, seed: int)
         pencils = loop_pencils(item.loop, condition, low, high, mode=item.mode)
         proofs.append(
             (
-                prove_interval(pencils, item.table.at, item.table.speeds.tolist(), low, high),
+                prove_interval(pencils, item.running.at, item.table.speeds.tolist(), low, high),
                 condition,
             )
         )
@@ -211,12 +218,9 @@ def _box_checks(
         if not tolerances:
             continue
         varied += 1
-        if item.mode == "force-free" and any_of_amplifier(tolerances):
-            reason = "the block counts on the amplifier as it is in the file"
-            break
         progress(f"proving convergence over the tolerances at {condition.label}")
         pencils = loop_pencils(item.loop, condition, low, high, tolerances, mode=item.mode)
-        proof = prove_interval(pencils, item.table.at, item.table.speeds.tolist(), low, high)
+        proof = prove_interval(pencils, item.running.at, item.table.speeds.tolist(), low, high)
         proved.append((proof, condition))
         if not proof.proved:
             reason = f"from {proof.failed:.4g} rad/s"
@@ -260,11 +264,8 @@ def member_margins(
             )
             member = Condition(condition.pressure, tuple(zip(names, values.tolist(), strict=True)))
             speed = float(rng.uniform(low, high))
-            angle = float(
-                convergence_angle(
-                    item.table.at(speed), item.loop.response(item.mode, speed, member)
-                )
-            )
+            signals = item.loop.signals(item.mode, speed, member)
+            angle = float(convergence_angle(item.running.at(speed), signals))
             unstable += angle <= 0
             if angle < worst:
                 worst = angle
@@ -286,9 +287,8 @@ def _refusal(item: BlockLoop, proof: IntervalProof, condition: Condition) -> str
     low, high = item.block.band
 
     def value(speed: float) -> float:
-        return float(
-            convergence(item.table.at(speed), item.loop.response(item.mode, speed, condition))
-        )
+        signals = item.loop.signals(item.mode, speed, condition)
+        return float(convergence(item.running.at(speed), signals))
 
     grid = np.linspace(low, high, _GRID)
     levels = np.array([value(float(w)) for w in grid])
@@ -322,10 +322,9 @@ def _gain_checks(item: BlockLoop) -> list[Check]:
     slow_at = 0.0
     for w in item.speeds(_POLES):
         speed = float(w)
-        T = item.table.at(speed)
+        drive = item.running.at(speed)
         for condition in item.conditions:
             closed = select(item.loop.sampled(speed, condition), None, item.loop.reads(item.mode))
-            drive = T @ item.loop.weights(item.mode, speed, condition)
             frequency = item.loop.harmonic * speed
             highest = min(limit, max(8 * eps, 0.1 * frequency))
             update = item.block.update
@@ -335,9 +334,8 @@ def _gain_checks(item: BlockLoop) -> list[Check]:
             if largest < limit:
                 limit, at = largest, speed
             # for small gains a' = -(leak + eps/2 T R) a: the slowest direction
-            rate = leak + eps / 2 * float(
-                convergence(T, item.loop.response(item.mode, speed, condition))
-            )
+            signals = item.loop.signals(item.mode, speed, condition)
+            rate = leak + eps / 2 * float(convergence(drive, signals))
             if rate < slow:
                 slow, slow_at = rate, speed
     time = 1 / slow if slow > 0 else np.inf
@@ -480,14 +478,7 @@ def _margin_curve(item: BlockLoop) -> Curve:
     """The sector angle over the band, a line per pressure."""
     speeds = item.speeds(_SPEEDS)
     angles = [
-        [
-            np.degrees(
-                sector_angle(
-                    item.table.at(float(w)) @ item.loop.response(item.mode, float(w), condition)
-                )
-            )
-            for w in speeds
-        ]
+        [np.degrees(sector_angle(item.closed(float(w), condition))) for w in speeds]
         for condition in item.conditions
     ]
     labels = tuple(condition.label for condition in item.conditions)

@@ -182,14 +182,23 @@ class SynchronousLoop:
         """R (a, a) complex: from c to -z, exact for the sampled loop at 1x. The block of a member
         of the tolerances weighs its signals as it was designed, without them.
         """
+        weights = self.weights(mode, speed, replace(condition, delta=()))
+        return weights @ self.signals(mode, speed, condition)
+
+    def signals(self, mode: str, speed: float, condition: Condition) -> np.ndarray:
+        """(m, a) complex: from c to minus the signals that a mode reads, exact for the sampled loop
+        at 1x; ``response`` weighs them.
+        """
         loop = select(self.sampled(speed, condition), None, self.reads(mode))
         z = np.exp(1j * self.harmonic * speed * self.timing.sample_time)
-        return -self.weights(mode, speed, replace(condition, delta=())) @ _sampled_at(loop, z)
+        return -_sampled_at(loop, z)
 
     def base_band(
         self, speed: float, condition: Condition, mode: str = "current-free"
     ) -> np.ndarray:
-        """R (a, a) at 1x with the base band of the hold alone: the exact one but for aliasing."""
+        """``signals`` (m, a) with the base band of the hold alone: the exact ones but for
+        aliasing.
+        """
         plant = self.plant(speed, condition)
 
         # S = (I + G K)^-1, G = P(j n W) hold delay
@@ -203,8 +212,7 @@ class SynchronousLoop:
         if mode == "current-free":
             return np.asarray(S)
         # y = (1 - S) c, u = K S c
-        signals = np.vstack([np.eye(len(G)) - S, K @ S])[: len(self.reads(mode))]
-        return np.asarray(-self.weights(mode, speed, replace(condition, delta=())) @ signals)
+        return -np.vstack([np.eye(len(G)) - S, K @ S])[: len(self.reads(mode))]
 
     def _late(self, speed: float) -> complex:
         """Hold and delay at 1x."""

@@ -12,8 +12,9 @@ d of the speed from the middle of a cell,
     [  D_k C           0          -C_k           1       ] [u]     [-D_k ]
 
 R is S = 1 + C P^-1 Q for mode current-free. The other modes have C P^-1 Q alone: vibration-free and
-damping with C of y, force-free with B C_y + (k_i/k_s) C_i, where the currents
-i = C_i x + g(W) D_i u are further unknowns.
+damping with C of y, force-free with y and u below each other: the block that runs reads both, by a
+D = T Z that is linear between the speeds of its table, and Herm(D R) > 0 is proved of that D. (T Z
+at every speed would be another block, by a difference of second order in the speeds' distance.)
 
 Here z = exp(j W Ts), g = (1 - exp(-j W Ts))/(j W Ts) and D_p = diag(p) of the tolerances, |p| <= 1.
 z and g are entire, so that their Taylor remainders are known; the machine's matrices are a
@@ -36,9 +37,10 @@ import numpy as np
 from ambrose.core.checks import InvalidInput
 from ambrose.core.interval_proof import Enclosure, IntervalProof, Pencil, enclose, prove
 from ambrose.core.lft import GeneralizedPlant
-from ambrose.core.statespace import StateSpace, select
+from ambrose.core.sampling import delayed
+from ambrose.core.statespace import StateSpace, series, static_gain
 from ambrose.law.scheduling import SPEED
-from ambrose.law.synchronous import Condition, SynchronousLoop, at_bearings
+from ambrose.law.synchronous import Condition, SynchronousLoop
 from ambrose.machine.description import Tolerance
 from ambrose.model.plant import Plant
 from ambrose.model.static_load import magnet_coefficients
@@ -75,19 +77,11 @@ class _Segment:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Coils:
-    """i = C x + D u (a, .) of mode force-free, and its z = displaced y + diag(per_current) i."""
-
-    C: np.ndarray
-    D: np.ndarray
-    displaced: np.ndarray
-    per_current: np.ndarray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class LoopPencils:
     """The pencils of a loop over an interval of speed, at a condition; tolerances: those in the box
-    (empty: none); mode: whose response they enclose.
+    (empty: none); mode: whose response they enclose; units (m,): what the signals that it reads are
+    multiplied by there, so that currents and displacements are alike; given: of mode force-free,
+    the controller without its delay, whose states come first in ``controller``.
     """
 
     loop: SynchronousLoop
@@ -98,8 +92,9 @@ class LoopPencils:
     states: int
     owners: tuple[str, ...]
     segments: tuple[_Segment, ...]
-    mode: str = "current-free"
-    coils: _Coils | None = None
+    mode: str
+    units: np.ndarray
+    given: StateSpace | None = None
     _known: dict[tuple[float, float], Enclosure | None] = field(default_factory=dict, init=False)
 
     def enclosure(self, low: float, high: float) -> Enclosure | None:
@@ -119,8 +114,7 @@ class LoopPencils:
         a = len(self.loop.axes)
         k = K.n_states
         M0, M1, M2 = segment.around(middle)
-        coils = self.coils
-        size = n + q + k + a + (a if coils is not None else 0)
+        size = n + q + k + a
         P0, P1, P2 = (np.zeros((size, size), complex) for _ in range(3))
         rest = np.zeros((size, size))
 
@@ -192,20 +186,18 @@ class LoopPencils:
             members.append(member)
 
         # e = C x + d_o, other modes without d_o; Q: the right side's columns of d_o
-        C, Q = np.zeros((a, size), complex), np.zeros((size, a), complex)
-        C[:, x] = self.C
+        read = len(self.units)
+        C, Q = np.zeros((read, size), complex), np.zeros((size, a), complex)
+        C[:a, x] = self.C
         Q[c] = -K.B
         Q[u] = -K.D
-        if coils is not None:
-            # i - C_i x - g(W) D_i u = 0,   z = B y + (k_i/k_s) i
-            coil = slice(size - a, size)
-            P0[coil, coil] = np.eye(a)
-            P0[coil, x], P0[coil, u] = -coils.C, -g[0] * coils.D
-            P1[coil, u], P2[coil, u] = -g[1] * coils.D, -g[2] * coils.D
-            rest[coil, u] += cubic * np.abs(coils.D)
-            C[:, x] = coils.displaced @ self.C
-            C[:, coil] = np.diag(coils.per_current)
-        D = np.eye(a, dtype=complex) if self.mode == "current-free" else np.zeros((a, a), complex)
+        D = np.eye(read, a, dtype=complex) * (self.mode == "current-free")
+        if self.given is not None:
+            # the currents before their delay: C_0 x_0 - D_0 (C x + d_o)
+            first = slice(c.start, c.start + self.given.n_states)
+            units = self.units[a:, None]
+            C[a:, first], C[a:, x] = units * self.given.C, -units * self.given.D @ self.C
+            D[a:] = -units * self.given.D
         return Pencil(P0, P1, P2, tuple(members), rest, C, Q, D, h)
 
     def aliasing(self, low: float, high: float) -> float:
@@ -226,9 +218,8 @@ def loop_pencils(
     """The pencils of a loop between two speeds [rad/s].
 
     tolerances: in the box (None: all that hold around the condition); edges: further speeds at
-    which a segment ends; mode: whose response is enclosed. Raises InvalidInput for a law that is
-    scheduled over the speed, and for tolerances of the amplifier in mode force-free, whose block
-    counts on the amplifier of the file.
+    which a segment ends; mode: whose signals are enclosed. Raises InvalidInput for a law that is
+    scheduled over the speed.
     """
     if loop.law.follows(SPEED):
         raise InvalidInput(
@@ -237,12 +228,14 @@ def loop_pencils(
         )
     plant = loop.plant((low + high) / 2, condition)
     held = tolerances_around(plant) if tolerances is None else tuple(tolerances)
-    law = loop.timing.in_loop(loop.controller(plant))
-    if mode == "force-free" and any_of_amplifier(held):
-        raise InvalidInput(
-            "mode force-free is not proved over tolerances of the amplifier: the block counts on "
-            "its nominal bandwidth; leave them out of the box"
-        )
+    given = loop.controller(plant) if mode == "force-free" else None
+    if given is None:
+        law = loop.timing.in_loop(loop.controller(plant))
+    else:
+        # the delay after the controller: the block reads what goes into it
+        chain = static_gain(np.eye(len(loop.axes)), given.outputs, given.outputs, given.dt)
+        law = series(given, delayed(chain, loop.timing.delay_samples))
+    units = _units(loop, plant, mode)
 
     def matrices(speed: float) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
         at = loop.plant(speed, condition)
@@ -290,28 +283,24 @@ def loop_pencils(
         # rounding of the assembly is not curvature
         off[off < 1e-12 * np.abs(centre).max(axis=1, keepdims=True)] = 0.0
 
-        seen = max(_aliasing(loop, condition, w, mode) for w in (start, middle, end))
+        seen = max(_aliasing(loop, condition, w, mode, units) for w in (start, middle, end))
         segments.append(
             _Segment(start, end, centre, first, second, _ALLOWED * off, _ALLOWED * seen)
         )
 
     _, C, owners = matrices((low + high) / 2)
-    coils = _coils(loop, plant) if mode == "force-free" else None
     return LoopPencils(
-        loop, condition, held, law, C, len(C[0]), owners, tuple(segments), mode, coils
+        loop, condition, held, law, C, len(C[0]), owners, tuple(segments), mode, units, given
     )
 
 
-def any_of_amplifier(tolerances: Sequence[Tolerance]) -> bool:
-    """Whether the amplifier's own parameters are among tolerances."""
-    return any(one.parameter.startswith("amplifier.") for one in tolerances)
-
-
-def _coils(loop: SynchronousLoop, plant: Plant) -> _Coils:
-    """What mode force-free reads of the coils, of the plant as it is without members."""
-    system = select(plant.system, plant.named("u"), plant.named("i"))
+def _units(loop: SynchronousLoop, plant: Plant, mode: str) -> np.ndarray:
+    """Metres per unit of the signals (m,) that a mode reads: of a current k_i/k_s."""
+    ones = np.ones(len(loop.axes))
+    if mode != "force-free":
+        return ones
     k_i, k_s = magnet_coefficients(loop.machine, plant.point)
-    return _Coils(system.C, system.D, at_bearings(loop.machine), k_i / k_s)
+    return np.concatenate([ones, k_i / k_s])
 
 
 def prove_interval(
@@ -321,11 +310,16 @@ def prove_interval(
     low: float,
     high: float,
 ) -> IntervalProof:
-    """Herm(T S) > 0 between two speeds, for every value of the tolerances in the box of
+    """Herm(D R) > 0 between two speeds, for every value of the tolerances in the box of
     ``pencils``.
 
-    table: speed -> T (a, a); knots: where it bends, linear between.
+    table: speed -> D (a, m) of the signals that the mode reads, as it runs (``running_table``), T
+    (a, a) but for mode force-free; knots: where it bends, linear between.
     """
+
+    def drive(speed: float) -> np.ndarray:
+        return np.asarray(table(speed) / pencils.units)
+
     # no cell crosses a segment's end or a bend of the table
     edges = sorted({low, high, *(s.low for s in pencils.segments), *knots})
     edges = [w for w in edges if low <= w <= high]
@@ -335,7 +329,7 @@ def prove_interval(
     for start, end in itertools.pairwise(edges):
         if end - start < 1e-9 * high:
             continue
-        part = prove(pencils.enclosure, table, start, end, (high - low) * _WIDTH, pencils.aliasing)
+        part = prove(pencils.enclosure, drive, start, end, (high - low) * _WIDTH, pencils.aliasing)
         if not part.proved:
             return part
         cells += part.cells
@@ -360,9 +354,11 @@ def _hold_series(middle: float, dt: float) -> tuple[complex, complex, complex]:
     )
 
 
-def _aliasing(loop: SynchronousLoop, condition: Condition, speed: float, mode: str) -> float:
-    """By how much a mode's response with the base band of the hold alone is off the exact sampled
-    one, in its 2-norm.
+def _aliasing(
+    loop: SynchronousLoop, condition: Condition, speed: float, mode: str, units: np.ndarray
+) -> float:
+    """By how much a mode's signals with the base band of the hold alone are off the exact sampled
+    ones, in units, in the 2-norm.
     """
-    exact = loop.response(mode, speed, condition)
-    return float(np.linalg.norm(exact - loop.base_band(speed, condition, mode), 2))
+    off = loop.signals(mode, speed, condition) - loop.base_band(speed, condition, mode)
+    return float(np.linalg.norm(units[:, None] * off, 2))

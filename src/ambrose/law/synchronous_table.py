@@ -19,13 +19,15 @@ from ambrose.machine.validation.synchronous import synchronous_problems
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockTable:
-    """T (s, n, n) complex at speeds (s,) [rad/s], linear between and constant beyond."""
+    """T (s, n, n), or D (s, n, m), complex at speeds (s,) [rad/s], linear between and constant
+    beyond.
+    """
 
     speeds: np.ndarray
     T: np.ndarray
 
     def at(self, speed: float) -> np.ndarray:
-        """T (n, n) at a speed [rad/s]."""
+        """T at a speed [rad/s]."""
         if len(self.speeds) == 1:
             return np.asarray(self.T[0])
         speed = min(max(speed, float(self.speeds[0])), float(self.speeds[-1]))
@@ -45,6 +47,15 @@ def block_table(block: Synchronous, machine: Machine) -> BlockTable:
         into = modes(machine)[0]
         T = np.linalg.inv(into) @ T @ into
     return BlockTable(speeds, T)
+
+
+def running_table(table: BlockTable, loop: SynchronousLoop, mode: str) -> BlockTable:
+    """D = T Z (s, n, m) at a table's speeds: what runs is linear between them, and not T Z."""
+    at = conditions(loop.machine)[0]
+    weighed = [
+        T @ loop.weights(mode, float(w), at) for w, T in zip(table.speeds, table.T, strict=True)
+    ]
+    return BlockTable(table.speeds, np.array(weighed))
 
 
 def check_blocks(blocks: Sequence[Synchronous], machine: Machine) -> None:
@@ -109,15 +120,12 @@ def running_law(
     usual = 0.25 * min((gap for gap in gaps if gap), default=4e-4)
     laws = []
     for block in blocks:
-        table, at = block_table(block, machine), replace(loop, harmonic=block.harmonic)
-        condition = conditions(machine)[0]
-        drive = [
-            table.at(float(w)) @ at.weights(block.mode, float(w), condition) for w in table.speeds
-        ]
+        at = replace(loop, harmonic=block.harmonic)
+        table = running_table(block_table(block, machine), at, block.mode)
         laws.append(
             BlockLaw(
                 table.speeds,
-                np.array(drive),
+                table.T,
                 block.band,
                 block.gain,
                 np.full(len(machine.axes), block.limit or usual),

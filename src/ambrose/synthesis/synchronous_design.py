@@ -48,7 +48,7 @@ from ambrose.law.synchronous import (
     synchronous_loop,
 )
 from ambrose.law.synchronous_pencils import loop_pencils, prove_interval
-from ambrose.law.synchronous_table import BlockTable, block_of, block_table
+from ambrose.law.synchronous_table import BlockTable, block_of, block_table, running_table
 from ambrose.machine.axial import across_the_shaft
 from ambrose.machine.criteria import TWO_PI
 from ambrose.machine.machine import Machine
@@ -318,13 +318,14 @@ def _provable(
     rest = []
     angle = np.pi / 2
     pencils = [loop_pencils(loop, condition, *band, mode=mode) for condition in at]
+    drive = running_table(table, loop, mode)
     while waiting:
         low, high = waiting.pop()
         if high - low < narrow:
             continue
         failed, smallest = None, np.pi / 2
         for item in pencils:
-            shown = prove_interval(item, table.at, [float(w) for w in table.speeds], low, high)
+            shown = prove_interval(item, drive.at, [float(w) for w in table.speeds], low, high)
             if not shown.proved:
                 failed = shown.failed
                 break

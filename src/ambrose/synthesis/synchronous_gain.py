@@ -11,7 +11,7 @@ from ambrose.core.statespace import select
 from ambrose.judge.synchronous_bands import Forbidden, orbit_limit
 from ambrose.judge.synchronous_sensitivity import sensitivity_peak
 from ambrose.law.synchronous import Condition, SynchronousLoop
-from ambrose.law.synchronous_table import BlockTable
+from ambrose.law.synchronous_table import BlockTable, running_table
 from ambrose.machine.criteria import demand
 
 SHARE = 1 / 3  # of the largest stable eps, which a design takes
@@ -32,12 +32,12 @@ def gain_limit(
     """The largest eps [1/s] with stable exact poles (of an update "turn": multipliers over a turn)
     at a few speeds of a band, all conditions.
     """
-    limit = np.inf
+    limit, drive = np.inf, running_table(table, loop, mode)
     for speed in np.linspace(*band, _GAIN_SPEEDS):
         for condition in at:
             closed = select(loop.sampled(speed, condition), None, loop.reads(mode))
-            T = table.at(speed) @ loop.weights(mode, speed, condition)
-            limit = largest_block_gain(closed, T, speed, loop.harmonic, update, min(limit, speed))
+            D = drive.at(speed)
+            limit = largest_block_gain(closed, D, speed, loop.harmonic, update, min(limit, speed))
     return float(limit)
 
 
