@@ -26,11 +26,12 @@ from typing import Any
 import numpy as np
 
 import ambrose as amb
+from ambrose.chain.recorded_under import as_recorded
 from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.identification.parameters import nominal_values
 from ambrose.judge.sampled_box import sampled_box
 from ambrose.law.loop import match_controller
-from ambrose.machine.description import MagneticBearing
+from ambrose.machine.description import MagneticBearing, OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import TIMING
 from ambrose.model.assemble import assemble
@@ -41,16 +42,18 @@ from ambrose.terminal import kept_page
 
 MACHINES = (
     "seal-rig",
-    "flywheel",
+    "turboexpander",
     "overhung-blower",
+    "flywheel",
+    "outboard-sensor-rotor",
     "turbomolecular-pump",
-    "vertical-pump",
     "high-speed-spindle",
 )
 DRAWS = 20  # until the file's controller holds one
 SECONDS = 5.0
 AMPLITUDE = 0.05  # of the bias current
 REPEATS = 3  # records of the new controller
+MODES = 12  # bending modes per plane on the rig; with three its S is 2 % off the shaft's at 2 kHz
 MEMBERS = 64  # of the identified box, at random, beside its middle, for the predicted interval
 
 
@@ -91,7 +94,12 @@ def recorded(true: Machine, law: Any, label: str, seed: int) -> Record | None:
     )
     try:
         run = amb.simulate(
-            true, law, Scenario("prbs", SECONDS, sequences=driven), point=label, seed=seed
+            true,
+            law,
+            Scenario("prbs", SECONDS, sequences=driven),
+            point=label,
+            seed=seed,
+            bending_modes=MODES,
         )
     except AmbroseError:
         return None
@@ -103,12 +111,25 @@ def recorded(true: Machine, law: Any, label: str, seed: int) -> Record | None:
     return run.record.select(kept)
 
 
+def running(machine: Machine, point: OperatingPoint) -> tuple[Any, str]:
+    """The file's controller and its method: the PID, or the tuned one where the PID does not hold
+    the file's machine at the point of the record, as the rig runs it.
+    """
+    law = amb.design(machine, "pid")
+    if as_recorded(assemble(machine, point), law).stable:
+        return law, "pid"
+    return amb.design(machine, "tuned"), "tuned"
+
+
 def one(name: str, turning: bool, seed: int) -> dict[str, Any]:
     """A truth drawn, retuned, changed and accepted."""
     machine = amb.load_machine(name)
-    law = amb.design(machine, "pid")
     points = sorted(machine.operation.points, key=lambda point: point.speed)
-    label = points[-1 if turning else 0].label
+    at = points[-1 if turning else 0]
+    label = at.label
+    if turning and not at.speed:
+        return {"outcome": "does not turn"}
+    law, under = running(machine, at)
     rng = np.random.default_rng([seed, turning])
     draws = 0
     record = None
@@ -117,7 +138,8 @@ def one(name: str, turning: bool, seed: int) -> dict[str, Any]:
         if draws > DRAWS:
             return {"outcome": f"none of {DRAWS} draws floats"}
         true = truth(machine, rng)
-        record = recorded(true, law, label, seed)
+        if as_recorded(assemble(true, at), law).stable:
+            record = recorded(true, law, label, seed)
     begun = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         done = amb.retune(machine, record, law, folder, changed=True, anyway=True)
@@ -128,6 +150,7 @@ def one(name: str, turning: bool, seed: int) -> dict[str, Any]:
     row = {
         "outcome": done.outcome,
         "stopped": "" if stopped is None else f"{stopped.name}: {stopped.words}",
+        "under": under,
         "running_does": done.before is not None and done.before.passed,
         "draws": draws,
         "seconds": round(spent, 1),

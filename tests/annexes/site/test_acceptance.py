@@ -87,6 +87,22 @@ def test_the_measured_sensitivity_is_the_true_one(speed, kind):
 
 
 @pytest.mark.campaign
+def test_the_interval_holds_magnets_that_differ_by_their_curvature():
+    """A bearing's forces 1 % off: where S is large, S moves by more than 1 % of T."""
+    bearing = machine().bearings[0]
+    iron = replace(bearing.geometry, pole_area=1.0099 * bearing.geometry.pole_area)
+    off = replace(bearing, geometry=iron)
+    other = replace(machine(), bearings=(off, *machine().bearings[1:]))
+    loop, moved = (accept(m, law(), record(noise=1e-10)).points[0] for m in (machine(), other))
+    same = np.isin(loop.omega, moved.omega), np.isin(moved.omega, loop.omega)
+    own, there = (
+        np.abs(np.einsum("wii->wi", item.predicted[0][1][rows]))
+        for item, rows in zip((loop, moved), same, strict=True)
+    )
+    assert (np.abs(there - own) <= loop.half[same[0]]).all()
+
+
+@pytest.mark.campaign
 def test_zones_judge_the_outer_end_of_the_interval():
     loop = accept(machine(), law(), record()).points[0]
     value, high = loop.checks.checks[0].value, loop.peaks[0][1]

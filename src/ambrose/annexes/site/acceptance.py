@@ -56,7 +56,7 @@ _LATE = 4
 _BETTER = 0.5
 _EXACT = 1e-3
 _SAME_LAW = 0.1  # of the measured response of the controller, by which the file's may differ
-# of T_o: by how much the magnets' curvature may move it, at the size of the test's motion; assumed
+# by how much the magnets' curvature may move the plant at the size of the test's motion; assumed
 _CURVED = 0.01
 _ALL_LINES = 2.3  # half-widths of one line that hold a thousand lines together (Bonferroni)
 _DOUBTED = 1.5  # times the half-widths of the file's parameters: 99.7 %
@@ -316,13 +316,16 @@ def _measure(
         ).T
     )
 
+    # currents that push (1 + d) times as much, every axis by itself: dS = -(S G) d (K S)
+    pushed, driven = M.values if kind == "e" else M.values @ np.linalg.pinv(K), K @ S
+    half = np.hypot(half, _CURVED * np.linalg.norm(pushed * driven.swapaxes(1, 2), axis=2))
+
     # largest singular value u^H S v: first order d sigma = -Re(u^H dM through v), v = conj(right)
     left, sigma, right = np.linalg.svd(S)
-    half = np.hypot(half, _CURVED * np.abs(np.einsum("wii->wi", unit - S)))
     top = np.einsum("wij,wj->wi", through, right[:, 0].conj())
-    curved = _CURVED * np.abs(
-        np.einsum("wi,wij,wj->w", left[:, :, 0].conj(), unit - S, right[:, 0].conj())
-    )
+    first = np.einsum("wi,wij->wj", left[:, :, 0].conj(), pushed)
+    last_of = np.einsum("wij,wj->wi", driven, right[:, 0].conj())
+    curved = _CURVED * np.linalg.norm(first * last_of, axis=1)
     above = np.hypot(t * np.sqrt(_spread(M, left[:, :, 0], top)), curved)
 
     # the noise lifts the largest singular value, so that the lower end allows for its norm

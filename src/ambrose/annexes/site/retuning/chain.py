@@ -72,6 +72,9 @@ _HALF = 0.5  # s on either side of a change of controllers on the rig
 _BUMP = 0.1  # of the gap, how far the rotor may go when its controllers change; assumed
 _NARROW = 1e-4  # m, the gap where the machine file states none; assumed
 _MOST = 3  # failed checks that are named
+# what a machine shows that is known to have changed. One factor of all K_i and K_s may be the mass
+# instead; currents and displacements, and so the loop, are the same then
+_AS_CHANGED = {Code.FAR_FROM_FILE, Code.COMMON_FACTOR}
 Progress = Callable[[str], None]
 Records = Record | str | Path | Sequence[Record | str | Path]
 
@@ -266,15 +269,17 @@ def _identified(
     write_text(chain.folder / IDENTIFIED, text, "machine file")
     chain.made["identification"] = done
     chain.made["moved"] = tuple(_moved(chain.given, done))
-    left = [item for item in done.findings if not (changed and item.code == Code.FAR_FROM_FILE)]
+    known = [item for item in done.findings if item.code in _AS_CHANGED]
+    left = [item for item in done.findings if not (changed and item in known)]
     doubts = "; ".join(str(finding) for finding in left)
-    if left and all(item.code == Code.FAR_FROM_FILE for item in left):
+    if left and all(item in known for item in left):
         doubts += "; where the machine is known to have changed so, go on with --changed"
     commands = {f"u_{axis}" for axis in chain.given.axes}
     if doubts and not any(commands & set(record.signals) for record in records):
         doubts += f"; {_UNSEEN}"
     count = len(done.result.paths)
-    good = f"{count} parameters, {_widest(done)}; {done.verdict}"
+    beyond = "".join(f"; as is known: {finding}" for finding in known)
+    good = f"{count} parameters, {_widest(done)}; {done.verdict}{beyond}"
     title = "The record is good and the machine is identified"
     if not chain.say("identified", title, not left, doubts or good, IDENTIFIED):
         return
