@@ -36,6 +36,7 @@ Labelled = Sequence[tuple[str, Curve]]
 _ENVELOPE = re.compile(r"max|worst|sigma|σ|envelope|largest|all axes", re.IGNORECASE)
 _KINDS = ("frequency", "speed", "time", "poles")
 _MOST_PANELS = 8
+_MOST_NAMES = 16  # beside the ends of the lines of one panel
 _AGREEMENT = 0.05  # the legend says up to where an overlaid model stays this close to the reference
 # [px]
 _MAIN_HEIGHT = 280
@@ -124,7 +125,9 @@ def line_figure(
         horizontal_spacing=0.042 if len(specs[0]) > 2 else 0.06,
         vertical_spacing=_GAP / total,
     )
-    legend = len(dict.fromkeys(label for label, _ in curves)) > 1 or _peaked(curves[0][1])
+    several = len(dict.fromkeys(label for label, _ in curves)) > 1
+    # a legend of one label is there for the peak, which tells nothing of lines that have names
+    legend = several or (_peaked(curves[0][1]) and not _crowded(panels[0], axes))
     for panel in panels:
         _draw(figure, panel, curves, axes, style, first=panel is panels[0], overlay=overlay)
     theme.dress(figure, total, legend=legend)
@@ -204,14 +207,16 @@ def _draw(
             if panel.main and len(panel.names) == 1 and _peaked(curve) and not overlay:
                 mark_peak(figure, place, x, y, look)
     if is_map(curves[0][1]):
-        _map_furniture(figure, panel, curves, axes)
+        _map_furniture(figure, panel, axes)
+    if _crowded(panel, axes):
+        _name_ends(figure, panel, curves[0][1], axes)
 
 
 def _dash(name: str, look: theme.Style, curve: Curve) -> str:
-    """On a Campbell map the dash tells backward from forward whirl, elsewhere it tells operating
+    """Of modes over speed the dash tells backward from forward whirl, elsewhere it tells operating
     points apart.
     """
-    if is_map(curve):
+    if curve.kind == "speed" and len(curve.labels) > 1:
         return "6px,3px" if "backward" in name.lower() else "solid"
     return look.dash
 
@@ -279,12 +284,9 @@ def mark_peak(
     theme.scatter(figure, place, [x[i]], [y[i]], mode="markers", marker=marker, hoverinfo="skip")
 
 
-def _map_furniture(figure: Any, panel: Panel, curves: Labelled, axes: Axes) -> None:
-    """On a map over speed: the synchronous line (frequency = speed) and the names of the lines at
-    their right ends.
-    """
+def _map_furniture(figure: Any, panel: Panel, axes: Axes) -> None:
+    """On a map over speed: the synchronous line (frequency = speed)."""
     place = {"row": panel.row, "col": panel.column}
-    first = curves[0][1]
     high = min(axes.x_range[1] / 60, axes.y_range[1])
     low = min(axes.x_range[0] / 60, high)
     theme.guide(
@@ -297,25 +299,32 @@ def _map_furniture(figure: Any, panel: Panel, curves: Labelled, axes: Axes) -> N
         dash="2px,3px",
     )
     theme.note(figure, place, "1× speed", high * 33, high * 0.55, "left", "top", xshift=5)
-    if 1 < len(panel.names) <= 16:
-        ends = [
-            (float(row[-1]) * axes.y_factor, n)
-            for n, row in zip(first.labels, first.y, strict=True)
-        ]
-        for level, name in _spread(ends, axes):
-            text = theme.plain(units.axis_name(name))
-            theme.note(
-                figure,
-                place,
-                text,
-                1.0,
-                level,
-                "left",
-                "auto",
-                colour=theme.INK,
-                xref="x domain",
-                xshift=5,
-            )
+
+
+def _name_ends(figure: Any, panel: Panel, curve: Curve, axes: Axes) -> None:
+    """The names of a panel's lines at their right ends."""
+    ends = [
+        (float(row[-1]) * axes.y_factor, name)
+        for name, row in zip(curve.labels, curve.y, strict=True)
+    ]
+    for level, name in _spread(ends, axes):
+        theme.note(
+            figure,
+            {"row": panel.row, "col": panel.column},
+            theme.plain(units.axis_name(name)),
+            1.0,
+            level,
+            "left",
+            "auto",
+            colour=theme.INK,
+            xref="x domain",
+            xshift=5,
+        )
+
+
+def _crowded(panel: Panel, axes: Axes) -> bool:
+    """Whether one panel holds several lines that only their names tell apart."""
+    return panel.main and 1 < len(panel.names) <= _MOST_NAMES and not axes.log_y
 
 
 def _spread(ends: Sequence[tuple[float, str]], axes: Axes) -> list[tuple[float, str]]:
