@@ -278,6 +278,130 @@ def test_every_screen_fits(tour, server, chromium, width, scheme):
     page.context.close()
 
 
+# what a hand does to every field, and what it finds there afterwards
+FILL = """() => {
+  for (const e of document.querySelectorAll("main details")) e.open = true;
+  for (const e of document.querySelectorAll("main [name]")) {
+    if (e.type === "checkbox") e.checked = !e.checked;
+    else if (e.options) e.selectedIndex = e.options.length - 1;
+    else if (e.type === "range") e.value = Number(e.value) + 0.01 * (e.max - e.min);
+    else if (e.type !== "file") e.value = `by hand ${e.name}`;
+  }
+  for (const e of document.querySelectorAll("main .wide, main textarea")) e.scrollTo(25, 30);
+  const last = [...document.querySelectorAll("main [type=text], main button")].pop();
+  last?.focus();
+  last?.setSelectionRange?.(3, 5);
+  for (const e of document.querySelectorAll("main .panel")) e.dataset.old = "";
+}"""
+FOUND = """() => {
+  const [all, held] = [(what) => [...document.querySelectorAll(`main ${what}`)], document.activeElement];
+  return {
+    typed: all("[name]").map((e) => [e.name, e.value, e.checked]),
+    open: all("details").map((e) => e.open),
+    scroll: all(".wide, textarea").map((e) => [e.scrollLeft, e.scrollTop]),
+    focus: [held.name || held.textContent, held.selectionStart, held.selectionEnd],
+  };
+}"""
+
+
+@pytest.mark.parametrize("screen", [name for name in TITLES if name != "live"])
+def test_a_redraw_keeps_what_a_hand_did(chromium, server, folder, screen, request):
+    page = new_page(chromium, 400)
+    if screen == "records":  # one whose columns are asked for
+        table = folder / "records" / "table.csv"
+        table.parent.mkdir(exist_ok=True)
+        table.write_text("a,b\n1,2\n")
+        request.addfinalizer(table.unlink)
+    redrawn = []
+
+    def changed(route):
+        """Every block otherwise than the time before, on a screen that asks for its jobs."""
+        answer = route.fetch()
+        told = answer.json()
+        redrawn.append(len(redrawn))
+        blocks = [{**block, "title": f"{block['title']} {redrawn[-1]}"} for block in told["blocks"]]
+        route.fulfill(response=answer, json={**told, "blocks": blocks, "jobs": ["*"], "ended": 0})
+
+    page.route(f"**/api/screens/{screen}", changed)
+    ended = [0]
+    page.route("**/api/jobs", lambda route: route.fulfill(json={"blocks": [], "ended": ended[0]}))
+    page.goto(server.address() + f"#{screen}")
+    page.wait_for_selector("main .panel")
+    page.evaluate("document.getElementById('note').textContent = 'said before'")
+    page.evaluate(FILL)
+    before = page.evaluate(FOUND)
+    ended[0] = 1
+    until(page, "!document.querySelector('main [data-old]')")
+    ended[0] = 0
+    after = page.evaluate(FOUND)
+    if screen == "jobs":  # nothing to hold there yet
+        del after["focus"], before["focus"]
+    assert after == before
+    assert before["typed"] or screen in {"jobs"}
+    assert page.locator("#note").text_content() == "said before"
+    assert page.mistakes == []
+    page.unroute_all(behavior="ignoreErrors")
+    page.context.close()
+
+
+def test_a_job_that_ends_while_one_types_changes_nothing_but_what_it_made(
+    chromium, server, folder, request
+):
+    page = new_page(chromium)
+    page.goto(server.address() + "#controllers")
+    page.wait_for_selector("figure svg")
+    slider, name = page.locator("input[type=range]").first, page.locator("[name=name]")
+    for _ in range(40):
+        slider.press("ArrowRight")
+    page.wait_for_timeout(500)
+    page.get_by_role("button", name="Judge on the full plant").click()
+    until(page, "document.querySelector('#note').textContent.includes('was judged')")
+    turned = "() => ({ at: document.querySelector('input[type=range]').value,"
+    turned += " peaks: document.querySelector('td.pass, td.fail').closest('tr').textContent,"
+    turned += " said: document.querySelector('#note').textContent })"
+    before = page.evaluate(turned)
+    name.fill("half written")
+    name.evaluate("(e) => e.setSelectionRange(4, 4)")
+    late = folder / "controllers" / "late.json"
+    late.parent.mkdir(exist_ok=True)
+    late.write_text("{}")
+    request.addfinalizer(late.unlink)
+    start = "fetch('/api/jobs/start', { method: 'POST', body: '{\"kind\": \"check\"}' })"
+    page.evaluate(start)
+    page.wait_for_selector("[name='with.late.json']")
+    assert page.evaluate(turned) == before
+    assert name.input_value() == "half written"
+    assert name.evaluate("(e) => [document.activeElement === e, e.selectionStart]") == [True, 4]
+    page.context.close()
+
+
+def test_what_is_typed_over_a_value_that_changed_is_neither_lost_nor_written(
+    chromium, server, folder
+):
+    page = new_page(chromium)
+    page.goto(server.address() + "#machine")
+    page.wait_for_selector("figure svg")
+    for title in ("[operation]", "The whole file"):
+        page.locator("summary", has_text=title).first.click()
+    text = page.locator("textarea")
+    mine = f"# mine\n{text.input_value()}"
+    text.fill(mine)
+    # the same page saves a table of the file
+    gap = page.locator("[name='machine.name'], [name='name']").first
+    page.locator("summary", has_text="[machine]").first.click()
+    gap.fill("renamed")
+    page.locator("details[open]").get_by_role("button", name="Save").first.click()
+    until(page, "document.querySelector('#note').textContent.includes('is saved')")
+    kept = (folder / "machine.toml").read_text()
+    assert "renamed" in kept and text.input_value() == mine
+    page.locator("details[open]").get_by_role("button", name="Save").last.click()
+    until(page, "document.querySelector('#note').textContent.includes('changed meanwhile')")
+    assert (folder / "machine.toml").read_text() == kept and text.input_value() == mine
+    page.get_by_role("button", name="Reload").click()
+    until(page, "(text) => document.querySelector('textarea').value === text", arg=kept)
+    page.context.close()
+
+
 def test_two_browsers_see_one_project(tour, server, chromium, folder):
     one, other = tour["page"], new_page(chromium)
     other.goto(server.address() + "#machine")

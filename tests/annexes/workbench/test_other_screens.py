@@ -1,6 +1,7 @@
 """Records, identification, envelope, acceptance, deploy: what they show, what they write."""
 
 import json
+import os
 import shutil
 import tomllib
 import zipfile
@@ -176,7 +177,11 @@ def test_the_controller_of_a_retuning_joins_the_others(project):
     project.path("retuning", "controller.json").write_text('{"new": 1}')
     project.path("retuning", "retuning.html").write_text("<p>")
     _, blocks = ask(project, "retuning")
-    assert blocks["page"]["src"] == "/files/retuning/retuning.html"
+    address = blocks["page"]["src"]
+    assert address.startswith("/files/retuning/retuning.html?")
+    # another address once it is written anew, so that the page shows what stands there
+    os.utime(project.path("retuning", "retuning.html"), (1, 1))
+    assert ask(project, "retuning")[1]["page"]["src"] != address
     told, _ = ask(project, "retuning", "take")
     assert told["told"] == "controllers/retuned.json is written."
     assert project.path("controllers", "retuned.json").read_text() == '{"new": 1}'

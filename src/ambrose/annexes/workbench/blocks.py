@@ -9,6 +9,7 @@ title or none. Words are words: the page never reads them as markup. A picture i
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -17,22 +18,20 @@ if TYPE_CHECKING:
 Block = dict[str, Any]
 
 
+def _block(kind: str, key: str, title: str, **more: Any) -> Block:
+    return {"key": key, "kind": kind, "title": title, **more}
+
+
 def words(key: str, text: str, title: str = "", tone: str = "") -> Block:
     """A paragraph; tone: "", "good", "bad" or "muted"."""
-    return {"key": key, "kind": "words", "title": title, "text": text, "tone": tone}
+    return _block("words", key, title, text=text, tone=tone)
 
 
 def table(key: str, content: Table, folded: bool = False) -> Block:
     """A table of the reports; folded: closed until it is opened."""
-    return {
-        "key": key,
-        "kind": "table",
-        "title": content.title,
-        "columns": list(content.columns),
-        "rows": [[_cell(cell) for cell in row] for row in content.cells],
-        "note": content.note,
-        "folded": folded,
-    }
+    rows = [[_cell(cell) for cell in row] for row in content.cells]
+    more = {"columns": list(content.columns), "rows": rows, "note": content.note}
+    return _block("table", key, content.title, folded=folded, **more)
 
 
 def _cell(cell: Cell) -> dict[str, str]:
@@ -41,30 +40,26 @@ def _cell(cell: Cell) -> dict[str, str]:
 
 def picture(key: str, svg: str, title: str = "", caption: str = "", half: bool = False) -> Block:
     """A drawing; half: another may stand beside it."""
-    return {
-        "key": key,
-        "kind": "picture",
-        "title": title,
-        "svg": svg,
-        "caption": caption,
-        "half": half,
-    }
+    return _block("picture", key, title, svg=svg, caption=caption, half=half)
 
 
-def page(key: str, name: str, title: str, folder: str = "reports") -> Block:
-    """A page of results out of a folder of the project, shown and to be opened alone."""
-    return {"key": key, "kind": "page", "title": title, "src": f"/files/{folder}/{name}"}
+def page(key: str, file: Path, title: str) -> Block:
+    """A page of results of the project, shown and to be opened alone; anew where it was written
+    anew.
+    """
+    address = f"/files/{file.parent.name}/{file.name}?{file.stat().st_mtime_ns}"
+    return _block("page", key, title, src=address)
 
 
 def link(key: str, address: str, text: str) -> Block:
     """A file to take along."""
-    return {"key": key, "kind": "link", "title": "", "href": address, "text": text}
+    return _block("link", key, "", href=address, text=text)
 
 
 def same(command: str, *lines: str) -> Block:
     """The command and the lines of Python that do the same."""
     given = {"Command line": command, "Python": "\n".join(("import ambrose as amb", *lines))}
-    return {"key": "same", "kind": "same", "title": "", "lines": given}
+    return _block("same", "same", "", lines=given)
 
 
 def form(
@@ -82,24 +77,14 @@ def form(
     """Fields and buttons; live: the action that every change asks for; more: log, words as they
     were printed, and same, what does the same.
     """
-    return {
-        "key": key,
-        "kind": "form",
-        "title": title,
-        "fields": list(fields),
-        "buttons": list(buttons),
-        "live": live,
-        "folded": folded,
-        "hint": hint,
-        "tone": tone,
-        **more,
-    }
+    own = {"fields": list(fields), "buttons": list(buttons), "live": live, "folded": folded}
+    return _block("form", key, title, hint=hint, tone=tone, **own, **more)
 
 
 def field(name: str, label: str, value: Any = "", kind: str = "text", **more: Any) -> Block:
     """One field; kind: "text", "area", "check", "file" (to: the folder that takes it), "choice"
     (options) or "slider" (low, high, unit, factor to the unit, log: low and high are exponents of
-    ten). action: what a change asks for; heading: above it.
+    ten). action: what a change asks for, in place of the form's; heading: above it.
     """
     return {"name": name, "label": label, "value": value, "kind": kind, **more}
 
@@ -144,14 +129,8 @@ def content(
     stamp: of the file that the screen edits; jobs: the commands whose jobs stand below it; told:
     what was done, in words.
     """
-    return {
-        "blocks": list(blocks),
-        "stamp": stamp,
-        "jobs": list(jobs),
-        "whole": whole,
-        "gone": list(gone),
-        "told": told,
-    }
+    found = {"blocks": list(blocks), "stamp": stamp, "jobs": list(jobs), "gone": list(gone)}
+    return {**found, "whole": whole, "told": told}
 
 
 class Refusal(Exception):

@@ -33,7 +33,8 @@ def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     )
     found = [form, same]
     if _PAGE in project.names("reports"):
-        found.append(blocks.page("page", _PAGE, "The page to sign: open it alone and print it"))
+        title = "The page to sign: open it alone and print it"
+        found.append(blocks.page("page", project.path("reports", _PAGE), title))
     return blocks.content(found, jobs=["accept"])
 
 

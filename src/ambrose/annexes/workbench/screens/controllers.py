@@ -83,7 +83,7 @@ def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     )
     if machine.reference is None:
         hint = f"The file has no [controller]: a PID to start from. {hint}"
-    named = blocks.field("name", "Name", "bench")
+    named = blocks.field("name", "Name", "bench", action="")  # asks for no curves
     low, high = machine.operation.speed_range
     turning = [blocks.button("Campbell", "campbell")] if high > low else []
     form = blocks.form(

@@ -53,7 +53,11 @@ def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     )
     wanted = blocks.rows_table("What is required", ("requirement", "value"), demands)
     written = project.names("reports")
-    pages = [blocks.page(name, name, title) for name, title in _PAGES.items() if name in written]
+    pages = [
+        blocks.page(name, project.path("reports", name), title)
+        for name, title in _PAGES.items()
+        if name in written
+    ]
     points = blocks.table("points", operating_points_table(machine.operation.envelope))
     return blocks.content(
         [form, same, points, blocks.table("demands", wanted), *pages], jobs=["verify", "map"]

@@ -44,7 +44,7 @@ def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
         )
         found.append(blocks.form("back", (), [back], "Identified machine", hint=text))
     if _PAGE in project.names("reports"):
-        found.append(blocks.page("page", _PAGE, "What was found"))
+        found.append(blocks.page("page", project.path("reports", _PAGE), "What was found"))
     return blocks.content(found, jobs=["identify"])
 
 

@@ -47,7 +47,7 @@ def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
         text = "It becomes a controller of this project; read first what was shown of it."
         found.append(blocks.form("take", (), [take], "The new controller", hint=text))
     if _PAGE in made:
-        found.append(blocks.page("page", _PAGE, "What was done", _FOLDER))
+        found.append(blocks.page("page", project.path(_FOLDER, _PAGE), "What was done"))
     return blocks.content(found, jobs=["retune"])
 
 

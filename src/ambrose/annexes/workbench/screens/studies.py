@@ -35,7 +35,7 @@ def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     """The three jobs and their pages."""
     machine = load_machine(project.machine)
     written = [
-        blocks.page(folder, name, title, folder)
+        blocks.page(folder, project.path(folder, name), title)
         for folder, name, title in _PAGES
         if name in project.names(folder)
     ]

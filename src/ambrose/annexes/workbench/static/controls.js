@@ -4,9 +4,10 @@ import { short } from "/static/plot.js";
 
 // act(action, values, live) is asked for what a button or a change wants
 export function form(block, act) {
-  const fields = block.fields.map((spec) => field(spec, () => {
-    if (spec.action || block.live) act(spec.action || block.live, values(), true);
-  }, act));
+  const fields = block.fields.map((spec) => {
+    const action = spec.action ?? block.live;
+    return field(spec, () => action && act(action, values(), true), act);
+  });
   const values = () => Object.fromEntries(fields.map((f) => [f.name, f.value?.()]));
   const buttons = block.buttons.map((b) => button(b.text,
     () => act(b.action, { ...values(), ...b.more }), { className: b.main ? "main" : "" }));
@@ -15,6 +16,7 @@ export function form(block, act) {
       ? [make("h3", {}, block.fields[i].heading), label] : [label]))),
     make("div", { className: "buttons" }, ...buttons), make("pre", { className: "log" }, block.log || ""));
   if (block.same) element.append(sameAs(block.same));
+  element.values = values;
   element.tell = (told) => fields.forEach((f) => f.tell?.(told[f.name] || ""));
   element.set = (now) => fields.forEach((f) => { if (f.name in now) f.set?.(now[f.name]); });
   return element;
@@ -32,16 +34,10 @@ export function field(spec, change, act) {
   if (kind === "file") return { label: drop(spec, input, act) };
   const [main, check] = [kind === "slider", kind === "check"];
   const beside = make(main ? "span" : "small", { className: main ? "value" : "bad" });
-  const value = () => {
-    if (check) return input.checked;
-    return main ? (log ? 10 ** Number(input.value) : Number(input.value)) : input.value;
-  };
+  const raw = check ? "checked" : "value";
+  const value = () => (main ? (log ? 10 ** Number(input.value) : Number(input.value)) : input[raw]);
   const told = () => { if (main) beside.textContent = short(value() * (spec.factor || 1), spec.unit); };
-  const put = (now) => {
-    if (check) input.checked = now;
-    else input.value = main && log ? Math.log10(now) : now;
-    told();
-  };
+  const put = (now) => { input[raw] = main && log ? Math.log10(now) : now; told(); };
   let [waiting, last] = [null, 0]; // a slider asks at once, then at most ten times a second
   const tell = tried(() => { [waiting, last] = [null, performance.now()]; return change(value()); });
   input.addEventListener(main ? "input" : "change", () => {
@@ -49,6 +45,7 @@ export function field(spec, change, act) {
     waiting ??= setTimeout(tell, main ? Math.max(0, last + 100 - performance.now()) : 0);
   });
   put(spec.value);
+  Object.assign(input, { put, read: value, first: value(), given: JSON.stringify(spec.value) }); // for page.js
   const label = make("label", { className: kind }, spec.label, main ? beside : "", input, main ? "" : beside);
   return { name, value, label,
     set: (now) => { if (waiting === null && document.activeElement !== input) put(now); },
@@ -74,10 +71,8 @@ function drop(spec, input, act) {
 // the command and the Python lines that do the same, each copied by a click
 export function sameAs(lines) {
   const blocks = Object.entries(lines).map(([name, text]) => {
-    const copy = button("Copy", async () => {
-      await navigator.clipboard.writeText(text);
-      say(`${name} copied`);
-    }, { ariaLabel: `Copy: ${name}` });
+    const copied = () => navigator.clipboard.writeText(text).then(() => say(`${name} copied`));
+    const copy = button("Copy", copied, { ariaLabel: `Copy: ${name}` });
     return make("div", {}, make("div", { className: "buttons" }, name, copy), make("pre", {}, text));
   });
   return make("details", { className: "same" }, make("summary", {}, "The same without this page"), ...blocks);

@@ -1,5 +1,5 @@
 // The live rig: orbits that one knocks, currents against their limits, what can be turned and broken.
-import { make, say } from "/static/page.js";
+import { make, replace, say, titled } from "/static/page.js";
 import { form, sameAs } from "/static/controls.js";
 import { begin, canvas, circle, extent, ink, path, rounded, short, write } from "/static/plot.js";
 import { scope } from "/static/scope.js";
@@ -12,15 +12,13 @@ export function live(place) {
   let view = null;
   const act = (action, values) => link.send({ do: action, value: values[action], ...values });
   const link = stream({
-    rig: (rig) => { view = build(place, rig, act); say(""); },
-    frame: (head, samples, columns) => view?.show(head, samples, columns),
+    frame: (head, samples) => view?.show(head, samples),
     lost: (text) => say(text, true),
     told: (message) => {
-      if (message.building) say("Starting the rig; the first time it is compiled, which takes a minute.");
+      if (message.rig) { view = build(place, message.rig, act); say(""); }
+      else if (message.building) say("Starting the rig; the first time it is compiled, which takes a minute.");
       else say(message.failed || message.refused, true);
-      if (message.failed && !view)
-        place.replaceChildren(make("section", { className: "panel" }, make("h2", {}, "There is no rig"),
-          form(message.start, act)));
+      if (message.failed && !view) place.replaceChildren(titled("There is no rig", form(message.start, act)));
     } });
   return () => link.close();
 }
@@ -28,30 +26,28 @@ export function live(place) {
 function build(place, rig, act) {
   const orbits = rig.stations.map((station, s) => orbit(rig, station, s, act));
   const currents = canvas("Control currents of every axis against their limits", 34 * rig.axes.length);
-  const watch = scope(rig);
-  const facts = make("p", { className: "facts" });
+  const [watch, facts] = [scope(rig), make("p", { className: "facts" })];
   const forms = rig.controls.map((block) => form(block, act));
   const panel = make("aside", { className: "panel" },
     ...rig.controls.flatMap((block, i) => [make("h2", {}, block.title), forms[i]]), sameAs(rig.same));
-  place.replaceChildren(make("div", { className: "split" }, make("div", {},
-    make("section", { className: "panel" }, make("h2", {}, `${rig.machine}: live rig`), facts,
+  replace(place.firstElementChild, make("div", { className: "split" }, make("div", {},
+    titled(`${rig.machine}: live rig`, facts,
       make("div", { className: "tiles" }, ...orbits.map((o) => o.figure)),
       make("p", { className: "muted" },
         "Click an orbit to knock the rotor there, in that direction; with the keyboard, arrow keys.")),
-    make("section", { className: "panel" }, make("h2", {}, "Control currents"), currents), watch.panel),
-  panel));
+    titled("Control currents", currents), watch.panel), panel));
   let [drawn, since, rate, told] = [0, performance.now(), 0, 0];
   const trail = []; // samples of the frames before, the newest at the end
-  return { show: (head, samples, columns) => {
+  return { show: (head, samples) => {
     drawn += 1;
     const now = performance.now();
     if (now - since > 1000) [rate, drawn, since] = [(1000 * drawn) / (now - since), 0, now];
     if (samples.length || !trail.length) trail.push(samples);
     if (trail.length > 6) trail.shift();
     const fresh = now - told > 200; // words change five times a second
-    orbits.forEach((o) => o.show(head, trail, columns, fresh));
-    if (samples.length && !currents.away) bars(currents, rig, samples, columns);
-    watch.add(head, samples, columns);
+    orbits.forEach((o) => o.show(head, trail, fresh));
+    if (samples.length && !currents.away) bars(currents, rig, samples);
+    watch.add(head, samples);
     watch.draw(head);
     if (!fresh) return;
     told = now;
@@ -63,36 +59,32 @@ function build(place, rig, act) {
 }
 
 function orbit(rig, station, s, act) {
-  const element = canvas(`Orbit at ${station}; click to knock`);
+  const [element, caption] = [canvas(`Orbit at ${station}; click to knock`), make("figcaption", {})];
   element.tabIndex = 0;
-  const caption = make("figcaption", {});
-  const gap = rig.gaps[s];
+  const [gap, columns] = [rig.gaps[s], rig.columns.length];
   let [arrow, strength, reach] = [null, 0, rig.scale];
   const knock = (x, y) => {
     arrow = { x, y, until: performance.now() + 250 };
     act("knock", { station, x: x * strength, y: y * strength });
   };
   element.addEventListener("pointerdown", (event) => {
-    const box = element.getBoundingClientRect();
-    knock((2 * (event.clientX - box.left)) / box.width - 1, 1 - (2 * (event.clientY - box.top)) / box.height);
+    knock((2 * event.offsetX) / element.clientWidth - 1, 1 - (2 * event.offsetY) / element.clientHeight);
   });
   const keys = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
   element.addEventListener("keydown", (event) => {
     if (keys[event.key]) { event.preventDefault(); knock(...keys[event.key]); }
   });
-  function show(head, trail, columns, fresh) {
+  function show(head, trail, fresh) {
     if (element.away) return;
     const newest = trail[trail.length - 1];
     let most = 0;
     for (let k = 2 * s; k < newest.length; k += columns)
-      most = Math.max(most, newest[k] * newest[k] + newest[k + 1] * newest[k + 1]);
-    most = Math.sqrt(most);
+      most = Math.max(most, Math.hypot(newest[k], newest[k + 1]));
     const full = 1.15 * (gap || Math.max(rig.scale, most));
     reach = head.set.near ? Math.min(full, Math.max(rounded(1.2 * most), reach * 0.98, full / 200)) : full;
     strength = head.set.strength;
     const { g, width } = begin(element);
-    const half = width / 2;
-    const unit = (half - 4) / reach;
+    const [half, unit] = [width / 2, (width / 2 - 4) / reach];
     path(g, 2, (i) => [0, width][i], () => half, ink.faint);
     path(g, 2, () => half, (i) => [0, width][i], ink.faint);
     for (const [zone, share] of Object.entries(s < rig.bearings ? rig.zones : {})) {
@@ -122,20 +114,19 @@ function orbit(rig, station, s, act) {
     }
     if (!fresh) return;
     const size = `${short(most, "m")}${head.contact[s] ? ", touching" : ""}`;
-    caption.textContent = `${station}: ${size}; circle ${short(reach, "m")}`;
-    caption.className = head.contact[s] ? "bad" : "";
+    const textContent = `${station}: ${size}; circle ${short(reach, "m")}`;
+    Object.assign(caption, { textContent, className: head.contact[s] ? "bad" : "" });
   }
   return { figure: make("figure", {}, element, caption), show };
 }
 
-function bars(element, rig, samples, columns) {
+function bars(element, rig, samples) {
   const { g, width } = begin(element);
   const first = 2 * rig.stations.length;
   rig.axes.forEach((axis, a) => {
     const most = rig.limits[a] || 1;
-    const [low, high] = extent(samples, first + a, columns);
-    const y = 34 * a + 20;
-    const half = (width - 24) / 2;
+    const [low, high] = extent(samples, first + a, rig.columns.length);
+    const [y, half] = [34 * a + 20, (width - 24) / 2];
     const X = (v) => 12 + half * (1 + Math.max(-1.02, Math.min(1.02, v / most)));
     const full = Math.max(-low, high) >= 0.999 * most;
     g.fillStyle = ink.faint;

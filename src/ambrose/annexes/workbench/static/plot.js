@@ -40,8 +40,7 @@ export function begin(element) {
 }
 
 export function write(g, text, x, y, align = "center", fill = ink.muted) {
-  g.fillStyle = fill;
-  g.textAlign = align;
+  Object.assign(g, { fillStyle: fill, textAlign: align });
   g.fillText(text, x, y);
 }
 

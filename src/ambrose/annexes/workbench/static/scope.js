@@ -1,15 +1,14 @@
 // One signal over time from a trigger on, its spectrum, and spectra one below the other.
 import { form } from "/static/controls.js";
 import { canvas, curve, extent, ink, rounded } from "/static/plot.js";
-import { make } from "/static/page.js";
+import { titled } from "/static/page.js";
 
 const KEPT = 8192; // samples
 const LINES = 2048; // samples of a spectrum
 
 // amplitudes of the first lines of a signal by Goertzel's recursion (1958), Hann's window, peak values
 export function spectrum(signal, lines) {
-  const n = signal.length;
-  const mean = signal.reduce((sum, v) => sum + v, 0) / n;
+  const [n, mean] = [signal.length, signal.reduce((sum, v) => sum + v, 0) / signal.length];
   const x = Float64Array.from(signal, (v, i) => (v - mean) * (1 - Math.cos((2 * Math.PI * i) / n)));
   return Float64Array.from({ length: lines }, (_, k) => {
     const c = 2 * Math.cos((2 * Math.PI * k) / n);
@@ -24,15 +23,14 @@ export function scope(rig) {
   const lines = canvas("Its spectrum", 180);
   const fall = canvas("Spectra one below the other, the newest on top", 150);
   const none = new Float32Array(0);
-  let shown = Object.fromEntries(rig.scope.fields.map((known) => [known.name, known.value]));
-  let [kept, expected, last, seen] = [none, 0, 0, 0];
-  const chosen = form(rig.scope, (action, values) => { [shown, kept] = [values, none]; });
+  const chosen = form(rig.scope, () => { kept = none; });
+  let [shown, kept, expected, last, seen] = [{}, none, 0, 0, 0];
   const top = Math.min(LINES / 2, Math.max(100, Math.round((LINES * rig.dt * 3 * rig.speed) / 6)));
-  const panel = make("section", { className: "panel" }, make("h2", {}, rig.scope.title), chosen, time, lines,
-    fall);
+  const panel = titled(rig.scope.title, chosen, time, lines, fall);
 
-  function add(head, samples, columns) {
-    const count = samples.length / columns;
+  function add(head, samples) {
+    const [columns, count] = [rig.columns.length, samples.length / rig.columns.length];
+    shown = chosen.values();
     // a frame that was dropped leaves a gap
     if (Math.abs(head.time - count * rig.dt - expected) > rig.dt / 2) kept = none;
     expected = head.time;
@@ -72,8 +70,7 @@ export function scope(rig) {
     const { width, height } = fall.room || fall;
     if (fall.width !== Math.round(width)) [fall.width, fall.height] = [Math.round(width), Math.round(height)];
     const g = fall.getContext("2d");
-    g.globalAlpha = 1;
-    g.globalCompositeOperation = "copy";
+    Object.assign(g, { globalAlpha: 1, globalCompositeOperation: "copy" });
     g.drawImage(fall, 0, 3);
     g.globalCompositeOperation = "source-over";
     g.fillStyle = ink.line;

@@ -1,5 +1,5 @@
 // Screens that the server describes (blocks.py): words, tables, pictures, forms, pages, each drawn here.
-import { ask, button, make, say } from "/static/page.js";
+import { ask, button, make, replace, say } from "/static/page.js";
 import { form, sameAs } from "/static/controls.js";
 
 const cells = (tag, list) => make("tr", {}, ...list.map((cell) =>
@@ -25,70 +25,74 @@ const DRAW = {
 
 export const screen = (name) => async (place) => {
   const [shown, list] = [new Map(), make("div", { className: "blocks" }, "Looking …")];
-  let [stamp, line, waiting, jobs, ended, left] = ["", Promise.resolve(), null, [], 0, false];
+  let [stamp, line, waiting, jobs, ended, left, wrong] = ["", Promise.resolve(), null, [], 0];
   place.append(list);
-  const run = async (to, values) => {
+  const run = async (by, to, values, quiet) => {
     try {
-      show(await ask(to, { ...values, stamp, width: list.clientWidth - 30 }));
+      const given = { stamp: shown.get(by)?.hides ? "" : stamp, width: list.clientWidth - 30 };
+      show(await ask(to, { ...values, ...given }), by, quiet);
       return true;
     } catch (error) {
       for (const { body } of shown.values()) body.tell?.(error.data?.fields || {});
       say(error.message, true);
-      if (error.data?.stale) document.getElementById("note").append(" ", button("Reload", () => act("", {})));
+      wrong = quiet; // the next that goes well takes it away
+      if (error.data?.stale)
+        document.getElementById("note").append(" ", button("Reload", () => act("*", "", {})));
     }
   };
-  // one after the other; of what sliders ask for, only the newest
-  const act = (action, values, live) => {
+  const typed = () => Object.assign({}, ...[...shown.values()].map(({ body }) => body.values?.()));
+  // by: the block that asks, "" the page itself; one after the other; of what sliders ask for, only the newest
+  const act = (by, action, values, live) => {
     if (live && waiting) { waiting.values = values; return line; }
     const mine = { values };
     if (live) waiting = mine;
     line = line.then(async () => {
       if (waiting === mine) waiting = null;
       if (left) return;
-      const here = `/api/screens/${name}`;
-      if (!action.startsWith("/")) await run(action ? `${here}/${action}` : here, mine.values);
-      else if (await run(action, mine.values)) await run(here, {});
+      const [here, quiet] = [`/api/screens/${name}`, live || !by];
+      if (!action.startsWith("/")) await run(by, action ? `${here}/${action}` : here, mine.values, quiet);
+      else if (await run(by, action, mine.values)) await run(by, here, typed());
     });
     return line;
   };
-  function show(told) {
+  function show(told, by, quiet) {
     if (!told.blocks) return;
     if (!shown.size) list.replaceChildren();
     stamp = told.stamp || stamp;
     if (told.whole) [jobs, ended] = [told.jobs, told.ended];
-    for (const [key, { panel }] of shown) {
-      if (told.whole ? told.blocks.some((block) => block.key === key) : !told.gone.includes(key)) continue;
+    for (const [key, { panel, extra, body }] of shown) {
+      if (!quiet) body.tell?.({});
+      if (told.blocks.some((block) => block.key === key)) continue;
+      if (told.whole ? quiet && extra : !told.gone.includes(key)) continue; // what was asked for besides stays
       panel.remove();
       shown.delete(key);
     }
-    told.blocks.forEach((block, i) => draw(block, shown.get(told.blocks[i - 1]?.key)));
-    say(told.told);
+    told.blocks.forEach((block, i) => draw(block, by, !told.whole, shown.get(told.blocks[i - 1]?.key)));
+    if (!quiet || told.told || wrong) say(told.told);
+    wrong = false;
     place.dataset.computing = told.computing; // [ms], for who measures
   }
-  function draw(block, before) {
+  function draw(block, by, extra, before) {
     const text = JSON.stringify(block);
     const had = shown.get(block.key);
-    had?.body.tell?.({});
-    if (had?.text === text) return;
-    const body = DRAW[block.kind](block, act);
+    const own = by === "*" || by === block.key;
+    if (had?.text === text && !(own && had.hides)) return;
+    const body = DRAW[block.kind](block, (...asked) => act(block.key, ...asked));
     const [whole, head] = block.folded ? ["details", "summary"] : ["section", "h2"];
     const title = make(head, { className: block.tone || "" }, block.title);
     const panel = make(whole, { className: block.half ? "panel half" : "panel" }, block.title && title, body);
-    panel.open = had?.panel.open;
-    const held = had && [...had.panel.querySelectorAll("button")].indexOf(document.activeElement);
-    if (had) had.panel.replaceWith(panel);
-    else if (before) before.panel.after(panel);
-    else list.prepend(panel);
-    if (held >= 0) panel.querySelectorAll("button")[held]?.focus();
-    shown.set(block.key, { text, body, panel });
+    const hides = had && replace(had.panel, panel, own);
+    if (!had && before) before.panel.after(panel);
+    else if (!had) list.prepend(panel);
+    shown.set(block.key, { text, body, panel, hides, extra });
   }
   const poll = async () => {
-    if (!jobs.length) return;
+    if (!jobs.length || list.querySelector("input:active")) return; // or what the hand holds would go
     const told = await ask("/api/jobs", { of: jobs });
-    if (told.ended !== ended || told.blocks.some((block) => !shown.has(block.key))) await act("", {});
-    else told.blocks.forEach((block) => draw(block));
+    if (told.ended !== ended || told.blocks.some((block) => !shown.has(block.key))) await act("", "", typed());
+    else told.blocks.forEach((block) => draw(block, ""));
   };
-  await act("", {});
+  await act("", "", {});
   const timer = setInterval(() => poll().catch(() => {}), 700);
   return () => { left = true; clearInterval(timer); };
 };

@@ -1,8 +1,8 @@
 // The socket of the live rig: a frame is confirmed when it is drawn, and so asks for the next one.
 
-// on: {rig(description), frame(head, samples, columns), told(message), lost(text)}
+// on: {frame(head, samples), told(message), lost(text)}
 export function stream(on) {
-  let [socket, closed, wait, columns] = [null, false, 500, 0];
+  let [socket, closed, wait] = [null, false, 500];
   const connect = () => {
     if (closed || socket || document.hidden) return;
     const mine = new WebSocket(`ws://${location.host}/live`);
@@ -10,20 +10,13 @@ export function stream(on) {
     mine.binaryType = "arraybuffer";
     mine.onmessage = (event) => {
       wait = 500;
-      if (typeof event.data === "string") {
-        const message = JSON.parse(event.data);
-        if (message.rig) {
-          columns = message.rig.columns.length;
-          on.rig(message.rig);
-        } else on.told(message);
-        return;
-      }
+      if (typeof event.data === "string") { on.told(JSON.parse(event.data)); return; }
       const length = new DataView(event.data).getUint32(0, true);
       const head = JSON.parse(new TextDecoder().decode(new Uint8Array(event.data, 4, length)));
       const samples = new Float32Array(event.data, 4 + length);
       requestAnimationFrame(() => {
         if (mine.readyState === WebSocket.OPEN) mine.send("ok"); // the next comes while this is drawn
-        if (columns) on.frame(head, samples, columns);
+        on.frame(head, samples);
       });
     };
     mine.onclose = () => {
