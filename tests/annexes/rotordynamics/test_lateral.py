@@ -18,7 +18,7 @@ from ambrose.annexes.rotordynamics.critical import criticals
 from ambrose.annexes.rotordynamics.json_schema import lateral_schema
 from ambrose.annexes.rotordynamics.level_two import shares
 from ambrose.annexes.rotordynamics.loop import shaft_loop
-from ambrose.annexes.rotordynamics.page import lateral_page
+from ambrose.annexes.rotordynamics.page import assumed_table, lateral_page, load_table
 from ambrose.annexes.rotordynamics.placement import place, shaft_modes, span_middle
 from ambrose.annexes.rotordynamics.stations import lay_out, rigid_support_critical
 from ambrose.chain.check import clearance_doubts
@@ -156,7 +156,13 @@ def test_a_rotor_that_cannot_ring_has_its_unbalance_placed_as_a_rigid_one():
     before = sum(len(section.figures) for section in page.sections[:place])
     (vibration,) = [row for row in sheet.rows if row[0].text.startswith("Largest probe")]
     assert vibration[2] == "recalled" and vibration[1].detail.startswith("6.8.2")
-    assert vibration[-1].link == f"#section-{place + 1}" and vibration[-1].text == f"{before + 1}"
+    # the figure of the placement of unbalance that the row is of, not the section's first
+    (own,) = [
+        number
+        for number, figure in enumerate(page.sections[place].figures, before + 1)
+        if f", {figure.title.rpartition(' the ')[2]}, at" in vibration[0].detail
+    ]
+    assert vibration[-1].link == f"#figure-{own}" and vibration[-1].text == f"{own}"
     assert page.signatures
 
 
@@ -346,3 +352,22 @@ def test_a_study_leaves_the_analysis_of_a_rotor_that_turns(tmp_path):
     write(machine, amb.design(machine, "pid"), tmp_path, print)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["lateral.html", "lateral.json"]
     assert json.loads((tmp_path / "lateral.json").read_text())["machine"] == "two-disc-rotor"
+
+
+def test_the_page_says_what_loads_were_asked_and_what_is_chosen():
+    """A capacity's margin stood there without the load that it is over."""
+    machine = amb.load_machine("process-compressor")
+    (loads,) = load_table(machine)
+    rows = {
+        row[0]: [cell if isinstance(cell, str) else cell.text for cell in row] for row in loads.rows
+    }
+    assert rows["shock"] == ["shock", "impulse", "806", "1211", "half a sine of 11 ms", "worst"]
+    assert rows["surge-cycle"][4] == "sine of 5 Hz" and rows["alignment"][4] == "lasting"
+    assert loads.note.startswith("Assumed: alignment")
+    (chosen,) = assumed_table(machine)
+    assert dict(chosen.rows) == dict(machine.assumed)
+    assert (
+        load_table(replace(machine, effects=()))
+        == ()
+        == assumed_table(replace(machine, assumed=()))
+    )

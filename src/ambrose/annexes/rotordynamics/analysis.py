@@ -48,6 +48,10 @@ _RIGID = (
     "No forward mode that can ring lies up to 1.25 times the trip speed: the unbalance is placed "
     "by the rigid rotor's shapes, parallel and tilting (assumed)."
 )
+_WEIGHTLESS = (
+    "No gravity_direction in the machine file: static offset and load capacity count no weight, "
+    "as of a rotor that stands upright; state it for one that lies."
+)
 _BARE_NOTE = (
     "Level I takes the rotor without seals and stages, as the standard does; a controller that "
     "needs a seal's stiffness may not hold it."
@@ -165,6 +169,8 @@ def lateral(
         *rows.iso_vibration(machine, found, scale[0]),
         *rows.not_covered(machine),
     )
+    if machine.bearings and machine.gravity_direction is None:
+        notes = (*notes, _WEIGHTLESS)
     if running is None:
         notes = (
             *notes,

@@ -98,8 +98,7 @@ def unbalance(
     limit = standard.vibration_limit(highest / standard.RPM)
     yield Item(
         "vibration",
-        f"Largest probe reading from {lowest / standard.RPM:.5g} to "
-        f"{highest / standard.RPM:.5g} rpm",
+        f"Largest probe reading {speeds_in_words(lowest, highest)}",
         standard.EDITION,
         _RESPONSE,
         RECALLED,
@@ -298,6 +297,12 @@ def level_two(table: Sequence[ModeRow], highest: float) -> Iterator[Item]:
             f"mode at {least.mode.frequency / standard.RPM:.5g} rpm: {least.member}; found, not "
             "proved",
         )
+
+
+def speeds_in_words(lowest: float, highest: float) -> str:
+    """The running speeds [rad/s] in rpm."""
+    first, last = (f"{speed / standard.RPM:.5g}" for speed in (lowest, highest))
+    return f"at {first} rpm" if first == last else f"from {first} to {last} rpm"
 
 
 def capacity(found: Sequence[AxisCapacity]) -> Iterator[Item]:

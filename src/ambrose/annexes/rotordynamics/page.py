@@ -11,13 +11,17 @@ from dataclasses import replace
 import numpy as np
 
 from ambrose.annexes.rotordynamics import figures, standard
-from ambrose.annexes.rotordynamics.capacity import PART, AxisCapacity
+from ambrose.annexes.rotordynamics.capacity import PART, SEALS, AxisCapacity
 from ambrose.annexes.rotordynamics.comparison import Comparison, Pair
+from ambrose.annexes.rotordynamics.items import speeds_in_words
+from ambrose.annexes.rotordynamics.level_one import LevelOne
 from ambrose.annexes.rotordynamics.phase_budget import PhaseBudget
 from ambrose.annexes.rotordynamics.placement import BACKWARD
 from ambrose.annexes.rotordynamics.result import Item, Lateral
 from ambrose.core.presentation import with_unit
 from ambrose.machine.file.toml import machine_hash
+from ambrose.machine.machine import Machine
+from ambrose.model.effects.load import Load
 from ambrose.report import units
 from ambrose.report.figures.rotor_drawing import machine_drawing
 from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, Verdict, numbers
@@ -61,13 +65,18 @@ _DEMANDS = (
     "and slope. Seals and stages: their force at trip by a lever, part of what unbalance takes. "
     "Voltage: (R + j w L) i + j w k_u q of a coil (- where the file has no inductance)."
 )
+_LASTS = (
+    "Seals push where the rotor hangs off their centres, as long as they are under pressure: what "
+    "lasts is the larger sum, with their push or without it."
+)
 _PHASE = (
     "From the shaft's displacement to the current that makes force, element after element, at the "
     "free rotor's bending modes at rest. Negative: late. What the controller adds is its lead."
 )
+_RESPONSES, _FOR = "Unbalance response", "Unbalance placed for the "
 _SECTIONS = {  # where a row's figure stands, by the first word of its name
-    "critical_speed": "Unbalance response",
-    "vibration": "Unbalance response",
+    "critical_speed": _RESPONSES,
+    "vibration": _RESPONSES,
     "scale_factor": "Clearances",
     "clearance": "Clearances",
     "level_one": "Stability, Level I",
@@ -93,7 +102,9 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
         sections += _response_sections(result)
     if result.level_one is not None:
         picture = Figure(
-            "Log decrement over cross-coupling", figures.level_one_figure(result.level_one)
+            "Log decrement over cross-coupling",
+            figures.level_one_figure(result.level_one),
+            _at_the_border(result.level_one),
         )
         sections.append(Section("Stability, Level I", _LEVEL_ONE, (picture,)))
     if result.modes:
@@ -106,21 +117,24 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
             f"Capacity of axis {worst.axis}, the one with the least margin",
             figures.capacity_figure(worst),
         )
-        both = (capacity_table(result), demand_table(worst))
-        sections.append(Section("Load capacity", _CAPACITY, (picture,), both))
+        own = load_table(result.machine)
+        tables = (*own, capacity_table(result), demand_table(worst))
+        sections.append(Section("Load capacity", _CAPACITY, (picture,), tables))
     if result.phase_budgets:
         tables = tuple(phase_table(budget) for budget in result.phase_budgets)
         sections.append(Section("Phase budget", _PHASE, (), tables))
     if comparison is not None:
         sections.append(Section("Side by side", _BESIDE, (), (comparison_table(comparison),)))
-    if result.notes:
-        sections.append(Section("Notes", "\n\n".join(result.notes)))
-    lowest, highest, trip = (speed / standard.RPM for speed in result.speeds)
+    chosen = assumed_table(result.machine)
+    if result.notes or chosen:
+        sections.append(Section("Notes", "\n\n".join(result.notes), (), chosen))
+    lowest, highest, trip = result.speeds
+    running = f"running {speeds_in_words(lowest, highest)}, trip {trip / standard.RPM:.5g} rpm"
     facts = (
         ("Machine file", machine_hash(result.machine)),
         ("Controller", f"{result.controller}; {result.timing}"),
         ("Operating point", result.point),
-        ("Speeds", f"running {lowest:.5g} to {highest:.5g} rpm, trip {trip:.5g} rpm"),
+        ("Speeds", running),
         ("Model", "finite-element rotor, all modes to 100 kHz; consistent mass"),
     )
     failed = [item for item in result.items if item.passed is False]
@@ -157,7 +171,18 @@ def phase_table(budget: PhaseBudget) -> Table:
         (name, *numbers(*(f"{np.degrees(value):.2f}" for value in row))) for name, row in named
     )
     note = ". ".join(budget.notes)
-    return Table(f"Axes {', '.join(budget.axes)}", ("Element", *heads), rows, note)
+    which = "Axis" if len(budget.axes) == 1 else "Axes"
+    return Table(f"{which} {', '.join(budget.axes)}", ("Element", *heads), rows, note)
+
+
+def _at_the_border(one: LevelOne) -> str:
+    """What happens at Q0, and what the red line is."""
+    asked = f"Red: the least log decrement asked for, {standard.LEAST_LOG_DECREMENT:g}."
+    if not np.isfinite(one.border):
+        return f"No mode loses its damping in this sweep. {asked}"
+    mode = f"the mode at {one.crossing / standard.RPM:.5g} rpm"
+    other = "" if one.binding is not None else ", none of the forward modes drawn,"
+    return f"At Q0, {1e-6 * one.border:.4g} N/um, {mode}{other} loses its damping. {asked}"
 
 
 def comparison_table(comparison: Comparison) -> Table:
@@ -196,17 +221,30 @@ def summary_table(result: Lateral, sections: Sequence[Section] = ()) -> Table:
 
 
 def _places(sections: Sequence[Section]) -> dict[str, Cell]:
-    """Title of a section -> its first figure's number, or "table", as a link to it."""
+    """Title of a section -> its first figure's number, or "table", as a link to it; placement of
+    the unbalance -> the number of its own figure.
+    """
     number, found = 1, {}
     for k, section in enumerate(sections):
         text = f"{number}" if section.figures else "table"
         found[section.title] = Cell(text, link=f"#section-{k + 1}")
+        if section.title == _RESPONSES:
+            for own, figure in enumerate(section.figures, number):
+                name = figure.title.removeprefix(_FOR)
+                found[name] = Cell(f"{own}", link=f"#figure-{own}")
         number += len(section.figures)
     return found
 
 
 def _figure_of(item: Item, places: Mapping[str, Cell]) -> Cell:
-    return places.get(_SECTIONS.get(item.name.partition(".")[0], ""), Cell("-"))
+    """The figure of its placement of the unbalance, where its note names one, else its section's
+    first.
+    """
+    title = _SECTIONS.get(item.name.partition(".")[0], "")
+    named = [name for name in places if name in item.note]
+    if title == _RESPONSES and named:
+        return places[max(named, key=len)]
+    return places.get(title, Cell("-"))
 
 
 def _summary_row(item: Item) -> Row:
@@ -255,7 +293,7 @@ def _response_sections(result: Lateral) -> list[Section]:
     text = _RESPONSE.format(count=len(response.speeds), error=f"{100 * response.widest:.2g} %")
     pictures = tuple(
         Figure(
-            f"Unbalance placed for the {case.name}",
+            f"{_FOR}{case.name}",
             figures.response_figure(response, result.speeds, k, limit),
             case.why,
         )
@@ -370,7 +408,42 @@ def capacity_table(result: Lateral) -> Table:
         "Least margin [-]",
         "Verdict",
     )
-    return Table("What each axis carries", columns, tuple(rows))
+    seals = any(name == SEALS for axis in result.capacities for name, _ in axis.static)
+    return Table("What each axis carries", columns, tuple(rows), _LASTS if seals else "")
+
+
+def load_table(machine: Machine) -> tuple[Table, ...]:
+    """What the machine file says that the magnets must carry; nothing where it says nothing."""
+    rows: list[Row] = []
+    for part in machine.effects:
+        if not isinstance(part, Load):
+            continue
+        time = "lasting"
+        if part.duration is not None:
+            time = f"half a sine of {units.quantity(part.duration, 's')}"
+        elif part.frequency is not None:
+            time = f"sine of {part.frequency / (2 * np.pi):.4g} Hz"
+        way = "worst" if part.direction is None else f"{np.degrees(part.direction):.4g} deg"
+        values = (f"{1e3 * part.position:.5g}", f"{part.force:.4g}", time, way)
+        rows.append((part.name, part.kind, *numbers(*values)))
+    reason = dict(machine.assumed).get("load", "")
+    note = f"Assumed: {reason}." if reason else ""
+    columns = (
+        "Load",
+        "Kind",
+        "Position [mm]",
+        _whole("Force [N 0-p]"),
+        "Over time",
+        "Direction",
+    )
+    return (Table("Loads of the machine file", columns, tuple(rows), note),) if rows else ()
+
+
+def assumed_table(machine: Machine) -> tuple[Table, ...]:
+    """What the machine file marks as chosen; nothing where it marks nothing."""
+    if not machine.assumed:
+        return ()
+    return (Table("Chosen, not measured", ("Parameter", "Reason"), machine.assumed),)
 
 
 def demand_table(axis: AxisCapacity) -> Table:
