@@ -356,6 +356,30 @@ def test_the_gradient_of_the_search_for_a_start_is_that_of_finite_differences():
     assert cost.unstable(x)[0] == np.inf
 
 
+def test_a_descent_from_far_above_its_end_is_kept():
+    """From 32 times a limit: as that fell, what had been left out beside it grew to most of the sum,
+    and every ten steps were taken back.
+    """
+    gain = 0.6
+    low = StateSpace(START.A, START.B, gain * START.C, gain * START.D, START.inputs, START.outputs)
+    job, _ = begun(START)
+    assert tuning._judged(job, low, job.models).worst > 30
+    law, _ = tuning._descended(job, low, 120)
+    assert tuning._judged(job, law, job.models).worst < 2
+
+
+def test_a_slow_integrator_of_a_tuned_law_is_no_reason_to_search_anew():
+    """turbomolecular-pump: 0.38 1/s, and 0.6 of the limits; after the search 7.6."""
+    A = np.zeros((13, 13))
+    A[:12, :12], A[12, 12] = with_lag(4e4).A, -0.3
+    fast = with_lag(4e4)
+    B, C = np.vstack([fast.B, np.full((1, 4), 1e-3)]), np.hstack([fast.C, np.full((4, 1), 1e-3)])
+    law = StateSpace(A, B, C, fast.D, fast.inputs, fast.outputs)
+    job, _ = begun(START)
+    assert tuning._holding(job, law, tuning._SLOW) is law
+    assert tuning._holding(job, law) is not law
+
+
 @pytest.mark.campaign
 @pytest.mark.parametrize("name", ["vertical-pump", "process-compressor"])
 def test_the_first_round_goes_down(name):

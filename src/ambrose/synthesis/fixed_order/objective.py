@@ -39,6 +39,7 @@ from ambrose.synthesis.weight_tuning import BAND
 _IGNORED = 1e-7  # share of the p-norm's sum that all together have that is left out
 # where it grew to this share, the descent goes back and leaves out so much less
 _GROWN, _FINER = 1e-2, 1e-3
+_FAR = float(np.log(1.25))  # unless the p-norm of everything fell by that
 _TOGETHER = 200  # matrices of one step
 _NOTHING = 1e-5  # share below which a pole's slope is left out
 _APART = 1e6  # condition number of eigenvectors that divide no more than a few digits away
@@ -89,6 +90,7 @@ class Objective:
     _follow_all: bool = field(init=False)
     _ignored: float = field(init=False)
     _masks: list[np.ndarray] | None = field(init=False)  # of what counts (None: not known)
+    _whole: float = field(init=False)  # ln of the p-norm of everything, at the last of ``narrow``
     # on first use: stability needs neither
     _made: tuple[list[Channel | Scaled], Settling | None] | None = field(init=False)
     _active: Active | None = field(init=False)  # None: everything
@@ -102,7 +104,7 @@ class Objective:
         self._G = self._P[..., :a, :a]
         self._stacks = self._followed = _stacks(self.models)
         self._follow_all, self._ignored = False, _IGNORED
-        self._masks = None
+        self._masks, self._whole = None, np.inf
         self._made = self._active = self._peak = None
         if self.reference is not None:
             values = frequency_response(self.reference, _MATCHED).values
@@ -124,8 +126,9 @@ class Objective:
         that is left out has together less than a ten-millionth of the p-norm's sum.
 
         A descent calls this every few steps, so that what has grown joins. False where a model is
-        unstable at x, or what had been left out has grown to a hundredth of the sum: from now on
-        the poles of all are computed, and less is left out.
+        unstable at x, or what had been left out has grown to a hundredth of the sum and the whole
+        has not fallen by a fifth since this last said True: from now on the poles of
+        all are computed, and less is left out.
         """
         theta = self.structure.theta(x)
         poles = [_loops(theta, stack).poles() for _, stack in self._stacks]
@@ -163,11 +166,15 @@ class Objective:
         if settling is not None:
             shares.append(((late / top) ** power).sum(axis=(0, 2, 3)))
         shares += [((ratio / top) ** power).sum(axis=1) for ratio in damping]
+        whole = float(np.log(top) + np.log(sum(float(share.sum()) for share in shares)) / power)
         if self._left_out(shares) > _GROWN:
             self._follow_all, self._followed = True, self._stacks
             self._ignored *= _FINER
-            self._masks = None
-            return False
+            # where the highest ratio fell far, what had been left out beside it may well be all
+            if whole >= self._whole - _FAR:
+                self._masks = None
+                return False
+        self._whole = whole
         masks = self._masks = together_below(shares, self._ignored)
         count = len(channels)
         slow = np.zeros(0, int) if settling is None else np.flatnonzero(masks[count])

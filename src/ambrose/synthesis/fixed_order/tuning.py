@@ -56,6 +56,7 @@ _ITERATIONS, _GAIN = 200, 1e-4  # steps of L-BFGS, a round, and what ten of them
 _HOLDING = 60  # of L-BFGS, towards a controller that holds all models; so many times at most:
 _TRIES = 20
 _DECAY = 5.0  # rad/s; slowest pole asked for before the first round
+_SLOW = -0.01  # rad/s; of a tuned law, whose slow integrator is no reason to search anew
 _LOWEST = 1.0  # rad/s, start of the grid
 _TUNED, _JUDGED = 22, 80  # points per decade
 _APART, _SAME = 2e-3, 2e-4  # relative distances of two points, and of two known peaks
@@ -236,9 +237,11 @@ def _first_holding(job: Job, laws: Sequence[Law]) -> Law:
     return _holding(job, laws[-1])
 
 
-def _holding(job: Job, law: Law) -> Law:
+def _holding(job: Job, law: Law, enough: float = HOLDS) -> Law:
     """A controller that holds all models, with some decay, by descent on the poles' real parts
     alone; no pole of its own beyond the limit of the descents that follow.
+
+    The law itself where all poles are to the left of ``enough`` [rad/s].
     """
     before = np.inf
     limit = _limit(job, law)
@@ -248,7 +251,7 @@ def _holding(job: Job, law: Law) -> Law:
         structure, x = _unknowns(job, law)
         cost = Objective(structure, job.models, np.array([100.0]), job.aims)
         abscissa = cost.abscissa(x)
-        if abscissa < (HOLDS if attempt == 0 else -_DECAY):
+        if abscissa < (enough if attempt == 0 else -_DECAY):
             return law
         # holds, and gains little more
         if attempt == _TRIES or job.clock.left <= 0 or 1.1 * before < abscissa < 0:
@@ -477,7 +480,7 @@ def _add_members(job: Job, law: Law) -> Law:
             modes = job.small[0].bending_modes or 0
             between = with_offsets_of(assemble(job.full[0].machine, point), job.full[0])
             job.models.append(loop_model(reduce(between, modes), job.timing, point.label))
-    return _holding(job, law)
+    return _holding(job, law, _SLOW)
 
 
 def _in_words(item: _Round) -> str:
