@@ -95,7 +95,7 @@ def test_one_step_is_both_twins(tmp_path):
 @pytest.mark.parametrize(
     ("how", "words"),
     [
-        ({"to": "st"}, "write C, or write each controller by itself"),
+        ({"to": "st"}, "write C or an FMU, or write each controller by itself"),
         ({"to": "c", "bare_metal": True}, "export each controller by itself"),
         ({"to": "c", "machine": "axial"}, "name the radial controller first"),
         ({"to": "c", "machine": "seal-rig"}, "no thrust bearing"),

@@ -60,7 +60,7 @@ _GROUPS = {
 @click.option(
     "--axial",
     type=click.Path(path_type=Path),
-    help="The controller of machine.toml#axial: both as one unit of all axes (C).",
+    help="The controller of machine.toml#axial: both as one unit of all axes (C, FMU).",
 )
 @click.option(
     "--replaces",

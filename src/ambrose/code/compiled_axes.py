@@ -9,11 +9,11 @@ from typing import Any, cast
 
 import numpy as np
 
+from ambrose.code.all_axes import all_axes_files
 from ambrose.code.block.cost import padding_of
 from ambrose.code.block.fixed import ControlBlock
 from ambrose.code.c.code import Arithmetic, generate
 from ambrose.code.c.compiled import Words, load_block
-from ambrose.code.five_axes import all_axes_files
 from ambrose.core.checks import invalid
 from ambrose.core.statespace import StateSpace, append
 

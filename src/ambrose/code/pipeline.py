@@ -5,14 +5,16 @@ written.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ambrose.code.all_axes import AllAxes, all_axes_files
 from ambrose.code.beside import blocks_beside, diverging, judge_beside, missed_beside
 from ambrose.code.block.block import check_limits
 from ambrose.code.block.cascade import build_cascade
@@ -22,7 +24,7 @@ from ambrose.code.block.supervised import supervise
 from ambrose.code.c.code import check_precision
 from ambrose.code.delivered import check_processor, try_target
 from ambrose.code.difference import Difference, parameter_difference
-from ambrose.code.five_axes import AxialPart, all_axes_files, axial_target
+from ambrose.code.five_axes import AxialPart, axial_target
 from ambrose.code.fmu.archive import check_compiler
 from ambrose.code.processor.trial import Trial
 from ambrose.code.provenance import provenance_lines
@@ -164,8 +166,8 @@ def export(
     one scheduled over pressure where the reading cannot be trusted (C only). replaces: the fixed
     controller that runs now (C only): beside the whole unit parameters.json, what changes in the
     tables of its code, and parameters-back.json, the way back, where both have one structure.
-    axial: the fixed controller of the machine's axis along the shaft (C only): written beside, and
-    both as one unit whose step takes the errors of all axes.
+    axial: the fixed controller of the machine's axis along the shaft (C and FMU): both as one unit
+    whose step takes the errors of all axes.
     Raises InvalidInput, and UnstableSystem for a controller that is refused (``deploy``).
     """
     target = choose(TARGETS, "the target", to, options)
@@ -213,14 +215,19 @@ def export(
                 synthesis if isinstance(deployment, ScheduledDeployment) else deployment.controller
             )
             law, judged = judge_beside(around, machine, runs, block, progress, force=target.force)
-            files = target.files_beside(law, lines)
+            write = partial(target.files_beside, law, lines)
         else:
-            files = target.files(synthesis, deployment, block, lines)
+            write = partial(target.files, synthesis, deployment, block, lines)
         part = None
-        if along is not None and machine is not None:
-            part, beside_files = _axial_part(*along, machine.axial, block, progress)
-            all_axes = all_axes_files(law, part.block, along[1].arithmetic)
-            files = {**files, **beside_files, **all_axes}
+        if along is None or machine is None:
+            files = write()
+        else:
+            part, writes = _axial_part(*along, machine.axial, block, progress)
+            if isinstance(target, Fmu):
+                files = target.files_of_all(AllAxes(law, part.block), lines)
+            else:
+                all_axes = all_axes_files(law, part.block, along[1].arithmetic)
+                files = {**write(), **writes(), **all_axes}
         difference, not_alike = None, ""
         if running is not None:
             # its loop is not judged again: it runs
@@ -321,7 +328,7 @@ def _fallback(
 
 def _along(
     axial: LawLike, synthesis: Synthesis, target: Target, machine: Machine | None
-) -> tuple[Synthesis, C]:
+) -> tuple[Synthesis, C | Fmu]:
     """The axial controller and how it is written. Raises InvalidInput before anything is
     computed.
     """
@@ -348,12 +355,12 @@ def _along(
 
 def _axial_part(
     synthesis: Synthesis,
-    target: C,
+    target: C | Fmu,
     machine: Machine,
     radial: ControlBlock | ScheduledBlock,
     progress: Progress,
-) -> tuple[AxialPart, Files]:
-    """The axial controller verified at the radial one's rate, and its files."""
+) -> tuple[AxialPart, Callable[[], Files]]:
+    """The axial controller verified at the radial one's rate, and what writes its files."""
     progress("the axis along the shaft")
     same = replace(target, rate=1 / radial.sample_time, delay_samples=radial.delay)
     try:
@@ -364,7 +371,7 @@ def _axial_part(
         raise UnstableSystem(f"the axis along the shaft: {error}") from error
     part = AxialPart(cast(Deployment, deployment), cast(ControlBlock, block))
     lines = provenance_lines(synthesis, part.deployment)
-    return part, same.files(synthesis, part.deployment, part.block, lines)
+    return part, partial(same.files, synthesis, part.deployment, part.block, lines)
 
 
 def _replaced(

@@ -12,6 +12,7 @@ from ambrose.options import Options, count, hertz, option, positive
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from ambrose.code.all_axes import AllAxes
     from ambrose.code.block.fixed import ControlBlock
     from ambrose.code.block.scheduled import ScheduledBlock
     from ambrose.code.c.code import Arithmetic, Precision
@@ -284,6 +285,12 @@ class Fmu(Target):
         from ambrose.code.fmu.archive import generate_fmus
 
         return generate_fmus(unit, self.arithmetic, lines, sources_only=self.sources_only)
+
+    def files_of_all(self, law: AllAxes, lines: Sequence[str]) -> Files:
+        """{name: content} of all axes as one unit."""
+        from ambrose.code.fmu.archive import generate_fmus
+
+        return generate_fmus(law, self.arithmetic, lines, sources_only=self.sources_only)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

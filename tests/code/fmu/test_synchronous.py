@@ -8,6 +8,7 @@ from fmpy.validation import validate_fmu
 
 import code_driver as driver
 from ambrose import StateSpace
+from ambrose.code.all_axes import AllAxes
 from ambrose.code.block.fixed import build_block
 from ambrose.code.fmu.archive import generate_fmu
 from ambrose.code.fmu.description import FAULTS
@@ -87,6 +88,29 @@ def test_it_is_the_twin_over_a_run_up(version, tmp_path):
     assert {int(bits[2]), int(bits[6])} <= set((faults & (bits[2] | bits[6])).tolist())
     without = run_unit(law, np.full(COUNT, -1.0), errors)
     assert np.abs(without.currents - twin.currents).max() > 0.01 * np.abs(twin.currents).max()
+
+
+def test_synchronous_blocks_are_told_the_angle_beside_the_axial_part(tmp_path):
+    """The radial part does what it does without the axis along the shaft."""
+    law = unit()
+    dt = law.base.sample_time
+    pd = StateSpace([[-900.0]], [[1e3]], [[-300.0]], [[800.0]], ["err_z"], ["u_z"])
+    axial = build_block(deploy(pd, dt, dt, force=True), "unit_axial", 1e-3, 2.0)
+    angle, _, errors, contact, off = (rows[:2000] for rows in run_up(law.base))
+    shown = []
+    for whole in (law, AllAxes(law, axial)):
+        path = tmp_path / f"{len(shown)}.fmu"
+        path.write_bytes(generate_fmu(whole, "3.0"))
+        player = Player(path, tmp_path / f"opened{len(shown)}")
+        player.begin()
+        rows = []
+        for k, row in enumerate(errors):
+            player.set([*law.base.inputs, "angle"], [*row, angle[k]])
+            player.set_flags(["contact", "blocks_off"], [contact[k], off[k]])
+            player.step(law.base.sample_time)
+            rows.append(player.get(list(law.base.outputs)))
+        shown.append(np.array(rows))
+    assert (shown[0] == shown[1]).all() and shown[0].any()
 
 
 def test_one_sample_a_step(tmp_path):

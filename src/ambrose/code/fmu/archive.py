@@ -17,6 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import get_args
 
+from ambrose.code.all_axes import AllAxes, all_axes_files
 from ambrose.code.block.names import check_identifier
 from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.code.c.code import Arithmetic, block_facts, generate
@@ -25,11 +26,15 @@ from ambrose.code.c.run import generate_run
 from ambrose.code.fmu.description import (
     AnyLaw,
     Version,
+    axial_of,
     base_of,
+    blocks_of,
     build_description,
     model_description,
+    radial_of,
     references,
     sources,
+    transfers,
     variables,
 )
 from ambrose.code.rendering import render
@@ -57,8 +62,8 @@ def generate_fmus(
     *,
     sources_only: bool = False,
 ) -> dict[str, bytes]:
-    """<name>_fmi2.fmu and <name>_fmi3.fmu of a controller's block, or of one with synchronous
-    blocks beside it, which are told the rotor's angle once a sample.
+    """<name>_fmi2.fmu and <name>_fmi3.fmu of a controller's block, of one with synchronous blocks
+    beside it, which are told the rotor's angle once a sample, or of all axes.
 
     arithmetic: of the code inside; the FMU's variables are in m and A in every case. sources_only:
     without a binary, for an importer that compiles. Raises InvalidInput, also where there is no C
@@ -90,7 +95,8 @@ def generate_fmu(
     token = "{" + str(uuid.uuid5(_SPACE, "\n".join(code.values()))) + "}"
     code[f"fmi{version[0]}.c"] = code[f"fmi{version[0]}.c"].replace("TOKEN", token)
     text = (
-        f"Controller of {len(block.inputs)} errors to {len(block.outputs)} currents, sampled at "
+        f"Controller of {sum(len(item.inputs) for item in blocks_of(law))} errors to "
+        f"{sum(len(item.outputs) for item in blocks_of(law))} currents, sampled at "
         f"{1 / block.sample_time:.9g} Hz"
     )
     archive: dict[str, str | bytes] = {
@@ -108,6 +114,8 @@ def generate_fmu(
 
 def _single(law: AnyLaw) -> AnyLaw:
     """With the controller's tables in single precision."""
+    if isinstance(law, AllAxes):
+        return AllAxes(_single(law.radial), law.axial.single())  # type: ignore[arg-type]
     if isinstance(law, RunUnit):
         return replace(law, base=law.base.single())
     return law.single()
@@ -117,21 +125,36 @@ def generate_sources(
     law: AnyLaw, version: Version, arithmetic: Arithmetic, provenance: Sequence[str] = ()
 ) -> dict[str, str]:
     """The C of an FMU by name; in fmi2.c or fmi3.c the word TOKEN stands for the token."""
-    block, beside = base_of(law), isinstance(law, RunUnit)
-    if isinstance(law, RunUnit):
-        written = generate_run(law, arithmetic, provenance)
+    block, axial = base_of(law), axial_of(law)
+    radial = radial_of(law)
+    beside = isinstance(radial, RunUnit)
+    if isinstance(radial, RunUnit):
+        written = generate_run(radial, arithmetic, provenance)
     else:
-        written = generate(law, arithmetic, provenance)
+        written = generate(radial, arithmetic, provenance)
+    if axial is not None:
+        written |= generate(axial, arithmetic, provenance)
+        written |= all_axes_files(radial, axial, arithmetic)
     name, sync = block.name, f"{block.name.upper()}_SYNC"
+    end = "_run" if beside else ""
+    whole = end if axial is None else "_axes"
     facts = {
         **block_facts(block),
+        "transfers": transfers(law),
         "fixed": arithmetic.startswith("fixed"),
         "token": "TOKEN",
         "references": references(law).items(),
         "beside": beside,
+        "axial": "" if axial is None else axial.name,
+        "error_lsb": _counts(law, "inputs"),
+        "current_lsb": _counts(law, "outputs"),
+        "files": " ".join(sources(law, version)),
+        "header": f"{name}{whole}.h",
         # the unit that is stepped, and what it is told besides: the pulse, and what the caller sees
-        "unit": f"{name}_run" if beside else f"{name}_block",
-        "call": f"{name}_run" if beside else name,
+        "unit": f"{name}{whole or '_block'}",
+        "call": f"{name}{whole}",
+        "size": "" if axial is None else "_AXES",
+        "faults": "faults" if axial is None else "radial.faults",
         "pulse": "memory_pulse(m), " if beside else "",
         "marks": f"(m->contact ? {sync}_CONTACT : 0u) | (m->blocks_off ? {sync}_DISABLED : 0u), "
         if beside
@@ -147,11 +170,23 @@ def generate_sources(
     }
 
 
+def _counts(law: AnyLaw, side: str) -> str:
+    """The names of what one count is worth, of all errors or currents."""
+    return ", ".join(
+        f"{block.name.upper()}_{name.upper()}_LSB"
+        for block in blocks_of(law)
+        for name in getattr(block, side)
+    )
+
+
 def _files(law: AnyLaw) -> tuple[str, ...]:
     """The controller's files that are compiled, or included."""
-    name = base_of(law).name
-    ends = ("", "_sync", "_run") if isinstance(law, RunUnit) else ("",)
-    return tuple(f"{name}{end}.{kind}" for end in ends for kind in "hc")
+    name, axial = base_of(law).name, axial_of(law)
+    ends = ("", "_sync", "_run") if isinstance(radial_of(law), RunUnit) else ("",)
+    stems = [f"{name}{end}" for end in ends]
+    if axial is not None:
+        stems += [axial.name, f"{name}_axes"]
+    return tuple(f"{stem}.{kind}" for stem in stems for kind in "hc")
 
 
 def _check_names(law: AnyLaw) -> None:
@@ -212,7 +247,7 @@ def check_compiler() -> str:
 def _page(law: AnyLaw, text: str, provenance: Sequence[str]) -> str:
     block = base_of(law)
     late = "at once" if block.delay == 0 else f"{block.delay} sample(s) after the errors were set"
-    step = "one sample," if isinstance(law, RunUnit) else "a whole multiple of"
+    step = "one sample," if isinstance(radial_of(law), RunUnit) else "a whole multiple of"
     lines = "".join(f"<li>{html.escape(line)}</li>" for line in provenance)
     rows = "".join(
         f"<tr><td>{html.escape(v.name)}</td><td>{v.causality}</td><td>{v.unit}</td><td>{html.escape(v.description)}</td></tr>"

@@ -11,6 +11,7 @@ import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from typing import Literal
 
+from ambrose.code.all_axes import AllAxes
 from ambrose.code.block.fixed import ControlBlock
 from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.code.synchronous import RunUnit
@@ -42,7 +43,8 @@ FAULTS = (
     ("sync_input", "a reading is not usable"),
 )
 AnyBlock = ControlBlock | ScheduledBlock
-AnyLaw = AnyBlock | RunUnit  # the latter with synchronous blocks beside it
+Beside = AnyBlock | RunUnit  # the latter with synchronous blocks beside it
+AnyLaw = Beside | AllAxes
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +63,31 @@ class Variable:
     nominal: float | None = None
 
 
+def radial_of(law: AnyLaw) -> Beside:
+    """The law of the radial axes: all of it where there is no axis along the shaft."""
+    return law.radial if isinstance(law, AllAxes) else law
+
+
+def axial_of(law: AnyLaw) -> ControlBlock | None:
+    """The block of the axis along the shaft; None: there is none."""
+    return law.axial if isinstance(law, AllAxes) else None
+
+
 def base_of(law: AnyLaw) -> AnyBlock:
-    """The controller's block."""
-    return law.base if isinstance(law, RunUnit) else law
+    """The (radial) controller's block."""
+    radial = radial_of(law)
+    return radial.base if isinstance(radial, RunUnit) else radial
+
+
+def blocks_of(law: AnyLaw) -> tuple[AnyBlock, ...]:
+    """The blocks whose errors and currents are the FMU's, in their order."""
+    axial = axial_of(law)
+    return (base_of(law),) if axial is None else (base_of(law), axial)
+
+
+def transfers(law: AnyLaw) -> bool:
+    """Whether it can follow given currents: a unit of all axes has no such step."""
+    return base_of(law).transfers and axial_of(law) is None
 
 
 def flags(block: AnyBlock) -> tuple[tuple[str, str], ...]:
@@ -81,17 +105,24 @@ def flags(block: AnyBlock) -> tuple[tuple[str, str], ...]:
 
 def variables(law: AnyLaw) -> tuple[Variable, ...]:
     """Time, errors, their flags, [speed or pressure], [the rotor's angle, contact, blocks off],
-    [tracking, given currents], currents, status flags, [faults of the blocks], in the order of
-    value references.
+    [tracking, given currents], currents, status flags, [faults of the blocks], [status flags of the
+    axis along the shaft], in the order of value references; errors, their flags and currents of
+    that axis come last among theirs.
     """
-    block = base_of(law)
+    block, beside = base_of(law), isinstance(radial_of(law), RunUnit)
+    errors = [
+        one for item in blocks_of(law) for one in zip(item.inputs, item.error_limit, strict=True)
+    ]
+    currents = [
+        one for item in blocks_of(law) for one in zip(item.outputs, item.current_limit, strict=True)
+    ]
     found = [Variable("time", "real", "independent", "s", "simulation time")]
-    for name, limit in zip(block.inputs, block.error_limit.tolist(), strict=True):
+    for name, limit in errors:
         text = f"reference - displacement, plausible within +-{limit:.9g} m"
-        found.append(Variable(name, "real", "input", "m", text, "0", nominal=limit))
+        found.append(Variable(name, "real", "input", "m", text, "0", nominal=float(limit)))
     found += [
         Variable(f"valid_{name}", "boolean", "input", "", f"{name} may be used", "true")
-        for name in block.inputs
+        for name, _ in errors
     ]
     if isinstance(block, ScheduledBlock):
         (low, high), along = block.grid[[0, -1]].tolist(), block.along
@@ -102,26 +133,35 @@ def variables(law: AnyLaw) -> tuple[Variable, ...]:
         found.append(
             Variable(along.name, "real", "input", along.unit, text, repr(low), nominal=high)
         )
-    if isinstance(law, RunUnit):
+    if beside:
         text = "of the rotor, growing; a pulse of the key phasor comes at every whole turn"
         found.append(Variable("angle", "real", "input", "rad", text, "0"))
         text = "the rotor touches: the blocks let go"
         found.append(Variable("contact", "boolean", "input", "", text, "false"))
         text = "switch the synchronous blocks off"
         found.append(Variable("blocks_off", "boolean", "input", "", text, "false"))
-    if block.transfers:
+    if transfers(law):
         text = "follow the given currents (bumpless transfer) instead of controlling"
         found.append(Variable("tracking", "boolean", "input", "", text, "false"))
-        for name, limit in zip(block.outputs, block.current_limit.tolist(), strict=True):
+        for name, limit in currents:
             text = f"{name} as another controller sets it; used while tracking"
-            found.append(Variable(f"given_{name}", "real", "input", "A", text, "0", nominal=limit))
-    for name, limit in zip(block.outputs, block.current_limit.tolist(), strict=True):
+            given = f"given_{name}"
+            found.append(Variable(given, "real", "input", "A", text, "0", nominal=float(limit)))
+    for name, limit in currents:
+        most = float(limit)
         found.append(
-            Variable(name, "real", "output", "A", "control current", limit=limit, nominal=limit)
+            Variable(name, "real", "output", "A", "control current", limit=most, nominal=most)
         )
-    shown = (*flags(block), *(FAULTS if isinstance(law, RunUnit) else ()))
+    shown = (*flags(block), *(FAULTS if beside else ()), *axial_flags(law))
     found += [Variable(name, "boolean", "output", "", text) for name, text in shown]
     return tuple(found)
+
+
+def axial_flags(law: AnyLaw) -> tuple[tuple[str, str], ...]:
+    """The status flags of the axis along the shaft, where there is one."""
+    if axial_of(law) is None:
+        return ()
+    return tuple((f"axial_{name}", f"along the shaft: {text}") for name, text in FLAGS)
 
 
 def references(law: AnyLaw) -> dict[str, int]:
@@ -133,9 +173,11 @@ def references(law: AnyLaw) -> dict[str, int]:
     first["LAST"] = flags(block)[-1][0]
     if isinstance(block, ScheduledBlock):
         first["TOLD"] = block.along.name
-    if isinstance(law, RunUnit):
+    if isinstance(radial_of(law), RunUnit):
         first |= {"ANGLE": "angle", "TOUCHING": "contact", "BLOCKS_OFF": "blocks_off"}
         first |= {"FAULT": FAULTS[0][0], "FAULT_LAST": FAULTS[-1][0]}
+    if along := axial_flags(law):
+        first |= {"AXIAL": along[0][0], "AXIAL_LAST": along[-1][0]}
     return {label: order[name] for label, name in first.items() if name in order}
 
 
@@ -198,9 +240,10 @@ def build_description(law: AnyLaw) -> str:
 
 def sources(law: AnyLaw, version: Version) -> tuple[str, ...]:
     """The files to compile."""
-    name = base_of(law).name
-    beside = (f"{name}_sync.c", f"{name}_run.c") if isinstance(law, RunUnit) else ()
-    return (f"{name}.c", *beside, f"fmi{version[0]}.c")
+    name, axial = base_of(law).name, axial_of(law)
+    beside = (f"{name}_sync.c", f"{name}_run.c") if isinstance(radial_of(law), RunUnit) else ()
+    along = () if axial is None else (f"{axial.name}.c", f"{name}_axes.c")
+    return (f"{name}.c", *beside, *along, f"fmi{version[0]}.c")
 
 
 def _units(root: ET.Element, law: AnyLaw) -> None:

@@ -8,7 +8,7 @@ bearings, effects (couplings among them), seals, discs, each with two axes.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -125,54 +125,43 @@ class Rig:
     port_names: tuple[str, ...]
     mass: float
 
-    @property
-    def axes(self) -> tuple[str, ...]:
-        return self.port_names[: 2 * len(self.machine.bearings)]
+    # what follows from these, once: a start is found in thousands of slopes
+    axes: tuple[str, ...] = field(init=False)
+    modes: int = field(init=False)  # per plane
+    # displacements in the state: modes in both planes, and supports
+    coordinates: int = field(init=False)
+    # how many stations the registered effects have; they follow those of the bearings
+    attached_stations: int = field(init=False)
+    # where these are in the state, one after the other behind displacements, velocities and
+    # amplifiers: bias currents, the sensors' lagged signals, (seals,) the states of the registered
+    # effects, races and rings of the touchdown bearings
+    bias: slice = field(init=False)
+    sensed: slice = field(init=False)
+    attached: slice = field(init=False)
+    behind: slice = field(init=False)
+    states: int = field(init=False)  # length of the state
 
-    @property
-    def modes(self) -> int:
-        """Modes per plane."""
-        return len(self.constants.stiffness)
-
-    @property
-    def coordinates(self) -> int:
-        """Displacements in the state: modes in both planes, and supports."""
-        return 2 * self.modes + len(self.constants.support)
-
-    @property
-    def states(self) -> int:
-        """Length of the state: displacements and velocities, amplifiers, bias currents, sensors,
-        seals, registered effects, races and rings of the touchdown bearings.
-        """
-        return self.behind.stop
-
-    @property
-    def attached(self) -> slice:
-        """Where the states of the registered effects are in the state, after those of the seals."""
-        start = self.sensed.stop + 2 * self.constants.seal_lags[..., 0].size
-        return slice(start, start + len(self.constants.reaction) - 2 * self.attached_stations)
-
-    @property
-    def behind(self) -> slice:
-        """Where races and rings of the touchdown bearings are in the state; they are last."""
-        start = self.attached.stop
-        return slice(start, start + self.constants.behind * len(self.machine.bearings))
-
-    @property
-    def attached_stations(self) -> int:
-        """How many stations the registered effects have; they follow those of the bearings."""
-        return len(self.constants.force_at)
-
-    @property
-    def bias(self) -> slice:
-        """Where the bias currents are in the state."""
-        start = 2 * self.coordinates + 2 * len(self.axes)
-        return slice(start, start + len(self.axes))
-
-    @property
-    def sensed(self) -> slice:
-        """Where the sensors' lagged signals are in the state."""
-        return slice(self.bias.stop, self.bias.stop + len(self.constants.sensor))
+    def __post_init__(self) -> None:
+        k, bearings = self.constants, len(self.machine.bearings)
+        axes, stations = self.port_names[: 2 * bearings], len(k.force_at)
+        coordinates = 2 * len(k.stiffness) + len(k.support)
+        bias = _after(2 * coordinates + 2 * len(axes), len(axes))
+        sensed = _after(bias.stop, len(k.sensor))
+        effects = len(k.reaction) - 2 * stations
+        attached = _after(sensed.stop + 2 * k.seal_lags[..., 0].size, effects)
+        behind = _after(attached.stop, k.behind * bearings)
+        for name, value in (
+            ("axes", axes),
+            ("modes", len(k.stiffness)),
+            ("coordinates", coordinates),
+            ("attached_stations", stations),
+            ("bias", bias),
+            ("sensed", sensed),
+            ("attached", attached),
+            ("behind", behind),
+            ("states", behind.stop),
+        ):
+            object.__setattr__(self, name, value)
 
     def work(self, controller_states: int = 0) -> Work:
         """Fresh scratch arrays."""
@@ -194,6 +183,10 @@ class Rig:
             asked_at=np.array([asked.ctypes.data], dtype=np.int64),
             depth=np.zeros((2, len(self.constants.touchdown))),
         )
+
+
+def _after(start: int, count: int) -> slice:
+    return slice(start, start + count)
 
 
 def build(
