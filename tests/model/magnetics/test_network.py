@@ -213,3 +213,19 @@ def test_printed_saturation_of_the_seal_rig():
     k_s = [m.coefficients(bias)[1][0, 0] for bias in (6.0, 8.0, 10.0)]
     assert k_s[1] / k_s[0] == pytest.approx(1.713, rel=0.05)
     assert k_s[2] / k_s[0] == pytest.approx(2.384, rel=0.05)
+
+
+def test_textbook_magnet_as_ross_prints_it():
+    """Schweitzer and Maslen, Magnetic Bearings, pages 69 to 80, as ROSS' MagneticBearingElement
+    takes them: 200 turns on both poles, A = 1e-4 m2, gap 1 mm, 1 A, poles at 0.392 rad; k_i - k_s =
+    -4640.623377181318 in its documentation (gains of one).
+
+    Its k_s is k_i i_0/s_0, one axis alone with the cosine of the pole angle once. A pole's gap
+    opens by that cosine, too, and the other axis' poles pull sideways: cos^2 + sin^2 = 1.
+    """
+    printed_k_i = 4640.623377181318 / (1 / 1e-3 - 1)
+    found = magnet_of(Magnet("heteropolar", 100, 1e-4, 1e-3)).coefficients(1.0)
+    k_i, k_s = (item[0, 0] for item in found)
+    # 22.5 degrees are 0.3927 rad
+    assert k_i == pytest.approx(printed_k_i, rel=4e-4)
+    assert k_s == pytest.approx(printed_k_i / 1e-3 / np.cos(np.pi / 8), rel=4e-4)
