@@ -13,8 +13,9 @@ constant.
    which it cannot be shown is left out, too, and named.
 5. The ends of a band at which the sensitivity with the block on passes its limit at any eps are
    left out.
-6. eps: a third of what the exact sampled poles allow, no more than a twentieth of the lowest speed,
-   and as small as it takes for the sensitivity with the block on to keep its limit.
+6. eps, band by band: a third of what the exact sampled poles allow, no more than a twentieth of
+   the lowest speed; T is made smaller over speed where the sensitivity with the block on would pass
+   its limit, and proved again.
 """
 
 from __future__ import annotations
@@ -61,6 +62,7 @@ from ambrose.synthesis.synchronous_gain import (
     TURNS,
     gain_limit,
     sensitive_gain,
+    sensitive_table,
     within_sensitivity,
 )
 from ambrose.synthesis.synchronous_inverse import usable_tables
@@ -76,8 +78,8 @@ _NARROW = 0.02  # of the whole band: a part that is narrower is left out
 class SynchronousDesign(Presented):
     """blocks: one for each band in which the mode may be on, in the form of a machine file.
     forbidden: the bands left out, each with its reason. angle [rad]: the smallest one proved over
-    the bands, all pressures; gain [1/s]: eps; gain_limit: the largest eps that the exact poles
-    allow, at the speeds looked at; notes.
+    the bands, all pressures; gain [1/s]: eps, of the slowest block; gain_limit: the largest eps
+    that the exact poles allow, at the speeds looked at; notes.
     """
 
     machine: Machine
@@ -204,19 +206,35 @@ def design_synchronous(
             "block first, or choose another band"
         )
     progress("the largest eps")
-    limit = min(gain_limit(loop, mode, where, table, at, update) for where, table in tables)
-    gain = min(SHARE * limit, TURNS * min(where[0] for where, _ in tables))
+    limits = [gain_limit(loop, mode, where, table, at, update) for where, table in tables]
+    limit = min(limits)
+    sized: list[tuple[tuple[float, float], float, BlockTable]] = []
     if time_constant is not None:
         if 2 / time_constant > limit:
             least = f"at least {2 / limit:.3g} s, where the exact poles become unstable"
             raise invalid(
                 "time_constant", f"{time_constant:g} s", least, "give a longer one, or leave it out"
             )
-        gain = 2 / time_constant
+        sized = [(where, 2 / time_constant, table) for where, table in tables]
     else:
-        gain, note = sensitive_gain(loop, mode, tables, at, gain)
-        notes += note
-    blocks = tuple(block_of(mode, where, 2 / gain, table, update=update) for where, table in tables)
+        for (where, table), own in zip(tables, limits, strict=True):
+            most = min(SHARE * own, TURNS * where[0])
+            best, smaller, words = sensitive_table(loop, mode, where, table, at, most)
+            narrow = (high - low) * _NARROW
+            shown, proved, _ = _provable(loop, mode, where, smaller, at, narrow)
+            if len(proved) == 1 and proved[0] == where:
+                angle = min(angle, shown)
+                notes += [words] if words else []
+                sized.append((where, best, smaller))
+            else:
+                # what a size that changes between two T turned is not proved: one size
+                small, note = sensitive_gain(loop, mode, [(where, table)], at, most)
+                notes += note
+                sized.append((where, small, table))
+    gain = min(eps for _, eps, _ in sized)
+    blocks = tuple(
+        block_of(mode, where, 2 / eps, table, update=update) for where, eps, table in sized
+    )
 
     # where neither the block nor the loop alone keeps the orbit: damping, if it can
     pieces: list[Forbidden] = []

@@ -18,6 +18,7 @@ SHARE = 1 / 3  # of the largest stable eps, which a design takes
 TURNS = 1 / 20  # eps over the lowest speed of a band, at most
 _GAIN_SPEEDS = 3  # of each band, at which eps is bounded
 _BISECTIONS = 5  # of eps, and of a band's end, for the sensitivity
+_PLACES = 7  # speeds of a band at which an eps is looked for
 _TINY = 1e-5  # of the speed: an eps as small as any
 
 
@@ -131,6 +132,70 @@ def sensitive_gain(
     return low, [
         f"eps is lowered from {gain:.3g} to {low:.3g} 1/s by the sensitivity beside the speed"
     ]
+
+
+def sensitive_table(
+    loop: SynchronousLoop,
+    mode: str,
+    where: tuple[float, float],
+    table: BlockTable,
+    at: Sequence[Condition],
+    gain: float,
+) -> tuple[float, BlockTable, str]:
+    """eps of a band, at most ``gain`` [1/s], and its T made smaller where the sensitivity beside
+    the speed asks for a smaller eps; a word of it (empty: nothing is made smaller).
+
+    What acts is eps T(W): one eps for a whole band is that of its most sensitive end. T times a
+    positive number has the directions, and the proof, of T.
+    """
+    places = np.linspace(*where, _PLACES)
+    allowed = np.array([_sensitive(loop, mode, float(w), table, at, gain) for w in places])
+    most = float(allowed.max())
+    if allowed.min() >= gain:
+        return gain, table, ""
+    inside = [w for w in table.speeds if where[0] < w < where[1]]
+    knots = np.unique(np.concatenate([places, inside]))
+    sizes = np.interp(knots, places, allowed / most)
+    T = np.array([size * table.at(float(w)) for w, size in zip(knots, sizes, strict=True)])
+    words = (
+        f"{where[0]:.4g} to {where[1]:.4g} rad/s: eps |T| from {allowed.min():.3g} to {most:.3g} "
+        f"1/s over the speed, {gain:.3g} but for the sensitivity beside it"
+    )
+    return most, BlockTable(knots, T), words
+
+
+def _sensitive(
+    loop: SynchronousLoop,
+    mode: str,
+    speed: float,
+    table: BlockTable,
+    at: Sequence[Condition],
+    gain: float,
+) -> float:
+    """The eps up to ``gain`` [1/s] that keeps the sensitivity at a speed; a thousandth of it where
+    none larger does.
+    """
+    T = table.at(speed)
+
+    def holds(trial: float) -> bool:
+        return all(
+            sensitivity_peak(loop, mode, speed, condition, T, trial, 0.0)[0]
+            <= _allowed(loop, mode, speed, condition)
+            for condition in at
+        )
+
+    low, high = gain, gain
+    while not holds(low):
+        low, high = low / 4, low
+        if low < 1e-3 * gain:
+            return 1e-3 * gain
+    for _ in range(2 if low < high else 0):
+        middle = float(np.sqrt(low * high))
+        if holds(middle):
+            low = middle
+        else:
+            high = middle
+    return low
 
 
 def _allowed(loop: SynchronousLoop, mode: str, speed: float, condition: Condition) -> float:
