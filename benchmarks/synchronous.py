@@ -52,6 +52,7 @@ MACHINES = (
     "process-compressor",
 )
 _SMALL = 0.02  # 1/s: the gain of the brute-force search
+_MODES = 12  # bending modes of the rig's rotor
 _HOLD, _SETTLED = 3.5, 8.0  # s of a run on the rig, at least; time constants before its last second
 
 
@@ -157,12 +158,15 @@ def border_of(name: str) -> tuple[float, float] | None:
     return border, (low + high) / 2
 
 
-def hold(name: str, share: float = 0.85, *, quiet: bool = False) -> tuple[float, float, float]:
+def hold(
+    name: str, share: float = 0.85, *, quiet: bool = False, modes: int = _MODES
+) -> tuple[float, float, float]:
     """On the rig at a share of the design speed: the largest 1x control current of an axis after
     over before [dB], the smallest one after over the same [dB], and the share of the unbalance that
     is told from the amplitudes.
 
-    quiet: without noise and quantisation.
+    quiet: without noise and quantisation; modes: bending modes of the rig's rotor, as many as it
+    takes for its static bending to be that of the full plant.
     """
     machine, law = controlled(name)
     if quiet:
@@ -182,7 +186,7 @@ def hold(name: str, share: float = 0.85, *, quiet: bool = False) -> tuple[float,
     scenario = Scenario("hold", until, unbalances=weights, speed=speed)
     block = CompiledSynchronous(blocks)
     program = synchronous_program(machine, sampled, blocks, scenario, block=block)
-    trace = run(machine, program, scenario, every=5)
+    trace = run(machine, program, scenario, every=5, bending_modes=modes)
     time = trace.record.time
 
     def tones(start: float, end: float) -> np.ndarray:
