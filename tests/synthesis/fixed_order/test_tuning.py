@@ -368,6 +368,20 @@ def test_a_descent_from_far_above_its_end_is_kept():
     assert tuning._judged(job, law, job.models).worst < 2
 
 
+def test_the_grid_takes_in_what_is_missed_between_its_points():
+    """Only S_o's peaks were: the orbit of two-disc-rotor with 20 states ended at 1.19."""
+    seen = {"orbit": Ratio(0.92, "rest", 400.0), "sensitivity": Ratio(1.2, "rest", 30.0)}
+    dense = {
+        "orbit": Ratio(1.16, "rest", 409.4),
+        "sensitivity": Ratio(1.205, "rest", 31.0),
+        "damping": Ratio(1.3, "rest", 900.0),
+        "settling": Ratio(1.3, "rest", np.nan),
+    }
+    seen |= {"damping": Ratio(0.5, "rest", 900.0), "settling": Ratio(0.5, "rest", np.nan)}
+    assert tuning._unseen(dense, seen) == [409.4]
+    assert tuning._unseen({"orbit": Ratio(0.99, "rest", 409.4)}, seen) == []
+
+
 def test_a_slow_integrator_of_a_tuned_law_is_no_reason_to_search_anew():
     """turbomolecular-pump: 0.38 1/s, and 0.6 of the limits; after the search 7.6."""
     A = np.zeros((13, 13))
