@@ -186,7 +186,7 @@ def test_closed_descriptors_never_become_a_file_of_results(tmp_path):
 
 
 @POSIX
-@pytest.mark.parametrize("moment", ["click", "ambrose.cli.study", "numpy", "scipy.linalg"])
+@pytest.mark.parametrize("moment", ["click", "ambrose.cli.check", "numpy", "scipy.linalg"])
 def test_an_interruption_is_130_and_one_line_from_the_first_import_on(moment):
     code = f"""
 import signal, sys
