@@ -17,8 +17,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -121,6 +123,30 @@ def running(machine: Machine, point: OperatingPoint) -> tuple[Any, str]:
     return amb.design(machine, "tuned"), "tuned"
 
 
+def advised(
+    machine: Machine, record: Record, law: Any, folder: str, told: Callable[[str], None]
+) -> tuple[Any, int]:
+    """The retuning, and how many bending modes it was told; once more with as many as its findings
+    advise, as the user would.
+    """
+    modes = 3
+    while True:
+        done = amb.retune(
+            machine,
+            record,
+            law,
+            folder,
+            changed=True,
+            anyway=True,
+            bending_modes=modes,
+            progress=told,
+        )
+        advice = re.search(r"(\d+) bending modes instead of", done.text)
+        if advice is None or int(advice[1]) <= modes:
+            return done, modes
+        modes = int(advice[1])
+
+
 def one(name: str, turning: bool, seed: int) -> dict[str, Any]:
     """A truth drawn, retuned, changed and accepted."""
     machine = amb.load_machine(name)
@@ -141,11 +167,23 @@ def one(name: str, turning: bool, seed: int) -> dict[str, Any]:
         if as_recorded(assemble(true, at), law).stable:
             record = recorded(true, law, label, seed)
     begun = time.process_time()
+    stages: dict[str, float] = {}
+    under_way = [(begun, "")]
+
+    def told(stage: str) -> None:
+        now, (since, before) = time.process_time(), under_way[0]
+        key = before.split(",")[0][:40]
+        stages[key] = stages.get(key, 0.0) + now - since
+        under_way[0] = now, stage
+
     with tempfile.TemporaryDirectory() as folder:
-        done = amb.retune(machine, record, law, folder, changed=True, anyway=True)
+        done, modes = advised(machine, record, law, folder, told)
+        told("page")
         if done.after is not None:
             kept_page(done, Path(folder) / "page.html", progress=lambda stage: None)
     spent = time.process_time() - begun
+    told("")
+    longest = sorted(stages.items(), key=lambda item: -item[1])[:6]
     stopped = done.stopped_at
     row = {
         "outcome": done.outcome,
@@ -153,7 +191,9 @@ def one(name: str, turning: bool, seed: int) -> dict[str, Any]:
         "under": under,
         "running_does": done.before is not None and done.before.passed,
         "draws": draws,
+        "modes": modes,
         "seconds": round(spent, 1),
+        "stages": {name: round(value, 1) for name, value in longest},
         "inside": _inside(true, done),
         "switches": [[run.passed, round(1e6 * run.bump, 2)] for run in done.switches],
     }

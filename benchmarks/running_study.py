@@ -2,6 +2,7 @@
 mistakes, flagged or not.
 
 python -m benchmarks.running_study coverage    seal rig, linear (0.4 s, 100 nm of noise) and rig (2 s): half an hour
+python -m benchmarks.running_study halves --runs 50      both halves of a record against each other: minutes
 python -m benchmarks.running_study mistakes              virtual rig, 2 s: minutes; --without: as if nothing turned
 """
 
@@ -16,9 +17,10 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, select
+from ambrose.identification.output_error import closed_loop
 from ambrose.identification.parameters import COVERAGE, expand, nominal_values
 from ambrose.identification.validation.operating_load import machine_at_load
-from ambrose.law.loop import closed_loop, match_controller
+from ambrose.law import loop as control
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
 from ambrose.model.reduce import free_mode_reduction
@@ -28,6 +30,7 @@ from ambrose.rig.disturbances import Unbalance
 from ambrose.rig.scenario import load_scenario
 from ambrose.synthesis.pid import pid_synthesis
 from benchmarks import waveforms
+from benchmarks.scatter_study import deviation_factors
 
 # the machine file balances for 500 Hz
 DT = 1e-4
@@ -65,7 +68,9 @@ def clean(grade, speed, modes, k):
     force = grade * mass * speed**2 / BALANCED * np.stack([np.cos(angle), np.sin(angle)])
     names = [f"{kind}_{axis}" for kind in "ey" for axis in plant.axes]
     driven = [*names[:4], "f_center_x", "f_center_y"]
-    loop = closed_loop(plant, c2d(match_controller(law, plant), DT, "tustin", delay=DT))
+    loop = control.closed_loop(
+        plant, c2d(control.match_controller(law, plant), DT, "tustin", delay=DT)
+    )
     return simulate(select(loop, driven, names[4:]), np.vstack([e, force])), e, plant, names
 
 
@@ -169,6 +174,51 @@ def coverage(runs, chosen):
         )
 
 
+HALVED = (
+    "standstill, 4 modes",
+    "50 Hz, G2.5",
+    "rig, standstill, 4 modes",
+    "rig, 50 Hz, G6.3, 4 modes",
+)
+
+
+def halves(runs):
+    """Every record whole and in two halves: how far its halves lie apart over what both state, how
+    often the interval of one holds the other's value, and how often the whole one's holds the truth
+    as fitted, and as reported, which is wider by the last factor. Records of the rig of 1 s.
+    """
+    machine, law, _ = setting()
+    for title in HALVED:
+        apart, fitted, reported, wider = [], [], [], []
+        for seed in range(1000, 1000 + runs):
+            data, truth = CASES[title](seed)
+            data = data.between(0, min(1.0, data.values.shape[1] * data.dt))
+            span = data.values.shape[1] * data.dt
+            done = amb.identify(machine, data, law, unknown=UNKNOWN)
+            start = dict(zip(done.result.paths, done.result.values.tolist(), strict=True))
+            one, two, whole = (
+                closed_loop.identify(machine, part, law, UNKNOWN, start=start)
+                for part in (data.between(0, span / 2), data.between(span / 2, span), data)
+            )
+            own = np.hypot(one.standard_deviations, two.standard_deviations)
+            off = (one.values - two.values) / own
+            apart.append(off)
+            fitted.append(np.abs(whole.values - truth) <= COVERAGE * whole.standard_deviations)
+            stated = done.result.standard_deviations
+            reported.append(np.abs(done.result.values - truth) <= COVERAGE * stated)
+            wider.append(stated / whole.standard_deviations)
+        off = np.array(apart)
+        low, high = deviation_factors(runs)
+        each = off.std(axis=0)
+        print(
+            f"| {title} | {np.sqrt((off**2).mean()):.2f} | {each.min():.2f} to {each.max():.2f} "
+            f"({1 / high:.2f} to {1 / low:.2f}) | {100 * (np.abs(off) <= COVERAGE).mean():.1f} % | "
+            f"{100 * np.mean(fitted):.1f} % | {100 * np.mean(reported):.1f} % | "
+            f"{np.median(wider):.2f} |",
+            flush=True,
+        )
+
+
 def louder(law, gain):
     return StateSpace(law.A, law.B, gain * law.C, gain * law.D, law.inputs, law.outputs, law.dt)
 
@@ -265,12 +315,14 @@ def mistakes(without):
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("coverage", "mistakes"))
+    parser.add_argument("what", choices=("coverage", "halves", "mistakes"))
     parser.add_argument("--runs", type=int, default=100)
     parser.add_argument("--case", default="", help="those whose title holds this")
     parser.add_argument("--without", action="store_true")
     given = parser.parse_args()
     if given.what == "coverage":
         coverage(given.runs, given.case)
+    elif given.what == "halves":
+        halves(given.runs)
     else:
         mistakes(given.without)
