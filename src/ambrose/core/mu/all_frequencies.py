@@ -37,6 +37,7 @@ from ambrose.core.mu.upper import UpperBound, positive_definite, upper_bound
 _CELLS = 8  # chords per interval
 _FINER = (1, 8, 64)  # how much finer the chords are made before an interval is halved
 _EASY = 0.7  # size of the balanced matrix below which its scalings will do
+_LEVEL = 1.05  # times its size at infinite frequency, where those of the centre are without bound
 _FIRST = 12  # intervals per decade to begin with
 # from the slowest pole times this to the fastest times that, then on to zero and infinity
 _SPAN = 1e-3, 1e3
@@ -253,8 +254,12 @@ class _Task:
         # at infinity: those of D itself may be without bound, where it is zero but for the gain.
         end = np.isinf(high)
         middle = 0.5 * (low + np.where(end, low, high))
+        at_infinity = _divided(self.model.D[None], self.skew, self.level)
+        last = float(largest_gain(osborne(at_infinity, self.structure)[0])[0])
         scalings, holds = _scalings(
-            _divided(self.model.at(middle), self.skew, self.level), self.structure
+            _divided(self.model.at(middle), self.skew, self.level),
+            self.structure,
+            max(_EASY, min(_LEVEL * last, (1 + last) / 2)),
         )
         good = np.zeros((len(low), _CELLS), bool)
         left = np.flatnonzero(holds)
@@ -349,9 +354,11 @@ class _Task:
         return np.array(new_low), np.array(new_high)
 
 
-def _scalings(M: np.ndarray, structure: Structure) -> tuple[UpperBound, np.ndarray]:
-    """Scalings with room at M (i, n_z, n_w), those of the balanced matrix where they suffice, and
-    whether they prove mu < 1.
+def _scalings(
+    M: np.ndarray, structure: Structure, easy: float = _EASY
+) -> tuple[UpperBound, np.ndarray]:
+    """Scalings with room at M (i, n_z, n_w), those of the balanced matrix where its size is below
+    ``easy``, and whether they prove mu < 1.
     """
     # Those of the balanced matrix: X = diag(d^2), G = 0.
     balanced, d_z, d_w = osborne(M, structure)
@@ -360,7 +367,7 @@ def _scalings(M: np.ndarray, structure: Structure) -> tuple[UpperBound, np.ndarr
     G = np.zeros((len(M), structure.n_w, structure.n_z), complex)
 
     # Too near the edge: the analytic centre at level 1, which has most room.
-    hard = np.flatnonzero(value >= _EASY)
+    hard = np.flatnonzero(value >= easy)
     if len(hard):
         bound = upper_bound(M[hard], structure, level=np.ones(len(hard)), max_iterations=60)
         value[hard] = bound.value
