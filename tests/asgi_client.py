@@ -104,8 +104,9 @@ class Client:
                     await inbox.put({"type": "websocket.receive", "text": "ok"})
                     if waiting:
                         text = waiting.pop(0)
-                        text = text if isinstance(text, str) else json.dumps(text)
-                        await inbox.put({"type": "websocket.receive", "text": text})
+                        kind = "bytes" if isinstance(text, bytes) else "text"
+                        text = text if isinstance(text, str | bytes) else json.dumps(text)
+                        await inbox.put({"type": "websocket.receive", kind: text})
                 if until is not None and until(message):
                     await inbox.put({"type": "websocket.disconnect", "code": 1001})
 

@@ -307,3 +307,155 @@ def test_names_of_files_that_are_no_slugs_do_not_appear(place):
     os.mkfifo(folder / "controllers" / "pipe.json")
     assert browser.ask("GET", "/api/state").data["files"]["controllers"] == ["mine.json"]
     assert json.loads(browser.ask("GET", "/api/state").body)["files"]["records"] == []
+
+
+LONG = "y" * 1_200_000
+# what the owner's own browser is made to ask for; "mine.json", "run.h5" and "plan.toml" are there
+RUN = {"controller": "mine.json", "record": "run.h5"}
+JOBS = [
+    {"kind": "retune", **RUN, "record": "../secret.json"},
+    {"kind": "retune", **RUN, "record": "link.h5"},
+    {"kind": "retune", **RUN, "record": ["run.h5"]},
+    {"kind": "retune", **RUN, "controller": "link.json"},
+    {"kind": "retune", **RUN, "unknown": "--report=/tmp/x"},
+    {"kind": "retune", **RUN, "unknown": "seal.k --anyway"},
+    {"kind": "retune", **RUN, "unknown": "seal.k\n--anyway"},
+    {"kind": "size", "areas": "--help"},
+    {"kind": "size", "areas": "0.5 --listen 0.0.0.0"},
+    {"kind": "size", "areas": "0.5, " * 50},
+    {"kind": "size", "areas": [0.5]},
+    {"kind": "size", "biases": "$(touch x)"},
+    {"kind": "size", "biases": "../../secret.json"},
+    {"kind": "size", "rate": "1e4; rm"},
+    {"kind": "size", "rate": {"a": 1}},
+    {"kind": "campaign", "plan": "../machine.toml"},
+    {"kind": "campaign", "plan": "/etc/passwd"},
+    {"kind": "campaign", "plan": "link.toml"},
+    {"kind": "campaign", "plan": "plan.toml\0.toml"},
+    {"kind": "campaign", "plan": "--help"},
+    {"kind": "campaign", "plan": {"campaign": {}}},
+    {"kind": "study --help"},
+    {"kind": "__class__"},
+    {"again": "../../study-1"},
+    {"again": ["study-1"]},
+]
+
+
+@pytest.mark.parametrize("said", JOBS, ids=range(len(JOBS)))
+def test_no_job_is_started_by_words_that_are_none(place, said):
+    _, _, browser, folder = place
+    (folder / "records").unlink()
+    for name in ("plans", "records"):
+        (folder / name).mkdir()
+    (folder / "records" / "run.h5").write_text("")
+    (folder / "plans" / "plan.toml").write_text("")
+    (folder / "records" / "link.h5").symlink_to(folder.parent / "secret.json")
+    (folder / "plans" / "link.toml").symlink_to(folder.parent / "secret.json")
+    told = browser.ask("POST", "/api/jobs/start", json.dumps(said).encode())
+    assert told.status == 400 and told.data["error"]
+    assert not (folder / "jobs").exists()
+
+
+@pytest.mark.parametrize(
+    "kind, place_of_results",
+    [
+        *(("study", "study"), ("size", "reports"), ("size", "machines"), ("retune", "retuning")),
+        ("campaign", "campaign"),
+    ],
+)
+def test_no_job_writes_where_a_link_leads(place, tmp_path_factory, kind, place_of_results):
+    _, _, browser, folder = place
+    outside = tmp_path_factory.mktemp("outside")
+    for name in ("records", place_of_results):
+        where = folder / name
+        if where.is_symlink():
+            where.unlink()
+        elif where.exists():
+            where.rename(folder / "moved")
+    (folder / place_of_results).symlink_to(outside)
+    for name, file in {"plans": "plan.toml", "records": "run.h5"}.items():
+        (folder / name).mkdir()
+        (folder / name / file).write_text("")
+    said = {"kind": kind, **RUN, "plan": "plan.toml"}
+    told = browser.ask("POST", "/api/jobs/start", json.dumps(said).encode())
+    assert told.status == 400 and "leads out" in told.data["error"]
+    assert not (folder / "jobs").exists() and not list(outside.iterdir())
+
+
+PLAN = {"task": "screen", "controller": "pid", "name": "plan", "vary": ""}
+SCREENS = [
+    ("studies/plan", {**PLAN, "name": "../../plan"}),
+    ("studies/plan", {**PLAN, "name": "<script>alert(1)</script>"}),
+    ("studies/plan", {**PLAN, "name": "-o"}),
+    ("studies/plan", {**PLAN, "vary": 'machine = ["../../secret.toml"]'}),
+    ("studies/plan", {**PLAN, "vary": 'controller = ["../../secret.json"]'}),
+    ("studies/plan", {**PLAN, "vary": "scenario.x = 1"}),
+    ("studies/plan", {**PLAN, "vary": "a = " + "[" * 3000}),
+    ("studies/plan", {**PLAN, "vary": "a = 1\n" * 2000}),
+    ("studies/plan", {**PLAN, "vary": LONG}),
+    ("studies/__init__", {}),
+    ("retuning/take", {}),
+    ("retuning/_take", {}),
+    ("identification/back", {}),
+    ("deploy/test", {"code": "../.."}),
+    ("deploy/pack", {"code": "/etc"}),
+    ("deploy/pack", {"code": "linked"}),
+    ("controllers/save", {"name": "../../evil"}),
+    ("records/map", {"source": "../secret.json"}),
+    ("machine/take", {"source": "../secret.toml"}),
+    ("machine/write", {"text": "[machine]", "stamp": "0" * 16}),
+    ("../studies", {}),
+    ("campaigns.plan", {}),
+]
+
+
+@pytest.mark.parametrize("path, said", SCREENS, ids=range(len(SCREENS)))
+def test_no_screen_is_led_astray(place, path, said):
+    _, _, browser, folder = place
+    begun = browser.ask("POST", BEGIN, b'{"machine": "two-disc-rotor"}')
+    assert begun.status == 200
+    secret = folder.parent / "secret.json"
+    for name in ("retuning", "machines", "code"):
+        (folder / name).mkdir(exist_ok=True)
+    (folder / "retuning" / "controller.json").symlink_to(secret)
+    (folder / "machines" / "identified.toml").symlink_to(secret)
+    (folder / "code" / "linked").symlink_to(folder.parent)
+    before = {at: at.stat().st_mtime_ns for at in folder.parent.rglob("*")}
+    told = browser.ask("POST", f"/api/screens/{path}", json.dumps(said).encode())
+    assert told.status in {400, 404, 413}
+    assert b"secret</" not in told.body
+    # a folder may be made; nothing is written
+    after = {at: at.stat().st_mtime_ns for at in folder.parent.rglob("*") if not at.is_dir()}
+    assert after.items() <= before.items()
+
+
+NEW = ["campaign/../x.csv", "campaign/link.csv", "study/.hidden.html", "retuning/link.html"]
+NEW += ["plans/plan.toml.bak", "study/report.html/..", "campaign/campaign.lock"]
+
+
+@pytest.mark.parametrize("name", NEW)
+def test_no_file_of_a_result_leads_out(place, name):
+    _, _, browser, folder = place
+    for made, file in {"campaign": "link.csv", "retuning": "link.html"}.items():
+        (folder / made).mkdir()
+        (folder / made / file).symlink_to(folder.parent / "secret.json")
+    (folder / "campaign" / "campaign.lock").write_text("secret")
+    answer = browser.ask("GET", f"/files/{name}")
+    assert answer.status in {400, 404} and answer.body != b"secret"
+
+
+@pytest.mark.parametrize("kind", ["plans", "campaign", "study", "retuning", "runs", "code"])
+def test_no_result_is_sent_in(place, kind):
+    _, _, browser, folder = place
+    for ending in ("html", "toml", "json", "h5", "zip"):
+        assert browser.ask("PUT", f"/api/files/{kind}/x.{ending}", b"x").status == 400
+    assert not (folder / kind).exists()
+
+
+def test_orders_are_of_limited_size(place):
+    _, _, browser, folder = place
+    body = json.dumps({"kind": "size", "areas": LONG}).encode()
+    for path in ("/api/jobs", "/api/jobs/start", "/api/jobs/cancel", "/api/screens/studies"):
+        assert browser.ask("POST", path, body).status == 413
+        assert browser.ask("POST", path, [body[:600_000], body[600_000:]]).status == 413
+    assert not (folder / "jobs").exists()

@@ -181,6 +181,44 @@ def test_a_page_gets_frames_and_refusals_over_the_socket(project):
     assert times == sorted(times)
 
 
+KNOWN = ("machine.toml", "controllers", "pid.json", "records", "mine.h5", "live.h5")
+SOCKET = [
+    b"\0" * 100,
+    b'{"do": "drop"}',
+    "",
+    "[" * 3900,
+    "9" * 3900,
+    '{"do": "speed", "value": 1e999}',
+    '{"do": "speed", "value": NaN}',
+    {"do": "speed", "value": 10**400},
+    {"do": ["knock"]},
+    {"do": "_clock"},
+    {"do": "restart", "controller": "../../secret.json"},
+    {"do": "restart", "controller": {"a": 1}},
+    {"do": "restart", "initial": "__class__"},
+    {"do": "record", "name": "/tmp/x"},
+    {"do": "record", "name": ["x"]},
+]
+
+
+def test_nothing_that_is_said_on_the_socket_ends_the_rig(project):
+    tokens = []
+    browser = Client(build(project, [HOST], tokens.append))
+    browser.enter(tokens[0])
+    last = {"do": "knock", "station": "nowhere", "x": 1, "y": 0}  # answered after all others
+
+    def enough(message):
+        return "nowhere" in (message.get("text") or "")
+
+    sent = asyncio.run(browser.socket("/live", said=[*SOCKET, last], until=enough))
+    words = [json.loads(m["text"]) for m in sent if m.get("text")]
+    refused = [m for m in words if "refused" in m or "failed" in m]
+    assert len(refused) == len(SOCKET) + 1
+    heads = [opened(m["bytes"])[0] for m in sent if m.get("bytes")]
+    assert heads[-1]["time"] > heads[0]["time"] and not heads[-1]["failed"]
+    assert not [at for at in project.root.rglob("*") if at.name not in KNOWN]
+
+
 @pytest.mark.parametrize("address", ["0.0.0.0", "::", "example.org", "203.0.113.7"])
 def test_it_listens_nowhere_by_mistake(address):
     with pytest.raises(InvalidInput):

@@ -69,7 +69,7 @@ _FREE = {
     "pressure_rate": r"\d[\d.eE+-]* *[A-Za-z/]*",
     "speed_rate": r"\d[\d.eE+-]*",
     "rate": r"\d[\d.eE+]*",
-    "unknown": r"[A-Za-z*][\w.* -]*",
+    "unknown": r"[A-Za-z*][\w.*-]*(?: +[A-Za-z*][\w.*-]*)*",
     "areas": r"\d[\d., ]*",
     "biases": r"\d[\d., ]*",
 }

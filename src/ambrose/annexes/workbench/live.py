@@ -256,10 +256,11 @@ class LiveSession:
 
     def do(self, message: Any) -> None:
         """What a page asks for, {"do": name, ...}. Raises InvalidInput."""
-        if not isinstance(message, dict) or message.get("do") not in ACTIONS:
+        wanted = message.get("do") if isinstance(message, dict) else None
+        if not isinstance(wanted, str) or wanted not in ACTIONS:
             known = ", ".join(ACTIONS)
             raise InvalidInput(f"the live rig cannot do that; it can do {known}")
-        ACTIONS[message["do"]](self, message)
+        ACTIONS[wanted](self, message)
 
     # what can be done to it
 

@@ -111,7 +111,10 @@ class LiveRoom:
     async def _listen(self, viewer: _Viewer) -> None:
         self._ensure_driven()
         while True:
-            text = await viewer.socket.receive_text()
+            said = await viewer.socket.receive()
+            if said["type"] == "websocket.disconnect":
+                return
+            text = said.get("text") or ""
             if text == "ok":
                 viewer.confirmed.set()
                 continue

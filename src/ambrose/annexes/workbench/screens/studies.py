@@ -133,7 +133,7 @@ def _vary(text: str) -> dict[str, Any]:
     """The table of what is varied. Raises Refusal."""
     try:
         vary: dict[str, Any] = tomlkit.parse(text).unwrap()
-    except TOMLKitError as error:
+    except (TOMLKitError, ValueError, RecursionError) as error:
         told = f"what is varied cannot be read: {error}; write a path in quotes, = and its values"
     else:
         whole = [path for path in vary if path in _FILES]
