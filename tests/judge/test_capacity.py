@@ -118,10 +118,16 @@ def test_bounds_are_their_closed_forms():
     # peaks of two demands add up, of current and of voltage
     one = Demand("a", "unbalance", 1e4, 0.1, 20.0, 10.0)
     two = Demand("b", "surge", 10.0, 0.3, 2.0, 30.0)
-    assert limits.margin(one) == (pytest.approx((50 - 4 * R) / 20), "voltage")
-    assert limits.margin(two) == (pytest.approx(3.0), "force")
-    rows = together(limits, one, [two])
-    assert rows[1] == (pytest.approx((50 - 4 * R) / 22), "b with a", "voltage")
+    slow = limits.margin(one)
+    assert (slow.value, slow.limited_by) == (pytest.approx((50 - 4 * R) / 20), "voltage")
+    assert (slow.taken, slow.able, slow.unit) == (20.0, pytest.approx(50 - 4 * R), "V")
+    strong = limits.margin(two)
+    assert (strong.value, strong.limited_by) == (pytest.approx(3.0), "force")
+    # of 190 N the static current takes 100
+    assert (strong.taken, strong.able, strong.unit) == (30.0, pytest.approx(90.0), "N")
+    both = together(limits, one, [two])[1]
+    assert both.value == pytest.approx((50 - 4 * R) / 22)
+    assert (both.of, both.limited_by) == ("b with a", "voltage")
 
 
 def test_lasting_loads_are_carried_by_levers(machine):

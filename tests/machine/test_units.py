@@ -112,7 +112,7 @@ def test_any_text_is_read_or_refused_with_a_remedy(text, name):
     try:
         assert isinstance(read_quantity(text, DIMENSIONS[name]), float)
     except ValueError as error:
-        assert "write a" in str(error)
+        assert "write a" in str(error) or 'write "' in str(error)
 
 
 @example(0, "A/(", "angle")  # an open bracket once came through as a tokenizer's error
@@ -125,7 +125,43 @@ def test_any_unit_is_read_or_refused_with_a_remedy(number, unit, name):
     try:
         assert isinstance(read_quantity(f"{number} {unit}", DIMENSIONS[name]), float)
     except ValueError as error:
-        assert "write a" in str(error)
+        assert "write a" in str(error) or 'write "' in str(error)
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "why", "remedy"),
+    [
+        ("9,500 rpm", "angular rate", "by a comma", 'write "9500 rpm", or "9.500 rpm" if'),
+        ("1,250,000 Pa", "pressure", "by a comma", 'write "1250000 Pa"'),
+        ("1,234.5 mm", "length", "by a comma", 'write "1234.5 mm"'),
+        ("9 500 rpm", "angular rate", "by a blank", 'write "9500 rpm"'),
+        ("9\u202f500 rpm", "angular rate", "set apart", 'write "9500 rpm"'),
+        ("9'500 rpm", "angular rate", "set apart", 'write "9500 rpm"'),
+        ("9_500 rpm", "angular rate", "set apart", 'write "9500 rpm"'),
+        ("0,5 mm", "length", "decimal mark is a comma", 'write "0.5 mm"'),
+        ("-12,25 mm", "length", "decimal mark is a comma", 'write "-12.25 mm"'),
+        ("0,5", "ratio", "decimal mark is a comma", 'write "0.5"'),
+        ("\u221220 um", "length", "sign is no hyphen", 'write "-20 um"'),
+        ("\u201320 um", "length", "sign is no hyphen", 'write "-20 um"'),
+    ],
+)
+def test_digits_as_people_write_them_are_told_from_the_unit(text, name, why, remedy):
+    """ "9,500 rpm" was "its unit cannot be read"."""
+    with pytest.raises(ValueError) as error:
+        read_quantity(text, DIMENSIONS[name])
+    said = str(error.value)
+    assert why in said and remedy in said and "unit" not in said
+    # what is advised can be read
+    advised = said.partition('write "')[2].partition('"')[0]
+    if any(letter.isalpha() for letter in advised):
+        assert math.isfinite(read_quantity(advised, DIMENSIONS[name]))
+
+
+def test_a_unit_that_is_wrong_is_still_what_is_blamed():
+    for text in ("9500 rmp", "5 kg", "12 34 mm", "1,2,3 mm"):
+        with pytest.raises(ValueError, match=r"unit|must be") as error:
+            read_quantity(text, DIMENSIONS["length"])
+        assert "write a plain number" in str(error.value)
 
 
 @pytest.mark.parametrize("value", [True, None, [1.0], {"m": 1}, b"1 m", 1j])

@@ -65,6 +65,31 @@ class Demand:
 
 
 @dataclass(frozen=True, slots=True)
+class Margin:
+    """What is left over what demands take together: value, able over taken.
+
+    limited_by: what binds, of which taken and able are the amounts: "voltage" [V], "force" [N],
+    "current" or "bias current" [A], zero to peak.
+    """
+
+    value: float
+    demands: tuple[Demand, ...]
+    limited_by: str
+    taken: float
+    able: float
+
+    @property
+    def of(self) -> str:
+        """The demands' names."""
+        return " with ".join(item.name for item in self.demands)
+
+    @property
+    def unit(self) -> str:
+        """Of taken and able."""
+        return {"voltage": "V", "force": "N"}.get(self.limited_by, "A")
+
+
+@dataclass(frozen=True, slots=True)
 class AxisLimits:
     """What bounds an axis beside its static current [A]; None: no such bound.
 
@@ -108,14 +133,16 @@ class AxisLimits:
         names, stacked = list(rows), np.array(list(rows.values()))
         return stacked.min(axis=0), tuple(names[k] for k in stacked.argmin(axis=0))
 
-    def margin(self, *demands: Demand) -> tuple[float, str]:
-        """What is left over what demands take together, their peaks added; and what limits it."""
+    def margin(self, *demands: Demand) -> Margin:
+        """What is left over what demands take together, their peaks added."""
         current = sum(item.current for item in demands)
         voltage = sum(item.voltage for item in demands)
-        found = [(_over(value, current), name) for name, value in self.currents().items()]
+        rows = [(name, current, value) for name, value in self.currents().items()]
         if self.voltage and self.inductance:
-            found.append((_over(self.voltage_left(), voltage), "voltage"))
-        return min(found)
+            rows.append(("voltage", voltage, self.voltage_left()))
+        name, taken, able = min(rows, key=lambda row: (_over(row[2], row[1]), row[0]))
+        k_i = self.force_per_current if name == "force" else 1.0
+        return Margin(_over(able, taken), demands, name, k_i * taken, k_i * able)
 
 
 def _over(able: float, taken: float) -> float:
@@ -349,14 +376,8 @@ def _largest(load: Load, series: np.ndarray) -> np.ndarray:
     return np.asarray(np.abs(series @ way).max(axis=0))
 
 
-def together(
-    limits: AxisLimits, steady: Demand | None, loads: Sequence[Demand]
-) -> list[tuple[float, str, str]]:
-    """(margin, of what, limited by) of a steady demand alone, then of every load on top of it."""
-    sets = [] if steady is None else [[steady]]
-    sets += [[load] if steady is None else [load, steady] for load in loads]
-    rows = []
-    for demands in sets:
-        value, why = limits.margin(*demands)
-        rows.append((value, " with ".join(item.name for item in demands), why))
-    return rows
+def together(limits: AxisLimits, steady: Demand | None, loads: Sequence[Demand]) -> list[Margin]:
+    """The margin of a steady demand alone, then of every load on top of it."""
+    sets: list[tuple[Demand, ...]] = [] if steady is None else [(steady,)]
+    sets += [(load,) if steady is None else (load, steady) for load in loads]
+    return [limits.margin(*demands) for demands in sets]

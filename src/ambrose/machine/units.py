@@ -20,6 +20,10 @@ from ambrose.machine.messages import meant, shown
 
 _NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)\s*(.*)", re.DOTALL)
 _UNIT = re.compile(r"[A-Za-z%°][A-Za-z%°_]*-?\d?(?:[ /][A-Za-z%°(][A-Za-z%°_()]*-?\d?\)?)*")
+# what stands within digits as people write them: groups of three, a decimal comma
+_GROUPED = re.compile(r"([+-]?\d{1,3})((?:[ ,'_\u2019\u00a0\u2009\u202f]\d{3})+)(\.\d+)?(?!\d)")
+_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?![\d,.])")
+_DASHES = "\u2212\u2010\u2011\u2012\u2013"  # signs that look like a minus
 _LONGEST_TEXT = 200  # characters of a quantity
 _LONGEST_UNIT = 40  # characters of its unit
 _PI = Fraction("3.14159265358979323846264338327950288419716939937511")
@@ -197,7 +201,10 @@ def canonical_unit(text: str) -> str:
 
 
 def _read_text(text: str, dimension: Dimension) -> float:
-    match = _NUMBER.fullmatch(text.strip()) if len(text) <= _LONGEST_TEXT else None
+    text_read = text.strip()
+    match = _NUMBER.fullmatch(text_read) if len(text) <= _LONGEST_TEXT else None
+    if (match is None or not _starts_a_unit(match[2])) and (why := _foreign_digits(text_read)):
+        raise ValueError(f"is {shown(text)}, but {why}")
     if match is None:
         raise _unreadable(text, dimension)
     digits, unit = match[1], canonical_unit(match[2])
@@ -216,6 +223,33 @@ def _read_text(text: str, dimension: Dimension) -> float:
     if len(re.sub(r"[eE].*|[^0-9]", "", digits)) > _FLOAT_DIGITS:
         return _as_float(Fraction(digits) * factor * _PI)
     return _as_float(Fraction(digits) * factor) * math.pi
+
+
+def _starts_a_unit(text: str) -> bool:
+    return not text or text[0].isalpha() or text[0] in "%°("
+
+
+def _foreign_digits(text: str) -> str:
+    """What of a number as people write it cannot be read, and how to write it; "" where the digits
+    are not at fault.
+    """
+    if len(text) > _LONGEST_TEXT:
+        return ""
+    if text[:1] and text[0] in _DASHES:
+        return f'its sign is no hyphen; write "-{text[1:]}"'
+    if grouped := _GROUPED.match(text):
+        first, groups, decimals = grouped[1], grouped[2], grouped[3] or ""
+        kind = {",": "a comma", " ": "a blank"}.get(groups[0], f'"{groups[0]}"')
+        rest = text[grouped.end() :]
+        joined = first + re.sub(r"\D", "", groups) + decimals
+        said = f'its digits are set apart by {kind}; write "{joined}{rest}"'
+        if groups.count(",") == 1 and len(groups) == 4 and not decimals:
+            said += f', or "{first}.{groups[1:]}{rest}" if it is the decimal mark'
+        return said
+    if decimal := _DECIMAL_COMMA.match(text):
+        rest = text[decimal.end() :]
+        return f'its decimal mark is a comma; write "{decimal[0].replace(",", ".")}{rest}"'
+    return ""
 
 
 def _conversion(unit: str, dimension: Dimension) -> tuple[Fraction, bool, Fraction]:

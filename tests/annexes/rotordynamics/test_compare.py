@@ -74,6 +74,45 @@ def test_closed_forms_lie_beside_ours(analysis, tmp_path):
     assert len(found.to_frame()) == 6
 
 
+def test_a_row_without_a_partner_says_what_is_nearest_and_how_far_ours_goes(analysis, tmp_path):
+    """A stranger's own bending mode had no partner, and nothing said that ours end at trip."""
+    found = [(row.mode.frequency / RPM, row.mode.whirl > 0) for row in analysis.modes]
+    first, last = min(found)[0], max(speed for speed, forward in found if forward)
+    peak = max(item.critical.speed / RPM for item, _, _ in analysis.critical_speeds)
+    table = tmp_path / "theirs.csv"
+    table.write_text(
+        "kind,speed [rpm],whirl,label\n"
+        "mode,20000,forward,far\n"
+        f"mode,{0.5 * first},,below\n"
+        + 5 * f"mode,{first},forward,many\n"
+        + "critical,9000,,beyond\n"
+    )
+    notes = {p.where: p.note for p in amb.compare(analysis, table).pairs if p.ours is None}
+    assert notes["far"] == (
+        f"no mode of ours within 25 %, the nearest at {last:.5g} rpm (forward); ours are listed up "
+        f"to {1.25 * 6300:.5g} rpm"
+    )
+    assert notes["below"] == f"no mode of ours within 25 %, the nearest at {first:.5g} rpm"
+    assert (
+        notes["many"] == f"the nearest mode of ours, at {first:.5g} rpm (forward), is another row's"
+    )
+    assert notes["beyond"].endswith(
+        f"the nearest at {peak:.5g} rpm; ours are listed up to 6300 rpm"
+    )
+
+
+def test_a_list_of_probes_tells_where_a_name_ends(analysis, tmp_path):
+    """ "plane of DE eta, major axis" had read as two names."""
+    table = tmp_path / "theirs.csv"
+    table.write_text("kind;speed [rpm];probe\ncritical;5000;VE1\n")
+    with pytest.raises(InvalidInput) as error:
+        amb.compare(analysis, table)
+    names = {name for name, _ in analysis.response.curves(0)}
+    said = str(error.value).partition("it has ")[2]
+    assert not any("," in name for name in names)
+    assert set(said.split(", ")) == {f'"{name}"' for name in names}
+
+
 def test_where_no_row_has_a_partner_nothing_was_compared(analysis, tmp_path):
     """ "Largest difference 0 %", status 0, had been said of it."""
     mine, theirs = tmp_path / "mine.json", tmp_path / "theirs.csv"

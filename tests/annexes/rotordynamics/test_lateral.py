@@ -14,7 +14,9 @@ import pytest
 from scipy.optimize import brentq
 
 import ambrose as amb
+from ambrose.annexes.rotordynamics.capacity import UNBALANCE, AxisCapacity
 from ambrose.annexes.rotordynamics.critical import criticals
+from ambrose.annexes.rotordynamics.items import capacity as rows_of_capacity
 from ambrose.annexes.rotordynamics.json_schema import lateral_schema
 from ambrose.annexes.rotordynamics.level_two import shares
 from ambrose.annexes.rotordynamics.loop import shaft_loop
@@ -23,9 +25,11 @@ from ambrose.annexes.rotordynamics.placement import place, shaft_modes, span_mid
 from ambrose.annexes.rotordynamics.stations import lay_out, rigid_support_critical
 from ambrose.chain.check import clearance_doubts
 from ambrose.core.checks import InvalidInput, NumericalFailure
+from ambrose.judge.capacity import AxisLimits, Demand, together
 from ambrose.law.timing import timing_of
 from ambrose.machine.file.toml import loads_machine
 from ambrose.model.effects.clearance import Clearance
+from ambrose.model.effects.load import IMPULSE, SURGE
 from ambrose.registry import registered, resolve
 
 RPM = math.pi / 30
@@ -377,4 +381,36 @@ def test_the_page_says_what_loads_were_asked_and_what_is_chosen():
         load_table(replace(machine, effects=()))
         == ()
         == assumed_table(replace(machine, assumed=()))
+    )
+
+
+def test_a_capacity_row_says_which_load_which_bearing_and_which_limit_binds():
+    """ "surge, 0.952" stood there alone."""
+    limits = AxisLimits(8.0, -2.0, 400.0, force=1600.0, voltage=100.0, inductance=0.02)
+    steady = Demand("600 rpm mode, at trip", UNBALANCE, 1000.0, 0.25, 5.0, 100.0)
+    surge = Demand("gust", SURGE, 2 * np.pi * 12, 1.85, 2.0, 740.0)
+    knock = Demand("slug, first", IMPULSE, 2 * np.pi * 40, 0.5, 195.0, 200.0)
+    margins = tuple(
+        sorted(together(limits, steady, [surge, knock]), key=lambda margin: margin.value)
+    )
+    omega = np.array([1.0])
+    axis = AxisCapacity(
+        "DE_eta", "DE", limits, omega, omega, omega, ("force",), (), (steady, surge, knock), margins
+    )
+    row = {item.name: item for item in rows_of_capacity([axis])}
+    # 1600 N less 400 N/A times 2 A, over 740 N and 100 N
+    assert row["capacity.surge"].value == pytest.approx(800 / 840)
+    assert row["capacity.surge"].passed is False
+    assert row["capacity.surge"].note == (
+        'bearing DE, axis DE_eta: load "gust" at 12 Hz on top of unbalance (600 rpm mode, at trip) '
+        "takes 840 of the 800 N 0-p that the largest force leaves"
+    )
+    assert row["capacity.impulse"].value == pytest.approx(0.5)
+    assert row["capacity.impulse"].note == (
+        'bearing DE, axis DE_eta: load "slug, first" at 40 Hz on top of unbalance (600 rpm mode, '
+        "at trip) takes 200 of the 100 V 0-p that the slew by the voltage leaves"
+    )
+    assert row["capacity.unbalance"].note.startswith(
+        "bearing DE, axis DE_eta: unbalance (600 rpm mode, at trip) at 159.2 Hz takes 100 of the "
+        "800 N 0-p"
     )

@@ -43,7 +43,6 @@ from ambrose.model.effects.stage import Stage, rated_cross_coupling
 
 TRIP = 1.05  # times the maximum continuous speed, where nothing is said
 _SLOWEST = 0.05  # of the trip speed: where response curves begin
-_MODES_TO = 1.25  # times the trip speed: up to where modes are excited
 _RIGID = (
     "No forward mode that can ring lies up to 1.25 times the trip speed: the unbalance is placed "
     "by the rigid rotor's shapes, parallel and tilting (assumed)."
@@ -119,7 +118,7 @@ def lateral(
     )
     unstable = _unstable_at(at_top, loop_at, law, timing, (lowest, highest, trip))
     progress("modes")
-    modes = shaft_modes(at_top, _MODES_TO * trip)
+    modes = shaft_modes(at_top, standard.MODES_TO * trip)
     table = tuple(ModeRow(mode, shares(at_top, mode)) for mode in modes)
     if unstable is not None:
         return replace(bare, items=(rows.unstable(unstable),), modes=table)
@@ -308,7 +307,7 @@ def _level_one(
     # critical speed ratio: maximum continuous speed over the first critical on rigid supports
     ratio = point.speed / rigid_support_critical(layout)
     try:
-        return sweep(loop, stations, anticipated, _MODES_TO * trip, ratio, density), notes
+        return sweep(loop, stations, anticipated, standard.MODES_TO * trip, ratio, density), notes
     except NumericalFailure as error:
         return None, (*notes, f"Level I was not done: {error}")
 

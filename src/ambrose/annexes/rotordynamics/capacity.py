@@ -20,6 +20,7 @@ from ambrose.annexes.rotordynamics.response import Response
 from ambrose.judge.capacity import (
     AxisLimits,
     Demand,
+    Margin,
     axis_limits,
     drive_of,
     load_demands,
@@ -48,11 +49,12 @@ class AxisCapacity:
     omega (w,) [rad/s]; force, other (w,) [N] zero to peak that are left on the side of the bias
     that carries the static load and on the other, and what limits the first there. static: (name,
     force [N]) of what lasts, along the axis; the seals' push counts where it adds. demands of all
-    loads. margins: (least capacity over demand, of what, limited by), the least first; a load
-    counts on top of unbalance at trip.
+    loads. margins: capacity over demand, the least first; a load counts on top of unbalance at
+    trip.
     """
 
     axis: str
+    bearing: str
     limits: AxisLimits
     omega: np.ndarray
     force: np.ndarray
@@ -60,7 +62,7 @@ class AxisCapacity:
     limited_by: tuple[str, ...]
     static: tuple[tuple[str, float], ...]
     demands: tuple[Demand, ...]
-    margins: tuple[tuple[float, str, str], ...]
+    margins: tuple[Margin, ...]
 
     @property
     def static_force(self) -> float:
@@ -70,20 +72,36 @@ class AxisCapacity:
     @property
     def margin(self) -> float:
         """The least of all; inf where nothing is asked."""
-        return self.margins[0][0] if self.margins else float("inf")
+        return self.margins[0].value if self.margins else float("inf")
 
     @property
     def worst(self) -> str:
-        """What has the least margin, and what limits it."""
-        return f"{self.margins[0][1]}, by {self.margins[0][2]}" if self.margins else ""
+        """What has the least margin, where, and what limits it."""
+        return binding(self.margins[0]) if self.margins else ""
 
-    def least(self, kind: str) -> tuple[float, str, str] | None:
-        """(margin, of what, limited by) of the demands of a kind that has the least; None: there
-        are none.
-        """
-        names = {item.name for item in self.demands if item.kind == kind}
-        rows = [row for row in self.margins if row[1].partition(" with ")[0] in names]
-        return rows[0] if rows else None
+    def least(self, kind: str) -> Margin | None:
+        """The least margin of the demands of a kind; None: there are none."""
+        rows = (row for row in self.margins if row.demands[0].kind == kind)
+        return next(rows, None)
+
+
+_LEFT = {  # by what limits
+    "bias current": "the bias current leaves",
+    "current": "the largest current leaves",
+    "force": "the largest force leaves",
+    "voltage": "the slew by the voltage leaves",
+}
+
+
+def binding(margin: Margin) -> str:
+    """Which load, at which frequency, what it takes and what the limit that binds leaves."""
+    load, *steady = margin.demands
+    own = f'load "{load.name}"' if load.kind != UNBALANCE else f"unbalance ({load.name})"
+    beside = "".join(f" on top of unbalance ({item.name})" for item in steady)
+    return (
+        f"{own} at {load.frequency / (2 * np.pi):.4g} Hz{beside} takes {margin.taken:.3g} of the "
+        f"{margin.able:.3g} {margin.unit} 0-p that {_LEFT[margin.limited_by]}"
+    )
 
 
 def capacities(
@@ -115,7 +133,7 @@ def capacities(
         unbalance = list(_unbalance(loop, response, a))
         steady = max(
             (item for item in unbalance if item.frequency == response.fine[-1]),
-            key=lambda item: -limits[a].margin(item)[0],
+            key=lambda item: -limits[a].margin(item).value,
         )
         margins = [together(limits[a], item, ())[0] for item in unbalance]
         margins += together(limits[a], steady, loads[a])[1:]
@@ -129,6 +147,7 @@ def capacities(
         found.append(
             AxisCapacity(
                 axis,
+                machine.axis_bearings[a].name,
                 limits[a],
                 omega,
                 k_i * side,
@@ -136,7 +155,7 @@ def capacities(
                 why,
                 tuple(lasting),
                 demands,
-                tuple(sorted(margins)),
+                tuple(sorted(margins, key=lambda item: (item.value, item.of))),
             )
         )
     return tuple(found)

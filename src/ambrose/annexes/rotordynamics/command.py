@@ -132,6 +132,9 @@ def lateral_command(
         print_table(f"{description.name}: lateral analysis", ("item", "value", "limit", ""), rows)
         if comparison is not None:
             print_comparison(comparison)
+        for item in result.items:
+            if item.passed is False:
+                say(f"fails: {item.title}: {item.note}")
         for note in result.notes:
             say(note)
     if failure is not None:

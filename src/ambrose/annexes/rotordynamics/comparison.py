@@ -19,10 +19,11 @@ import numpy as np
 
 from ambrose.annexes.rotordynamics.placement import BACKWARD
 from ambrose.annexes.rotordynamics.result import SCHEMA, Lateral
-from ambrose.annexes.rotordynamics.standard import RPM
+from ambrose.annexes.rotordynamics.standard import MODES_TO, RPM
 from ambrose.annexes.rotordynamics.their_table import TheirRow, read_table
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.presentation import Presented, data_frame
+from ambrose.machine.messages import shown
 from ambrose.machine.ordinary_file import read_text
 
 NEAR = 0.25  # of the speed: a partner further away is none
@@ -210,23 +211,35 @@ def _data(source: Lateral | Mapping[str, Any] | str | Path, side: str) -> Mappin
 def _beside_table(ours: Mapping[str, Any], table: Sequence[TheirRow]) -> list[Pair]:
     """Row by row of the table: critical speeds, then modes, then amplitudes."""
     pairs: list[Pair] = []
+    trip = float(ours["speeds_rad_per_s"]["trip"])
     counted = [row for row in table if row.kind == "critical"]
     groups: dict[tuple[str, str], list[TheirRow]] = {}
     for row in counted:
         groups.setdefault((row.probe, row.case), []).append(row)
     for (probe, case), rows in groups.items():
         peaks = _peaks(ours, probe, case)
-        chosen = _assign(rows, [(peak["speed_rad_per_s"], "") for peak in peaks])
+        chosen = _assign(rows, _at(peaks))
         for row, k in zip(rows, chosen, strict=True):
-            pairs += _critical_pairs(row, None if k is None else peaks[k])
+            peak = None if k is None else peaks[k]
+            said = "" if peak is not None else _nobody(row, "critical speed", _at(peaks), trip)
+            pairs += _critical_pairs(row, peak, said)
     rows = [row for row in table if row.kind == "mode"]
     modes = [(m["frequency_rad_per_s"], _whirl(m["whirl"])) for m in ours["modes"]]
+    top = MODES_TO * trip
     for row, k in zip(rows, _assign(rows, modes), strict=True):
-        pairs += _mode_pairs(row, None if k is None else ours["modes"][k])
+        mode = None if k is None else ours["modes"][k]
+        pairs += _mode_pairs(
+            row, mode, "" if mode is not None else _nobody(row, "mode", modes, top)
+        )
     for row in table:
         if row.kind == "response":
             pairs.append(_amplitude_pair(ours, row))
     return pairs
+
+
+def _at(peaks: Sequence[Mapping[str, Any]]) -> list[tuple[float, str]]:
+    """(speed [rad/s], no whirl) of our critical speeds."""
+    return [(float(peak["speed_rad_per_s"]), "") for peak in peaks]
 
 
 def _whirl(value: float) -> str:
@@ -290,15 +303,14 @@ def _curves(ours: Mapping[str, Any], probe: str, case: str) -> list[Mapping[str,
             called = "probe" if key == "reading" else "case"
             raise InvalidInput(
                 f'the {called} "{word}" of the table is not in the analysis; it has '
-                f"{', '.join(names)}"
+                f"{', '.join(shown(name) for name in names)}"
             )
         curves = [curve for curve in curves if not word or curve[key] == word]
     return list(curves)
 
 
-def _critical_pairs(row: TheirRow, peak: Mapping[str, Any] | None) -> list[Pair]:
+def _critical_pairs(row: TheirRow, peak: Mapping[str, Any] | None, note: str) -> list[Pair]:
     where = row.label or _worded(row, "critical speed")
-    note = "" if peak is not None else _nobody("critical speed")
     found = [Pair(where, "speed", row.speed / RPM, _in_rpm(peak, "speed_rad_per_s"), "rpm", note)]
     if peak is None:
         return found
@@ -313,9 +325,8 @@ def _critical_pairs(row: TheirRow, peak: Mapping[str, Any] | None) -> list[Pair]
     return found
 
 
-def _mode_pairs(row: TheirRow, mode: Mapping[str, Any] | None) -> list[Pair]:
+def _mode_pairs(row: TheirRow, mode: Mapping[str, Any] | None, note: str) -> list[Pair]:
     where = row.label or _worded(row, "mode")
-    note = "" if mode is not None else _nobody("mode")
     speed = Pair(
         where, "frequency", row.speed / RPM, _in_rpm(mode, "frequency_rad_per_s"), "rpm", note
     )
@@ -342,12 +353,33 @@ def _amplitude_pair(ours: Mapping[str, Any], row: TheirRow) -> Pair:
 
 
 def _worded(row: TheirRow, what: str) -> str:
-    more = [word for word in (row.whirl, row.probe and f"probe {row.probe}", row.case) if word]
+    more = [row.whirl] if row.whirl else []
+    more += [
+        f'{word} "{name}"' for word, name in (("probe", row.probe), ("case", row.case)) if name
+    ]
     return ", ".join([f"{what} at {row.speed / RPM:.5g} rpm", *more])
 
 
-def _nobody(what: str) -> str:
-    return f"no {what} of ours within {100 * NEAR:g} %"
+def _nobody(row: TheirRow, what: str, ours: Sequence[tuple[float, str]], top: float) -> str:
+    """Why a row has no partner: the nearest of ours (speed [rad/s], whirl), and how far ours are
+    listed, to the speed ``top`` [rad/s].
+    """
+    listed = f"; ours are listed up to {top / RPM:.5g} rpm" if row.speed > top else ""
+    if not ours:
+        return f"ours has no {what}{listed}"
+
+    def rank(entry: tuple[float, str]) -> tuple[bool, bool, float]:
+        apart = abs(math.log(row.speed / entry[0]))
+        other = {row.whirl, entry[1]} == {"forward", "backward"}
+        return apart > math.log1p(NEAR), other, apart
+
+    best = min(ours, key=rank)
+    far, other, _ = rank(best)
+    nearest = f"{best[0] / RPM:.5g} rpm" + (f" ({best[1]})" if best[1] and row.whirl else "")
+    if far:
+        return f"no {what} of ours within {100 * NEAR:g} %, the nearest at {nearest}{listed}"
+    reason = "whirls the other way" if other else "is another row's"
+    return f"the nearest {what} of ours, at {nearest}, {reason}{listed}"
 
 
 def _in_rpm(row: Mapping[str, Any] | None, key: str) -> float | None:

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ambrose.annexes.rotordynamics import standard
-from ambrose.annexes.rotordynamics.capacity import UNBALANCE, AxisCapacity
+from ambrose.annexes.rotordynamics.capacity import UNBALANCE, AxisCapacity, binding
 from ambrose.annexes.rotordynamics.circuit import FLAG, CircuitChange
 from ambrose.annexes.rotordynamics.clearances import Reading
 from ambrose.annexes.rotordynamics.critical import Separation, criticals, separation
@@ -79,7 +79,7 @@ def unbalance(
                 "<",
                 standard.CRITICALLY_DAMPED,
                 True,
-                f"{factor}{flank}, probe {probe}, {case}; no margin is asked for",
+                f'{factor}{flank}, reading "{probe}", {case}; no margin is asked for',
             )
             continue
         yield Item(
@@ -93,7 +93,7 @@ def unbalance(
             ">=",
             worst.required,
             worst.passed,
-            f"{factor}{flank}, probe {probe}, {case}",
+            f'{factor}{flank}, reading "{probe}", {case}',
         )
     limit = standard.vibration_limit(highest / standard.RPM)
     yield Item(
@@ -107,7 +107,7 @@ def unbalance(
         "<=",
         limit,
         UM * reading.peak_to_peak <= limit,
-        f"probe {reading.probe}, {reading.case}, at {reading.speed / standard.RPM:.5g} rpm; with "
+        f'probe "{reading.probe}", {reading.case}, at {reading.speed / standard.RPM:.5g} rpm; with '
         "twice the residual unbalance",
     )
     yield Item(
@@ -318,21 +318,21 @@ def capacity(found: Sequence[AxisCapacity]) -> Iterator[Item]:
     )
     for name, kind, title in kinds:
         rows = [(margin, axis) for axis in found if (margin := axis.least(kind)) is not None]
-        worst = min(rows, key=lambda row: row[0][0], default=None)
+        worst = min(rows, key=lambda row: row[0].value, default=None)
         yield Item(
             f"capacity.{name}",
             title,
             standard.EDITION,
             "annex E, load capacity",
             OWN,
-            None if worst is None else worst[0][0],
+            None if worst is None else worst[0].value,
             "-",
             ">=",
             None if worst is None else 1.0,
-            None if worst is None else worst[0][0] >= 1.0,
+            None if worst is None else worst[0].value >= 1.0,
             f"not covered: no [[load]] of kind {name} in the machine file"
             if worst is None
-            else f"axis {worst[1].axis}, {worst[0][1]}, by {worst[0][2]}",
+            else f"bearing {worst[1].bearing}, axis {worst[1].axis}: {binding(worst[0])}",
         )
     held = max(found, key=lambda axis: abs(axis.limits.static) / axis.limits.bias)
     parts = ", ".join(f"{name} {force:.4g} N" for name, force in held.static)

@@ -457,7 +457,7 @@ def demand_table(axis: AxisCapacity) -> Table:
                 f"{item.force:.3g}",
                 f"{item.current:.3g}",
                 f"{item.voltage:.3g}" if axis.limits.inductance else "-",
-                "-" if item.kind == PART else f"{axis.limits.margin(item)[0]:.3g}",
+                "-" if item.kind == PART else f"{axis.limits.margin(item).value:.3g}",
             ),
         )
         for item in axis.demands

@@ -72,10 +72,10 @@ class Response:
         """
         layout = self.layout
         found = [(item.name, self.read(item, case, speeds)) for item in layout.readings]
-        places = {item.position: f"plane of {item.name}" for item in layout.readings}
+        places = {item.position: item.name for item in layout.readings}
         places = places or {j.position: f"journal {j.name}" for j in layout.journals}
         found += [
-            (f"{name}, major axis", self.major_axis(layout.nearest(position), case, speeds))
+            (f"major axis at {name}", self.major_axis(layout.nearest(position), case, speeds))
             for position, name in places.items()
         ]
         return found

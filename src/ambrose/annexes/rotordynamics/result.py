@@ -260,13 +260,13 @@ def _capacity(axis: AxisCapacity) -> dict[str, Any]:
                 "force_N_0p": item.force,
                 "current_A_0p": item.current,
                 "voltage_V_0p": item.voltage,
-                "margin_alone": _plain(axis.limits.margin(item)[0]),
+                "margin_alone": _plain(axis.limits.margin(item).value),
             }
             for item in axis.demands
         ],
         "margins": [
-            {"margin": _plain(value), "of": name, "limited_by": why}
-            for value, name, why in axis.margins
+            {"margin": _plain(item.value), "of": item.of, "limited_by": item.limited_by}
+            for item in axis.margins
         ],
     }
 

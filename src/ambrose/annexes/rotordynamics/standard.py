@@ -28,6 +28,7 @@ LEAST_LOG_DECREMENT = 0.1
 SWEEP = 10.0  # times Q_A: how far the cross-coupling is swept
 SCREEN_NEAR, SCREEN_FAR = 2.0, 10.0  # Q0/Q_A
 LEAST_ANTINODE = 0.1  # of the largest: smaller ones get no unbalance
+MODES_TO = 1.25  # times the trip speed: up to where modes are listed and excited
 OVERHANG = 0.5  # of the largest: from here an overhung antinode governs
 
 

@@ -48,8 +48,8 @@ def capacity_margin(
         else:
             whole = limits
         rows += [
-            (margin, f"{what}, axis {axis}", why)
-            for margin, what, why in together(whole, steady, loads)
+            (item.value, f"{item.of}, axis {axis}", item.limited_by)
+            for item in together(whole, steady, loads)
         ]
     margin, what, why = min(rows)
     return margin, f"{what}, by {why}" if what else ""
