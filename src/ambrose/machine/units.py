@@ -238,7 +238,8 @@ def _foreign_digits(text: str) -> str:
     if text[:1] and text[0] in _DASHES:
         return f'its sign is no hyphen; write "-{text[1:]}"'
     if grouped := _GROUPED.match(text):
-        first, groups, decimals = grouped[1], grouped[2], grouped[3] or ""
+        first, groups = grouped[1], grouped[2]
+        decimals = grouped[3] or ""
         kind = {",": "a comma", " ": "a blank"}.get(groups[0], f'"{groups[0]}"')
         rest = text[grouped.end() :]
         joined = first + re.sub(r"\D", "", groups) + decimals
