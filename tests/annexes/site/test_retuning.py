@@ -26,6 +26,7 @@ from ambrose.annexes.site.retuning.result import Moved
 from ambrose.cli import main
 from ambrose.code.difference import checksum_of
 from ambrose.core.checks import InvalidInput, NumericalFailure
+from ambrose.identification.findings import Code
 from ambrose.law.timing import Timing
 from ambrose.machine.description import Tolerance
 from ambrose.report.page import render
@@ -50,14 +51,18 @@ def law():
 
 
 @cache
-def record(scale, of_new=None, seconds=0.4):
-    """Binary sequences on every axis of the linear loop, all K_i times a factor, 10 nm of noise;
-    of_new: the folder whose controller ran.
+def record(scale, of_new=None, seconds=0.4, stiffer=1.0):
+    """Binary sequences on every axis of the linear loop, all K_i times a factor, all K_s times
+    another, 10 nm of noise; of_new: the folder whose controller ran.
     """
     true = replace(
         machine(),
         bearings=tuple(
-            replace(b, force_per_current=tuple(scale * k for k in b.force_per_current))
+            replace(
+                b,
+                force_per_current=tuple(scale * k for k in b.force_per_current),
+                negative_stiffness=tuple(stiffer * k for k in b.negative_stiffness),
+            )
             for b in machine().bearings
         ),
     )
@@ -104,6 +109,24 @@ def test_a_change_beyond_the_file_s_tolerances_is_doubted_unless_it_is_known(tmp
     done = amb.retune(*given, tmp_path / "known", unknown=UNKNOWN, changed=True)
     assert done.steps[0].passed and done.steps[1].name == "changed"
     assert all(item.beyond for item in done.moved)
+
+
+@pytest.mark.campaign
+def test_one_factor_of_all_magnets_is_doubted_unless_it_is_known(tmp_path):
+    """It may be the mass as well: the loop, and so the retuning, is the same, and the page says
+    so.
+    """
+    given = (machine(), record(0.88, stiffer=0.88), law())
+    magnets = {"unknown": (UNKNOWN, "bearing.*.negative_stiffness.*")}
+    done = amb.retune(*given, tmp_path / "doubted", **magnets)
+    assert done.outcome == "stopped" and done.stopped_at.name == "identified"
+    assert {item.code for item in done.identification.findings} == {Code.COMMON_FACTOR}
+    assert "weigh the rotor" in done.text and "go on with --changed" in done.text
+    done = amb.retune(*given, tmp_path / "known", changed=True, **magnets)
+    first = done.steps[0]
+    assert first.passed and "as is known: " in first.words and "weigh the rotor" in first.words
+    assert [step.name for step in done.steps][:3] == ["identified", "changed", "running"]
+    assert all(abs(item.value / (0.88 * item.file) - 1) < 0.005 for item in done.moved)
 
 
 @pytest.mark.study
