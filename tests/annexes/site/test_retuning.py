@@ -3,6 +3,7 @@ a second run goes on, and what is refused.
 """
 
 import json
+import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -17,6 +18,7 @@ from ambrose.annexes.site.retuning import chain
 from ambrose.annexes.site.retuning.chain import (
     CODE,
     CONTROLLER,
+    SAME_ORDER,
     STATE,
     _begun,
     method_like,
@@ -27,11 +29,13 @@ from ambrose.cli import main
 from ambrose.code.difference import checksum_of
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.identification.findings import Code
+from ambrose.judge.controller_file import write_controller
 from ambrose.law.timing import Timing
 from ambrose.machine.description import Tolerance
 from ambrose.report.page import render
 from ambrose.rig.disturbances import Prbs
 from ambrose.rig.scenario import Scenario
+from ambrose.synthesis.fixed_order.job import with_states
 
 RIG = Path(__file__).parents[3] / "benchmarks" / "snapshot_files" / "small-rig.toml"
 RATE, UNKNOWN = 10_000.0, "bearing.*.force_per_current.*"
@@ -288,6 +292,70 @@ def test_the_method_keeps_the_structure():
     assert (method.order, method.structure) == (8, "free")
     assert (method.rate, method.delay_samples) == (10_000.0, 2)
     assert method_like(amb.design(machine(), "pid"), Timing(1e-4)).order == 8
+    # what a design takes by itself may grow where a limit needs it
+    wide = with_states(law().controller, 4, ((0, 1, 2, 3),))
+    assert method_like(replace(law(), controller=wide), Timing(1e-4)).order is None
+
+
+def designed(monkeypatch, folder, made):
+    """The steps up to the proof, which fails at the points; made: {order asked for: its gamma}, of
+    which None is one of 12 states; and the orders that were asked for.
+    """
+    asked = []
+
+    def design(plant, method, path, progress):
+        asked.append(method.order)
+        more = with_states(law().controller, 4 if method.order is None else 0, ((0, 1, 2, 3),))
+        found = replace(law(), controller=more, gamma=made[method.order])
+        return amb.read_controller(write_controller(path, found))
+
+    def identified(made, *given, **options):
+        made.made |= {"identification": SimpleNamespace(machine=machine()), "before": None}
+        made.say("identified", "identified", True, "as it is")
+
+    judged = []
+
+    def verified(*given, tolerances=True):
+        judged.append(tolerances)
+        return SimpleNamespace(
+            passed=False, points=(), boxes=(), left_out=("cold",), labelled=(), facts=dict
+        )
+
+    monkeypatch.setattr(chain, "_identified", identified)
+    monkeypatch.setattr(chain, "_needed", lambda *given: True)
+    monkeypatch.setattr(chain, "_verified", verified)
+    monkeypatch.setattr(chain, "resume_or_design", design)
+    done = amb.retune(machine(), record(1.0), law(), folder)
+    return {step.name: step for step in done.steps}, done.new, asked, judged
+
+
+def test_more_states_where_as_many_as_before_miss_a_limit(tmp_path, monkeypatch):
+    """What exceeds a limit 1.54 times was "verified" in a green step: it was shown stable alone."""
+    steps, new, asked, _ = designed(monkeypatch, tmp_path / "met", {8: 0.9})
+    assert (
+        asked == [8]
+        and steps["designed"].passed
+        and "8 states as before" in steps["designed"].words
+    )
+    folder = tmp_path / "grown"
+    steps, new, asked, judged = designed(monkeypatch, folder, {8: 1.54, None: 0.9})
+    assert asked == [8, None] and new.controller.n_states == 12 and judged == [True]
+    assert steps["designed"].passed and "12 states in place of 8" in steps["designed"].words
+    assert amb.read_controller(folder / CONTROLLER).controller.n_states == 12
+    assert amb.read_controller(folder / SAME_ORDER).controller.n_states == 8
+
+    # an earlier run's attempt is taken up from where it stands, and returns where it now does
+    designed(monkeypatch, folder, {8: 0.9})
+    assert amb.read_controller(folder / CONTROLLER).controller.n_states == 8
+    assert not (folder / SAME_ORDER).exists()
+
+
+def test_a_design_that_misses_a_limit_says_so_and_is_not_proved(tmp_path, monkeypatch):
+    steps, _, _, judged = designed(monkeypatch, tmp_path, {8: 1.54, None: 1.2})
+    assert steps["designed"].passed is None and steps["proved"].passed is False
+    assert "not every requirement is met" in steps["designed"].words
+    assert not re.search(r"\bverified\b", steps["designed"].words)
+    assert judged == [False]  # nothing between the points where these miss already
 
 
 def test_what_moved():

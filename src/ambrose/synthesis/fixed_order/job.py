@@ -32,7 +32,7 @@ from ambrose.synthesis.fixed_order.structure import Groups, axis_groups, structu
 
 _LAG = 2 * np.pi * 400  # rad/s; appended where the start is too fast for its sample rate
 _WEAK = 1e-3  # of the start's gain: states that are added to reach the order
-_STATES_PER_AXIS, _MOST_PER_AXIS = 3, 6  # at first, and at most while requirements are not met
+STATES_PER_AXIS, _MOST_PER_AXIS = 3, 6  # at first, and at most while requirements are not met
 HOLDS = -0.5  # rad/s; every pole of every model to the left of it: a start that holds them all
 FASTEST = 3.0  # times the fastest pole of the start, or the grid's end
 _BELOW = 0.95  # of half the rate: the fastest pole of a filter bank
@@ -214,7 +214,7 @@ def _abscissa(job: Job, law: StateSpace) -> float:
 
 def _of_order(job: Job, start: StateSpace, order: int | None) -> StateSpace:
     """The start with weak states up to the order. Raises InvalidInput for one that it exceeds."""
-    wanted = max(_STATES_PER_AXIS * len(start.inputs), start.n_states) if order is None else order
+    wanted = max(STATES_PER_AXIS * len(start.inputs), start.n_states) if order is None else order
     if wanted < start.n_states:
         raise invalid(
             "order",
