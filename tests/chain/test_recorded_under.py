@@ -69,7 +69,7 @@ def test_the_judge_is_asked_of_the_loop_that_is_recorded(plant, made):
 def test_one_that_holds_is_taken_in_place_of_the_pid(plant, made):
     chosen = reference(plant, made)
     assert chosen.candidate is made[1]
-    assert chosen.words.startswith("the record is taken under H-infinity, because PID (+")
+    assert chosen.words.startswith("H-infinity, because PID (+")
     assert "does not hold the machine at 140 Hz (P3), sampled at 10000 Hz" in chosen.words
 
 

@@ -59,7 +59,7 @@ class Commissioning:
     run-up, top pressure and trip back to rest, run by the code; deployment: the sampled loop as
     designed; files: the code; apart: largest difference between the law of the running code and the
     design's, relative to the largest entry (None: the law in Python ran, for want of a C compiler,
-    or because it is not one sample late); chosen: why this reference and not the PID, in words.
+    or because it is not one sample late); chosen: which reference, and why not the PID, in words.
     """
 
     identification: LoopIdentification
@@ -155,7 +155,7 @@ def commission(
     and the code.
 
     plants: of the machine that stands for the real one, the nominal first; reference: the
-    controller that holds it; chosen: why this one, in words. Raises InvalidInput where the
+    controller that holds it; chosen: which one and why, in words. Raises InvalidInput where the
     reference controller does not hold the nominal plant as its loop is recorded or the machine
     lacks what a robust design needs, and what the stages raise.
     """
@@ -166,7 +166,7 @@ def commission(
             f"({held.abscissa:+.3g} 1/s), so there is nothing to record; give one that does"
         )
     if chosen:
-        progress(chosen)
+        progress(f"the record is taken under {chosen}")
     make_folder(directory)
     if problem := compiler_problem():
         progress(f"the code will be written, but its law runs in Python: {problem}")

@@ -22,8 +22,8 @@ FIRST = ("pid", "tuned")  # the methods that are asked before the others, in thi
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
-    """candidate: the one that is recorded (None: none holds the machine); words: why it is not the
-    PID, or why there is none, in one sentence ("": it is the PID).
+    """candidate: the one that is recorded (None: none holds the machine); words: its name and why
+    it is not the PID ("": it is the PID), or in a sentence why there is none.
     """
 
     candidate: Candidate | None
@@ -82,10 +82,7 @@ def _instead(chosen: Candidate, lost: Sequence[tuple[Candidate, Stability]]) -> 
     """Why not one that goes before it; "" where there is none."""
     if not lost:
         return ""
-    return (
-        f"the record is taken under {chosen.name}, because {_listed(lost)} not "
-        f"hold the machine at {_where(lost[0][1])}"
-    )
+    return f"{chosen.name}, because {_listed(lost)} not hold the machine at {_where(lost[0][1])}"
 
 
 def _none(plant: Plant, lost: Sequence[tuple[Candidate, Stability]]) -> str:

@@ -218,8 +218,19 @@ def test_the_order_grows_where_a_requirement_is_not_met():
     np.testing.assert_allclose(*values, atol=1e-2 * np.abs(values[1]).max())
     assert tuning._grown(job, tuning._Round(START, met), [best]) is None
     assert tuning._grown(job, best, [best, tuning._Round(grown, missed)]) is None
+    # more states are advised where they were not tried yet, and only there
+    larger = tuning._Round(grown, missed)
+    assert tuning._tried(job, best, [best]) is None
+    assert tuning._tried(job, best, [best, larger]) == states + 4
     job.most_states = states + 3
     assert tuning._grown(job, best, [best]) is None
+    assert tuning._tried(job, best, [best]) == states
+    item = tuning._Round(START, missed | {"gain": Ratio(0.5, "", 1.0)})
+    notes = [tuning._result(job, item, (), None, tried).notes[1] for tried in (None, states)]
+    assert "allow a higher order" in notes[0] and "sensitivity (" in notes[0]
+    assert "higher order" not in notes[1] and f"up to {states} states were tried" in notes[1]
+    job.most_states = None  # an order was asked for
+    assert tuning._tried(job, best, [best]) is None
     assert prepare(PLANTS[::2], START, RUNS, 12, "free", 1, None, 60.0, None).most_states is None
 
 
@@ -540,7 +551,20 @@ def test_what_is_said_of_it_is_what_verification_finds(tuned):
 def test_rounds_are_told_and_worst_members_join(tuned):
     assert [row["iteration"] for row in tuned.history] == [1.0, 2.0]
     assert tuned.history[1]["models"] > len(PLANTS[::2])
-    before = tune_controller(PLANTS[::2], START, RUNS, order=8, bending_modes=0, time_limit=1e-3)
+    said = []
+    before = tune_controller(
+        PLANTS[::2], START, RUNS, order=8, bending_modes=0, time_limit=1e-3, progress=said.append
+    )
+    # rounds are on reduced models, the certificate on the full plants as well: both say so
+    assert any(text.startswith("round 1") and "reduced models" in text for text in said)
+    assert said[-1].startswith("certificate, on all reduced models and the full plants")
+    told = dict(part.split() for part in said[-1].rpartition(": ")[2].split(", "))
+    ratios = {
+        key.removeprefix("ratio_"): f"{value:.3f}"
+        for key, value in before.certificate.margins.items()
+        if key.startswith("ratio_")
+    }
+    assert told == ratios
     assert "time limit" in before.stopped_early and before.certificate.stable
     assert tuned.gamma < before.gamma  # where it started
 

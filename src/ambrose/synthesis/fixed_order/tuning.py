@@ -150,7 +150,8 @@ def tuned(
         if not rounds:
             raise
         reason = str(error)
-    return _result(job, best or _best(job, rounds), tuple(history), reason)
+    best = best or _best(job, rounds)
+    return _result(job, best, tuple(history), reason, _tried(job, best, rounds))
 
 
 def _improve(
@@ -172,7 +173,7 @@ def _improve(
         number = len(history) + 1
         history.append(_row(job, number, power, used, rounds[-1]))
         job.say(
-            f"round {number}: {used} steps at p = {power:g}, {len(job.models)} models; "
+            f"round {number}: {used} steps at p = {power:g}, {len(job.models)} reduced models; "
             f"{_in_words(rounds[-1])}"
         )
         if job.clock.left <= 0:
@@ -402,6 +403,17 @@ def _grown(job: Job, best: _Round, rounds: list[_Round]) -> StateSpace | None:
     return with_states(best.law, more, job.groups)
 
 
+def _tried(job: Job, best: _Round, rounds: Sequence[_Round]) -> int | None:
+    """How many states were tried without better success, or are the most that are tried; None where
+    more may help.
+    """
+    if job.most_states is None or not isinstance(best.law, StateSpace):
+        return None
+    most = max(item.law.n_states for item in rounds if isinstance(item.law, StateSpace))
+    at_end = most + len(best.law.inputs) > job.most_states
+    return most if at_end or most > best.law.n_states else None
+
+
 def without_drift(law: StateSpace) -> StateSpace:
     """A - 2 a I where the controller's rightmost pole a is over the imaginary axis by at most
     ``_DRIFT``; else the same.
@@ -524,7 +536,11 @@ def _row(job: Job, number: int, power: float, used: int, item: _Round) -> dict[s
 
 
 def _result(
-    job: Job, best: _Round, history: tuple[dict[str, float], ...], reason: str | None
+    job: Job,
+    best: _Round,
+    history: tuple[dict[str, float], ...],
+    reason: str | None,
+    tried: int | None,
 ) -> Synthesis:
     """The synthesis, with stability and the norm of S_o of the loop as it runs recomputed on every
     full plant.
@@ -541,6 +557,8 @@ def _result(
         found[worst].closed_loop_norm / job.aims.sensitivity, job.full[worst].point.label, np.nan
     )
     ratios["sensitivity"] = max(ratios["sensitivity"], exact, key=lambda ratio: ratio.value)
+    final = _in_words(_Round(best.law, ratios))
+    job.say(f"certificate, on all reduced models and the full plants: {final}")
     certificate = Certificate(
         all(item.stable for item in found),
         max(item.spectral_abscissa for item in found),
@@ -557,6 +575,8 @@ def _result(
     missed = [f"{name} ({ratio.value:.3f})" for name, ratio in ratios.items() if ratio.value > 1]
     if missed:
         remedy = f"{advice(job.structure)}, or relax a requirement"
+        if tried is not None:
+            remedy = f"up to {tried} states were tried, relax a requirement"
         notes.append(f"not met with {controller.n_states} states: {', '.join(missed)}; {remedy}")
     if ratios["gain"].value > 1 and machine.requirements.control_gain is None:
         notes.append(
