@@ -4,6 +4,7 @@ two buffers and watchdog, and an emulated board that it runs on.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,9 @@ from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.code.block.supervised import SupervisedBlock
 from ambrose.code.c.code import Arithmetic
 from ambrose.code.c.literals import integer_table, literal, real_table
-from ambrose.code.processor.unit import Law, unit_of
+from ambrose.code.processor.unit import Law, Unit, unit_of
 from ambrose.code.rendering import render
+from ambrose.code.synchronous import RunUnit
 
 SAMPLES = 1000  # that the example runs on its emulated board
 _PATIENCE = 20  # samples without one that was worked on, before the watchdog bites
@@ -59,9 +61,21 @@ def bare_metal_files(law: Law, arithmetic: Arithmetic) -> dict[str, str]:
         "sources": " ".join(unit.sources),
         "amplitude": real_table(arithmetic)(amplitude) if real else integer_table(amplitude),
         "minus_one": number(-1.0),
+        "zero": number(0.0),
+        "fixed": not real,
+        "turn": _turn(unit),
     }
     files = {}
     for name in _NAMES:
         values = facts | {"told": told if name == "board_mps2.c" else [one["name"] for one in told]}
         files[f"{base.name}_{name}"] = render(f"bare_metal/{name}.j2", values)
     return files
+
+
+def _turn(unit: Unit) -> int:
+    """Samples of a turn in the middle of the first synchronous block's band; 0: there is none."""
+    law = unit.law
+    if not isinstance(law, RunUnit):
+        return 0
+    low, high = law.law.blocks[0].band
+    return max(2, round(4 * math.pi / ((low + high) * law.base.sample_time)))

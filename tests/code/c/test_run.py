@@ -30,6 +30,7 @@ from ambrose.law.synchronous_block import (
     key_phasor,
 )
 from ambrose.machine.controller import Channel, PidSettings, Section
+from code_driver import sanitizers
 from schedule_driver import CURRENT, DT, ERROR, block_of, gain_schedule, pressure_schedule
 
 compiled = pytest.mark.skipif(not has_compiler(), reason="no C compiler")
@@ -235,11 +236,84 @@ def test_the_self_test_passes_and_can_fail(kind, arithmetic, tmp_path):
     for text, status in ((files[f"{name}_sync.c"], 0), (broken, 1)):
         for file, content in {**files, f"{name}_sync.c": text}.items():
             (tmp_path / file).write_text(content)
-        sources = [f"{name}.c", f"{name}_sync.c", f"{name}_run.c", f"{name}_run_test.c"]
-        flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-pedantic", "-Werror"]
-        subprocess.run([find_compiler(), *flags, *sources, "-o", "t"], cwd=tmp_path, check=True)
-        ran = subprocess.run([tmp_path / "t"], capture_output=True, text=True, check=False)
-        assert ran.returncode == status, ran.stdout[-400:]
+        for flags in (("-O2",), sanitizers(find_compiler())):
+            ran = built_and_run(tmp_path, unit, f"{name}_run_test.c", *flags)
+            assert ran.returncode == status, (ran.stdout + ran.stderr)[-400:]
+
+
+def built_and_run(folder, unit, main, *flags):
+    """A program beside the unit's files in a folder."""
+    name = unit.base.name
+    sources = [f"{name}.c", f"{name}_sync.c", f"{name}_run.c", main]
+    command = [find_compiler(), "-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror"]
+    subprocess.run([*command, *flags, *sources, "-o", "t"], cwd=folder, check=True)
+    return subprocess.run([folder / "t"], capture_output=True, text=True, check=False)
+
+
+WILD = """
+#include <stdio.h>
+#include "lpv_run.h"
+static uint32_t seed = 1;
+static uint32_t drawn(void)
+{
+    seed ^= seed << 13;
+    seed ^= seed >> 17;
+    seed ^= seed << 5;
+    return seed;
+}
+static word_t any(void)
+{
+    const int64_t ends[] = {LEAST, -(int64_t)LEAST - 1, LPV_SYNC_ONE, -LPV_SYNC_ONE, LPV_SYNC_ONE + 1, 0, -1};
+    const uint32_t which = drawn() % 9u;
+    return (word_t)(which < 7u ? ends[which] : (int64_t)(drawn() % (2u * LPV_SYNC_ONE)) - LPV_SYNC_ONE);
+}
+int main(void)
+{
+    static lpv_run run;
+    word_t error[M], current[M];
+    unsigned char valid[M];
+    unsigned seen = 0u;
+    long k;
+    int i, on = 0;
+    lpv_run_init(&run);
+    for (k = 0; k < 200000; k++) {
+        /* runs of plain turns, of pulses at random and of none; readings that are kept to and any */
+        const uint32_t kind = (uint32_t)(k / 2500) % 4u;
+        const long turn = 170 + k / 5000;
+        word_t pulse = k % turn == 0 ? (word_t)(drawn() % LPV_SYNC_ONE) : (word_t)-1;
+        if (kind == 1u) pulse = any();
+        if (kind == 3u && k % 2500 > 300) pulse = -1;
+        for (i = 0; i < M; i++) {
+            error[i] = kind == 0u ? (word_t)(k % turn < turn / 2 ? LPV_SYNC_ONE : -LPV_SYNC_ONE) : any();
+            valid[i] = (unsigned char)(drawn() % 64u != 0u);
+        }
+        lpv_run_step(&run, pulse, error, valid, kind == 2u ? drawn() % 256u : 0u, current);
+        seen |= run.faults;
+        on += run.sync.block[0].state == (int)LPV_SYNC_ON;
+        for (i = 0; i < M; i++)
+            if (current[i] > LPV_SYNC_ONE || current[i] < -LPV_SYNC_ONE) return 1;
+    }
+    printf("%u %d", seen, on);
+    return 0;
+}
+"""
+
+
+@pytest.mark.campaign
+@compiled
+@pytest.mark.parametrize(("kind", "word"), [("fixed", 32), ("gain", 16), ("cascade", 32)])
+def test_no_word_makes_fixed_point_undefined_or_a_current_too_large(kind, word, tmp_path):
+    """Pulses, readings and flags at random, the ends of the words among them, under sanitizers."""
+    unit = unit_of(kind)
+    unit = replace(unit, base=replace(unit.base, name="lpv"))
+    for file, content in {**generate_run(unit, f"fixed{word}"), "wild.c": WILD}.items():
+        (tmp_path / file).write_text(content)
+    facts = (f"-DM={len(unit.base.inputs)}", f"-Dword_t=int{word}_t", f"-DLEAST=INT{word}_MIN")
+    ran = built_and_run(tmp_path, unit, "wild.c", *sanitizers(find_compiler()), *facts)
+    assert ran.returncode == 0, ran.stderr[-800:]
+    seen, on = map(int, ran.stdout.split())
+    assert seen == sum(BlockFault)
+    assert on > 1000
 
 
 def test_fixed_point_beside_a_schedule_and_blocks_of_another_loop_are_refused():

@@ -77,7 +77,10 @@ def readings(unit):
     if isinstance(unit.base, SupervisedBlock):
         rows["estimate"] = rows["half_width"] = -1
     if unit.beside:
-        rows["pulse"] = -1
+        # a pulse once a turn in the middle of the band
+        low, high = unit.law.law.blocks[0].band
+        turn = round(2 * np.pi / ((low + high) / 2 * unit.base.sample_time))
+        rows["pulse"] = np.where(np.arange(1, SAMPLES + 1) % turn == 0, 0, -1)
     return rows
 
 
@@ -98,6 +101,7 @@ def currents(law, arithmetic, folder, rows=None):
         ("cascade", "double"),
         ("supervised", "float"),
         ("synchronous", "double"),
+        ("synchronous", "fixed32"),
     ],
 )
 def test_what_the_board_sets_is_what_the_code_gives_here_one_sample_later(
@@ -107,6 +111,10 @@ def test_what_the_board_sets_is_what_the_code_gives_here_one_sample_later(
     said = run(block, arithmetic, tmp_path / "board")
     # the currents of the last sample are not due any more
     due = currents(block, arithmetic, tmp_path / "host")[:-1]
+    if law == "synchronous":  # the block works: without pulses the currents are others
+        rows = readings(unit_of(block, arithmetic))
+        rows["pulse"] = -1
+        assert (currents(block, arithmetic, tmp_path / "still", rows)[:-1] != due).any()
     crc = zlib.crc32(due.tobytes())
     assert said.endswith(f": running, 1000 samples, 0 late, currents set 999 times, crc {crc:x}"), (
         said
