@@ -287,9 +287,13 @@ def test_a_design_is_proved_and_leaves_the_forbidden_band_out(designed, flywheel
         designed.blocks[1].time_constant, rel=0.05
     )
     assert checks["synchronous.sensitivity"].value < 1.7
-    assert {curve.name for curve in checks.curves} == {
-        f"synchronous.{name}" for name in ("margin", "orbit_0p", "current_0p", "force_0p")
-    }
+    curves = {curve.name.removeprefix("synchronous."): curve for curve in checks.curves}
+    assert set(curves) == {"margin", "orbit_0p", "current_0p", "force_0p", "sensitivity"}
+    # what it costs in S beside the speed: before, after, and the largest is what is judged
+    alone, on = curves["sensitivity"].y
+    assert on.max() == checks["synchronous.sensitivity"].value
+    assert (on != alone).all()
+    assert curves["sensitivity"].limits == (("limit", checks["synchronous.sensitivity"].limit),)
 
 
 def test_a_leak_leaves_what_the_exact_loop_leaves(loop, designed):

@@ -63,6 +63,8 @@ from ambrose.model.uncertainty import tolerances_around
 
 Progress = Callable[[str], None]
 _SPEEDS = 61  # at which curves are drawn
+_SENSITIVITIES = 7  # speeds of the sensitivity, ends and middle among them
+_LINES = "without the block", "block converged"
 _POLES = 4  # speeds at which exact poles are computed
 _GRID = 49  # speeds between which borders of stability are looked for
 _NOTHING = 1e-15  # A, N, m: below it a signal is called zero
@@ -163,8 +165,8 @@ def check_block(
             "No orbit, current or force: they are known for the unbalance (1x) with a balancing "
             "speed alone.",
         )
-    checks.append(_sensitivity_check(item))
-    return Checks(item.label, True, tuple(checks), tuple(curves), notes)
+    sensitivity, over_speed = _sensitivity_check(item)
+    return Checks(item.label, True, (*checks, sensitivity), (*curves, over_speed), notes)
 
 
 def _margin_checks(item: BlockLoop, progress: Progress, members: int, seed: int) -> list[Check]:
@@ -408,7 +410,6 @@ def _unbalance_checks(item: BlockLoop) -> tuple[list[Check], list[Curve]]:
         (2, "force", "1x force on the housing, 0-p", "N"),
     ):
         checks.append(_change_check(name, title, unit, speeds, before[row], after[row]))
-    lines = ("without the block", "block converged")
     curves = [
         Curve(
             "synchronous.orbit_0p",
@@ -416,7 +417,7 @@ def _unbalance_checks(item: BlockLoop) -> tuple[list[Check], list[Curve]]:
             "speed",
             speeds,
             np.array([before[0], after[0]]),
-            lines,
+            _LINES,
             "rad/s",
             "m",
             (("limit", float(limits.min())),),
@@ -427,7 +428,7 @@ def _unbalance_checks(item: BlockLoop) -> tuple[list[Check], list[Curve]]:
             "speed",
             speeds,
             np.array([before[1], after[1]]),
-            lines,
+            _LINES,
             "rad/s",
             "A",
         ),
@@ -437,7 +438,7 @@ def _unbalance_checks(item: BlockLoop) -> tuple[list[Check], list[Curve]]:
             "speed",
             speeds,
             np.array([before[2], after[2]]),
-            lines,
+            _LINES,
             "rad/s",
             "N",
         ),
@@ -496,19 +497,21 @@ def _margin_curve(item: BlockLoop) -> Curve:
     )
 
 
-def _sensitivity_check(item: BlockLoop) -> Check:
-    """The largest sensitivity of an axis with the block on, at the ends and in the middle of the
-    band.
+def _sensitivity_check(item: BlockLoop) -> tuple[Check, Curve]:
+    """The largest sensitivity of an axis with the block on, and what it is over the band without
+    and with it.
     """
+    eps, leak = item.block.gain, item.block.leak
+    speeds = item.speeds(_SENSITIVITIES)
+    peaks = np.zeros((2, len(speeds)))
     worst, text = 0.0, ""
-    for w in item.speeds(3):
+    for k, w in enumerate(speeds):
         speed = float(w)
+        T = item.table.at(speed)
         for condition in item.conditions:
             alone, _ = sensitivity_peak(item.loop, item.mode, speed, condition, None, 0.0)
-            T = item.table.at(speed)
-            eps = item.block.gain
-            leak = item.block.leak
             peak, at = sensitivity_peak(item.loop, item.mode, speed, condition, T, eps, leak)
+            peaks[:, k] = np.maximum(peaks[:, k], (alone, peak))
             if peak > worst:
                 worst = peak
                 text = (
@@ -517,4 +520,9 @@ def _sensitivity_check(item: BlockLoop) -> Check:
                 )
     wanted = demand("sensitivity of an axis", item.loop.machine.requirements)
     title = "Sensitivity of an axis with the block on"
-    return judge("synchronous.sensitivity", title, worst, "-", wanted, text)
+    check = judge("synchronous.sensitivity", title, worst, "-", wanted, text)
+    limits = () if check.limit is None else (("limit", check.limit),)
+    curve = Curve(
+        "synchronous.sensitivity", title, "speed", speeds, peaks, _LINES, "rad/s", "-", limits
+    )
+    return check, curve

@@ -27,8 +27,8 @@ def synchronous_section(blocks: Sequence[Checks]) -> Section:
     figures: tuple[Figure, ...] = ()
     if with_curves:
         words = (
-            "Top to bottom: current, force and orbit before and after, and the margin of "
-            "convergence."
+            "Top to bottom: current, force, orbit and sensitivity before and after, and the margin "
+            "of convergence."
         )
         figures = (Figure("Over speed, before and after", synchronous_figure(with_curves), words),)
     check_tables = tuple(tables.checks_table(block) for block in blocks if block.checks)

@@ -153,8 +153,8 @@ def check_precision(arithmetic: str) -> None:
     """Refuse fixed point for a schedule. Raises InvalidInput."""
     if arithmetic not in get_args(Precision):
         remedy = (
-            "fixed point would need tight bounds on every state for any motion of the schedule; "
-            "use double or float"
+            "words need bounds on every state while the schedule moves, and tight ones are proved "
+            "where it rests alone; use double or float, or a fixed controller"
         )
         raise invalid(
             "arithmetic of a scheduled controller", repr(arithmetic), "double or float", remedy

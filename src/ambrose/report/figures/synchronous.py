@@ -1,5 +1,5 @@
-"""What synchronous blocks change over speed: current, force and orbit before and after, and the
-margin of convergence.
+"""What synchronous blocks change over speed: current, force, orbit and sensitivity, and the margin
+of convergence.
 """
 
 from __future__ import annotations
@@ -18,14 +18,15 @@ _ROWS = (
     ("synchronous.current_0p", "1× control current, zero to peak"),
     ("synchronous.force_0p", "1× force on the housing, zero to peak"),
     ("synchronous.orbit_0p", "Worst-case 1× orbit, zero to peak"),
-    ("synchronous.margin", "Angle by which all phases may be off"),
+    ("synchronous.sensitivity", "Largest sensitivity of an axis"),
+    ("synchronous.margin", "Angle all phases may be off by"),
 )
 _HEIGHT, _GAP = 170, 64  # [px] of a panel, and between two
 
 
 def synchronous_figure(blocks: Sequence[Checks]) -> Any:
-    """One panel each for current, force, orbit and margin over speed; a piece of each line for
-    every block.
+    """One panel each for current, force, orbit, sensitivity and margin over speed; a piece of each
+    line for every block.
 
     blocks: the checks of ``judge.synchronous.check_block`` that have curves.
     """
@@ -57,7 +58,7 @@ def synchronous_figure(blocks: Sequence[Checks]) -> Any:
             _draw(figure, place, curve, factor, unit, style, in_legend)
         # zero is part of every picture: what falls is seen against it
         figure.update_yaxes(rangemode="tozero", **place)
-        theme.heading(figure, place, f"<b>{title}</b> [{unit}]")
+        theme.heading(figure, place, f"<b>{title}</b>{f' [{unit}]' if unit else ''}")
     theme.dress(figure, total, legend=True)
     figure.update_xaxes(title_text="Rotational speed [Hz]", row=len(rows), col=1)
     return figure
