@@ -16,8 +16,10 @@ from scipy.optimize import brentq
 import ambrose as amb
 from ambrose.annexes.rotordynamics.capacity import UNBALANCE, AxisCapacity
 from ambrose.annexes.rotordynamics.critical import criticals
+from ambrose.annexes.rotordynamics.figures import level_one_figure
 from ambrose.annexes.rotordynamics.items import capacity as rows_of_capacity
 from ambrose.annexes.rotordynamics.json_schema import lateral_schema
+from ambrose.annexes.rotordynamics.level_one import OVERDAMPED
 from ambrose.annexes.rotordynamics.level_two import shares
 from ambrose.annexes.rotordynamics.loop import shaft_loop
 from ambrose.annexes.rotordynamics.page import assumed_table, lateral_page, load_table
@@ -101,6 +103,37 @@ def test_border_of_cross_coupling_is_c_sqrt_k_over_m():
     printed = 9.55 * 3 * 400e3 * 1.5 / (400 * 20 * 6000) * 1e6
     assert one.anticipated == pytest.approx(printed, rel=1e-4)
     assert one.branches[one.binding].border == one.border
+
+
+def test_a_mode_that_is_overdamped_without_cross_coupling_is_judged_at_q_a():
+    """m z'' + c z' + (k - j Q) z = 0 between inboard films, c above 0.75 of the critical: only
+    tilting rings at Q = 0, and what crosses at c sqrt(k/m) was in no row. z = x + j y.
+    """
+    damping = 0.75 * math.sqrt(2 * K * mass_of(films()))
+    stage = STAGE.replace("400 kW", "2 MW")
+    machine = films(stage, first=0.35, second=0.65, damping=damping)
+    one = amb.lateral(machine, trip=6300 * RPM).level_one
+    m, k, c = mass_of(machine), 2 * K, 2 * damping
+
+    def decrement(q):
+        root = max(np.roots([m, c, k - 1j * q]), key=lambda s: s.real)
+        return 2 * math.pi * -root.real / abs(root.imag)
+
+    assert one.border == pytest.approx(c * math.sqrt(k / m), rel=1e-4)
+    late = one.branches[one.binding]
+    assert late.late and late.border == one.border
+    assert not any(branch.late for branch in one.branches[:-1])
+    assert one.at_anticipated <= late.at_anticipated + 1e-9
+    expected = np.array([decrement(q) if q else math.inf for q in one.cross_coupling])
+    kept = late.log_decrement < OVERDAMPED
+    np.testing.assert_allclose(late.log_decrement[kept], expected[kept], rtol=1e-3, atol=1e-3)
+    assert kept.any() and late.at_anticipated == pytest.approx(
+        min(decrement(one.anticipated), OVERDAMPED), rel=1e-3
+    )
+    # a root on the real axis had a log decrement of 1e30, which was the figure's scale
+    assert max(branch.log_decrement.max() for branch in one.branches) <= OVERDAMPED
+    drawn = [curve for curve in level_one_figure(one).data if curve.name]
+    assert max(np.nanmax(curve.y) for curve in drawn) < OVERDAMPED
 
 
 def test_critical_speed_amplitude_and_factor_of_one_mass():

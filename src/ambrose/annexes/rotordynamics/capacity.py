@@ -99,8 +99,8 @@ def binding(margin: Margin) -> str:
     own = f'load "{load.name}"' if load.kind != UNBALANCE else f"unbalance ({load.name})"
     beside = "".join(f" on top of unbalance ({item.name})" for item in steady)
     return (
-        f"{own} at {load.frequency / (2 * np.pi):.4g} Hz{beside} takes {margin.taken:.3g} of the "
-        f"{margin.able:.3g} {margin.unit} 0-p that {_LEFT[margin.limited_by]}"
+        f"{own} at {load.frequency / (2 * np.pi):.4g} Hz{beside} takes {margin.taken:.4g} of the "
+        f"{margin.able:.4g} {margin.unit} 0-p that {_LEFT[margin.limited_by]}"
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ambrose.annexes.rotordynamics import standard
 from ambrose.annexes.rotordynamics.capacity import PART, UNBALANCE, AxisCapacity
-from ambrose.annexes.rotordynamics.level_one import LevelOne
+from ambrose.annexes.rotordynamics.level_one import OVERDAMPED, LevelOne
 from ambrose.annexes.rotordynamics.response import Response
 from ambrose.annexes.rotordynamics.stations import Layout
 from ambrose.model.effects.load import IMPULSE, SURGE
@@ -82,7 +82,10 @@ def placement_figure(layout: Layout, response: Response) -> Any:
         for journal in layout.journals:
             at = MM * journal.position
             theme.guide(figure, place, [at, at], [-1, 1], color=theme.MUTED, width=1, dash="dot")
-            theme.note(figure, place, theme.plain(journal.name), at, -1, "center", "bottom")
+            # on the side that the shaft and its weights leave free
+            below = np.interp(at, x, line) >= 0
+            edge, side = (-1, "bottom") if below else (1, "top")
+            theme.note(figure, place, theme.plain(journal.name), at, edge, "center", side)
         for weight in case.weights:
             at = MM * layout.positions[weight.station]
             tip = float(line[weight.station])
@@ -109,7 +112,10 @@ def level_one_figure(one: LevelOne) -> Any:
     """Log decrement of every forward mode over the cross-coupled stiffness."""
     figure = theme.subplots(rows=1, cols=1)
     q = one.cross_coupling / 1e6
-    names = [f"{branch.mode.frequency / standard.RPM:.5g} rpm" for branch in one.branches]
+    names = [
+        f"{branch.mode.frequency / standard.RPM:.5g} rpm" + (" (at Q0)" if branch.late else "")
+        for branch in one.branches
+    ]
     looks = theme.styles(names)
     for name, branch in zip(names, one.branches, strict=True):
         look = looks[name]
@@ -117,7 +123,8 @@ def level_one_figure(one: LevelOne) -> Any:
             figure,
             _ONE,
             np.float32(q),
-            np.float32(branch.log_decrement),
+            # a mode that cannot ring has no log decrement
+            np.float32(np.where(branch.log_decrement < OVERDAMPED, branch.log_decrement, np.nan)),
             name,
             shown=True,
             line={"color": look.colour, "dash": look.dash, "width": 1.8},

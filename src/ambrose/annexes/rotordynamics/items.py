@@ -228,7 +228,7 @@ def level_one(one: LevelOne | None) -> Iterator[Item]:
         ">=",
         standard.LEAST_LOG_DECREMENT,
         one.at_anticipated >= standard.LEAST_LOG_DECREMENT,
-        f"Q_A {one.anticipated:.4g} N/m at {where}; least of {len(one.branches)} forward modes",
+        f"Q_A {one.anticipated:.4g} N/m at {where}; least of all forward modes that ring",
     )
     ratio = one.border / one.anticipated
     reasons = one.screening.reasons if one.screening is not None else ()

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import brentq
@@ -22,17 +22,23 @@ from ambrose.annexes.rotordynamics import standard
 from ambrose.annexes.rotordynamics.loop import ShaftLoop
 from ambrose.annexes.rotordynamics.placement import ShaftMode, shaft_modes
 from ambrose.core.checks import NumericalFailure
+from ambrose.judge.rotor_modes import OSCILLATORY
 
 _STEPS = 20  # of the sweep
 _BESIDE = 0.02  # of Q0: how far on either side the loop is judged
 _HALVINGS = 6  # of the bracket, where a mode that is not followed crosses first
+# log decrement at the damping ratio up to which a mode can ring: 2 pi z/sqrt(1 - z^2)
+OVERDAMPED = 2 * math.pi * OSCILLATORY / math.sqrt(1 - OSCILLATORY**2)
 _LARGEST = 1e11  # [N/m]: how far a border is looked for without an anticipated value
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Branch:
-    """A forward mode over the sweep: the mode at Q = 0, its log_decrement (n,), frequency (n,)
-    [rad/s], log decrement at Q_A, and the Q [N/m] at which it loses its damping (inf: none).
+    """A forward mode over the sweep: the mode at Q = 0 (or, of one that is no forward mode there,
+    just beyond Q0: ``late``), its log_decrement (n,), frequency (n,) [rad/s], log decrement at Q_A,
+    and the Q [N/m] at which it loses its damping (inf: none).
+
+    Log decrements end at ``OVERDAMPED``: beyond it no mode can ring.
     """
 
     mode: ShaftMode
@@ -40,6 +46,7 @@ class Branch:
     frequency: np.ndarray
     at_anticipated: float
     border: float
+    late: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,11 +54,12 @@ class LevelOne:
     """A sweep over cross_coupling (n,) [N/m] in all.
 
     anticipated Q_A and border Q0 [N/m] (inf: stable up to the end of the sweep); at_anticipated:
-    the least log decrement of the forward modes there. branches: by frequency, the first is what
-    the standard follows. binding: the index of the branch that loses its damping first, or else
-    has least of it at Q_A; None where a mode crosses that is no forward mode of the list.
-    crossing: frequency [rad/s] of the mode that crosses at the border (nan: none). stations: where
-    Q acts, in equal parts. screening: whether Level I is enough; None without an anticipated value.
+    the least log decrement of all forward modes that ring there. branches: by frequency, the first
+    is what the standard follows; last that which crosses first, where it is no forward mode at
+    Q = 0. binding: the index of the branch that loses its damping first, or else has least of it at
+    Q_A; None where the mode that crosses could not be followed. crossing: frequency [rad/s] of the
+    mode that crosses at the border (nan: none). stations: where Q acts, in equal parts. screening:
+    whether Level I is enough; None without an anticipated value.
     """
 
     cross_coupling: np.ndarray
@@ -130,7 +138,13 @@ def sweep(
     if not math.isinf(border):
         poles = coupled(border * (1 + _BESIDE)).all_modes()
         crossing = abs(float(poles[np.argmax(poles.real)].imag))
+    if binding is None and (late := _late(coupled, grid, anticipated or 0.0, border, highest)):
+        branches, binding = (*branches, late), len(branches)
     at_anticipated = min(branch.at_anticipated for branch in branches)
+    if anticipated is not None:
+        # a mode that is overdamped or backward without Q can ring forwards at Q_A
+        ringing = [m for m in shaft_modes(coupled(anticipated), highest) if m.forward]
+        at_anticipated = min([at_anticipated, *(mode.log_decrement for mode in ringing)])
     screening = None
     if anticipated is not None:
         screening = standard.screen(anticipated, border, at_anticipated, speed_ratio, density)
@@ -191,10 +205,52 @@ def _follow(
                 xtol=1e-9 * grid[-1],
             )
         )
-    return Branch(
-        mode,
-        -2 * np.pi * poles.real / np.abs(poles.imag),
-        np.abs(poles.imag),
-        float(-2 * np.pi * at.real / abs(at.imag)),
-        border,
-    )
+    return _branch(mode, poles, at, border)
+
+
+def _late(
+    coupled: Callable[[float], ShaftLoop],
+    grid: np.ndarray,
+    anticipated: float,
+    border: float,
+    highest: float,
+) -> Branch | None:
+    """The mode that crosses at the border, followed from there to both ends of the sweep, down to
+    where it no longer rings; None where it cannot be followed.
+    """
+    beyond = border * (1 + _BESIDE)
+    found = shaft_modes(coupled(beyond), highest)
+    mode = max(found, key=lambda item: item.pole.real, default=None)
+    if mode is None or mode.pole.real < 0:
+        return None
+    poles = np.full(len(grid), complex(-1.0))  # does not ring
+    split = int(np.searchsorted(grid, beyond))
+    at = complex(-1.0)
+    try:
+        here = mode.pole, mode.states
+        for k in range(split, len(grid)):
+            here = coupled(float(grid[k])).mode_near(*here)
+            poles[k] = here[0]
+        here = coupled(border).mode_near(mode.pole, mode.states)
+        for k in range(split - 1, -1, -1):
+            if grid[k] <= anticipated <= min(border, grid[min(k + 1, len(grid) - 1)]):
+                at = coupled(anticipated).mode_near(*here)[0]
+            here = coupled(float(grid[k])).mode_near(*here)
+            if _decrement(here[0]) >= OVERDAMPED:
+                break
+            poles[k] = here[0]
+    except NumericalFailure:
+        return None
+    return replace(_branch(mode, poles, at, border), late=True)
+
+
+def _branch(mode: ShaftMode, poles: np.ndarray, at: complex, border: float) -> Branch:
+    decrements = np.array([_decrement(pole) for pole in poles])
+    return Branch(mode, decrements, np.abs(poles.imag), _decrement(at), border)
+
+
+def _decrement(pole: complex) -> float:
+    """2 pi (-Re)/|Im|, to ``OVERDAMPED``: without limit where a root meets the real axis."""
+    if -pole.real >= OSCILLATORY * abs(pole):
+        return OVERDAMPED
+    return float(-2 * np.pi * pole.real / abs(pole.imag))

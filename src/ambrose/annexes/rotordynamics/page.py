@@ -182,7 +182,9 @@ def _at_the_border(one: LevelOne) -> str:
         return f"No mode loses its damping in this sweep. {asked}"
     mode = f"the mode at {one.crossing / standard.RPM:.5g} rpm"
     other = "" if one.binding is not None else ", none of the forward modes drawn,"
-    return f"At Q0, {1e-6 * one.border:.4g} N/um, {mode}{other} loses its damping. {asked}"
+    late = any(branch.late for branch in one.branches)
+    since = " It is no forward mode without Q." if late else ""
+    return f"At Q0, {1e-6 * one.border:.4g} N/um, {mode}{other} loses its damping.{since} {asked}"
 
 
 def comparison_table(comparison: Comparison) -> Table:
@@ -254,12 +256,17 @@ def _summary_row(item: Item) -> Row:
     value = "-" if item.value is None else f"{_number(item.value)}{unit}"
     limit = "-" if item.limit is None else f"{_relation(item.relation)} {_number(item.limit)}{unit}"
     return (
-        Cell(item.title, detail=item.note),
-        Cell(_edition(item.standard), detail=item.clause),
+        Cell(item.title, detail=_whole(item.note)),
+        Cell(_edition(item.standard), detail=_said_once(item)),
         item.basis,
         *numbers(value, limit),
         Cell(word, mark),
     )
+
+
+def _said_once(item: Item) -> str:
+    """The clause, where it is more than the title."""
+    return "" if item.clause.lower() == item.title.lower() else item.clause
 
 
 def _whole(text: str) -> str:
@@ -395,7 +402,7 @@ def capacity_table(result: Lateral) -> Table:
                     f"{axis.force[0]:.4g}",
                     f"{axis.other[0]:.4g}",
                 ),
-                Cell(f"{axis.margin:.3g}", "number", detail=axis.worst),
+                Cell(f"{axis.margin:.3g}", "number", detail=_whole(axis.worst)),
                 Cell("holds" if axis.margin >= 1 else "fails", _mark(axis.margin >= 1)),
             )
         )
@@ -454,7 +461,7 @@ def demand_table(axis: AxisCapacity) -> Table:
             item.kind,
             *numbers(
                 f"{item.frequency / (2 * np.pi):.4g}",
-                f"{item.force:.3g}",
+                f"{item.force:.4g}",
                 f"{item.current:.3g}",
                 f"{item.voltage:.3g}" if axis.limits.inductance else "-",
                 "-" if item.kind == PART else f"{axis.limits.margin(item).value:.3g}",
