@@ -188,7 +188,7 @@ SLIPS = {
         'mass = "3,5 kg"',
         "[[disc]] wheel",
         'mass is "3,5 kg"',
-        "unit cannot be read",
+        'decimal mark is a comma; write "3.5 kg"',
     ),
     "wrong unit in a list": (
         '["150 N/A", 160]',
@@ -567,12 +567,19 @@ SLIPS = {
         'name "wheel" is taken by a [[disc]]',
         "own name",
     ),
+    "name with a blank that begins with a digit": (
+        'name = "center"',
+        'name = "2nd seal"',
+        "[[seal]]",
+        'name is "2nd seal"',
+        'write "seal-2nd-seal"',
+    ),
     "name with a dot": (
         'name = "center"',
         'name = "cen.ter"',
         "[[seal]]",
         'name is "cen.ter"',
-        "letter",
+        'write "cen-ter"',
     ),
     "no bias": (
         'position = "500 mm"\nbias_current = "4 A"',

@@ -204,6 +204,12 @@ def _attached(machine: MachineDescription) -> Iterator[str]:
         yield from effect.findings(f"[[{effect.table}]] {part.name}", part)
 
 
+def _named(name: str, table: str) -> str:
+    """A name as near to ``name`` as the rule allows."""
+    kept = re.sub(r"[^A-Za-z0-9_-]+", "-", name).strip("-")[:60]
+    return kept if _NAME.fullmatch(kept) else f"{table.replace('_', '-')}-{kept}".rstrip("-")
+
+
 def _names(machine: MachineDescription) -> Iterator[str]:
     tables: dict[str, str] = {}
     for table, name, _ in _attachments(machine):
@@ -214,7 +220,7 @@ def _names(machine: MachineDescription) -> Iterator[str]:
                 "name",
                 shown(name),
                 requirement,
-                "signals and files are named after it",
+                f'signals and files are named after it; write "{_named(name, table)}"',
             )
         elif name in BEARING_TERMS:
             remedy = "scenarios mean a bearing by its place with it; choose another"
