@@ -108,10 +108,9 @@ def test_unbalance_over_the_tolerances_holds_the_nominal_and_its_own_members():
     "name", ["seal-rig", pytest.param("three-bearing-train", marks=pytest.mark.study)]
 )
 def test_command_and_page(name, tmp_path):
-    assert (
-        call("synthesize", name, "--method", "pid", "-o", tmp_path / "pid.json", "--json").exit_code
-        == 0
-    )
+    made = call("synthesize", name, "--method", "pid", "-o", tmp_path / "pid.json", "--json")
+    # the rig's own PID loses twice nominal pressure, which is told by the status
+    assert made.exit_code == (1 if name == "seal-rig" else 0), made.stderr
     done = call(
         "map", name, "--controller", tmp_path / "pid.json", "-o", tmp_path / "map.html", "--json"
     )

@@ -264,6 +264,29 @@ def test_verdicts_in_plain_words(verifications: list[Checks]) -> None:
     assert tables.verdict(Checks("p", False, (pole,))).text == words
 
 
+LOST = {  # checks that only an unstable loop fails: over the tolerances, a range, a block
+    "sampled.stability.box": "every tolerance",
+    "robust.stability.margin": "every tolerance",
+    "stability.speeds": "asymptotic stability",
+    "range.abscissa": "stability",
+    "synchronous.gain": "stability",
+}
+
+
+@pytest.mark.parametrize("name", LOST)
+def test_a_loop_lost_around_its_point_is_not_called_stable(name: str) -> None:
+    """The box with 23 unstable members was headed "stable, 0 of 4 checks passed"."""
+    lost = Check(name, "T", 2.0, "-", 1.0, passed=False, source=LOST[name])
+    checks = Checks("over all tolerances around p", True, (lost,))
+    assert not checks.holds and not checks.to_dict()["stable"] and not checks.facts()["stable"]
+    assert tables.verdict(checks).text.startswith("stable in the middle, UNSTABLE elsewhere")
+    (overview,) = tables.overview_tables((checks,))
+    assert overview.rows[0][2].text == "unstable"
+    assert not Verification((checks,)).stable
+    weak = replace(lost, name="sensitivity.output.max", source="ISO 14839-3")
+    assert Checks("p", True, (weak,)).holds  # a limit missed is no loss
+
+
 def test_overview_has_a_verdict_as_symbol_and_word_for_each_point(
     verifications: list[Checks],
 ) -> None:

@@ -246,9 +246,8 @@ def synthesize(
             print_table(f"synchronous block, {block.mode}", ("block", "value"), lines)
     if failure is not None:
         raise failure
-    # of one point that was asked for, the others are told only; PID is the file's own
-    alone = point is not None or result.method == "pid"
-    holds = result.status is Status.VERIFIED and (alone or not result.lost)
+    # of one point that was asked for, the others are told only
+    holds = result.status is Status.VERIFIED and (point is not None or not result.lost)
     sys.exit(0 if holds and not result.missed else 1)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from ambrose.core.presentation import Presented, data_frame, html_table, in_words, with_unit
 
+_STABILITY = ("stability", "asymptotic stability")  # sources of a limit that only stability sets
 _COLUMNS = ("value", "unit", "relation", "limit", "passed", "zone", "detail")
 
 
@@ -113,15 +114,17 @@ class Curve(Presented):
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Checks(Presented):
-    """The verdict on one closed loop at one operating point; ``stable`` False means that nothing
-    else was evaluated.
+    """The verdict on one closed loop at one operating point, or over a range around it.
+
+    stable: of the loop at its centre, without any perturbation; False means that nothing else was
+    evaluated. Of all that the checks cover, see ``holds``, which ``to_dict`` writes.
 
     notes: what was left out or approximated, and why, one sentence each. found: where in the
     tolerance box the searches found their worst, by parameter, as ``model.uncertainty.perturbed``
     takes it.
     """
 
-    _DATA: ClassVar = ("label", "stable", "passed", "checks")
+    _DATA: ClassVar = ("label", "stable=holds", "passed", "checks")
 
     label: str
     stable: bool
@@ -137,8 +140,21 @@ class Checks(Presented):
 
     @property
     def lost(self) -> tuple[Check, ...]:
-        """Of these, those that speak of stability: over the tolerances, or between points."""
-        return tuple(check for check in self.failed if "stability" in check.name)
+        """The failed checks that speak of stability: an unstable loop was found within the
+        tolerances, or between points.
+        """
+        return tuple(
+            check
+            for check in self.failed
+            if "stability" in check.name or check.source in _STABILITY
+        )
+
+    @property
+    def holds(self) -> bool:
+        """Whether the loop is stable and no unstable one was found within what these checks
+        cover.
+        """
+        return self.stable and not self.lost
 
     @property
     def failed(self) -> tuple[Check, ...]:
@@ -153,7 +169,7 @@ class Checks(Presented):
         """The verdict, how many checks were made, and which failed."""
         return {
             "label": self.label,
-            "stable": self.stable,
+            "stable": self.holds,
             "passed": self.passed,
             "checks": len(self.checks),
             "failed": [check.name for check in self.failed],

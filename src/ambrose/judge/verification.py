@@ -82,8 +82,10 @@ class Verification(Presented):
 
     @property
     def stable(self) -> bool:
-        """Whether the nominal loop is stable at every operating point that was verified."""
-        return all(checks.stable for _, checks in self.labelled)
+        """Whether the loop is stable at every operating point that was verified, and no unstable
+        one was found over the tolerances, ranges and changes around them.
+        """
+        return all(checks.holds for _, checks in self.labelled)
 
     @property
     def passed(self) -> bool:

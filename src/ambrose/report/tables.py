@@ -27,7 +27,8 @@ def verdict(checks: Checks) -> Verdict:
     """The verdict in plain words: "stable, 14 of 16 checks passed; fails: output sensitivity 4.1 >
     3 (at 41 Hz)".
 
-    Of an unstable loop it names the rightmost pole.
+    Of an unstable loop it names the rightmost pole; one that is lost within the tolerances, or at
+    another speed, is not called stable.
     """
     judged = [check for check in checks.checks if check.passed is not None]
     failed = [check for check in judged if not check.passed]
@@ -42,7 +43,8 @@ def verdict(checks: Checks) -> Verdict:
         f"all {len(judged)}" if not failed else f"{len(judged) - len(failed)} of {len(judged)}"
     )
     why = "; fails: " + ", ".join(reason(check) for check in failed) if failed else ""
-    return Verdict(checks.label, checks.passed, f"stable, {counted} checks passed{why}")
+    words = "stable" if checks.holds else "stable in the middle, UNSTABLE elsewhere"
+    return Verdict(checks.label, checks.passed, f"{words}, {counted} checks passed{why}")
 
 
 def reason(check: Check) -> str:
@@ -186,7 +188,7 @@ def overview_tables(verifications: Sequence[Checks]) -> tuple[Table, ...]:
 
 def _overview_table(verifications: Sequence[Checks], names: Sequence[str], part: int) -> Table:
     stable = (
-        Cell("stable", "pass") if checks.stable else Cell("unstable", "fail")
+        Cell("stable", "pass") if checks.holds else Cell("unstable", "fail")
         for checks in verifications
     )
     rows: list[tuple[str | Cell, ...]] = [("Stability", Cell("", "number"), *stable)]

@@ -40,10 +40,9 @@ def place(request, tmp_path_factory):
     name, point = request.param
     folder = tmp_path_factory.mktemp("monitor")
     (folder / "brief.toml").write_text(BRIEF)
-    assert (
-        call("synthesize", name, "--method", "pid", "-o", folder / "pid.json", "--json").exit_code
-        == 0
-    )
+    made = call("synthesize", name, "--method", "pid", "-o", folder / "pid.json", "--json")
+    # the rig's own PID loses twice nominal pressure, which is told by the status
+    assert made.exit_code == (1 if name == "seal-rig" else 0), made.stderr
     done = call(
         "simulate",
         name,

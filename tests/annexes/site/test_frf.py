@@ -38,10 +38,9 @@ def place(request, tmp_path_factory):
     """A machine, a folder with its PID and a sweep of the nonlinear rig, without pressure."""
     folder, name = tmp_path_factory.mktemp("frf"), request.param
     (folder / "sweep.toml").write_text(CHIRP)
-    assert (
-        call("synthesize", name, "--method", "pid", "-o", folder / "pid.json", "--json").exit_code
-        == 0
-    )
+    made = call("synthesize", name, "--method", "pid", "-o", folder / "pid.json", "--json")
+    # the rig's own PID loses twice nominal pressure, which is told by the status
+    assert made.exit_code == (1 if name == "seal-rig" else 0), made.stderr
     point = {"seal-rig": "zero pressure", "three-bearing-train": "rest"}[name]
     done = call(
         "simulate",

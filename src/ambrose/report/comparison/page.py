@@ -222,8 +222,6 @@ def _details(candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
         ordered = [checks for point in points if (checks := candidate.at(point)) is not None]
         for checks in [*ordered, *candidate.boxes]:
             where, words = checks.label, tables.verdict(checks).text.partition(";")[0]
-            if checks in candidate.boxes:  # "stable" would be said of the nominal loop only
-                words = words.removeprefix("stable, ")
             folded.append(
                 replace(tables.checks_table(checks), title=f"{candidate.name}, {where}: {words}")
             )

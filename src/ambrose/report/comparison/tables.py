@@ -61,7 +61,7 @@ def _line(candidate: Candidate, points: Sequence[str]) -> str:
         checks = candidate.at(point)
         if checks is not None:
             groups[
-                "unstable at" if not checks.stable else "passes at" if checks.passed else "fails at"
+                "unstable at" if not checks.holds else "passes at" if checks.passed else "fails at"
             ].append(point)
     words = [f"{what} {listed(labels)}" for what, labels in groups.items() if labels]
     if not groups["unstable at"] and not groups["fails at"]:
