@@ -23,12 +23,13 @@ INTERRUPTED = "interrupted-write"
 
 
 @contextmanager
-def draft_of(path: str | os.PathLike[str], what: str) -> Iterator[Path]:
+def draft_of(path: str | os.PathLike[str], what: str, new: bool = False) -> Iterator[Path]:
     """A temporary name beside ``path``; after the block it replaces ``path``, or is removed if the
     block failed.
 
     What was written is on the disk before it gets its name. what: the kind of file, for the
-    message. Raises InvalidInput where the place cannot be written.
+    message; new: nothing that stands there by then is replaced. Raises InvalidInput where the place
+    cannot be written.
     """
     target = check_file(path, what)
     draft = _beside(target)
@@ -36,7 +37,14 @@ def draft_of(path: str | os.PathLike[str], what: str) -> Iterator[Path]:
         yield draft
         with draft.open("rb+") as written:
             os.fsync(written.fileno())
-        os.replace(draft, target)
+        if new:
+            os.link(draft, target)
+        else:
+            os.replace(draft, target)
+    except FileExistsError as error:
+        raise InvalidInput(
+            f"{target.name} was written by another meanwhile and is kept; write it again"
+        ) from error
     except OSError as error:
         reason = error.strerror or str(error)
         raise InvalidInput(

@@ -40,6 +40,17 @@ def read_foreign(path: str | Path, columns: ColumnMap | Mapping[str, Any] | str 
         raise InvalidInput(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
 
 
+def variables_in_words(path: str | Path) -> str:
+    """What a file holds that may become signals, or why it cannot be read, in a sentence."""
+    path = Path(path)
+    try:
+        # the refusal of a name that is in no file lists those that are
+        with variables_of(path, ["?"]):
+            return ""
+    except InvalidInput as error:
+        return str(error).removeprefix(f"{path}: ")
+
+
 def _record(path: Path, columns: ColumnMap) -> Record:
     wanted = [*columns.columns, *([] if columns.time is None else [columns.time])]
     with variables_of(path, [column.source for column in wanted]) as in_file:

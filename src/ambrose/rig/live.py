@@ -163,6 +163,16 @@ class LiveRig:
         """Cosine and sine (S, 2) of the angle from x to each station's first axis."""
         return self._task.rig.constants.direction
 
+    def places(self, log: np.ndarray) -> np.ndarray:
+        """Displacements x, y (k, S, 2) [m] of the stations in the frame of the machine, of a
+        frame's log.
+        """
+        along = log[:, 4 * len(self.axes) :].reshape(len(log), len(self.stations), 2)
+        cosine, sine = self.direction.T
+        # a displacement p along the first axis, q along the second, which is 90 degrees further
+        p, q = along[..., 0], along[..., 1]
+        return np.stack([cosine * p - sine * q, sine * p + cosine * q], axis=-1)
+
     @property
     def limits(self) -> np.ndarray:
         """The controller's limits (a,) [A]; infinite where there are none."""

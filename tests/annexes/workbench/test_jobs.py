@@ -82,13 +82,13 @@ def test_jobs_cancelled_at_random_leave_no_process(project, sleeping):
 
     async def run():
         jobs = Jobs(project, workers=4)
-        for _ in range(8):
+        for _ in range(20):
             jobs.start({"kind": "check"})
         pids, longest = set(), 0.0
         names = [job["name"] for job in jobs.listing()]
         draw.shuffle(names)
         for name in names:
-            await asyncio.sleep(draw.uniform(0.0, 0.4))
+            await asyncio.sleep(draw.uniform(0.0, 0.4))  # [s]: waiting, beginning or under way
             pids |= {
                 int(pid)
                 for job in jobs.listing()
@@ -194,19 +194,144 @@ def test_every_job_is_a_command_that_takes_its_options(project):
         assert {word for word in words if word.startswith("-")} <= known
 
 
-def test_a_job_whose_words_lead_out_of_the_folder_is_none_of_ours(project):
-    for number, word in enumerate(["../other.toml", "/etc/passwd", "machine.toml"]):
-        kept = {"name": f"check-{number}", "words": ["check", word], "state": "done"}
-        folder = project.folder("jobs") / f"check-{number}"
-        folder.mkdir()
-        (folder / "job.json").write_text(json.dumps(kept))
-    assert [job["name"] for job in Jobs(project).listing()] == ["check-2"]
+def idle(project):
+    """Jobs that all wait."""
+    jobs = Jobs(project)
+    jobs._workers = 0
+    return jobs
+
+
+def state_of(folder, **other):
+    """A job's state as it is written, but for what is given."""
+    name = folder.name
+    words, said = ["check", "machine.toml"], {"kind": "check"}
+    kept = {"name": name, "words": words, "said": said, "state": "done", "status": 0}
+    folder.mkdir(parents=True)
+    (folder / "job.json").write_text(json.dumps({**kept, "begun": 1.0, "ended": 2.0, **other}))
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"words": []},
+        {"words": [["check"]]},
+        {"words": None},
+        {"said": None},
+        {"said": ["check"]},
+        {"state": "finished"},
+        {"state": ["done"]},
+        {"status": "0"},
+        {"begun": "yesterday"},
+        {"ended": {}},
+        {"name": "check-2"},
+        {"more": 1},
+        {"said": {"kind": "x" * 200_000}},
+    ],
+)
+def test_a_state_that_only_looks_like_one_is_left_alone(project, other):
+    state_of(project.root / "jobs" / "check-1", **other)
+    jobs = idle(project)
+    assert jobs.listing() == [] and jobs.shown(["*"]) == []
+    jobs.start({"kind": "check"})  # beside it
+    assert [job["name"] for job in jobs.listing()] == ["check-2"]
+
+
+@pytest.mark.parametrize("name", ["check", "check-", "Check-1", "check-1-", "check-\n1", "-1"])
+def test_a_folder_with_another_name_is_no_job(project, name):
+    state_of(project.root / "jobs" / name)
+    jobs = idle(project)
+    assert jobs.listing() == []
+    jobs.start({"kind": "check"})
+
+
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        (["check", "../../secret.toml"], {"kind": "check"}),
+        (["verify", "machine.toml", "--report=/tmp/x.html"], {}),
+        (["verify", "machine.toml", "-o/tmp/x"], {"kind": ["verify"]}),
+        (["verify", "x"], {"kind": "verify", "controller": "../../secret.json"}),
+        (["export", "x"], {"kind": "export", "controller": "a", "target": "-o/tmp/x"}),
+    ],
+)
+def test_again_takes_the_way_of_every_start(project, words, said):
+    """Words that a stranger left in a folder are shown at most; what was chosen is looked at."""
+    state_of(project.root / "jobs" / "check-1", words=words, said=said)
+    jobs = idle(project)
+    try:
+        jobs.start({"again": "check-1"})
+    except InvalidInput:
+        assert len(jobs.listing()) == 1
+    else:
+        assert jobs.listing()[0]["words"] == ("check", "machine.toml")
+
+
+def test_again_repeats_what_was_chosen(project):
+    project.path("controllers", "mine.json").write_text("{}")
+    jobs = idle(project)
+    jobs.start({"kind": "verify", "controller": "mine.json", "speed_rate": "20", "width": 1e9})
+    again = idle(project)
+    again.start({"again": "verify-1"})
+    second, first = again.listing()
+    assert (first["state"], second["name"]) == ("stopped", "verify-2")
+    assert first["words"] == second["words"] and "width" not in second["said"]
+
+
+def test_the_newest_stays_first_after_a_restart(project):
+    for number in range(1, 12):
+        state_of(project.root / "jobs" / f"{'verify' if number % 2 else 'check'}-{number}")
+    names = [job["name"] for job in Jobs(project).listing()]
+    assert names[:3] == ["verify-11", "check-10", "verify-9"] and len(names) == 11
+
+
+def test_links_and_pipes_among_jobs_are_not_followed(project, tmp_path_factory):
+    outside = tmp_path_factory.mktemp("outside")
+    (outside / "log.txt").write_text("secret")
+    folder = project.root / "jobs"
+    state_of(outside / "check-1")
+    folder.mkdir()
+    (folder / "check-1").symlink_to(outside / "check-1")  # a whole job
+    (folder / "check-2").symlink_to(outside / "nothing")
+    for number in (3, 4):
+        state_of(folder / f"check-{number}")
+    (folder / "check-3" / "log.txt").symlink_to(outside / "log.txt")
+    os.mkfifo(folder / "check-4" / "log.txt")
+    (folder / "check-5").mkdir()
+    os.mkfifo(folder / "check-5" / "job.json")
+    jobs = idle(project)
+    assert [(job["name"], job["log"]) for job in jobs.listing()] == [
+        ("check-4", ""),
+        ("check-3", ""),
+    ]
+    before = sorted(outside.rglob("*"))
+    jobs.start({"kind": "check"})  # nor is one begun where a link stands
+    assert jobs.listing()[0]["name"] == "check-6"
+    assert sorted(outside.rglob("*")) == before
+
+
+@pytest.mark.parametrize("link", ["code/c-double", "reports/accept.html", "controllers/pid.json"])
+def test_no_result_is_written_where_a_link_leads(project, tmp_path_factory, link):
+    outside = tmp_path_factory.mktemp("outside")
+    project.path("controllers", "mine.json").write_text("{}")
+    project.path("records", "run.h5").write_text("")
+    (project.root / link).parent.mkdir(exist_ok=True)
+    (project.root / link).symlink_to(outside)
+    files = {"controller": "mine.json", "record": "run.h5"}
+    said = {
+        "code/c-double": {"kind": "export", **files, "target": "c", "arithmetic": "double"},
+        "reports/accept.html": {"kind": "accept", **files},
+        "controllers/pid.json": {"kind": "design", "method": "pid"},
+    }[link]
+    jobs = idle(project)
+    with pytest.raises(InvalidInput, match="leads out"):
+        jobs.start(said)
+    assert jobs.listing() == [] and not list(outside.iterdir())
 
 
 def test_no_job_writes_through_a_link_that_leads_out(project, tmp_path_factory):
     (project.root / "study").symlink_to(tmp_path_factory.mktemp("elsewhere"))
     with pytest.raises(InvalidInput, match="leads out"):
-        Jobs(project, workers=0).start({"kind": "study"})
+        idle(project).start({"kind": "study"})
 
 
 def test_states_of_strangers_are_not_read(project):

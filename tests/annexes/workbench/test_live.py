@@ -60,7 +60,7 @@ def test_a_frame_is_the_time_that_went_by_in_the_frame_of_the_machine(session):
     head, samples = opened(packed(*session.frame()))
     rows = samples.reshape(-1, len(session.columns))
     assert len(rows) == 200  # 20 ms at 10 kHz
-    assert head["time"] == pytest.approx(0.02)
+    assert head["time"] == pytest.approx(0.02 + session.rig.dt)  # the first sample compiles
     # it went where it was pushed, along x, and the sensors at 45 degrees see it alike
     x = rows[:, session.columns.index("x A")]
     y = rows[:, session.columns.index("y A")]
@@ -242,7 +242,7 @@ def test_a_pid_that_does_not_hold_the_rig_is_not_the_first_controller(tmp_path, 
         asked.append((method, options))
         return design(plant, "pid" if method == "pid" else "hinf")  # which is quicker, and holds
 
-    monkeypatch.setattr("ambrose.synthesis.design.design", designed)
+    monkeypatch.setattr("ambrose.chain.first_controller.design", designed)
     session = LiveSession(made)
     assert asked[1] == ("tuned", {"rate": 1e4, "delay_samples": 1})
     assert session.controller == "hinf.json" and not session._lost

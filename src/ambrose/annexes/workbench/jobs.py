@@ -23,7 +23,7 @@ from typing import Any
 
 from ambrose.annexes.workbench import blocks
 from ambrose.annexes.workbench.project import KINDS as FOLDERS
-from ambrose.annexes.workbench.project import MACHINE, Project, slug
+from ambrose.annexes.workbench.project import MACHINE, Project
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.atomic_write import make_folder, write_json
 
@@ -76,6 +76,9 @@ _FREE = {
 _FLAGS = ("changed", "anyway")
 _PATIENCE = 0.6  # [s] from the request to end to the kill
 _UNDER_WAY = ("waiting", "running")
+_STATES = (*_UNDER_WAY, "done", "failed", "cancelled", "stopped")
+_NAME = re.compile(r"[a-z]{1,20}-[0-9]{1,9}")
+_STATE = 100_000  # bytes of a job's state
 _SHOWN = 3  # of a screen's commands
 _LONGEST = 200  # characters of a field
 _TAIL = 4000  # bytes of a log that the page shows
@@ -84,12 +87,14 @@ _CHILD = "ambrose.annexes.workbench.child"
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One job; state: "waiting", "running", "done", "failed", "cancelled" or "stopped" (the server
-    ended first). status: of the command, None while it has none; times in seconds since 1970.
+    """One job; said: the form that it was started with. state: "waiting", "running", "done",
+    "failed", "cancelled" or "stopped" (the server ended first). status: of the command, None while
+    it has none; times in seconds since 1970.
     """
 
     name: str
     words: tuple[str, ...]
+    said: Mapping[str, Any]
     state: str = "waiting"
     status: int | None = None
     begun: float | None = None
@@ -105,21 +110,14 @@ class Jobs:
         self._jobs: dict[str, Job] = {}
         self._processes: dict[str, asyncio.subprocess.Process] = {}
         self._tasks: set[asyncio.Task[None]] = set()
-        for path in sorted(project.root.glob("jobs/*/job.json")):
-            with suppress(InvalidInput, OSError, ValueError, TypeError, KeyError):
-                self._find(path)
-
-    def _find(self, path: Path) -> None:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        job = Job(**{**content, "words": tuple(content["words"])})
-        if slug(job.name, "job") != path.parent.name or path.resolve() != path:
-            return
-        if any(Path(word).is_absolute() or ".." in Path(word).parts for word in job.words):
-            return  # it was not written here, and would leave the folder
-        unfinished = job.state in _UNDER_WAY
-        self._jobs[job.name] = job
-        if unfinished:
-            self._keep(replace(job, state="stopped"))
+        found = []
+        for path in project.root.glob("jobs/*/job.json"):
+            with suppress(InvalidInput, OSError, ValueError, TypeError, KeyError, RecursionError):
+                found.append(_read(path))
+        for job in sorted(found, key=_number):
+            self._jobs[job.name] = job
+            if job.state in _UNDER_WAY:
+                self._keep(replace(job, state="stopped"))
 
     def listing(self) -> list[dict[str, Any]]:
         """All jobs, the newest first, each with the end of its log."""
@@ -159,12 +157,18 @@ class Jobs:
     def start(self, said: Mapping[str, Any]) -> None:
         """A job of a kind, or again one that is over. Raises InvalidInput."""
         again = said.get("again")
-        words = self._named(again).words if again else self._words(said)
+        said = self._named(again).said if again else said
+        words = self._words(said)
         for folder in ("controllers", "machines", "reports", "code", words[-1]):
             if folder in FOLDERS:  # that leads out through no link
                 self._project.folder(folder)
-        number = 1 + max([int(name.rpartition("-")[2]) for name in self._jobs], default=0)
-        job = Job(f"{words[0]}-{number}", words)
+        for word in words:  # nor does what is read and written in them
+            self._project.inside(self._project.root / word)
+        number = 1 + max(map(_number, self._jobs.values()), default=0)
+        while os.path.lexists(self._project.folder("jobs") / f"{words[0]}-{number}"):
+            number += 1  # something of that name, but no job
+        kept = {name: said[name] for name in _names(said["kind"]) if name in said}
+        job = Job(f"{words[0]}-{number}", words, {"kind": said["kind"], **kept})
         make_folder(self._project.folder("jobs") / job.name)
         self._keep(job)
         self._fill()
@@ -280,14 +284,41 @@ class Jobs:
 
     def _log(self, name: str) -> str:
         """The end of what a job printed."""
+        path = self._folder(name) / "log.txt"
         try:
-            with (self._folder(name) / "log.txt").open("rb") as log:
+            if path.is_symlink() or not path.is_file():
+                return ""
+            with path.open("rb") as log:
                 cut = os.fstat(log.fileno()).st_size - _TAIL
                 log.seek(max(cut, 0))
                 words = log.read().decode("utf-8", "replace")
                 return words.partition("\n")[2] if cut > 0 else words
         except OSError:
             return ""
+
+
+def _read(path: Path) -> Job:
+    """A job as it was written here. Raises InvalidInput and others for what only looks like one."""
+    if path.resolve() != path or not path.is_file() or path.stat().st_size > _STATE:
+        raise InvalidInput(f"{path.name} is no job's state")
+    content = json.loads(path.read_text(encoding="utf-8"))
+    job = Job(**{**content, "words": tuple(content["words"])})
+    numbers = [n for n in (job.status, job.begun, job.ended) if n is not None]
+    known = job.name == path.parent.name and _NAME.fullmatch(job.name) and job.state in _STATES
+    if not known or not job.words or not all(isinstance(word, str) for word in job.words):
+        raise InvalidInput(f"{path.name} is no job's state")
+    if not isinstance(job.said, dict) or not all(isinstance(n, int | float) for n in numbers):
+        raise InvalidInput(f"{path.name} is no job's state")
+    return job
+
+
+def _number(job: Job) -> int:
+    return int(job.name.rpartition("-")[2])
+
+
+def _names(kind: str) -> set[str]:
+    """What a form of a kind gives."""
+    return {name for word in KINDS[kind] for name in re.findall(r"{(\w+)}", word)}
 
 
 def _free(field: str, said: Mapping[str, Any]) -> list[str]:

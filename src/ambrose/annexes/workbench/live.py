@@ -27,8 +27,6 @@ from ambrose.core.presentation import json_text
 from ambrose.machine.criteria import CLEARANCE
 
 if TYPE_CHECKING:
-    from ambrose.judge.result import Synthesis
-    from ambrose.judge.stability import Stability
     from ambrose.machine.machine import Machine
     from ambrose.rig.live import Frame
 
@@ -51,6 +49,8 @@ class LiveSession:
     """
 
     def __init__(self, project: Project, controller: str = "", initial: str = "levitated") -> None:
+        from ambrose.chain.first_controller import why_lost
+        from ambrose.judge.controller_file import read_controller
         from ambrose.machine.file.toml import load_machine
         from ambrose.machine.machine import require_magnets
         from ambrose.rig.live import LiveRig
@@ -61,9 +61,10 @@ class LiveSession:
         self.machine = load_machine(project.machine)
         require_magnets(self.machine)
         self.controller = controller or _first_controller(project, self.machine)
-        law = _read(project, self.controller, self.machine)
-        self._lost = _why_lost(self.controller, self.machine, law)
+        law = read_controller(project.path("controllers", self.controller))
+        self._lost = why_lost(self.controller, self.machine, law)
         self.rig = LiveRig(self.machine, law, initial=initial)
+        self.rig.advance(1)  # compiles what a frame needs, while the page is told that it starts
         self.ranges = ranges_of(self.rig, self.machine)
         self.pace = "real"
         self.realtime = 1.0
@@ -78,10 +79,6 @@ class LiveSession:
         self._near = True
         nominal = self.machine.operation.nominal
         self._targets = {"speed": nominal.speed, "pressure": nominal.seal_pressure}
-        directions = self.rig.direction
-        # (S, 2, 2): rows give x and y of a station's displacements along its axes
-        self._turn = np.stack([directions, directions[:, ::-1] * [-1.0, 1.0]], axis=1)
-        self._turn = np.transpose(self._turn, (0, 2, 1))
 
     def describe(self) -> dict[str, Any]:
         """What does not change while it runs: names, places of columns, limits, controls."""
@@ -244,10 +241,8 @@ class LiveSession:
     def _shown(self, log: np.ndarray) -> np.ndarray:
         """The columns of a frame from those of the rig's log: y, u, i, f, then stations."""
         a = len(self.rig.axes)
-        places = log[:, 4 * a :].reshape(len(log), len(self.rig.stations), 2)
-        xy = self._turn[..., 0] * places[..., :1] + self._turn[..., 1] * places[..., 1:]
-        xy = xy.reshape(len(log), len(self.rig.ports))
-        return np.hstack([xy, log[:, a : 3 * a], log[:, :a]])
+        places = self.rig.places(log).reshape(len(log), len(self.rig.ports))
+        return np.hstack([places, log[:, a : 3 * a], log[:, :a]])
 
     def pause(self) -> None:
         """Nobody looks: the time that passes until the next frame does not count."""
@@ -292,11 +287,14 @@ class LiveSession:
 
     def switch(self, said: Mapping[str, Any]) -> None:
         """Another controller of the project takes over."""
+        from ambrose.chain.first_controller import why_lost
+        from ambrose.judge.controller_file import read_controller
+
         name = word(said, "controller")
-        law = _read(self._project, name, self.machine)
+        law = read_controller(self._project.path("controllers", name))
         self.rig.switch(law)
         self.controller = name
-        self._lost = _why_lost(name, self.machine, law)
+        self._lost = why_lost(name, self.machine, law)
 
     def strength(self, said: Mapping[str, Any]) -> None:
         """The impulse of a knock at the edge of the picture [N s], which every page reads."""
@@ -404,51 +402,16 @@ def _slider(
 
 
 def _first_controller(project: Project, machine: Machine) -> str:
-    """The first controller that a live rig can run; where there is none the PID of the machine
-    file, or one tuned for the rig's rate where the PID does not hold the machine there, written as
-    `ambrose synthesize` writes it.
+    """A controller of the project, the PID before others; where there is none one that holds the
+    machine, written as `ambrose synthesize` writes it.
     """
     names = project.names("controllers")
     if names:
         return "pid.json" if "pid.json" in names else names[0]
+    from ambrose.chain.first_controller import first_controller
     from ambrose.judge.controller_file import write_controller
-    from ambrose.law.timing import DEFAULT, timing_of
-    from ambrose.model.assemble import assemble
-    from ambrose.synthesis.design import design
 
-    plant = assemble(machine)
-    made = design(plant, "pid")
-    if not _judged(machine, made).stable:
-        timing = timing_of(machine, made) or DEFAULT
-        made = design(plant, "tuned", rate=timing.rate, delay_samples=timing.delay_samples)
+    made = first_controller(machine)
     path = project.path("controllers", f"{made.method}.json")
     write_controller(path, made)
     return path.name
-
-
-def _judged(machine: Machine, law: Synthesis) -> Stability:
-    """What the judge says of the loop as the rig starts it."""
-    from ambrose.judge.stability import judge_stability
-    from ambrose.law.timing import DEFAULT, timing_of
-    from ambrose.model.assemble import assemble
-
-    return judge_stability(assemble(machine), law, timing_of(machine, law) or DEFAULT)
-
-
-def _why_lost(name: str, machine: Machine, law: Synthesis) -> str:
-    """In words, what the judge says of a controller that does not hold the machine; "" of one that
-    does.
-    """
-    held = _judged(machine, law)
-    if held.stable:
-        return ""
-    return (
-        f"{name} does not hold the machine at {held.label}, {held.timing} "
-        f"({held.abscissa:+.3g} 1/s); choose another one"
-    )
-
-
-def _read(project: Project, name: str, machine: Machine) -> Synthesis:
-    from ambrose.judge.controller_file import read_controller
-
-    return read_controller(project.path("controllers", name))

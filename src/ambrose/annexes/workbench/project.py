@@ -55,7 +55,7 @@ class Project:
         """The machine file, whether it is there or not. Raises InvalidInput for a link that leads
         out.
         """
-        return self._inside(self.root / MACHINE)
+        return self.inside(self.root / MACHINE)
 
     def path(self, kind: str, name: object) -> Path:
         """Where a file of a kind stands or will stand, its folder made. Raises InvalidInput for
@@ -73,18 +73,18 @@ class Project:
                 f"it ends with {' or '.join(KINDS[kind])}"
             )
         slug(stem, f"file in {kind}")
-        return self._inside(self.folder(kind) / text)
+        return self.inside(self.folder(kind) / text)
 
     def folder(self, name: str) -> Path:
         """A folder of the project, made where it is absent. Raises InvalidInput for a link that
         leads out, before anything is made there.
         """
-        return make_folder(self._inside(self.root / name))
+        return make_folder(self.inside(self.root / name))
 
     def names(self, kind: str) -> list[str]:
         """The files of a kind that can be named, sorted."""
         try:
-            folder = self._inside(self.root / kind)
+            folder = self.inside(self.root / kind)
             entries = sorted(entry.name for entry in os.scandir(folder))
         except (InvalidInput, OSError):
             return []
@@ -114,8 +114,8 @@ class Project:
         """A path as a command line in the project's folder writes it."""
         return path.relative_to(self.root).as_posix()
 
-    def _inside(self, path: Path) -> Path:
-        """``path`` itself, after refusing one whose real place is outside."""
+    def inside(self, path: Path) -> Path:
+        """``path`` itself. Raises InvalidInput for one whose real place is outside."""
         real = Path(os.path.realpath(path))
         if real != self.root and self.root not in real.parents:
             raise InvalidInput(f"{path.name} leads out of the project: {_LINKS}")

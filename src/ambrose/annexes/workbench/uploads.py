@@ -6,13 +6,12 @@ from __future__ import annotations
 
 import os
 import re
-import tempfile
 from collections.abc import AsyncIterator
-from contextlib import suppress
 from pathlib import Path
 
 from ambrose.annexes.workbench.project import KINDS, Project
 from ambrose.core.checks import InvalidInput
+from ambrose.machine.atomic_write import draft_of
 
 # bytes of a file of a kind that is taken
 LIMITS = {"records": 500_000_000, "controllers": 64_000_000, "machines": 1_000_000}
@@ -39,16 +38,8 @@ def place(project: Project, kind: str, name: str) -> Path:
 
 
 async def receive(path: Path, body: AsyncIterator[bytes]) -> Path:
-    """A body as the file at ``path``, complete or not at all."""
-    handle, draft = tempfile.mkstemp(prefix=".coming-", dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            async for part in body:
-                file.write(part)
-        os.link(draft, path)  # refuses a name that was taken meanwhile
-    except FileExistsError:
-        raise InvalidInput(f"{path.name} was written by another meanwhile; send it again") from None
-    finally:
-        with suppress(OSError):
-            os.unlink(draft)
+    """A body as the file at ``path``, complete or not at all. Raises InvalidInput."""
+    with draft_of(path, "file", new=True) as draft, draft.open("xb") as file:
+        async for part in body:
+            file.write(part)
     return path

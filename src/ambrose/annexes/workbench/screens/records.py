@@ -21,7 +21,7 @@ from ambrose.machine.file.toml import load_machine
 from ambrose.machine.machine import Machine
 from ambrose.record.column_map import columns_in_words, read_columns
 from ambrose.record.files import read_record, write_record
-from ambrose.record.foreign import read_foreign
+from ambrose.record.foreign import read_foreign, variables_in_words
 from ambrose.report.record import record_page
 
 OWN = (".h5", ".hdf5", ".csv")
@@ -104,20 +104,8 @@ def _mapping(path: Path, machine: Machine) -> Block:
         [*fields, blocks.field("source", "File", path.name)],
         [blocks.button("Read it", "map", main=True)],
         f"{path.name}: which column is what",
-        hint=f"{_listing(path)} A factor may stand before the name, such as -127 * probe.",
+        hint=f"{variables_in_words(path)} A factor may stand before the name, such as -2 * probe.",
     )
-
-
-def _listing(path: Path) -> str:
-    """What the file holds, in the words of its reader."""
-    absent = {"name": "y_A", "source": "?", "unit": "m"}
-    point = {"speed": 0, "seal_pressure": 0}
-    asked = {"machine": "?", "sample_rate_hz": 1, "point": point, "signal": [absent]}
-    try:
-        read_foreign(path, asked)
-    except InvalidInput as error:
-        return str(error).replace(f"{path.parent}/", "")
-    return ""
 
 
 def _map(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
