@@ -22,6 +22,15 @@ KINDS = {
     "tilt_gain": "factor",
     "phase": "angle",
 }
+# the unit in which a hand turns a kind of number, and how many of it are one in SI
+UNITS = {
+    "gain": ("A/m", 1.0),
+    "factor": ("×", 1.0),
+    "time": ("s", 1.0),
+    "share": ("%", 100.0),
+    "frequency": ("Hz", 0.5 / math.pi),
+    "angle": ("°", 180 / math.pi),
+}
 Place = tuple[str | int, ...]
 _SAME = 1e-9  # a number that was turned and turned back is its old one to rounding
 

@@ -348,6 +348,99 @@ def test_a_redraw_keeps_what_a_hand_did(chromium, server, folder, screen, reques
     page.context.close()
 
 
+# a scope that hears one tone after the other; what its waterfall then shows, row by row from the top:
+# the middle of what is marked [Hz] and how wide it is [Hz]
+FALL = """async (tones) => {
+  const { scope } = await import("/static/scope.js");
+  const signal = { name: "signal", label: "Signal", kind: "choice", options: ["y A"], value: "y A" };
+  const span = { name: "span", label: "Seconds", kind: "choice", options: ["0.1"], value: "0.1" };
+  const trigger = { name: "trigger", label: "Trigger", kind: "choice", options: ["free"], value: "free" };
+  const form = { fields: [signal, span, trigger], buttons: [], live: "", hint: "", title: "Scope" };
+  const dt = 1e-4;
+  const watch = scope({ columns: ["x A", "y A"], dt, speed: 2000, scope: form });
+  document.querySelector("main").replaceChildren(watch.panel);
+  const fall = [...document.querySelectorAll("canvas")].pop();
+  const wait = (ms) => new Promise((done) => setTimeout(done, ms));
+  while (!fall.room) await wait(20);
+  let time = 0;
+  for (const [tone, size] of tones) {
+    const samples = new Float32Array(2 * 4096);
+    for (let k = 0; k < 4096; k += 1) {
+      samples[2 * k] = Math.sin(2 * Math.PI * 77 * k * dt); // of another column
+      samples[2 * k + 1] = 1e-6 * size * Math.sin(2 * Math.PI * tone * k * dt);
+    }
+    time += 4096 * dt;
+    await wait(300); // a line at most four times a second
+    watch.add({ time, speed: 100 }, samples);
+    watch.draw({ time, speed: 100 });
+  }
+  const { data, width } = fall.getContext("2d").getImageData(0, 0, fall.width, fall.height);
+  // as the spectrum above it: three times the top speed, 50 px to the left of it and 8 to the right
+  const top = (Math.round((2048 * dt * 3 * 2000) / 6) - 1) / (2048 * dt);
+  return Array.from({ length: 3 * tones.length + 3 }, (_, row) => {
+    const marked = [];
+    for (let p = 0; p < width; p += 1) if (data[4 * (row * width + p) + 3] > 40) marked.push(p);
+    const middle = (marked[0] + marked[marked.length - 1] + 1) / 2;
+    const hertz = top / (width - 58);
+    const wide = marked[marked.length - 1] + 1 - marked[0];
+    return marked.length ? [(middle - 50) * hertz, wide * hertz, 2 * hertz] : null;
+  });
+}"""
+
+
+@pytest.mark.parametrize("width", [1400, 400])
+def test_the_waterfall_shows_every_tone_at_its_frequency_the_newest_on_top(chromium, server, width):
+    page = new_page(chromium, width)
+    page.goto(server.address() + "#jobs")
+    page.wait_for_selector("main .panel")
+    tones = [(150.0, 1.0), (400.0, 1e-4), (700.0, 1.0)]  # the small one is marked as well
+    rows = page.evaluate(FALL, tones)
+    assert rows[9:] == [None] * 3  # nothing is older
+    step = 1e4 / 2048  # [Hz] between two lines
+    for i, (tone, _) in enumerate(reversed(tones)):
+        for middle, wide, mark in rows[3 * i : 3 * i + 3]:
+            assert middle == pytest.approx(tone, abs=0.5 * step + mark)
+            # Hann's window: side lobes above 0.3 % of the peak, five lines to each side
+            assert wide < 2 * (5 * step + mark)
+    assert page.mistakes == []
+    page.context.close()
+
+
+LIVE = """() => {
+  const chosen = {};
+  for (const e of document.querySelectorAll("main select")) {
+    if (["pace"].includes(e.name)) continue; // of the rig, which says where it stands
+    e.selectedIndex = e.options.length - 1;
+    chosen[e.name] = e.value;
+  }
+  for (const e of document.querySelectorAll("main details")) e.open = true;
+  document.querySelector("main [name=signal]").focus();
+  for (const e of document.querySelectorAll("main .panel")) e.dataset.old = "";
+  const other = new WebSocket(`ws://${location.host}/live`); // another page starts the rig again
+  other.onopen = () => other.send('{"do": "restart"}');
+  return chosen;
+}"""
+
+
+def test_a_rig_that_begins_anew_keeps_what_was_chosen_on_its_page(chromium, server):
+    page = new_page(chromium)
+    page.goto(server.address() + "#live")
+    page.wait_for_selector("canvas", timeout=LONG)
+    before = page.evaluate(LIVE)
+    assert {"station", "axis", "signal", "span", "trigger", "controller"} <= before.keys()
+    until(page, "!document.querySelector('main [data-old]')", seconds=120)
+    page.wait_for_timeout(600)  # words and places of sliders come five times a second
+    after = page.evaluate(
+        "() => Object.fromEntries([...document.querySelectorAll('main select')]"
+        ".filter((e) => e.name !== 'pace').map((e) => [e.name, e.value]))"
+    )
+    assert after == before
+    assert page.evaluate("document.activeElement.name") == "signal"
+    assert page.evaluate("[...document.querySelectorAll('main details')].every((e) => e.open)")
+    assert page.mistakes == []
+    page.context.close()
+
+
 def test_a_job_that_ends_while_one_types_changes_nothing_but_what_it_made(
     chromium, server, folder, request
 ):

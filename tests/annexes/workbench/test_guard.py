@@ -1,9 +1,12 @@
 """Attacks on the server, at the level of ASGI: none comes through."""
 
 import asyncio
+import gzip
 import json
 import os
 import re
+import time
+import zlib
 
 import pytest
 
@@ -13,6 +16,7 @@ from ambrose.annexes.workbench import uploads
 from ambrose.annexes.workbench.project import Project
 from ambrose.annexes.workbench.screens import answer
 from ambrose.annexes.workbench.server import build
+from ambrose.core.checks import InvalidInput
 from asgi_client import HOST, ORIGIN, Client
 
 BEGIN = "/api/screens/machine/begin"
@@ -70,6 +74,28 @@ def test_a_token_is_good_once(place):
     assert browser.ask("GET", "/api/state").status == second.ask("GET", "/api/state").status == 200
     cookie = browser.ask("GET", "/", query=f"token={tokens[2]}").headers["set-cookie"]
     assert "HttpOnly" in cookie and "SameSite=Strict" in cookie
+
+
+TOKENS = {
+    "twice": ("GET", "token={0}&token={0}"),
+    "with another": ("GET", "token=guess&token={0}"),
+    "of another spelling": ("GET", "Token={0}"),
+    "with something behind it": ("GET", "token={0};"),
+    "shortened": ("GET", "token={0:.20}"),
+    "empty": ("GET", "token="),
+    "by HEAD": ("HEAD", "token={0}"),
+    "by POST": ("POST", "token={0}"),
+}
+
+
+@pytest.mark.parametrize("way", TOKENS)
+def test_a_token_that_comes_another_way_is_neither_good_nor_used_up(place, way):
+    app, tokens, _, _ = place
+    method, query = TOKENS[way]
+    answer = Client(app).ask(method, "/", query=query.format(tokens[1]))
+    assert answer.status == 401 and "set-cookie" not in answer.headers
+    assert Client(app).enter(tokens[1]).status == 200
+    assert len(tokens) == 3
 
 
 FOREIGN = {
@@ -153,6 +179,15 @@ def test_other_methods_are_refused(place, method):
         "/static/",
         "/static/%2e%2e/" + "server.py",
         "//127.0.0.1/secret.json",
+        "/files/controllers/..\\..\\secret.json",
+        "/files/controllers%2f..%2fsecret.json",
+        "/files/controllers/%6cink.json",
+        "/files/controllers/mine.json\n",
+        "/files/controllers/mine.json\r\nset-cookie: a=b",
+        "/files/controllers/mine.json;.json",
+        "/files/controllers/mine.json?/../x.json",
+        "/files/controllers/.mine.json.0123abcd.tmp",
+        "/files/controllers\n/mine.json",
     ],
 )
 def test_no_path_leads_out(place, path):
@@ -249,6 +284,13 @@ def test_a_stranger_sends_no_file(place, attack):
         b'{"machine": "../secret"}',
         b'{"machine": ["seal-rig"]}',
         b'{"machine": null}',
+        b'{"machine": "\\ud800"}',
+        b'{"machine": ' + b"9" * 6000 + b"}",
+        b'{"machine": 1e999}',
+        b'{"machine": "seal-rig", "machine": "x"}',
+        gzip.compress(b'{"machine": "seal-rig"}'),
+        gzip.compress(b'{"machine": "' + b"a" * 50_000_000 + b'"}'),
+        zlib.compress(b'{"machine": "seal-rig"}'),
     ],
 )
 def test_nonsense_is_refused_in_words(place, body):
@@ -257,6 +299,100 @@ def test_nonsense_is_refused_in_words(place, body):
     assert answer.status == 400
     assert answer.data["error"]
     assert not (folder / "machine.toml").exists()
+
+
+def test_two_files_of_one_name_at_once_are_both_told(place):
+    """What came first stays, whole; the other is told, and leaves no draft."""
+    _, _, _, folder = place
+    path = folder / "controllers" / "both.json"
+
+    async def body(text):
+        yield text[:1]
+        await asyncio.sleep(0.01)
+        yield text[1:]
+
+    async def both():
+        ways = [uploads.receive(path, body(text)) for text in (b"first", b"other")]
+        return await asyncio.gather(*ways, return_exceptions=True)
+
+    one, other = asyncio.run(both())
+    refused = one if isinstance(one, InvalidInput) else other
+    assert isinstance(refused, InvalidInput) and "both.json was written by another" in str(refused)
+    assert (one == path) != (other == path)
+    assert path.read_bytes() == (b"first" if one == path else b"other")
+    assert {p.name for p in path.parent.iterdir()} == {"both.json", "link.json", "mine.json"}
+
+
+RANGES = {
+    "many": ",".join(f"{i}-{i}" for i in range(5000)),
+    "overlapping": ",".join(["0-"] * 500),
+    "backwards": "5-1",
+    "beyond": "999999-",
+    "negative": "--5",
+    "digits": "0-" + "9" * 3000,
+    "no number": "a-b",
+    "spaces": "0-0" + " " * 20_000 + ",1-1",
+}
+
+
+@pytest.mark.parametrize("name", RANGES)
+def test_parts_of_a_file_are_no_way_to_more_than_the_file(place, name):
+    _, _, browser, folder = place
+    path = folder / "controllers" / "long.json"
+    path.write_text("x" * 20_000)
+    begun = time.monotonic()
+    for address in ("/files/controllers/long.json", "/files/controllers/link.json"):
+        answer = browser.ask("GET", address, headers={"range": f"bytes={RANGES[name]}"})
+        assert answer.status in {200, 206, 400, 416} and b"secret" not in answer.body[:400]
+        # nothing is sent five thousand times
+        assert len(answer.body) < 21_000
+    assert time.monotonic() - begun < 5.0
+
+
+@pytest.mark.parametrize("method", ["HEAD", "OPTIONS", "TRACE", "DELETE", "PROPFIND"])
+@pytest.mark.parametrize("path", ["/files/controllers/mine.json", "/api/jobs/start", "/live"])
+def test_no_other_method_does_or_tells_anything(place, method, path):
+    _, _, browser, folder = place
+    body = b'{"kind": "check"}'
+    answer = browser.ask(method, path, body)
+    assert answer.status in {404, 405} or (method, path) == ("HEAD", "/files/controllers/mine.json")
+    assert b"{}" not in answer.body and body not in answer.body
+    assert "access-control-allow-origin" not in answer.headers
+    assert (folder / "controllers" / "mine.json").exists() and not (folder / "jobs").exists()
+
+
+def test_a_body_that_never_ends_holds_nobody_up(place):
+    """One that sends a byte now and then, beside others that are served."""
+    app, _, browser, folder = place
+    (folder / "records").unlink()
+
+    async def slow():
+        scope_of = browser.own(None)
+        sent = []
+
+        async def receive():
+            await asyncio.sleep(0.01)
+            return {"type": "http.request", "body": b"x", "more_body": True}
+
+        async def send(message):
+            sent.append(message)
+
+        path = "/api/files/records/slow.h5"
+        scope = {"type": "http", "method": "PUT", "path": path, "raw_path": path.encode()}
+        scope |= {"query_string": b"", "headers": scope_of, "root_path": "", "http_version": "1.1"}
+        others = [asyncio.create_task(app(dict(scope), receive, send)) for _ in range(50)]
+        await asyncio.sleep(0.1)
+        begun = time.monotonic()
+        answer = await browser.request("GET", "/api/state")
+        spent = time.monotonic() - begun
+        for other in others:
+            other.cancel()
+        await asyncio.gather(*others, return_exceptions=True)
+        return answer, spent, sent
+
+    answer, spent, sent = asyncio.run(slow())
+    assert answer.status == 200 and answer.data["files"]["records"] == [] and spent < 2.0
+    assert sent == [] and not list((folder / "records").iterdir())
 
 
 def test_what_goes_out_forbids_scripts_in_text(place):

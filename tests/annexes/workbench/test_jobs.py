@@ -144,6 +144,7 @@ def test_a_server_that_is_killed_takes_its_jobs_along_and_finds_them_again(
         {"kind": "verify", "controller": "--help"},
         {"kind": "verify", "controller": "../machine.toml"},
         {"kind": "identify", "controller": "pid.json", "record": "x.h5"},
+        {"kind": "identify", "controller": "mine.json", "record": ""},
         {"again": "check-1"},
         {"kind": "design", "method": "--help"},
         {"kind": "design", "method": ["pid"]},

@@ -60,6 +60,11 @@ KINDS: dict[str, tuple[str, ...]] = {
 }
 # what a page may put into them: files of a folder, some words, what is left out where it is empty
 _FOLDERS = {"controller": "controllers", "record": "records", "plan": "plans"}
+_REMEDIES = {
+    "controller": "save or design one on the screen Controllers",
+    "record": "record one on the live rig, or drop its file on the screen Records",
+    "plan": "write one",
+}
 CHOICES: dict[str, tuple[str, ...]] = {
     "method": ("pid", "tuned", "hinf", "mu"),
     "target": ("c", "mat", "fmu", "st"),
@@ -198,6 +203,8 @@ class Jobs:
 
     def _file(self, field: str, said: Mapping[str, Any]) -> str:
         """A file of the project that is there, as a command line in its folder writes it."""
+        if not said.get(field):
+            raise InvalidInput(f"no {field} is chosen; {_REMEDIES[field]}, then choose it")
         path = self._project.path(_FOLDERS[field], said.get(field))
         if not path.is_file():
             raise InvalidInput(f"{path.name} is not in {_FOLDERS[field]}; choose one that is")

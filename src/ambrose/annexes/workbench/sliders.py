@@ -9,18 +9,9 @@ from typing import Any
 from ambrose.annexes.workbench.blocks import Block, field
 from ambrose.annexes.workbench.given import number
 from ambrose.machine.controller import PidSettings
-from ambrose.machine.setting_numbers import numbers_of
+from ambrose.machine.setting_numbers import UNITS, numbers_of
 
 _DECADES = 1.0
-# unit and factor of a kind of number
-_UNITS = {
-    "gain": ("A/m", 1.0),
-    "factor": ("×", 1.0),
-    "time": ("s", 1.0),
-    "share": ("%", 100.0),
-    "frequency": ("Hz", 0.5 / math.pi),
-    "angle": ("°", 180 / math.pi),
-}
 
 
 def fields_of(settings: PidSettings, axes: Sequence[str]) -> list[Block]:
@@ -29,7 +20,7 @@ def fields_of(settings: PidSettings, axes: Sequence[str]) -> list[Block]:
     for item in numbers_of(settings):
         by_axis = item.place[0] == "gain" and len(settings.gain) == len(axes)
         label = f"gain {axes[int(item.place[1])]}" if by_axis else item.words
-        unit, factor = _UNITS[item.kind]
+        unit, factor = UNITS[item.kind]
         log = item.value > 0 and item.kind != "angle"
         low, high = -math.pi / 2, math.pi / 2
         if log:

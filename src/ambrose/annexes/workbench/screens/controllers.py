@@ -133,7 +133,8 @@ def _look(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     ]
     place = "" if len(wanted) > 1 or len(plants) == 1 else f" at {wanted[0]}"
     first = plants[0].bending_modes or 0
-    note = f"On the plant with {first} bending modes per plane; Judge asks the full one."
+    modes = "mode" if first == 1 else "modes"
+    note = f"On the plant with {first} bending {modes} per plane; Judge asks the full one."
     pictures = _pictures(shown, machine, width(given), place) if shown else []
     same = _same(machine, given, settings)
     # what was judged of other values is no verdict on these

@@ -114,7 +114,7 @@ function orbit(rig, station, s, act) {
     }
     if (!fresh) return;
     const size = `${short(most, "m")}${head.contact[s] ? ", touching" : ""}`;
-    const textContent = `${station}: ${size}; circle ${short(reach, "m")}`;
+    const textContent = `${station}: ${size}; edge ${short(reach, "m")}`;
     Object.assign(caption, { textContent, className: head.contact[s] ? "bad" : "" });
   }
   return { figure: make("figure", {}, element, caption), show };

@@ -1,4 +1,5 @@
 // Canvases in the look of the pages: circles of an orbit, curves over an axis, a waterfall.
+import { make } from "/static/page.js";
 
 export const ink = {};
 function look() {
@@ -10,9 +11,7 @@ look();
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", look);
 
 export function canvas(words, height) {
-  const element = document.createElement("canvas");
-  element.setAttribute("role", "img");
-  element.setAttribute("aria-label", words);
+  const element = make("canvas", { role: "img", ariaLabel: words });
   if (height) element.style.height = `${height}px`;
   else element.style.aspectRatio = "1";
   sized.observe(element);
@@ -97,7 +96,7 @@ export function curve(element, values, step, axes) {
   const Y = scale(axes.y, axes.log, height - bottom, top);
   ticks(axes.x, false, (width - left) / 70).forEach((v) => {
     path(g, 2, () => X(v), (i) => [top, height - bottom][i], ink.faint);
-    write(g, short(v, ""), X(v), height - bottom + 14);
+    write(g, short(v, ""), Math.min(X(v), width - 18), height - bottom + 14);
   });
   ticks(axes.y, axes.log, (height - bottom) / 30).forEach((v) => {
     path(g, 2, (i) => [left, width - right][i], () => Y(v), ink.faint);

@@ -8,8 +8,9 @@ const LINES = 2048; // samples of a spectrum
 
 // amplitudes of the first lines of a signal by Goertzel's recursion (1958), Hann's window, peak values
 export function spectrum(signal, lines) {
-  const [n, mean] = [signal.length, signal.reduce((sum, v) => sum + v, 0) / signal.length];
-  const x = Float64Array.from(signal, (v, i) => (v - mean) * (1 - Math.cos((2 * Math.PI * i) / n)));
+  const [n, w] = [signal.length, (i) => 1 - Math.cos((2 * Math.PI * i) / signal.length)];
+  const mean = signal.reduce((sum, v, i) => sum + v * w(i), 0) / n; // weighed, else a line at 0 Hz is left
+  const x = Float64Array.from(signal, (v, i) => (v - mean) * w(i));
   return Float64Array.from({ length: lines }, (_, k) => {
     const c = 2 * Math.cos((2 * Math.PI * k) / n);
     let [a, b] = [0, 0];
@@ -75,8 +76,8 @@ export function scope(rig) {
     g.globalCompositeOperation = "source-over";
     g.fillStyle = ink.line;
     for (let p = 50; p < width - 8; p += 2) {
-      const from = Math.floor(((p - 50) / (width - 58)) * amplitudes.length);
-      const to = Math.max(Math.ceil(((p - 48) / (width - 58)) * amplitudes.length), from + 1);
+      const line = (at) => Math.round(((at - 50) / (width - 58)) * (amplitudes.length - 1)); // as above
+      const [from, to] = [line(p), Math.max(line(p + 2), line(p) + 1)];
       const level = 1 + Math.log10(Math.max(extent(amplitudes.subarray(from, to))[1], 1e-30) / peak) / 3;
       g.globalAlpha = Math.min(Math.max(level, 0), 1);
       g.fillRect(p, 0, 2, 3);
