@@ -3,13 +3,17 @@ of the live rig at rest and knocked; and what a frame takes of a processor, in t
 processes of the browser, which holds on a busy computer as well.
 
 python -m benchmarks.workbench_study [MACHINE ...]
+python -m benchmarks.workbench_study --hour [MACHINE]
 
-Needs chromium and playwright; half a minute for each machine, outside CI.
+The first needs chromium and playwright; half a minute for each machine, outside CI. With --hour: the
+memory of a live rig that is pushed, turned, broken and recorded every second of an hour of its own
+time, a minute of a processor.
 """
 
 from __future__ import annotations
 
 import os
+import random
 import re
 import shutil
 import statistics
@@ -19,12 +23,14 @@ import tempfile
 import time
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from ambrose.annexes.workbench.project import Project, begin
 from ambrose.machine.file.toml import bundled_machines
 
 SLIDES = 12
+_FRAMES = 40  # a second, as the server asks for
 SECONDS = 8  # of the live rig, at rest and knocked
 _SLIDE = """async (i) => {
   const input = document.querySelector('input[type=range]');
@@ -124,8 +130,64 @@ def _processor(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
+def hour(machine: str, folder: Path) -> None:
+    """The memory [MB] every five minutes of an hour of the rig's time, as it is printed."""
+    from ambrose.annexes.workbench import live
+
+    rng = random.Random(1)
+    begin(Project(folder), machine)
+    now = 0.0
+    live.time = SimpleNamespace(perf_counter=lambda: now)  # type: ignore[attr-defined]
+    session = live.LiveSession(Project(folder))
+    session.frame()
+    used, drawn = time.process_time(), 0
+    for second in range(3600):
+        for order in _orders(session, rng, second):
+            session.do(order)
+        for _ in range(_FRAMES):
+            now += 1.0 / _FRAMES
+            drawn += len(live.packed(*session.frame()))
+        if session.rig.ended or second % 300 == 0:
+            size = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+            spent = time.process_time() - used
+            print(
+                f"{session.rig.time:7.1f} s: {size / 1e6:.1f} MB, {drawn / 1e6:.0f} MB of frames, "
+                f"{spent:.1f} s of a processor, {session.rig.ended or 'floats or lies'}",
+                flush=True,
+            )
+        for kept in (folder / "records").glob("*.h5"):
+            kept.unlink()
+        if session.rig.ended:
+            session = live.LiveSession(Project(folder))
+
+
+def _orders(session: Any, rng: random.Random, second: int) -> list[dict[str, Any]]:
+    """What a restless hand does in a second."""
+    ranges, stations, axes = session.ranges, session.rig.stations, session.rig.axes
+    push = 0.5 * ranges.impulse
+    knock = {"do": "knock", "station": rng.choice(stations)}
+    turned = [
+        {**knock, "x": rng.uniform(-push, push), "y": rng.uniform(-push, push)},
+        {"do": "speed", "value": rng.uniform(0, 0.1) * ranges.speed},
+        {"do": "gain", "value": rng.uniform(0.9, 1.1)},
+        {"do": "unbalance", "station": rng.choice(stations), "value": 0.1 * ranges.unbalance},
+        {"do": "excite", "value": rng.choice([0.0, ranges.excitation])},
+        {"do": "switch", "controller": session.controller},
+        {"do": rng.choice(["record", "stop"])},
+    ]
+    if second % 600 == 550:  # a rotor that touches takes two to three seconds for one
+        return [{"do": "fail", "what": "sensor", "axis": rng.choice(axes)}, {"do": "drop"}]
+    if second % 600 == 551:
+        return [{"do": "lift"}, {"do": "stop"}]
+    return [turned[second % len(turned)]]
+
+
 def main() -> None:
-    """A row of a table for each machine."""
+    """A row of a table for each machine, or the memory of an hour."""
+    if sys.argv[1:2] == ["--hour"]:
+        with tempfile.TemporaryDirectory() as folder:
+            hour(*(sys.argv[2:] or ["seal-rig"]), Path(folder))
+        return
     from playwright.sync_api import sync_playwright
 
     chromium = shutil.which("chromium")

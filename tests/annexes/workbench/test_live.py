@@ -48,7 +48,7 @@ def lasting(project):
 @pytest.fixture
 def session(project, monkeypatch):
     """A live rig whose clock goes on by 20 ms from frame to frame."""
-    clock = iter(np.arange(0.0, 1e6, 0.01))  # a frame looks at it twice
+    clock = iter(np.arange(0.0, 1e6, 0.02))
     monkeypatch.setattr(time, "perf_counter", lambda: float(next(clock)))
     made = LiveSession(project)
     made.frame()
@@ -79,6 +79,27 @@ def test_it_goes_slower_and_as_fast_as_it_can(session):
         head, samples = opened(packed(*session.frame()))
     assert head["time"] - begun > 8 * 0.02
     assert len(samples) <= SAMPLES * len(session.columns)
+
+
+def test_what_takes_long_is_shown_slower_and_not_in_jerks(session, monkeypatch):
+    """A rotor in its touchdown bearings takes two to three seconds of a processor for one."""
+    used, cost = [0.0], [3e-4]
+    advance = session.rig.advance
+
+    def slow(count):
+        used[0] += count * cost[0]
+        return advance(count)
+
+    monkeypatch.setattr(session.rig, "advance", slow)
+    monkeypatch.setattr(time, "thread_time", lambda: used[0])
+    rows = [len(session.frame()[1]) for _ in range(4)]
+    assert rows == [200, 66, 66, 66]  # 20 ms of a processor each
+    for _ in range(40):  # frames of 20 ms in which a third of that time passes
+        head, _ = session.frame()
+    # over about a second
+    assert head["realtime"] == pytest.approx(0.33 + 0.67 * np.exp(-43 * 0.02), abs=0.01)
+    cost[0] = 1e-6
+    assert [len(session.frame()[1]) for _ in range(4)] == [66, 132, 200, 200]
 
 
 def test_all_that_can_be_done_shows_in_the_head(session, project):

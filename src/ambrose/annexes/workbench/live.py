@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 SAMPLES = 2048  # of a message at most: a spectrum
 _LATE = 0.1  # [s] that a frame makes up for at most; more is dropped
-_BUSY = 0.02  # [s] of computing in a frame, as fast as it can
+_BUSY = 0.02  # [s] of a processor in a frame; a rotor that touches is shown slower, not in jerks
 _PACES = {"real": 1.0, "slow": 0.1, "fast": math.inf}
 _SAME = """import ambrose as amb
 from ambrose.rig.live import LiveRig
@@ -70,7 +70,7 @@ class LiveSession:
         self.realtime = 1.0
         self._clock: float | None = None
         self._owed = 0.0  # samples, the part of one that is left
-        self._burst = 100  # samples of a frame as fast as it can
+        self._able = 1000  # samples that are computed in that time
         self._unbalance = ("", 0.0)
         self._excited = 0.0
         self._failed: list[str] = []
@@ -156,14 +156,15 @@ class LiveSession:
 
     def frame(self) -> tuple[dict[str, Any], np.ndarray]:
         """The rig advanced by what went by since the last frame: head and samples of a message."""
-        begun = time.perf_counter()
-        gone = 0.0 if self._clock is None else begun - self._clock
-        self._clock = begun
+        now, begun = time.perf_counter(), time.thread_time()
+        gone = 0.0 if self._clock is None else now - self._clock
+        self._clock = now
         count = self._due(gone)
         told = self.rig.advance(count)
-        spent = time.perf_counter() - begun
-        if self.pace == "fast" and spent > 0:
-            self._burst = int(min(max(self._burst * _BUSY / spent, 50), 2 * self._burst, 100_000))
+        spent = time.thread_time() - begun
+        if count:
+            able = count * _BUSY / max(spent, 1e-6)
+            self._able = int(min(max(able, 50), 2 * self._able, 100_000))
         if gone > 0 and not told.ended:
             # over about a second
             share = min(gone, 1.0)
@@ -230,13 +231,13 @@ class LiveSession:
         return "; ".join(warnings)
 
     def _due(self, gone: float) -> int:
-        """Control samples until now; what is later than a frame makes up for is dropped."""
+        """Control samples until now; what is too late for a frame, or too much, is dropped."""
         if self.pace == "fast":
-            return self._burst
+            return self._able
         self._owed += min(gone, _LATE) * _PACES[self.pace] / self.rig.dt
         count = int(self._owed + 1e-6)
         self._owed -= count
-        return count
+        return min(count, self._able)
 
     def _shown(self, log: np.ndarray) -> np.ndarray:
         """The columns of a frame from those of the rig's log: y, u, i, f, then stations."""
