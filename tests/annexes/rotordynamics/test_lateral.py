@@ -124,6 +124,8 @@ def test_a_mode_that_is_overdamped_without_cross_coupling_is_judged_at_q_a():
     assert late.late and late.border == one.border
     assert not any(branch.late for branch in one.branches[:-1])
     assert one.at_anticipated <= late.at_anticipated + 1e-9
+    (mark,) = [curve for curve in level_one_figure(one).data if curve.name == "least at Q_A"]
+    assert (mark.x[0], mark.y[0]) == pytest.approx((1e-6 * one.anticipated, one.at_anticipated))
     expected = np.array([decrement(q) if q else math.inf for q in one.cross_coupling])
     kept = late.log_decrement < OVERDAMPED
     np.testing.assert_allclose(late.log_decrement[kept], expected[kept], rtol=1e-3, atol=1e-3)

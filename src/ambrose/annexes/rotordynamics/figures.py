@@ -129,6 +129,17 @@ def level_one_figure(one: LevelOne) -> Any:
             shown=True,
             line={"color": look.colour, "dash": look.dash, "width": 1.8},
         )
+    if one.anticipated is not None and one.at_anticipated < OVERDAMPED:
+        theme.scatter(
+            figure,
+            _ONE,
+            [one.anticipated / 1e6],
+            [one.at_anticipated],
+            "least at Q_A",
+            shown=True,
+            mode="markers",
+            marker={"size": 9, "color": theme.LIMIT, "symbol": "circle"},
+        )
     low = min(0.0, *(float(branch.log_decrement.min()) for branch in one.branches))
     high = max(float(branch.log_decrement.max()) for branch in one.branches)
     theme.guide(

@@ -203,6 +203,7 @@ def level_one(one: LevelOne | None) -> Iterator[Item]:
         )
         return
     where = "overhung impellers" if len(one.stations) > 1 else "one place"
+    rings = "" if math.isnan(one.least) else f", {one.least / standard.RPM:.5g} rpm mode"
     crossing = "" if math.isnan(one.crossing) else f"; {one.crossing / standard.RPM:.5g} rpm mode"
     if one.anticipated is None:
         yield Item(
@@ -228,7 +229,7 @@ def level_one(one: LevelOne | None) -> Iterator[Item]:
         ">=",
         standard.LEAST_LOG_DECREMENT,
         one.at_anticipated >= standard.LEAST_LOG_DECREMENT,
-        f"Q_A {one.anticipated:.4g} N/m at {where}; least of all forward modes that ring",
+        f"Q_A {one.anticipated:.4g} N/m at {where}; least of all forward modes that ring{rings}",
     )
     ratio = one.border / one.anticipated
     reasons = one.screening.reasons if one.screening is not None else ()

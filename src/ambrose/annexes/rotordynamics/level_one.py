@@ -59,7 +59,8 @@ class LevelOne:
     Q = 0. binding: the index of the branch that loses its damping first, or else has least of it at
     Q_A; None where the mode that crosses could not be followed. crossing: frequency [rad/s] of the
     mode that crosses at the border (nan: none). stations: where Q acts, in equal parts. screening:
-    whether Level I is enough; None without an anticipated value.
+    whether Level I is enough; None without an anticipated value. least: frequency [rad/s] of the
+    mode that has the least log decrement at Q_A (nan: of none that rings there).
     """
 
     cross_coupling: np.ndarray
@@ -71,6 +72,7 @@ class LevelOne:
     crossing: float
     stations: tuple[int, ...]
     screening: standard.Screening | None
+    least: float = math.nan
 
 
 def sweep(
@@ -140,11 +142,14 @@ def sweep(
         crossing = abs(float(poles[np.argmax(poles.real)].imag))
     if binding is None and (late := _late(coupled, grid, anticipated or 0.0, border, highest)):
         branches, binding = (*branches, late), len(branches)
-    at_anticipated = min(branch.at_anticipated for branch in branches)
+    at_anticipated, least = min(branch.at_anticipated for branch in branches), math.nan
     if anticipated is not None:
         # a mode that is overdamped or backward without Q can ring forwards at Q_A
         ringing = [m for m in shaft_modes(coupled(anticipated), highest) if m.forward]
-        at_anticipated = min([at_anticipated, *(mode.log_decrement for mode in ringing)])
+        found = min(ringing, key=lambda mode: mode.log_decrement, default=None)
+        if found is not None:
+            at_anticipated = min(at_anticipated, found.log_decrement)
+            least = found.frequency
     screening = None
     if anticipated is not None:
         screening = standard.screen(anticipated, border, at_anticipated, speed_ratio, density)
@@ -158,6 +163,7 @@ def sweep(
         crossing,
         tuple(stations),
         screening,
+        least,
     )
 
 

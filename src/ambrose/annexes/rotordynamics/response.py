@@ -68,12 +68,14 @@ class Response:
 
     def curves(self, case: int, speeds: np.ndarray | None = None) -> list[tuple[str, np.ndarray]]:
         """(name, amplitude zero to peak (v,) [m]) of every probe, and of the major axis at each
-        probe's plane, or at the journals of a rotor without probes.
+        directed probe's plane, or at the journals of a rotor without probes.
         """
         layout = self.layout
         found = [(item.name, self.read(item, case, speeds)) for item in layout.readings]
-        places = {item.position: item.name for item in layout.readings}
-        places = places or {j.position: f"journal {j.name}" for j in layout.journals}
+        # a probe without a direction reads the major axis itself
+        places = {r.position: r.name for r in layout.readings if r.direction is not None}
+        if not layout.readings:
+            places = {j.position: f"journal {j.name}" for j in layout.journals}
         found += [
             (f"major axis at {name}", self.major_axis(layout.nearest(position), case, speeds))
             for position, name in places.items()
