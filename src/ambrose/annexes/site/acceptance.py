@@ -299,6 +299,7 @@ def _measure(
         band=band,
         harmonics=harmonics,
         beside=[w for item in resonances for w in item.lines()],
+        sharp=[item.band for item in resonances],
     )
 
     # T_o = M K from excitation currents, M itself from references: S_o = I - M through

@@ -33,9 +33,21 @@ class Resonance:
     frequency: float
     width: float
 
+    @property
+    def reach(self) -> float:
+        """How far from its frequency [rad/s] it shows, also where it lies a little elsewhere."""
+        return max(2 * self.width, _OFF * self.frequency)
+
+    @property
+    def band(self) -> tuple[float, float, float]:
+        """Between which frequencies it shows, and the widest band that follows it [rad/s]: over its
+        own width a polynomial errs by 3/35 of its height, over more of it by the fourth power.
+        """
+        return self.frequency - self.reach, self.frequency + self.reach, self.width
+
     def lines(self) -> list[float]:
-        """Frequencies [rad/s] that show it, also where it lies a little elsewhere."""
-        reach = max(2 * self.width, _OFF * self.frequency)
+        """Frequencies [rad/s] that show it."""
+        reach = self.reach
         count = min(int(2 * reach * _PER_WIDTH / self.width) + 1, _MOST)
         return [float(w) for w in self.frequency + np.linspace(-reach, reach, count) if w > 0]
 

@@ -38,6 +38,7 @@ def local_response(
     periodic: bool = False,
     at: Sequence[float] | None = None,
     beside: Sequence[float] = (),
+    sharp: Sequence[tuple[float, float, float]] = (),
 ) -> Frf:
     """The response of ``outputs`` to excitations ``inputs`` (e_, r_ or d_<axis>), which are free of
     noise, over all records.
@@ -47,8 +48,10 @@ def local_response(
     polynomials leave no more. band [rad/s]: kept. harmonics: multiples of the speed up to which
     unbalance and run-out are taken out. periodic: each record is one whole period, without
     transient. at [rad/s]: the lines wanted, of which those that cannot be told are left out (None:
-    as dense as the record allows); beside [rad/s]: further ones between these. Bands overlap:
-    neighbouring lines are not independent. Raises InvalidInput where the records are too short, or
+    as dense as the record allows); beside [rad/s]: further ones between these. sharp: (from, to,
+    width) [rad/s] of resonances between which no wider band than this, or the least, is fitted:
+    noise may hide that a polynomial does not follow one. Bands overlap: neighbouring lines are not
+    independent. Raises InvalidInput where the records are too short, or
     the inputs alike.
     """
     u, y = (tuple([names] if isinstance(names, str) else names) for names in (inputs, outputs))
@@ -79,18 +82,24 @@ def local_response(
         raise invalid(
             "the length of the records", f"{spans.sum():g} s", requirement, "record longer"
         )
+
+    def widest(centre: float) -> float:
+        """The widest band [rad/s] that may be fitted about a line."""
+        return min((own for start, end, own in sharp if start <= centre <= end), default=np.inf)
+
     lines = []
     centre = low
     wanted = None if at is None else iter(sorted(w for w in at if low <= w <= high))
     while centre < high:
         if wanted is not None and (centre := next(wanted, np.inf)) == np.inf:
             break
-        narrow, wider = _line(spectra, spans, m, centre, width, dt, periodic)
+        most = widest(centre)
+        narrow, wider = _line(spectra, spans, m, centre, width, dt, periodic, most)
         if narrow is not None:
             lines.append((centre, *narrow))
         centre += width * max(0.5, wider / 6)  # a third of half the band that was fitted
     for centre in sorted({w for w in beside if low <= w < high} - {line[0] for line in lines}):
-        found, _ = _line(spectra, spans, m, centre, width, dt, periodic)
+        found, _ = _line(spectra, spans, m, centre, width, dt, periodic, widest(centre))
         if found is not None:
             lines.append((centre, *found))
     lines.sort(key=lambda line: line[0])
@@ -137,13 +146,16 @@ def _line(
     width: float,
     dt: float,
     periodic: bool,
+    most: float = np.inf,
 ) -> tuple[_Fit | None, float]:
-    """``_fit`` in the widest band that is no worse than the least, and how many times wider that
-    is; None where the inputs are not told apart.
+    """``_fit`` in the widest band that is no worse than the least, of up to ``most`` [rad/s], and
+    how many times wider that is; None where the inputs are not told apart.
     """
     best, chosen = None, 1.0
     for wider in _WIDER:
         reach = wider * width / 2
+        if best is not None and 2 * reach > most:
+            break
         if wider > 1 and not reach < centre < 0.99 * np.pi / dt - reach:
             break
         fit = _fit(spectra, spans, m, centre, reach, periodic)
