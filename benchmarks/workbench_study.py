@@ -7,7 +7,7 @@ python -m benchmarks.workbench_study --hour [MACHINE]
 
 The first needs chromium and playwright; half a minute for each machine, outside CI. With --hour: the
 memory of a live rig that is pushed, turned, broken and recorded every second of an hour of its own
-time, a minute of a processor.
+time, about five minutes of a processor.
 """
 
 from __future__ import annotations
