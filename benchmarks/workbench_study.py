@@ -187,7 +187,7 @@ def main() -> None:
     """A row of a table for each machine, or the memory of an hour."""
     if sys.argv[1:2] == ["--hour"]:
         with tempfile.TemporaryDirectory() as folder:
-            hour(*(sys.argv[2:] or ["seal-rig"]), Path(folder))
+            hour((sys.argv[2:] or ["seal-rig"])[0], Path(folder))
         return
     from playwright.sync_api import sync_playwright
 
