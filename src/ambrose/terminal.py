@@ -400,12 +400,10 @@ def print_checks(checks: Any, everything: bool) -> None:
     from ambrose.report.tables import checks_table, verdict
 
     table = checks_table(checks)
+    cells = table.cells  # made anew at every look
     keep = [i for i, column in enumerate(table.columns) if not column.startswith("Standard")]
     listed = [i for i, check in enumerate(checks.checks) if everything or check.passed is not None]
-    rows = [
-        tuple(f"{table.cells[k][i].symbol} {table.cells[k][i].text}".strip() for i in keep)
-        for k in listed
-    ]
+    rows = [tuple(f"{cells[k][i].symbol} {cells[k][i].text}".strip() for i in keep) for k in listed]
     marks = tuple("red" if checks.checks[k].passed is False else "" for k in listed)
     print_table(
         f"{checks.label}: {verdict(checks).text}",

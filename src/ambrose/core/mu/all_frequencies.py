@@ -30,7 +30,7 @@ from ambrose.core.checks import (
 )
 from ambrose.core.frequency import largest_gain
 from ambrose.core.lft import Block
-from ambrose.core.mu.chords import Chords, chords
+from ambrose.core.mu.chords import Chords, ChordsBetween, chords
 from ambrose.core.mu.structure import Structure, osborne, structure_of
 from ambrose.core.mu.upper import UpperBound, positive_definite, upper_bound
 
@@ -86,7 +86,7 @@ def proved_level(
     ``start``, is proved.
     """
     structure = structure_of(blocks)
-    model = system if isinstance(system, Chords) else chords(system)
+    model = system if isinstance(system, Chords | ChordsBetween) else chords(system)
     if model.D.shape != (structure.n_z, structure.n_w):
         raise invalid(
             "the shape of M",
@@ -197,7 +197,7 @@ def _divided(M: np.ndarray, skew: np.ndarray, level: float) -> np.ndarray:
     return M / np.where(skew, level, 1.0)[:, None]
 
 
-def _intervals(model: Chords) -> tuple[np.ndarray, np.ndarray]:
+def _intervals(model: Chords | ChordsBetween) -> tuple[np.ndarray, np.ndarray]:
     """The intervals to begin with, low and high (c,), from 0 to infinity; finer next to poles of
     little damping.
     """
@@ -221,7 +221,7 @@ def _intervals(model: Chords) -> tuple[np.ndarray, np.ndarray]:
 class _Task:
     """What is proved, and how far the level had to be raised."""
 
-    model: Chords
+    model: Chords | ChordsBetween
     structure: Structure
     skew: np.ndarray
     room: float
@@ -385,20 +385,19 @@ def _contained(bound: UpperBound, M: np.ndarray, slack: np.ndarray) -> np.ndarra
     # X = L L^H, N = L_z^H M L_w^-H, G := L_w^-1 G L_z^-H: the inequality becomes Phi < I,
     # Phi = N^H N + j (G N - N^H G^H) = (N - j G^H)^H (N - j G^H) - G G^H.
     L_w, L_z = np.linalg.cholesky(bound.X_w), np.linalg.cholesky(bound.X_z)
-    right, left = (
-        np.linalg.inv(L_w).conj().swapaxes(1, 2)[:, None],
-        L_z.conj().swapaxes(1, 2)[:, None],
-    )
-    N = left @ M @ right
+    right, left = np.linalg.inv(L_w).conj().swapaxes(1, 2), L_z.conj().swapaxes(1, 2)
     G = np.linalg.inv(L_w) @ bound.G @ np.linalg.inv(L_z).conj().swapaxes(1, 2)
+    N = _times(right, _times(left, M), behind=True)
     shifted = N - 1j * G.conj().swapaxes(1, 2)[:, None]
-    cross = 1j * G[:, None] @ N
+    cross = _times(1j * G, N)
     Phi = N.conj().swapaxes(2, 3) @ N + cross + cross.conj().swapaxes(2, 3)
 
     # How far N can lie from its chord, entry by entry: |L_z^H| slack |L_w^-H|. An infinite slack
     # proves nothing; it is set to 0 here and to infinity at the end.
     wide = ~np.isfinite(slack).all(axis=(2, 3))
-    moved = np.abs(left) @ np.where(wide[..., None, None], 0.0, slack) @ np.abs(right)
+    moved = (
+        np.abs(left)[:, None] @ np.where(wide[..., None, None], 0.0, slack) @ np.abs(right)[:, None]
+    )
     # Phi moves by (N - j G^H)^H F + its conjugate + F^H F for every F that is no larger than
     # ``moved``, entry by entry
     reach = (
@@ -418,6 +417,17 @@ def _contained(bound: UpperBound, M: np.ndarray, slack: np.ndarray) -> np.ndarra
     # Phi < I is a convex set: if both vertices stay in it with every F added, so does what lies
     # between them, and M with it.
     return np.asarray(np.maximum(edge[:, :-1], edge[:, 1:]) < 1)
+
+
+def _times(L: np.ndarray, M: np.ndarray, *, behind: bool = False) -> np.ndarray:
+    """L M, or M L, for L (i, n, k) and M (i, c, k, m): row by row, or column by column, where L is
+    diagonal, as it is for blocks of one channel or a full one.
+    """
+    n, k = L.shape[1:]
+    if n != k or L[:, ~np.eye(n, dtype=bool)].any():
+        return M @ L[:, None] if behind else L[:, None] @ M
+    d = np.einsum("ijj->ij", L)[:, None]
+    return np.asarray(M * d[:, :, None] if behind else d[..., None] * M)
 
 
 def _rounding(bound: UpperBound, L_w: np.ndarray, L_z: np.ndarray, M: np.ndarray) -> np.ndarray:

@@ -49,10 +49,9 @@ class Chords:
         """The poles, those of the clusters included (n,) [rad/s]."""
         return np.concatenate([self.poles, *(np.linalg.eigvals(A) for A, _, _ in self.clusters)])
 
-    def between(self, left: np.ndarray, right: np.ndarray) -> Chords:
+    def between(self, left: np.ndarray, right: np.ndarray) -> ChordsBetween:
         """left M right, for constant left (p, n_z) and right (n_w, m)."""
-        clusters = tuple((A, B @ right, left @ C) for A, B, C in self.clusters)
-        return Chords(left @ self.D @ right, self.poles, left @ self.residues @ right, clusters)
+        return ChordsBetween(self, left, right)
 
     def part(self, outputs: np.ndarray, inputs: np.ndarray) -> Chords:
         """The chords between some of the inputs and outputs, by number."""
@@ -152,6 +151,40 @@ class Chords:
                 outside, beyond, out=np.full_like(bound, np.inf), where=beyond > 0
             )
         return np.asarray(bound)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChordsBetween:
+    """left M right of constant matrices: what is summed over the poles is M, however often its
+    entries occur.
+    """
+
+    model: Chords
+    left: np.ndarray
+    right: np.ndarray
+
+    @property
+    def D(self) -> np.ndarray:
+        return np.asarray(self.left @ self.model.D @ self.right)
+
+    @property
+    def every_pole(self) -> np.ndarray:
+        """As of M."""
+        return self.model.every_pole
+
+    def at(self, omega: np.ndarray) -> np.ndarray:
+        """left M right (w, p, m) at omega (w,) [rad/s]; infinity gives that of D."""
+        return np.asarray(self.left @ self.model.at(omega) @ self.right)
+
+    def distance(self, low: np.ndarray, high: np.ndarray, cells: int) -> np.ndarray:
+        """As of M: |left (M - chord) right| <= |left| |M - chord| |right|, entry by entry."""
+        # infinity beside a zero entry would be NaN
+        bound = self.model.distance(low, high, cells)
+        wide = ~np.isfinite(bound).all(axis=(1, 2))
+        bound[wide] = 0.0
+        moved = np.abs(self.left) @ bound @ np.abs(self.right)
+        moved[wide] = np.inf
+        return np.asarray(moved)
 
 
 def _cluster(

@@ -109,11 +109,13 @@ def mu_peak(
     check_positive(tolerance, "tolerance", "use something like 1e-4")
     respond = _response(system, structure)
 
-    def bound(points: np.ndarray) -> np.ndarray:
-        return upper_bound(respond(points), structure, tolerance=tolerance / 4).value
+    # at points (w,): the upper bound, and the direction in which it is tight (w, n_w)
+    def bound(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        found = upper_bound(respond(points), structure, tolerance=tolerance / 4)
+        return found.value, found.worst
 
     grid = _grid(omega, system)
-    values = bound(grid)
+    values, tight = bound(grid)
     resolved = False
     for count in range(_ROUNDS):
         # Which gaps are halved: the first time all those beside a value above half the largest,
@@ -129,9 +131,12 @@ def mu_peak(
         new = new[~np.isin(new, grid)]
         if len(new) == 0 or len(grid) + len(new) > max_points:
             break
-        grid, values = np.concatenate([grid, new]), np.concatenate([values, bound(new)])
-        order = np.argsort(grid)
-        grid, values = grid[order], values[order]
+        more = bound(new)
+        order = np.argsort(np.concatenate([grid, new]))
+        grid, values, tight = (
+            np.concatenate(pair)[order]
+            for pair in ((grid, new), (values, more[0]), (tight, more[1]))
+        )
 
         # At rest: the last refinement raised the peak by little, and its neighbours are as high.
         k = int(values.argmax())
@@ -152,8 +157,7 @@ def mu_peak(
         # points.
         chosen = np.argsort(values)[::-1][:40]
         M = respond(grid[chosen])
-        up = upper_bound(M, structure, tolerance=tolerance / 4)
-        low = lower_bound(M, structure, up.value, up.worst, tolerance=tolerance)
+        low = lower_bound(M, structure, values[chosen], tight[chosen], tolerance=tolerance)
         j = int(low.value.argmax())
         best = float(low.value[j])
         at = float(grid[chosen[j]])

@@ -113,7 +113,7 @@ def _closed(
     h = np.empty((len(delta), w), complex)
     T = np.empty((len(delta), w, rows - n, columns - n), complex)
     spoilt = np.empty((len(delta), w), bool)
-    step = max(1, _CHUNK // (len(branching.parents[-1]) * (rows - n + 1) * (columns - n + 1)))
+    step = max(1, _CHUNK // _largest(branching, rows, columns))
     for start in range(0, w, step):
         part = slice(start, start + step)
         det, rest, bad = _eliminated(S[..., part], branching)
@@ -126,6 +126,15 @@ def _closed(
         if rows > n:
             T[i, j] = _transfers(M[j], wide)
     return h, T
+
+
+def _largest(branching: _Branching, rows: int, columns: int) -> int:
+    """The most numbers per frequency that ``_eliminated`` holds in one array: many branches while
+    the matrices are large, as points that share nothing have, count as much as many points.
+    """
+    closed = np.cumsum([0, *branching.repeats[:-1]])
+    branches = np.array([len(parent) for parent in branching.parents])
+    return int((branches * (rows - closed) * (columns - closed)).max())
 
 
 def _eliminated(S: np.ndarray, branching: _Branching) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -27,6 +27,8 @@ from ambrose.core.statespace import StateSpace, as_statespace, is_stable, spectr
 from ambrose.core.worst_case.elimination import determinants_at, transfers_at
 
 _CHUNK = 400_000  # matrices worked on at once
+# determinants held at once: points that share values are closed together while they fit
+_VALUES = 2_000_000
 _STEP = 0.8  # rad, largest turn of the determinant between two grid points that is trusted
 # distance between grid points over the distance of the nearest zero or pole of the determinant
 # (about)
@@ -138,7 +140,18 @@ def gains(M: np.ndarray, loop: BoxLoop, delta: np.ndarray) -> np.ndarray:
     """Largest singular value of T(delta), (d, w), infinite on a pole; M (w, n + p, n + m) of
     ``loop.at``, delta (d, k).
     """
-    T = transfers(M, loop, delta)
+    # a part of the frequencies at a time: what is held stays in memory that was asked for before
+    n = len(loop.owner)
+    size = max(1, len(delta) * (M.shape[1] - n) * (M.shape[2] - n))
+    step = max(1, _CHUNK // size)
+    parts = [
+        _largest(transfers(M[start : start + step], loop, delta))
+        for start in range(0, max(1, len(M)), step)
+    ]
+    return parts[0] if len(parts) == 1 else np.hstack(parts)
+
+
+def _largest(T: np.ndarray) -> np.ndarray:
     on_pole = ~np.isfinite(T).all(axis=(2, 3))
     T[on_pole] = 0.0
     return np.where(on_pole, np.inf, largest_gain(T))
@@ -259,7 +272,7 @@ def _determinants(part: Sweep, loop: BoxLoop, delta: np.ndarray) -> tuple[np.nda
     """
     # h at omega and at omega (1 + _BESIDE): the relative difference is the rate
     both = np.concatenate([part.M11, part.M11 + _BESIDE * part.slope])
-    step = max(1, _CHUNK // max(1, len(both)))
+    step = max(1, _VALUES // max(1, len(both)))
     h, beside = np.split(
         np.concatenate(
             [
