@@ -62,6 +62,9 @@ def _run(interrupt: Callable[[int, Any], None], asked: list[int]) -> None:
         os._exit(130)
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+        # memory goes back with the process: to look through all of it for cycles first is a fifth
+        # of a short command
+        gc.freeze()
 
 
 def _lost(what: Any) -> None:
