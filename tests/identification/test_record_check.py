@@ -36,8 +36,8 @@ def usable(check):
 @pytest.mark.parametrize(
     ("kinds", "speed", "commands"),
     [
-        ("yue", 0.0, {"identify", "identify --method youla", "frf", "accept"}),
-        ("ye", 0.0, {"identify", "frf", "accept"}),
+        ("yue", 0.0, {"identify", "identify --method youla", "frf", "accept", "retune"}),
+        ("ye", 0.0, {"identify", "frf", "accept", "retune"}),
         ("yu", 500.0, {"balance"}),
         ("u", 0.0, set()),
     ],

@@ -32,6 +32,7 @@ _MACHINE_USES = (
     ("beyond the model", "identify --method youla", "yue", "", ""),
     ("force per current from loads", "identify --method static", "i", "f", ""),
     ("frequency responses", "frf", "y", "erf", "u"),
+    ("a controller retuned", "retune", "y", "e", "u"),
     ("acceptance", "accept", "y", "er", ""),
     ("balancing", "balance", "y", "", "u"),
 )
