@@ -59,7 +59,11 @@ class Constants(NamedTuple):
     body: np.ndarray
     side: np.ndarray  # (2, 7) N, bias [A], gap [m], rho, R_f, phi_s (0: none), R_0
     weight: np.ndarray  # (2, n)
-    decay: np.ndarray  # (2, n) exp(-p h)
+    decay: np.ndarray  # (2, n) a = exp(-p h)
+    rest: np.ndarray  # (2, n) g a^2 of the weights g
+    # (2, 3) what the drive w of a step has of the flux at its end, sum g (1 - a), and one step
+    # later, sum g a (1 - a); one over the first (0: a side without lags)
+    share: np.ndarray
     amplifier: np.ndarray  # effects.amplifier.parameters
     sensor: np.ndarray  # effects.sensor.parameters
     steps: int  # in a control sample
@@ -264,6 +268,8 @@ def build(
             np.array(rows),
             weight,
             decay,
+            weight * decay**2,
+            _shares(weight, decay),
             np.array(amplifier.parameters(drive, part.max_current)),
             np.array(sensor.parameters(machine.sensor_pairs[0], 0)),
             steps,
@@ -271,6 +277,13 @@ def build(
         ),
         body[0],
     )
+
+
+def _shares(weight: np.ndarray, decay: np.ndarray) -> np.ndarray:
+    """``Constants.share``."""
+    taken = (weight * (1 - decay)).sum(axis=1)
+    later = (weight * decay * (1 - decay)).sum(axis=1)
+    return np.column_stack([taken, later, np.divide(1.0, taken, out=0 * taken, where=taken > 0)])
 
 
 def begin(

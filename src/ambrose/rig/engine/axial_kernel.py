@@ -58,85 +58,62 @@ def _flux(side: Any, current: float, gap: float, kept: float, taken: float) -> f
 
 
 @compiled
-def _magnetise(c: Any, s: int, flux: Any, current: float, bias: float, x: float) -> None:
-    """The lags of side s (0 left, 1 right) take one step, with the control current, the share of
-    the bias and the place that it has in its middle.
+def _side(c: Any, s: int) -> tuple[float, float, float, float, float, float, float]:
+    """A row of ``Constants.side`` as scalars: kept in registers through the steps of a sample."""
+    side = c.side
+    return side[s, 0], side[s, 1], side[s, 2], side[s, 3], side[s, 4], side[s, 5], side[s, 6]
+
+
+@compiled
+def _of_lags(c: Any, s: int, flux: Any) -> tuple[float, float, float]:
+    """phi = sum g_k z_k [Wb] of side s, and what one step and two leave of it: sum g_k a_k z_k, sum
+    g_k a_k^2 z_k.
+    """
+    phi, kept, rest = 0.0, 0.0, 0.0
+    for k in range(flux.shape[1]):
+        phi += c.weight[s, k] * flux[s, k]
+        kept += c.weight[s, k] * c.decay[s, k] * flux[s, k]
+        rest += c.rest[s, k] * flux[s, k]
+    return phi, kept, rest
+
+
+@compiled
+def _follow(c: Any, s: int, flux: Any, w: float) -> float:
+    """The lags of side s take the step that w drives, z_k = a_k z_k + (1 - a_k) w; returns what two
+    more steps leave of them, sum g_k a_k^2 z_k.
+    """
+    rest = 0.0
+    for k in range(flux.shape[1]):
+        a = c.decay[s, k]
+        z = a * flux[s, k] + (1.0 - a) * w
+        flux[s, k] = z
+        rest += c.rest[s, k] * z
+    return rest
+
+
+@compiled
+def _driven(
+    side: Any, s: int, current: float, bias: float, x: float, kept: float, taken: float
+) -> float:
+    """Flux [Wb] of side s (0 left, 1 right) at the end of a step (``_flux``) with the control
+    current, the share of the bias and the place that it has in its middle; laminated kept 0, taken
+    1: at once.
     """
     way = 2.0 * s - 1.0
-    side, n = c.side[s], c.decay.shape[1]
-    kept, taken = 0.0, 0.0
-    for k in range(n):
-        kept += c.weight[s, k] * c.decay[s, k] * flux[s, k]
-        taken += c.weight[s, k] * (1.0 - c.decay[s, k])
-    if taken > 0.0:
-        coil = max(bias * side[1] + way * current, 0.0)
-        phi = _flux(side, coil, side[2] - way * x, kept, taken)
-        # w from phi = kept + taken w
-        w = (phi - kept) / taken
-        for k in range(n):
-            flux[s, k] = c.decay[s, k] * flux[s, k] + (1.0 - c.decay[s, k]) * w
+    if taken == 0.0:  # no lag at all on this side
+        return kept
+    coil = max(bias * side[1] + way * current, 0.0)
+    return _flux(side, coil, side[2] - way * x, kept, taken)
 
 
 @compiled
-def _pull(c: Any, s: int, flux: Any, current: float, bias: float, x: float) -> float:
-    """Force [N] along z of side s: rho phi^2/2 with the flux of its lags, laminated at once."""
-    way = 2.0 * s - 1.0
-    side, n = c.side[s], c.decay.shape[1]
-    if n == 0:
-        phi = _flux(side, max(bias * side[1] + way * current, 0.0), side[2] - way * x, 0.0, 1.0)
-    else:
-        phi = 0.0
-        for k in range(n):
-            phi += c.weight[s, k] * flux[s, k]
-    return way * side[3] * phi * phi / 2.0
-
-
-@compiled
-def _stops(c: Any, x: float, v: float) -> float:
+def _stops(body: Any, x: float, v: float) -> float:
     """Force [N] of the axial stops: a spring and a damper that never pulls."""
-    depth = max(x - c.body[5], 0.0) + min(x + c.body[4], 0.0)
+    depth = max(x - body[5], 0.0) + min(x + body[4], 0.0)
     if depth == 0.0:
         return 0.0
-    force = -c.body[6] * depth - c.body[7] * v
+    force = -body[6] * depth - body[7] * v
     return min(force, 0.0) if depth > 0.0 else max(force, 0.0)
-
-
-@compiled
-def _step(c: Any, z: Any, flux: Any, told: float, powered: float, pushed: float) -> float:
-    """One step of h = c.body[8] [s]; returns the magnets' force [N] at its end."""
-    h = c.body[8]
-    p = c.amplifier
-    # amplifier and bias: at the start, in the middle, at the end
-    first = effective_current(told, z[2], z[3], p)
-    bias = z[4]
-    d_1, d_2 = amplifier_derivative(told, z[2], z[3], p, z[1])
-    m_1, m_2 = z[2] + h / 2.0 * d_1, z[3] + h / 2.0 * d_2
-    d_1, d_2 = amplifier_derivative(told, m_1, m_2, p, z[1])
-    z[2] += h * d_1
-    z[3] += h * d_2
-    middle = effective_current(told, m_1, m_2, p)
-    last = effective_current(told, z[2], z[3], p)
-    z[4] = powered + (z[4] - powered) * c.body[9]
-
-    # half a step of the rotor, the flux with what drives it in the middle, the other half:
-    # m x'' = sum of forces
-    outer = pushed - c.body[1] * z[0] - c.body[2] * z[1] + _stops(c, z[0], z[1])
-    magnets = 0.0
-    for s in range(2):
-        magnets += _pull(c, s, flux, first, bias, z[0])
-    z[1] += h / 2.0 * (outer + magnets) / c.body[0]
-    z[0] += h * z[1]
-    magnets = 0.0
-    for s in range(2):
-        _magnetise(c, s, flux, middle, (bias + z[4]) / 2.0, z[0] - h / 2.0 * z[1])
-        magnets += _pull(c, s, flux, last, z[4], z[0])
-    outer = pushed - c.body[1] * z[0] - c.body[2] * z[1] + _stops(c, z[0], z[1])
-    z[1] += h / 2.0 * (outer + magnets) / c.body[0]
-
-    # the sensor's lag
-    if c.sensor[2] > 0.0:
-        z[5] += h * c.sensor[2] * (indicated(z[0] - c.body[3], c.sensor) - z[5])
-    return magnets
 
 
 @compiled
@@ -164,16 +141,79 @@ def write_down(along: Any, k: int, y: float, u: float, command: Any) -> None:
 
 @compiled
 def move(along: Any, k: int, command: Any) -> None:
-    """One control sample."""
-    c, drive = along.constants, along.drive
-    told = command[command.shape[0] - 1]
+    """One control sample.
+
+    What a step hands to the next one stays in scalars, the magnets' force with it. Nor does a step
+    wait for its lags' sum: with z_k = a_k z'_k + (1 - a_k) w, sum g_k a_k z_k is sum g_k a_k^2 z'_k,
+    there before w is, and w sum g_k a_k (1 - a_k).
+    """
+    c, drive, z, flux = along.constants, along.drive, along.z, along.flux
+    body, amp, sensor = c.body, c.amplifier, c.sensor
+    b = (body[0], body[1], body[2], body[3], body[4], body[5], body[6], body[7])
+    h, decay = body[8], body[9]
+    p = (amp[0], amp[1], amp[2], amp[3], amp[4], amp[5])
+    left, right = _side(c, 0), _side(c, 1)
+    lagged = flux.shape[1] > 0
+    told, powered = command[command.shape[0] - 1], drive.powered[0, k]
+    f_0, f_1, f_2, f_3 = drive.force[0, k], drive.force[1, k], drive.force[2, k], drive.force[3, k]
+    x, v, s_1, s_2, bias, reading = z[0], z[1], z[2], z[3], z[4], z[5]
+
+    taken_left, taken_right = c.share[0, 0], c.share[1, 0]
+    now = effective_current(told, s_1, s_2, p)
+    kept_left, rest_left = 0.0, 0.0
+    kept_right, rest_right = 0.0, 0.0
+    if lagged:
+        phi_left, kept_left, rest_left = _of_lags(c, 0, flux)
+        phi_right, kept_right, rest_right = _of_lags(c, 1, flux)
+    else:
+        phi_left = _driven(left, 0, now, bias, x, 0.0, 1.0)
+        phi_right = _driven(right, 1, now, bias, x, 0.0, 1.0)
+    pull = (right[3] * phi_right * phi_right - left[3] * phi_left * phi_left) / 2.0
     for i in range(c.steps):
         # the driven force as a cubic of tau from sample to sample, and the process thrust
         tau = (i + 0.5) / c.steps
-        pushed = drive.force[0, k] + tau * (
-            drive.force[1, k] + tau * (drive.force[2, k] + tau * drive.force[3, k])
-        )
-        along.force[0] = _step(c, along.z, along.flux, told, drive.powered[0, k], c.load + pushed)
+        pushed = c.load + (f_0 + tau * (f_1 + tau * (f_2 + tau * f_3)))
+
+        # amplifier and bias: at the start, in the middle, at the end
+        d_1, d_2 = amplifier_derivative(told, s_1, s_2, p, v)
+        m_1, m_2 = s_1 + h / 2.0 * d_1, s_2 + h / 2.0 * d_2
+        d_1, d_2 = amplifier_derivative(told, m_1, m_2, p, v)
+        s_1, s_2 = s_1 + h * d_1, s_2 + h * d_2
+        middle = effective_current(told, m_1, m_2, p)
+        last = effective_current(told, s_1, s_2, p)
+        ending = powered + (bias - powered) * decay
+        share = (bias + ending) / 2.0
+        bias = ending
+
+        # half a step of the rotor, the flux with what drives it in the middle, the other half:
+        # m x'' = sum of forces
+        outer = pushed - b[1] * x - b[2] * v + _stops(b, x, v)
+        v += h / 2.0 * (outer + pull) / b[0]
+        x += h * v
+        between = x - h / 2.0 * v
+        if lagged:
+            phi_left = _driven(left, 0, middle, share, between, kept_left, taken_left)
+            phi_right = _driven(right, 1, middle, share, between, kept_right, taken_right)
+            # w from phi = kept + taken w
+            w_left = (phi_left - kept_left) * c.share[0, 2]
+            w_right = (phi_right - kept_right) * c.share[1, 2]
+            kept_left = rest_left + c.share[0, 1] * w_left
+            kept_right = rest_right + c.share[1, 1] * w_right
+            rest_left = _follow(c, 0, flux, w_left)
+            rest_right = _follow(c, 1, flux, w_right)
+        else:
+            phi_left = _driven(left, 0, last, bias, x, 0.0, 1.0)
+            phi_right = _driven(right, 1, last, bias, x, 0.0, 1.0)
+        pull = (right[3] * phi_right * phi_right - left[3] * phi_left * phi_left) / 2.0
+        outer = pushed - b[1] * x - b[2] * v + _stops(b, x, v)
+        v += h / 2.0 * (outer + pull) / b[0]
+
+        # the sensor's lag
+        if sensor[2] > 0.0:
+            reading += h * sensor[2] * (indicated(x - b[3], sensor) - reading)
+    z[0], z[1], z[2] = x, v, s_1
+    z[3], z[4], z[5] = s_2, bias, reading
+    along.force[0] = pull
 
 
 def entry_point(fingerprint: int) -> Any:

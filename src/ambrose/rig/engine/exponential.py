@@ -21,8 +21,10 @@ from ambrose.rig.engine.inlined import (
     state_force,
     turning_force,
 )
+from ambrose.rig.engine.products import products
 
 _OFF = 1e-7  # rad
+fill, add = products()
 
 
 @compiled
@@ -169,16 +171,6 @@ def _show_runout(rig: Any, drive: Any, k: int, tau: float, step: float, z: Any) 
                 z[start + a] += rig.sensor[a, 0] * rig.runout[h, 1] * w * total
 
 
-@compiled
-def _combine(out: Any, first: int, y: Any, matrix: Any, F: Any) -> None:
-    """y = what is linear plus matrix @ F."""
-    for i in range(y.shape[0]):
-        value = out[first + i]
-        for j in range(F.shape[0]):
-            value += matrix[i, j] * F[j]
-        y[i] = value
-
-
 @merged
 def _enter(rig: Any, work: Any, drive: Any, P: Any, k: int, tau: float, z: Any) -> None:
     """P.known: states in use, commands within their limits, 1, unbalance, driven forces'
@@ -216,29 +208,26 @@ def _enter(rig: Any, work: Any, drive: Any, P: Any, k: int, tau: float, z: Any) 
 def propagate(rig: Any, work: Any, drive: Any, P: Any, k: int, z: Any) -> None:
     """Control sample k in the propagator's steps; three evaluations of F each."""
     n, outputs = P.states.shape[0], P.y.shape[0]
+    first = P.out.shape[0] - 3 * outputs  # of the outputs, behind the states
     turned = n + rig.amplifier.shape[0] + 1
     for step in range(P.steps):
         tau, width = step / P.steps, 1.0 / P.steps
         _enter(rig, work, drive, P, k, tau, z)
 
         # all that is linear: states after the step, y at start, middle and end
-        for i in range(P.out.shape[0]):
-            value = 0.0
-            for j in range(P.known.shape[0]):
-                value += P.linear[i, j] * P.known[j]
-            P.out[i] = value
+        fill(P.linear, P.known, P.out)
         for stage in range(3):
             # y in the middle with F_0 held, at the end with 2 F_m - F_0 held (Cox & Matthews 2002,
             # ETD3RK)
             if stage == 0:
                 for i in range(outputs):
-                    P.y[i] = P.out[n + i]
+                    P.y[i] = P.out[first + i]
             elif stage == 1:
-                _combine(P.out, n + outputs, P.y, P.half, P.F[0])
+                add(P.half, P.F[0], P.out, first + outputs, P.y)
             else:
                 for j in range(P.F.shape[1]):
                     P.F[2, j] = 2.0 * P.F[1, j] - P.F[0, j]
-                _combine(P.out, n + 2 * outputs, P.y, P.whole, P.F[2])
+                add(P.whole, P.F[2], P.out, first + 2 * outputs, P.y)
 
             # unbalance at the propagator's speed, turned to the stage; F has what is beyond it
             if P.turns and drive.unbalance.shape[0]:
@@ -248,11 +237,8 @@ def propagate(rig: Any, work: Any, drive: Any, P: Any, k: int, z: Any) -> None:
             _add_force(rig, drive, P, k, tau + stage * width / 2, P.start, P.F[stage])
 
         # states: linear part plus the weights of F_0, F_m, F_1
+        add(P.weights, P.F, P.out, 0, P.out)
         for i in range(n):
-            value = P.out[i]
-            for stage in range(3):
-                for j in range(P.F.shape[1]):
-                    value += P.weights[stage, i, j] * P.F[stage, j]
-            z[P.states[i]] = value
+            z[P.states[i]] = P.out[i]
         if rig.runout.shape[0]:
             _show_runout(rig, drive, k, tau, drive.dt * width, z)

@@ -12,18 +12,19 @@ import scipy.linalg
 from ambrose.model.effects import magnet
 from ambrose.rig.engine.equilibrium import slope
 from ambrose.rig.engine.inputs import Drive
+from ambrose.rig.engine.products import COLUMNS, ROWS, filled, in_blocks
 from ambrose.rig.engine.state import Rig
 
 _SHORT = 0.5  # of an amplifier's shortest time: a step, as currents bend
 _SLOWEST = 1e3  # rad/s of the rest, with an ideal amplifier
-_WHOLE = 8  # columns, so that sums run in whole registers
 
 
 class Propagator(NamedTuple):
     """n states in use, k outputs, f forces, columns: states, a commands, 1, unbalance (x, y), four
     per driven force.
 
-    turns and seals: whether speed and seals may differ from those here, among the forces. Arrays
+    Matrices stand in blocks, n and k filled up to whole ones of rows and f and columns to those of
+    columns (products.py). turns and seals: whether speed and seals may differ from those here, among the forces. Arrays
     from ``y`` on are scratch.
     """
 
@@ -35,7 +36,7 @@ class Propagator(NamedTuple):
     linear: np.ndarray
     half: np.ndarray  # (k, f) outputs in the middle, of the forces held
     whole: np.ndarray  # (k, f) outputs at the end
-    weights: np.ndarray  # (3, n, f) states after a step of the forces at its start, middle and end
+    weights: np.ndarray  # (n, 3 f) states after a step of the forces at its start, middle and end
     states: np.ndarray  # (n,) of the rig's state
     # (b, 2, 4) what of the magnets' force is linear: by x, y and the two currents
     magnet: np.ndarray
@@ -223,22 +224,25 @@ def _built(
     begin = np.hstack([C, np.zeros((len(C), linear.shape[1] - states))])
 
     # rows: states after the step; y at its start, middle and end, less what F does
-    linear = np.vstack([linear, begin + D, C @ half + D, C @ linear + D])
-    linear = np.pad(linear, ((0, 0), (0, -linear.shape[1] % _WHOLE)))
+    parts = [linear, begin + D, C @ half + D, C @ linear + D]
+    linear = np.vstack([np.pad(part, ((0, -len(part) % ROWS), (0, 0))) for part in parts])
 
     # F as a parabola through its values at start, middle and end: F_0 + t (-3 F_0 + 4 F_m - F_1) +
     # t^2/2 (4 F_0 - 8 F_m + 4 F_1) gives the weights. Of the stages, the middle sees F_0 held for
     # half a step, the end 2 F_m - F_0 held for a whole one.
     one, two, three = whole[1]  # h phi_1 B, h phi_2 B, h phi_3 B
+    ends = (one - 3 * two + 4 * three, 4 * two - 8 * three, 4 * three - two)
+    padding = ((0, 0), (0, -B.shape[1] % COLUMNS))
+    weights = np.hstack([np.pad(end, padding) for end in ends])
     angle = speed * h * np.array([0.0, 0.5, 1.0])
     seal = np.stack([quiet.seal[0], np.zeros_like(quiet.seal[0])])
     return Propagator(
         _usable(rig, drive),
         steps,
-        np.ascontiguousarray(linear),
-        np.ascontiguousarray(C @ middle[1][0]),
-        np.ascontiguousarray(C @ one),
-        np.ascontiguousarray([one - 3 * two + 4 * three, 4 * two - 8 * three, 4 * three - two]),
+        in_blocks(linear),
+        in_blocks(C @ middle[1][0]),
+        in_blocks(C @ one),
+        in_blocks(weights),
         np.flatnonzero(used),
         by,
         turns,
@@ -248,9 +252,9 @@ def _built(
         seal,
         quiet.mass_inverse,
         quiet.reaction,
-        np.zeros(len(C)),
-        np.zeros((3, B.shape[1])),
-        np.zeros(linear.shape[1]),
+        np.zeros(filled(len(C), ROWS)),
+        np.zeros((3, filled(B.shape[1], COLUMNS))),
+        np.zeros(filled(linear.shape[1], COLUMNS)),
         np.zeros(len(linear)),
         np.zeros(2),
     )

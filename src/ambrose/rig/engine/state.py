@@ -364,11 +364,11 @@ def compiled() -> tuple[Any, Any]:
     """The compiled functions ``advance`` and ``slope`` of kernel.py; on a computer that never ran
     them their first call takes some forty seconds of a processor.
     """
-    from ambrose.rig.engine import axial_kernel, exponential, inlined, sampled
+    from ambrose.rig.engine import axial_kernel, exponential, inlined, products, sampled
     from ambrose.rig.engine import kernel as rig_kernel
 
     physics = (amplifier, magnet, seal, seal_rational, sensor, touchdown, unbalance)
-    modules = (rig_kernel, axial_kernel, exponential, inlined, sampled, *physics)
+    modules = (rig_kernel, axial_kernel, exponential, inlined, products, sampled, *physics)
     digest = hashlib.sha256()
     for module in modules:
         digest.update(Path(str(module.__file__)).read_bytes())
