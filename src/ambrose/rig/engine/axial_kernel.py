@@ -151,6 +151,7 @@ def move(along: Any, k: int, command: Any) -> None:
     body, amp, sensor = c.body, c.amplifier, c.sensor
     b = (body[0], body[1], body[2], body[3], body[4], body[5], body[6], body[7])
     h, decay = body[8], body[9]
+    kick = h / (2.0 * body[0])  # half a step over the mass
     p = (amp[0], amp[1], amp[2], amp[3], amp[4], amp[5])
     left, right = _side(c, 0), _side(c, 1)
     lagged = flux.shape[1] > 0
@@ -169,9 +170,10 @@ def move(along: Any, k: int, command: Any) -> None:
         phi_left = _driven(left, 0, now, bias, x, 0.0, 1.0)
         phi_right = _driven(right, 1, now, bias, x, 0.0, 1.0)
     pull = (right[3] * phi_right * phi_right - left[3] * phi_left * phi_left) / 2.0
+    width = 1.0 / c.steps
     for i in range(c.steps):
         # the driven force as a cubic of tau from sample to sample, and the process thrust
-        tau = (i + 0.5) / c.steps
+        tau = (i + 0.5) * width
         pushed = c.load + (f_0 + tau * (f_1 + tau * (f_2 + tau * f_3)))
 
         # amplifier and bias: at the start, in the middle, at the end
@@ -188,7 +190,7 @@ def move(along: Any, k: int, command: Any) -> None:
         # half a step of the rotor, the flux with what drives it in the middle, the other half:
         # m x'' = sum of forces
         outer = pushed - b[1] * x - b[2] * v + _stops(b, x, v)
-        v += h / 2.0 * (outer + pull) / b[0]
+        v += kick * (outer + pull)
         x += h * v
         between = x - h / 2.0 * v
         if lagged:
@@ -206,7 +208,7 @@ def move(along: Any, k: int, command: Any) -> None:
             phi_right = _driven(right, 1, last, bias, x, 0.0, 1.0)
         pull = (right[3] * phi_right * phi_right - left[3] * phi_left * phi_left) / 2.0
         outer = pushed - b[1] * x - b[2] * v + _stops(b, x, v)
-        v += h / 2.0 * (outer + pull) / b[0]
+        v += kick * (outer + pull)
 
         # the sensor's lag
         if sensor[2] > 0.0:

@@ -31,7 +31,13 @@ def in_blocks(matrix: np.ndarray) -> np.ndarray:
     """
     rows, columns = matrix.shape
     whole = np.pad(matrix, ((0, -rows % ROWS), (0, -columns % COLUMNS)))
-    return np.ascontiguousarray(whole.reshape(-1, ROWS, whole.shape[1]).transpose(0, 2, 1))
+    blocks = whole.reshape(-1, ROWS, whole.shape[1]).transpose(0, 2, 1)
+    # from a line of the processor's memory on: a register is then one line
+    kept = np.empty(blocks.size + ROWS)
+    first = -(kept.ctypes.data // 8) % ROWS
+    result: np.ndarray = kept[first : first + blocks.size].reshape(blocks.shape)
+    result[:] = blocks
+    return result
 
 
 @cache

@@ -82,11 +82,16 @@ class Recorder:
         of a rig that runs along.
         """
         parts = [(self.task, drive, log), *beside]
-        rows = np.vstack([block(*part, number) for part in parts])
-        kept = rows[:, (-number) % self.every :: self.every]
-        self.values[:, self.filled : self.filled + kept.shape[1]] = kept
-        self.filled += kept.shape[1]
-        if self._writer is not None and kept.shape[1]:
+        rows = [row for part in parts for row in signals(*part, number)]
+        first = (-number) % self.every
+        count = len(range(first, len(log), self.every))
+        kept = self.values[:, self.filled : self.filled + count]
+        at = 0
+        for some in rows:
+            kept[at : at + len(some)] = some[:, first :: self.every]
+            at += len(some)
+        self.filled += count
+        if self._writer is not None and count:
             self._writer.append(kept)
 
     def finish(self, outcome: str) -> Record:
@@ -122,8 +127,8 @@ def _names(task: Plan) -> tuple[str, ...]:
     return (*names, *task.driven, *varying)
 
 
-def block(task: Plan, drive: Drive, log: np.ndarray, number: int) -> np.ndarray:
-    """All recorded signals (s, k) of a stretch."""
+def signals(task: Plan, drive: Drive, log: np.ndarray, number: int) -> list[np.ndarray]:
+    """All recorded signals of a stretch, a list of rows (some, k)."""
     k = len(log)
     rig = task.rig
     scenario = task.scenario
@@ -144,4 +149,4 @@ def block(task: Plan, drive: Drive, log: np.ndarray, number: int) -> np.ndarray:
         rows.append(task.pressures((number + np.arange(k)) * task.dt)[None])
     if scenario.pressure_sensors:
         rows.append(drive.pressure[None, :k])
-    return np.vstack(rows)
+    return rows
