@@ -191,10 +191,11 @@ class Motion:
     def follow(self, task: Plan, drive: Drive, number: int) -> None:
         """The propagator for a stretch from sample number on: that of the middle of its
         ``STRETCH`` samples since the start, so that neither shorter stretches nor an earlier end
-        make a difference.
+        make a difference. Where speed and pressure stay, any middle is that of all stretches.
         """
         middle = (number // STRETCH) * STRETCH + STRETCH // 2
-        if self.middle is None or self.middle[0] != middle:
+        moves = task.scenario.runs_up or task.scenario.pressures or task.scenario.pressure_sensors
+        if self.middle is None or (moves and self.middle[0] != middle):
             quiet = replace(task, scenario=task.scenario.quiet, noise=np.random.default_rng(0))
             self.middle = middle, stretch(quiet, middle, 1)
         self.propagator = propagator(

@@ -28,14 +28,15 @@ def waveforms(
     k: int,
     mass: float | None = None,
     first: int = 0,
+    turning: bool = True,
 ) -> tuple[list[str], np.ndarray]:
     """The driven inputs' names, and the cubics c (4, m, k) they follow from sample to sample
     (core/response.py: hermite).
 
     inputs: the names that the loop has. dt [s], k samples from number ``first`` on; mass [kg] of
-    the rotor. Raises InvalidInput for an unknown signal (listing the known ones), a length of few
-    samples that rounding would stretch, or a sine too fast for dt. Edges move to the nearest
-    sample.
+    the rotor; turning False: without the unbalances. Raises InvalidInput for an unknown signal
+    (listing the known ones), a length of few samples that rounding would stretch, or a sine too
+    fast for dt. Edges move to the nearest sample.
     """
     rows: dict[str, np.ndarray] = {}
 
@@ -68,7 +69,7 @@ def waveforms(
     for chirp in scenario.chirps:
         _check_smooth(max(chirp.frequency, chirp.to_frequency), dt, f"the chirp on {chirp.signal}")
         smooth(chirp, _sweep(chirp, scenario.duration))
-    for unbalance in scenario.unbalances:
+    for unbalance in scenario.unbalances if turning else ():
         names = directions(unbalance.port, inputs)
         for start, stop, force, rate in _turning(scenario, unbalance, dt, first, k, mass):
             for name, part in zip(names, (np.real, np.imag), strict=True):

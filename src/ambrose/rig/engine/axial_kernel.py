@@ -69,7 +69,8 @@ def _of_lags(c: Any, s: int, flux: Any) -> tuple[float, float, float]:
     """phi = sum g_k z_k [Wb] of side s, and what one step and two leave of it: sum g_k a_k z_k, sum
     g_k a_k^2 z_k.
     """
-    phi, kept, rest = 0.0, 0.0, 0.0
+    phi, kept = 0.0, 0.0
+    rest = 0.0
     for k in range(flux.shape[1]):
         phi += c.weight[s, k] * flux[s, k]
         kept += c.weight[s, k] * c.decay[s, k] * flux[s, k]
@@ -144,11 +145,13 @@ def move(along: Any, k: int, command: Any) -> None:
     """One control sample.
 
     What a step hands to the next one stays in scalars, the magnets' force with it. Nor does a step
-    wait for its lags' sum: with z_k = a_k z'_k + (1 - a_k) w, sum g_k a_k z_k is sum g_k a_k^2 z'_k,
-    there before w is, and w sum g_k a_k (1 - a_k).
+    wait for its lags' sum: with z_k = a_k z'_k + (1 - a_k) w, sum g_k a_k z_k is
+    sum g_k a_k^2 z'_k, there before w is, and w sum g_k a_k (1 - a_k).
     """
-    c, drive, z, flux = along.constants, along.drive, along.z, along.flux
-    body, amp, sensor = c.body, c.amplifier, c.sensor
+    c, drive = along.constants, along.drive
+    z, flux = along.z, along.flux
+    body, sensor = c.body, c.sensor
+    amp = c.amplifier
     b = (body[0], body[1], body[2], body[3], body[4], body[5], body[6], body[7])
     h, decay = body[8], body[9]
     kick = h / (2.0 * body[0])  # half a step over the mass
@@ -156,8 +159,11 @@ def move(along: Any, k: int, command: Any) -> None:
     left, right = _side(c, 0), _side(c, 1)
     lagged = flux.shape[1] > 0
     told, powered = command[command.shape[0] - 1], drive.powered[0, k]
-    f_0, f_1, f_2, f_3 = drive.force[0, k], drive.force[1, k], drive.force[2, k], drive.force[3, k]
-    x, v, s_1, s_2, bias, reading = z[0], z[1], z[2], z[3], z[4], z[5]
+    f_0, f_1 = drive.force[0, k], drive.force[1, k]
+    f_2, f_3 = drive.force[2, k], drive.force[3, k]
+    x, v = z[0], z[1]
+    s_1, s_2 = z[2], z[3]
+    bias, reading = z[4], z[5]
 
     taken_left, taken_right = c.share[0, 0], c.share[1, 0]
     now = effective_current(told, s_1, s_2, p)
@@ -213,8 +219,9 @@ def move(along: Any, k: int, command: Any) -> None:
         # the sensor's lag
         if sensor[2] > 0.0:
             reading += h * sensor[2] * (indicated(x - b[3], sensor) - reading)
-    z[0], z[1], z[2] = x, v, s_1
-    z[3], z[4], z[5] = s_2, bias, reading
+    z[0], z[1] = x, v
+    z[2], z[3] = s_1, s_2
+    z[4], z[5] = bias, reading
     along.force[0] = pull
 
 

@@ -193,7 +193,7 @@ def stretch(plan: Plan, first: int, count: int) -> Drive:
     dt = plan.dt
     nodes = np.arange(first, first + count + 1) * dt
     speed = plan.speeds(nodes)
-    names, c = waveforms(replace(scenario, unbalances=()), plan.inputs, dt, count, first=first)
+    names, c = waveforms(scenario, plan.inputs, dt, count, first=first, turning=False)
     rows = {name: c[:, i] for i, name in enumerate(names)}
 
     def held(kind: str) -> np.ndarray:

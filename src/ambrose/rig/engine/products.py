@@ -63,7 +63,10 @@ def products() -> tuple[Any, Any]:
 def _generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
     """The loops over blocks and fours of columns."""
     from llvmlite import ir
-    from numba.core import cgutils, types
+    from numba.core import cgutils as untyped
+    from numba.core import types
+
+    cgutils: Any = untyped
 
     def array(i: int) -> Any:
         return context.make_array(signature.args[i])(context, builder, given[i])
@@ -81,7 +84,8 @@ def _generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
     whole = ir.IntType(64)
     wide = ir.VectorType(ir.DoubleType(), ROWS)
     rows, four = ir.Constant(whole, ROWS), ir.Constant(whole, COLUMNS)
-    matrix, by, result = array(0), array(1), array(len(given) - 1)
+    matrix, by = array(0), array(1)
+    result = array(len(given) - 1)
     blocks, columns = cgutils.unpack_tuple(builder, matrix.shape)[:2]
     sums = [cgutils.alloca_once(builder, wide) for _ in range(COLUMNS)]
     with cgutils.for_range(builder, blocks) as block:
@@ -100,9 +104,9 @@ def _generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
                 column = vector(matrix.data, builder.mul(builder.add(before, j), rows))
                 product = builder.fmul(builder.load(column, align=8), factor, flags=_FLAGS)
                 builder.store(builder.fadd(builder.load(one), product, flags=_FLAGS), one)
-        a, b, c, d = (builder.load(one) for one in sums)
-        total = builder.fadd(
-            builder.fadd(a, b, flags=_FLAGS), builder.fadd(c, d, flags=_FLAGS), flags=_FLAGS
-        )
+        # (s_0 + s_1) + (s_2 + s_3)
+        parts = [builder.load(one) for one in sums]
+        pairs = [builder.fadd(*parts[i : i + 2], flags=_FLAGS) for i in (0, 2)]
+        total = builder.fadd(*pairs, flags=_FLAGS)
         builder.store(total, vector(result.data, at), align=8)
     return context.get_dummy_value()

@@ -24,8 +24,8 @@ class Propagator(NamedTuple):
     per driven force.
 
     Matrices stand in blocks, n and k filled up to whole ones of rows and f and columns to those of
-    columns (products.py). turns and seals: whether speed and seals may differ from those here, among the forces. Arrays
-    from ``y`` on are scratch.
+    columns (products.py). turns and seals: whether speed and seals may differ from those here,
+    among the forces. Arrays from ``y`` on are scratch.
     """
 
     # False: the seals' added mass or the reaction of registered effects changes within the stretch,

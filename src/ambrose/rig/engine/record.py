@@ -134,8 +134,9 @@ def signals(task: Plan, drive: Drive, log: np.ndarray, number: int) -> list[np.n
     scenario = task.scenario
     sources = {"e": drive.excitation, "r": drive.reference, "d": drive.disturbance}
     rows = [log.T]
-    forces = [port for port in rig.port_names if f"f_{port}" in task.driven]
-    for name in task.driven:
+    driven = task.driven
+    forces = [port for port in rig.port_names if f"f_{port}" in driven]
+    for name in driven:
         kind, _, rest = name.partition("_")
         row = (
             drive.force[0, forces.index(rest)]
