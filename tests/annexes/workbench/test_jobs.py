@@ -6,6 +6,7 @@ import os
 import random
 import shutil
 import time
+from dataclasses import asdict
 
 import pytest
 
@@ -60,8 +61,14 @@ async def until(condition, seconds=20.0):
         await asyncio.sleep(0.02)
 
 
+def listing(jobs):
+    """All jobs, the newest first, each with the end of its log."""
+    found = reversed(jobs._jobs.values())
+    return [{**asdict(job), "log": jobs._log(job.name)} for job in found]
+
+
 def states(jobs):
-    return [job["state"] for job in jobs.listing()]
+    return [job["state"] for job in listing(jobs)]
 
 
 def test_a_command_runs_and_its_result_is_an_ordinary_file(project):
@@ -69,11 +76,11 @@ def test_a_command_runs_and_its_result_is_an_ordinary_file(project):
         jobs = Jobs(project)
         jobs.start({"kind": "check"})
         await until(lambda: states(jobs) == ["done"])
-        return jobs.listing()[0]
+        return listing(jobs)[0]
 
     job = asyncio.run(run())
     assert job["status"] in {0, 1} and "two-disc-rotor" in job["log"]
-    (kept,) = Jobs(project).listing()
+    (kept,) = listing(Jobs(project))
     assert (kept["state"], kept["log"]) == ("done", job["log"])
 
 
@@ -85,13 +92,13 @@ def test_jobs_cancelled_at_random_leave_no_process(project, sleeping):
         for _ in range(20):
             jobs.start({"kind": "check"})
         pids, longest = set(), 0.0
-        names = [job["name"] for job in jobs.listing()]
+        names = [job["name"] for job in listing(jobs)]
         draw.shuffle(names)
         for name in names:
             await asyncio.sleep(draw.uniform(0.0, 0.4))  # [s]: waiting, beginning or under way
             pids |= {
                 int(pid)
-                for job in jobs.listing()
+                for job in listing(jobs)
                 for pid in job["log"].split()[:2]
                 if pid.isdecimal()
             }
@@ -99,7 +106,7 @@ def test_jobs_cancelled_at_random_leave_no_process(project, sleeping):
             await jobs.cancel(name)
             longest = max(longest, time.monotonic() - begun)
         pids |= {
-            int(pid) for job in jobs.listing() for pid in job["log"].split()[:2] if pid.isdecimal()
+            int(pid) for job in listing(jobs) for pid in job["log"].split()[:2] if pid.isdecimal()
         }
         await until(lambda: not jobs._processes)
         await until(lambda: not any(map(alive, pids)))
@@ -120,8 +127,8 @@ def test_a_server_that_is_killed_takes_its_jobs_along_and_finds_them_again(
         jobs = Jobs(project, workers=1)
         jobs.start({"kind": "check"})
         jobs.start({"kind": "check"})
-        await until(lambda: jobs.listing()[1]["log"])
-        pids = [int(pid) for pid in jobs.listing()[1]["log"].split()]
+        await until(lambda: listing(jobs)[1]["log"])
+        pids = [int(pid) for pid in listing(jobs)[1]["log"].split()]
         # what a kill leaves on the disk, and what the system does for a process that is killed
         shutil.copytree(project.root, left)
         next(iter(jobs._processes.values())).stdin.close()
@@ -131,7 +138,7 @@ def test_a_server_that_is_killed_takes_its_jobs_along_and_finds_them_again(
     asyncio.run(run())
     again = Jobs(Project(left))
     assert states(again) == ["stopped", "stopped"]
-    assert again.listing()[1]["log"]
+    assert listing(again)[1]["log"]
 
 
 @pytest.mark.parametrize(
@@ -162,7 +169,7 @@ def test_what_is_no_job_is_refused(project, said):
     project.path("controllers", "mine.json").write_text("{}")
     with pytest.raises(InvalidInput):
         jobs.start(said)
-    assert jobs.listing() == []
+    assert listing(jobs) == []
 
 
 def test_what_a_page_says_stands_in_the_command(project):
@@ -232,16 +239,16 @@ def state_of(folder, **other):
 def test_a_state_that_only_looks_like_one_is_left_alone(project, other):
     state_of(project.root / "jobs" / "check-1", **other)
     jobs = idle(project)
-    assert jobs.listing() == [] and jobs.shown(["*"]) == []
+    assert listing(jobs) == [] and jobs.shown(["*"]) == []
     jobs.start({"kind": "check"})  # beside it
-    assert [job["name"] for job in jobs.listing()] == ["check-2"]
+    assert [job["name"] for job in listing(jobs)] == ["check-2"]
 
 
 @pytest.mark.parametrize("name", ["check", "check-", "Check-1", "check-1-", "check-\n1", "-1"])
 def test_a_folder_with_another_name_is_no_job(project, name):
     state_of(project.root / "jobs" / name)
     jobs = idle(project)
-    assert jobs.listing() == []
+    assert listing(jobs) == []
     jobs.start({"kind": "check"})
 
 
@@ -262,9 +269,9 @@ def test_again_takes_the_way_of_every_start(project, words, said):
     try:
         jobs.start({"again": "check-1"})
     except InvalidInput:
-        assert len(jobs.listing()) == 1
+        assert len(listing(jobs)) == 1
     else:
-        assert jobs.listing()[0]["words"] == ("check", "machine.toml")
+        assert listing(jobs)[0]["words"] == ("check", "machine.toml")
 
 
 def test_again_repeats_what_was_chosen(project):
@@ -273,7 +280,7 @@ def test_again_repeats_what_was_chosen(project):
     jobs.start({"kind": "verify", "controller": "mine.json", "speed_rate": "20", "width": 1e9})
     again = idle(project)
     again.start({"again": "verify-1"})
-    second, first = again.listing()
+    second, first = listing(again)
     assert (first["state"], second["name"]) == ("stopped", "verify-2")
     assert first["words"] == second["words"] and "width" not in second["said"]
 
@@ -281,7 +288,7 @@ def test_again_repeats_what_was_chosen(project):
 def test_the_newest_stays_first_after_a_restart(project):
     for number in range(1, 12):
         state_of(project.root / "jobs" / f"{'verify' if number % 2 else 'check'}-{number}")
-    names = [job["name"] for job in Jobs(project).listing()]
+    names = [job["name"] for job in listing(Jobs(project))]
     assert names[:3] == ["verify-11", "check-10", "verify-9"] and len(names) == 11
 
 
@@ -300,13 +307,13 @@ def test_links_and_pipes_among_jobs_are_not_followed(project, tmp_path_factory):
     (folder / "check-5").mkdir()
     os.mkfifo(folder / "check-5" / "job.json")
     jobs = idle(project)
-    assert [(job["name"], job["log"]) for job in jobs.listing()] == [
+    assert [(job["name"], job["log"]) for job in listing(jobs)] == [
         ("check-4", ""),
         ("check-3", ""),
     ]
     before = sorted(outside.rglob("*"))
     jobs.start({"kind": "check"})  # nor is one begun where a link stands
-    assert jobs.listing()[0]["name"] == "check-6"
+    assert listing(jobs)[0]["name"] == "check-6"
     assert sorted(outside.rglob("*")) == before
 
 
@@ -326,7 +333,7 @@ def test_no_result_is_written_where_a_link_leads(project, tmp_path_factory, link
     jobs = idle(project)
     with pytest.raises(InvalidInput, match="leads out"):
         jobs.start(said)
-    assert jobs.listing() == [] and not list(outside.iterdir())
+    assert listing(jobs) == [] and not list(outside.iterdir())
 
 
 def test_no_job_writes_through_a_link_that_leads_out(project, tmp_path_factory):
@@ -339,4 +346,4 @@ def test_states_of_strangers_are_not_read(project):
     for name, content in {"a": "[]", "b": "{", "c": '{"name": "../x", "words": []}'}.items():
         (project.root / "jobs" / name).mkdir(parents=True)
         (project.root / "jobs" / name / "job.json").write_text(content)
-    assert Jobs(project).listing() == []
+    assert listing(Jobs(project)) == []

@@ -10,6 +10,7 @@ import pytest
 
 pytest.importorskip("starlette", reason="the extra workbench is not installed")
 
+from ambrose.annexes.workbench import server
 from ambrose.annexes.workbench.live import SAMPLES, LiveSession, packed
 from ambrose.annexes.workbench.project import Project, begin
 from ambrose.annexes.workbench.server import build
@@ -200,6 +201,38 @@ def test_a_page_gets_frames_and_refusals_over_the_socket(project):
     assert len(refused) == 3 and "no station 'C'" in refused[1]
     times = [opened(m["bytes"])[0]["time"] for m in sent if m.get("bytes")]
     assert times == sorted(times)
+
+
+def test_a_screen_waits_for_what_the_rig_was_told(project, monkeypatch):
+    """The screen of records was drawn before a record that had just been ended was a file."""
+    done = []
+    rooms = []
+
+    class Desk:
+        async def ask(self, screen, action, given):
+            done.append(screen)
+            return {"blocks": [], "jobs": [], "whole": False}
+
+    class Room(server.LiveRoom):
+        def __init__(self, at):
+            super().__init__(at)
+            rooms.append(self)
+
+    monkeypatch.setattr(server, "LiveRoom", Room)
+    tokens = []
+    browser = Client(build(project, [HOST], tokens.append, Desk()))
+    browser.enter(tokens[0])
+
+    def end_the_record():
+        time.sleep(0.3)
+        done.append("ended")
+
+    async def run():
+        rooms[0]._thread.submit(end_the_record)
+        return await browser.request("POST", "/api/screens/records", b"{}")
+
+    assert asyncio.run(run()).status == 200
+    assert done == ["ended", "records"]
 
 
 KNOWN = ("machine.toml", "controllers", "pid.json", "records", "mine.h5", "live.h5")

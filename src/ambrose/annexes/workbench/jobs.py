@@ -124,11 +124,6 @@ class Jobs:
             if job.state in _UNDER_WAY:
                 self._keep(replace(job, state="stopped"))
 
-    def listing(self) -> list[dict[str, Any]]:
-        """All jobs, the newest first, each with the end of its log."""
-        found = reversed(self._jobs.values())
-        return [{**asdict(job), "log": self._log(job.name)} for job in found]
-
     def shown(self, of: object) -> list[blocks.Block]:
         """The jobs of some commands for a page, the newest first; "*": of all."""
         wanted = [word for word in of if isinstance(word, str)] if isinstance(of, list) else []

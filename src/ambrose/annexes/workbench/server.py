@@ -25,7 +25,7 @@ from ambrose.annexes.workbench.blocks import Refusal
 from ambrose.annexes.workbench.desk import Desk
 from ambrose.annexes.workbench.guard import BODY, PAGE_POLICY, App, Guard
 from ambrose.annexes.workbench.jobs import Jobs
-from ambrose.annexes.workbench.project import Project
+from ambrose.annexes.workbench.project import KINDS, Project
 from ambrose.annexes.workbench.screens import TITLES
 from ambrose.annexes.workbench.viewers import THREAD, LiveRoom
 from ambrose.core.checks import AmbroseError, InvalidInput
@@ -72,6 +72,7 @@ def build(
     async def screen(request: Request) -> Response:
         name, action = request.path_params["name"], request.path_params.get("action", "")
         given = await _content(request)
+        await live.settled()
         told = ALL_JOBS if name == "jobs" else await desk.ask(name, action, given)
         if told["whole"]:
             shown = [*told["blocks"], *jobs.shown(told["jobs"])]
@@ -175,8 +176,6 @@ def _file(path: Path) -> Response:
 
 def _state(project: Project) -> dict[str, Any]:
     """What stands in the folder, for every screen."""
-    from ambrose.annexes.workbench.project import KINDS
-
     return {
         "folder": project.root.name,
         "machine": project.machine.is_file(),

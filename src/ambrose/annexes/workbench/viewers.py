@@ -108,6 +108,11 @@ class LiveRoom:
         await self._stop_driving()
         self._thread.shutdown(wait=self._session is not None)
 
+    async def settled(self) -> None:
+        """Once a rig that is there has done what it was told, and its record is a file."""
+        if not self._starting:
+            await self._in_thread(int)
+
     async def _listen(self, viewer: _Viewer) -> None:
         self._ensure_driven()
         while True:
@@ -169,8 +174,7 @@ class LiveRoom:
         self._ensure_driven()
 
     def _described(self) -> dict[str, Any]:
-        session = self._session
-        return {} if session is None else {"rig": session.describe()}
+        return {} if self._session is None else {"rig": self._session.describe()}
 
     async def _tell_all(self, **content: Any) -> None:
         for viewer in list(self._viewers):
