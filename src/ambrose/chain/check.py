@@ -46,7 +46,7 @@ from ambrose.model.ports import measured_ports, sensor_turn
 from ambrose.model.reduce import free_mode_reduction
 from ambrose.model.static_load import magnet_coefficients, operating_magnets, static_sag
 
-HERTZ = 2 * math.pi
+HERTZ = 2 * math.pi  # rad/s per Hz
 # [kg], [m], [m] of rotors on magnetic bearings
 _MASS = (1e-3, 5e3)
 _LENGTH = (0.02, 12.0)  # [m] of a rotor; outside, a unit is probably wrong

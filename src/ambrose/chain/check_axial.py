@@ -20,23 +20,33 @@ from ambrose.model.axial.magnet import at_point, core_lags, sides, tilt_stiffnes
 from ambrose.model.axial.wiring import rotor_mass
 from ambrose.model.plant import top_speed
 
-_GAP = (1e-4, 5e-3)  # [m] of thrust bearings; outside, a unit is probably wrong
-_RIM = 500.0  # [m/s] of a steel collar's rim, assumed
-_FLUX = 1.5  # [T] beyond which iron without a limit is not believed
-_SPARE = 1.5  # times the process thrust
+# [m] from collar to magnet: assumed, a third of the smallest gap that is usual (0.3 mm) and five
+# times the largest (1 mm); a gap in the wrong unit is off by 25 at least
+_GAP = (1e-4, 5e-3)
+# [m/s] of a steel collar's rim, assumed: a turning disc carries (3 + nu)/8 rho v^2 at its centre
+# and about twice that at a bore, here 0.8 and 1.6 GPa, the strength of quenched steel
+_RIM = 500.0
+# [T] at which usual electrical steel leaves the straight part of its B-H curve, assumed; a magnet
+# whose file gives no flux_density is computed with straight iron
+_FLUX = 1.5
+# static capacity over the process thrust, assumed: the rest is for what changes fast
+_SPARE = 1.5
 
 
 def axial_facts(machine: AxialMachine) -> dict[str, Any]:
     """What `ambrose check file#axial` tells, SI units: mass, coefficients, core, unstable pole,
     capacity against load, doubts.
+
+    Coefficients and poles are those of the design point, capacities and loads over all points.
     """
     part, plant = machine.thrust, assemble(machine, machine.operation.design)
-    at = at_point(machine, machine.operation.design)
+    design = at_point(machine, machine.operation.design)
     mass, margin = rotor_mass(machine), stiffness_margin(machine)
     least, pole, delay = unavoidable_sensitivity(plant)
     lags = [model for model in core_lags(part) if model is not None]
-    # m s^2 = k_s - k_c without eddy currents
-    spring = at.stiffness - part.coupling_stiffness
+
+    # without eddy currents m s^2 = k_s - k_c (magnet less coupling), s = sqrt((k_s - k_c)/m)
+    spring = design.stiffness - part.coupling_stiffness
     rows = [at_point(machine, point) for point in machine.operation.points]
     limit = demand("sensitivity of an axis", machine.requirements).limit
     reach = "" if limit is None else beyond_reach(least, pole, delay, limit)
@@ -45,9 +55,10 @@ def axial_facts(machine: AxialMachine) -> dict[str, Any]:
         "description": machine.description,
         "axis": machine.axes[0],
         "mass_kg": mass,
-        "at": {"point": machine.operation.design.label, "load_N": at.load},
-        "k_i": at.force_per_current,
-        "k_s": at.stiffness,
+        "at": {"point": machine.operation.design.label, "load_N": design.load},
+        "k_i": design.force_per_current,
+        "k_s": design.stiffness,
+        # -3 dB of 1/(1 + tau sqrt(j w)) lies at tau sqrt(w) = CORNER (model/axial/half_order.py)
         "core_corner_rad_s": [
             (CORNER / side.tau) ** 2 if side.core else None for side in sides(part)
         ],
@@ -89,6 +100,9 @@ def along_doubts(machine: Machine) -> list[str]:
 
 
 def _doubts(machine: AxialMachine, margin: float | None) -> Iterator[str]:
+    """Gaps, flux, rim speed, capacity and static stiffness (``margin``, K_p k_i/k_s; None without a
+    reference controller) that a machine along its shaft hardly has, a sentence each.
+    """
     part = machine.thrust
     for name, side in zip(("left", "right"), sides(part), strict=True):
         if not _GAP[0] <= side.gap <= _GAP[1]:
@@ -96,12 +110,14 @@ def _doubts(machine: AxialMachine, margin: float | None) -> Iterator[str]:
                 f"the {name} gap is {1e3 * side.gap:.4g} mm, where 0.3 to 1 mm are usual; check "
                 "its unit"
             )
-        most = side.bias + (part.max_current or 0.0)
-        density = side.flux(most, side.gap) / min(side.inner_area, side.outer_area)
+        # B = Phi/A at the smaller of the two poles, at the largest current of the coil
+        largest_current = side.bias + (part.max_current or 0.0)
+        flux = side.flux(largest_current, side.gap)
+        density = flux / min(side.inner_area, side.outer_area)
         if math.isinf(side.flux_limit) and density > _FLUX:
             yield (
-                f"the {name} magnet would reach {density:.3g} T at {most:g} A, more than iron "
-                "carries; add flux_density, or lower turns or currents"
+                f"the {name} magnet would reach {density:.3g} T at {largest_current:g} A, "
+                "more than iron carries; add flux_density, or lower turns or currents"
             )
     rim = top_speed(machine) * part.collar_radius
     if rim > _RIM:
@@ -122,7 +138,10 @@ def _doubts(machine: AxialMachine, margin: float | None) -> Iterator[str]:
 
 
 def axial_rows(facts: dict[str, Any], quantity: Any) -> list[tuple[str, str]]:
-    """The facts in words; quantity(value, unit): a number with its unit, for people."""
+    """Rows (what, value) of the table that `ambrose check` prints, from ``axial_facts``.
+
+    quantity(value, unit): writes a number in the unit that people read, for example rad/s as Hz.
+    """
     corners = [w for w in facts["core_corner_rad_s"] if w is not None]
     core = "laminated"
     if corners:

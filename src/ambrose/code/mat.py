@@ -30,14 +30,16 @@ from ambrose.judge.result import Status, Synthesis
 from ambrose.version import __version__
 
 FORMAT = "ambrose-controller-mat"
-VERSION = 1
+VERSION = 1  # of the struct's fields
 _WORDS = """
 break case catch classdef continue else elseif end for function global if otherwise parfor
 persistent return spmd switch try while ans pi eps inf nan i j do until unwind_protect end_try_catch
 endfunction endif endwhile endfor
 """  # MATLAB's keywords, Octave's, and names whose meaning everybody relies on
 _RESERVED = frozenset(_WORDS.split())
-_FIELD = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
+_LONGEST_NAME = 63  # MATLAB's namelengthmax
+_FIELD = re.compile(rf"[A-Za-z][A-Za-z0-9_]{{0,{_LONGEST_NAME - 1}}}")
+_NONE = (0, 0)  # shape of MATLAB's empty matrix [], which stands for "there is none"
 
 
 def generate_mat(
@@ -97,7 +99,7 @@ def content(
             "outputs": _cells(source.outputs),
         }
         if source.dt is None
-        else np.zeros((0, 0)),
+        else np.zeros(_NONE),
         "limits": {"error": _column(block.error_limit), "current": _column(block.current_limit)},
         "block": _block(block),
         **_tail(deployment, synthesis, provenance, run),
@@ -132,7 +134,7 @@ def scheduled_content(
             "interpolation": "linear",
         },
         "increment": _pages(deployment.increments),
-        "continuous": _over(source) if source.dt is None else np.zeros((0, 0)),
+        "continuous": _over(source) if source.dt is None else np.zeros(_NONE),
         "limits": {**limits, along.name: block.told_limit, f"{along.name}_rate": block.rate_limit},
         "block": {
             **parts,
@@ -150,6 +152,7 @@ def _pages(x: np.ndarray) -> np.ndarray:
 
 
 def _over(schedule: ScheduledSystem) -> dict[str, np.ndarray]:
+    """A (n, n, k) to D of the k points of a schedule."""
     return {
         letter: _pages(np.array([getattr(system, letter) for system in schedule.systems]))
         for letter in "ABCD"
@@ -157,6 +160,7 @@ def _over(schedule: ScheduledSystem) -> dict[str, np.ndarray]:
 
 
 def _head(K: StateSpace, block: ControlBlock | ScheduledBlock) -> dict[str, Any]:
+    """Format, timing, signals, units and sign: the first fields of every struct."""
     return {
         "format": FORMAT,
         "version": float(VERSION),
@@ -177,13 +181,14 @@ def _tail(
     provenance: Sequence[str],
     run: Vectors,
 ) -> dict[str, Any]:
+    """Test vectors, method, certificate, verification and provenance: the last fields."""
     origin = synthesis.provenance
-    told = {} if run.told is None else {run.parameters[0]: _column(run.told)}
+    parameter = {} if run.told is None else {run.parameters[0]: _column(run.told)}
     return {
         "vectors": {
             "errors": run.errors,
             "valid": run.valid.astype(float),
-            **told,
+            **parameter,
             "currents": run.currents,
             "status": _column(run.status),
         },
@@ -229,7 +234,7 @@ def _block(block: ControlBlock) -> dict[str, Any]:
 def _certificate(synthesis: Synthesis) -> Any:
     certificate = synthesis.certificate
     if synthesis.status is Status.UNCERTIFIED:
-        return np.zeros((0, 0))
+        return np.zeros(_NONE)
     return {
         "stable": certificate.stable,
         "spectral_abscissa": float(certificate.spectral_abscissa),
@@ -237,7 +242,7 @@ def _certificate(synthesis: Synthesis) -> Any:
         "fastest_pole": float(certificate.fastest_pole),
         "plant": certificate.plant,
         "margins": {_field(name): float(value) for name, value in certificate.margins.items()}
-        or np.zeros((0, 0)),
+        or np.zeros(_NONE),
     }
 
 
@@ -248,7 +253,7 @@ def _verification(deployment: Deployment | ScheduledDeployment) -> Any:
     own = deployment.points if isinstance(deployment, ScheduledDeployment) else ()
     checks = [*deployment.checks, *own, *deployment.box]
     if not checks:
-        return np.zeros((0, 0))
+        return np.zeros(_NONE)
     names = ("label", "stable", "quantity", "value", "unit", "limit")
     points = np.empty((len(checks), 1), [(name, object) for name in names])
     for i, point in enumerate(checks):
@@ -265,18 +270,22 @@ def _verification(deployment: Deployment | ScheduledDeployment) -> Any:
 
 
 def _field(name: str) -> str:
-    """A name as a field of a struct."""
+    """A name as a field of a struct: what is no letter or digit becomes _, and m_ goes before what
+    does not begin with a letter.
+    """
     text = re.sub(r"\W", "_", name, flags=re.ASCII)
-    return (text if _FIELD.fullmatch(text) else f"m_{text}")[:63]
+    return (text if _FIELD.fullmatch(text) else f"m_{text}")[:_LONGEST_NAME]
 
 
 def _cells(texts: Sequence[str]) -> np.ndarray:
+    """A cell array (k, 1) of texts: savemat writes an array of objects as cells."""
     cells = np.empty((len(texts), 1), object)
     cells[:, 0] = list(texts)
     return cells
 
 
 def _column(values: Any) -> np.ndarray:
+    """A column (k, 1) of doubles."""
     return np.asarray(values, float).reshape(-1, 1)
 
 

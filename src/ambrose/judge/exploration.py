@@ -48,10 +48,8 @@ _STANDING = 9  # speeds along the range at which stability is judged
 _VALUES, _SPEEDS = 21, 24  # of a map, and of the unbalance over the tolerances
 _BEYOND = {"speed": 1.2, "pressure": 2.0}  # times the largest of the machine, to which a map goes
 _HIGHEST = 1e3 * TWO_PI  # [rad/s] of the poles kept, or three times the top speed
-# pulse [N], [s] (P3, Fig. 9), and how long it is followed [s]
-_FORCE = 100.0
-_WIDTH = 2e-3
-_LASTS = 0.2
+_FORCE, _WIDTH = 100.0, 2e-3  # [N], [s] of the pulse (P3, Fig. 9)
+_LASTS = 0.2  # [s] that the response is followed; assumed
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

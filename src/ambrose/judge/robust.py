@@ -58,11 +58,12 @@ from ambrose.machine.description import OperatingPoint, Requirements, Tolerance
 from ambrose.model.plant import Plant
 from ambrose.model.uncertainty import in_tolerances
 
+# values of delta at which the curves over one tolerance are drawn
 FAMILY = (-1.0, -0.5, 0.0, 0.5, 1.0)
 # between what is found and what is proved, above which the search looks again where the proof ends
 _APART = 0.01
 _LOWEST, _HIGHEST = 0.1 * TWO_PI, 5e3 * TWO_PI  # rad/s, of the curves
-_BOUND_POINTS = 60
+_BOUND_POINTS = 60  # frequencies of the proved curve, beside those near the peak; assumed
 
 Progress = Callable[[str, float], None]
 

@@ -24,8 +24,15 @@ from ambrose.judge.criteria import information, judge
 from ambrose.machine.criteria import SENSITIVITY_RANGE, TWO_PI, Demand, demand
 from ambrose.machine.description import Requirements
 
-PLANAR = 0.1  # below this modulus of the whirl measure a mode has no direction
-OSCILLATORY = 0.7071067811865476  # a damping ratio below this counts as a mode that can ring
+# below this modulus of the whirl measure a mode has no direction; assumed: at 0.1 the backward
+# circle has 0.9 of the forward one's amplitude, sqrt((1 - 0.1)/(1 + 0.1))
+PLANAR = 0.1
+# a damping ratio below this counts as a mode that can ring: at 1/sqrt(2) and above the response of
+# a second-order system has no resonance peak
+OSCILLATORY = 0.7071067811865476
+_LISTED = 5  # least damped modes of the standard's range that a detail lists
+_NAMED = 4  # unstable poles that a detail names
+_ROUNDING = 1e-9  # relative, so that the mode that sets a limit lies within it
 # |Im|/|pole| up to which a pole is real: rounding splits a double real pole by about the root of
 # 1e-16
 _REAL = 1e-7
@@ -92,8 +99,11 @@ def modes(system: StateSpace, ports: tuple[str, ...]) -> Modes:
     Whirl: with X, Y a port pair's complex amplitudes, (|X + jY|^2 - |X - jY|^2) / (sum of both),
     summed over the pairs; spin is positive from the first direction to the second.
     """
+    # x = diag(t) x_s: the same eigenvalues, eigenvectors t times those of the balanced matrix
     A, t = balance(system.A)
     values, vectors = sla.eig(A)
+
+    # s = ln(z)/dt; a pole at z = 0 (a delay) is put at the smallest number, far left
     if system.dt is not None:
         values = np.log(np.where(values == 0, np.finfo(float).tiny, values)) / system.dt
     real = np.abs(values.imag) <= _REAL * np.abs(values)
@@ -150,7 +160,7 @@ def pole_checks(eigenmodes: Modes, requirements: Requirements, top_speed: float)
     checks = [stability]
     forward = ringing[eigenmodes.whirl[ringing] > -PLANAR]
     ceiling = max(top_speed, float(eigenmodes.frequency[forward[0]]) if forward.size else 0.0)
-    low = ringing[eigenmodes.frequency[ringing] <= ceiling * (1 + 1e-9)]
+    low = ringing[eigenmodes.frequency[ringing] <= ceiling * (1 + _ROUNDING)]
     if low.size:
         k = low[np.argmin(eigenmodes.log_decrement[low])]
         title = "Log decrement of the modes up to the top speed"
@@ -165,7 +175,7 @@ def pole_checks(eigenmodes: Modes, requirements: Requirements, top_speed: float)
             )
         )
     order = ringing[np.argsort(eigenmodes.damping[ringing])]
-    near = [k for k in order if eigenmodes.frequency[k] <= listed_to][:5]
+    near = [k for k in order if eigenmodes.frequency[k] <= listed_to][:_LISTED]
     least = order[0]
     where = f"at {_place(eigenmodes, least)}"
     listed = (
@@ -210,8 +220,8 @@ def _stability_detail(eigenmodes: Modes, worst: int) -> str:
     if not unstable.size:
         return f"rightmost: {describe(eigenmodes, worst)}"
     unstable = unstable[np.argsort(-eigenmodes.poles[unstable].real)]
-    named = "; ".join(describe(eigenmodes, k) for k in unstable[:4])
-    return named + (f"; and {unstable.size - 4} more" if unstable.size > 4 else "")
+    named = "; ".join(describe(eigenmodes, k) for k in unstable[:_NAMED])
+    return named + (f"; and {unstable.size - _NAMED} more" if unstable.size > _NAMED else "")
 
 
 def pole_curve(eigenmodes: Modes) -> Curve:

@@ -35,7 +35,7 @@ from ambrose.machine.description import Tolerance
 from ambrose.model.plant import Plant
 from ambrose.model.uncertainty import perturbed
 
-ALIASES = 4
+ALIASES = 4  # on either side: see above
 _LOWEST = 1.0  # rad/s, of the grid
 _PER_DECADE = 25  # what is not a resonance is broad
 _LIGHT = 0.35  # damping ratio below which a pole has frequencies of its own

@@ -14,7 +14,7 @@ from ambrose.law.timing import Timing, machine_timing
 from ambrose.model.plant import Plant
 from ambrose.model.reduce import reduce_from
 
-_HERTZ = 2 * math.pi
+_HERTZ = 2 * math.pi  # rad/s per Hz
 
 
 def unavoidable_sensitivity(

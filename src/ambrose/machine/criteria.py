@@ -129,7 +129,7 @@ BALANCE_GRADE = Criterion(
     "mass grade W^2 / W_b",
 )
 
-TWO_PI = 2 * np.pi
+TWO_PI = 2 * np.pi  # rad/s per Hz
 # ISO 14839-3: multiples of the rated speed that the sensitivity is evaluated to
 SPEED_RANGE_FACTOR = 3.0
 

@@ -13,8 +13,13 @@ from typing import Annotated, Any
 from ambrose.machine.messages import meant, shown
 from ambrose.machine.units import DIMENSIONS, read_quantity
 
+# for an editor: a number, signed or not, with or without an exponent, then anything that begins
+# with a letter, a degree sign or %; whether it is a unit, ``read_quantity`` knows
 UNIT_STRING = r"^\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*[A-Za-zµμ°%].*$"
-_LARGEST_COUNT = 1_000_000  # of anything that a file counts
+# of anything that a file counts (poles, states, samples); assumed, so that a slip of the keyboard
+# is refused and does not fill the memory
+_LARGEST_COUNT = 1_000_000
+_DEEPEST = 3  # lists in lists of a table: the axes that a table may have
 # stands for a reference until pydantic has made the schema, which knows only its own definitions
 PLACEHOLDER = "x-quantity"
 
@@ -154,7 +159,7 @@ class NestedOf(_Kind):
         return self._read_level(value, 1)
 
     def _read_level(self, value: list[object], depth: int) -> Any:
-        if depth > 3:
+        if depth > _DEEPEST:
             raise ValueError(f"is nested deeper than three lists; give {self.expects}")
         rows = []
         for i, element in enumerate(value):
@@ -172,7 +177,7 @@ class NestedOf(_Kind):
     def schema(self) -> dict[str, Any]:
         level: dict[str, Any] = Quantity(self.dimension).schema()
         levels = []
-        for _ in range(3):
+        for _ in range(_DEEPEST):
             level = {"type": "array", "items": level, "minItems": 1}
             levels.append(level)
         return {"anyOf": levels}

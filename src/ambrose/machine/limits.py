@@ -20,7 +20,7 @@ ELEMENTS = 800
 # bending modes per plane in the full model, at most and at least (``model.basis``)
 FINE_MESH_MODES, LEAST_MODES = 64, 24
 SEAL_POLES = 60  # of all seals with states together; two to four states each
-DELAY_SAMPLES = 100
+DELAY_SAMPLES = 100  # of a controller, at most; a longer delay is a slip of the unit
 SAMPLE_TIME = 1e-7  # [s] the least
 LONGEST_SAMPLE = 1e4  # [s] of a record; a value every three hours
 LARGEST_OF_A_POINT: Mapping[str, tuple[float, str]] = {

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 
-TWO_PI = 2.0 * math.pi
+TWO_PI = 2.0 * math.pi  # rad/s per Hz
 RPM = 60.0 / TWO_PI  # rpm per rad/s
 
 # SI unit -> shown units as (magnitude from which it is used, factor, name); the first row is the

@@ -26,7 +26,7 @@ from ambrose.model.uncertainty import channels
 # components of at least this share of the largest one; verification on the full plants says what
 # the rest does
 _KEPT = 0.1
-_RANK = 1e-6
+_RANK = 1e-6  # of the largest singular value, below which one is rounding
 _NOTHING = 1e-9  # SI; half-width of a relative tolerance where the nominal value is zero
 
 

@@ -31,7 +31,7 @@ from ambrose.model.reduce import reduce_from
 _ORDINALS = ("first", "second", "third", "fourth", "fifth", "sixth")
 _PEAK = "maximum singular value of a sensitivity"
 _TRIED = 6  # bending modes
-_TWO_PI = 2 * np.pi
+_TWO_PI = 2 * np.pi  # rad/s per Hz
 
 
 def explained(

@@ -26,14 +26,14 @@ from ambrose.model.static_load import magnet_coefficients
 from ambrose.synthesis.fixed_order.job import bending_modes_for
 from ambrose.synthesis.fixed_order.loops import LoopModel, loop_model, unwarped, warped
 
-# K_p k_i/k_s, T_d w_0, eps
-_GAINS = (1.5, 2.0, 3.0, 4.0)
-_TIMES = (0.35, 0.5, 0.75, 1.0, 1.5)
-_FILTERS = (0.05, 0.1, 0.2)
+# the grid that is searched for a first PID; assumed
+_GAINS = (1.5, 2.0, 3.0, 4.0)  # K_p k_i/k_s; at 1 the static stiffness is zero
+_TIMES = (0.35, 0.5, 0.75, 1.0, 1.5)  # T_d w_0
+_FILTERS = (0.05, 0.1, 0.2)  # eps, the filter's time over T_d
 _GOOD = 2.6  # sensitivity peak from which no notch is tried
 _GRID = np.geomspace(1.0, 2e5, 80)  # rad/s
 _SHARP = 0.1  # damping ratio
-_SECONDS = 15.0
+_SECONDS = 15.0  # that the search may take; assumed
 _SURE = 3  # of the best, until one holds the full plants
 
 

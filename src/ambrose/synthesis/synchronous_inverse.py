@@ -11,6 +11,8 @@ from ambrose.judge.synchronous_bands import Forbidden, orbit_limit
 from ambrose.law.synchronous import Condition, SynchronousLoop
 from ambrose.law.synchronous_table import BlockTable
 
+# knots of a table over a band as wide as its middle speed, to begin with; of any table, at most;
+# assumed
 _KNOTS, _MOST_KNOTS = 17, 97
 _ANGLE = np.radians(15.0)  # below which no T is offered
 _LOSS = np.radians(5.0)  # by which T between two knots may be worse than at them

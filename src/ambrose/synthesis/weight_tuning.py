@@ -30,7 +30,7 @@ from ambrose.law.weights import Weights, scale_control
 from ambrose.model.plant import Plant
 
 BAND = (0.0, 2 * np.pi * 200.0)  # [rad/s]
-_POINTS = 60
+_POINTS = 60  # frequencies of the grid, evenly by logarithm
 # the grid starts this factor below the band's end: both controllers integrate, at their own rates
 _SPAN = 200.0
 _LARGEST_STEP = np.log(30.0)

@@ -36,7 +36,7 @@ from ambrose.model.effects import seal as seals
 from ambrose.model.effects.stage import Stage
 from ambrose.model.static_load import sag_line, static_sag
 
-_POINTS = 200
+_POINTS = 200  # frequencies of the curves, 0.02 to 10 times the trip speed
 _SAME = 0.03  # of a speed: the largest voltage nearer to the largest current is not told apart
 UNBALANCE, PART = "unbalance", "part of unbalance"
 SEALS = "seals"

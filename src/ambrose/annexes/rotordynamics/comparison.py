@@ -28,9 +28,9 @@ from ambrose.machine.ordinary_file import read_text
 
 NEAR = 0.25  # of the speed: a partner further away is none
 _SAME_PEAK = 0.03  # peaks of two placements nearer to each other than this are one
-_FAR = 1e6
-_BYTES = 20_000_000
-UM = 1e6
+_FAR = 1e6  # cost of a pair that must not be: above any sum of costs of pairs that may
+_BYTES = 20_000_000  # of a file, at most; assumed
+UM = 1e6  # um per m
 
 
 @dataclass(frozen=True, slots=True)

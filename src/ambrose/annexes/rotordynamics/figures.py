@@ -14,7 +14,7 @@ from ambrose.annexes.rotordynamics.stations import Layout
 from ambrose.model.effects.load import IMPULSE, SURGE
 from ambrose.report import theme
 
-UM, MM = 1e6, 1e3
+UM, MM = 1e6, 1e3  # um, mm per m
 _MARKERS = {UNBALANCE: "circle", PART: "circle-open", IMPULSE: "diamond", SURGE: "square"}
 _KINDS = {PART: "of it: seals, stages"}
 _SHADES = ("#d55e00", "#009e73", "#cc79a7", "#e69f00")

@@ -27,7 +27,7 @@ from ambrose.machine.criteria import SENSITIVITY, SENSITIVITY_RANGE, demand
 from ambrose.machine.machine import Machine
 from ambrose.model.effects.load import IMPULSE, SURGE
 
-UM = 1e6
+UM = 1e6  # um per m
 # numbers as another program prints them (6.8.2) or recalled: to be checked in a bought copy
 _RESPONSE = "6.8.2, unbalance response"
 _CLEAR = "6.8.2, clearances"

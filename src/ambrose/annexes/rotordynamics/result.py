@@ -19,7 +19,7 @@ from ambrose.annexes.rotordynamics.stations import Layout
 from ambrose.core.presentation import Presented, data_frame
 from ambrose.machine.machine import Machine
 
-SCHEMA = 1
+SCHEMA = 1  # version of lateral.json
 RECALLED = "recalled"
 OWN = "own"
 

@@ -51,10 +51,11 @@ from ambrose.model.plant import Plant, top_speed
 from ambrose.record.files import read_record
 from ambrose.record.record import Record
 
-# samples more that are tried; by how much better another delay must agree; clearly equal
-_LATE = 4
+_LATE = 4  # samples of delay that are tried beyond those told; assumed
+# another delay is taken for the true one where its misfit is below this share of the told one's;
+# assumed
 _BETTER = 0.5
-_EXACT = 1e-3
+_EXACT = 1e-3  # misfit of the told delay, relative, below which no other is asked for; assumed
 _SAME_LAW = 0.1  # of the measured response of the controller, by which the file's may differ
 # by how much the magnets' curvature may move the plant at the size of the test's motion; assumed
 _CURVED = 0.01

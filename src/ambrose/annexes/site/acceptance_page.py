@@ -31,6 +31,8 @@ _OPEN = (
     "zones, |S| = 3, 4 and 5; a loop that stays outside the largest is in zone A."
 )
 
+_WIDTHS = (20, 40, 40)  # [%] of the columns of the table of what was measured
+
 
 def acceptance_page(accepted: Acceptance, *, date: str = "") -> Page:
     """The page of an acceptance; date: ISO (today if empty)."""
@@ -56,9 +58,7 @@ def acceptance_page(accepted: Acceptance, *, date: str = "") -> Page:
         *(("Record", name, Cell("", detail=sha256)) for name, sha256 in accepted.records),
     )
     sections.append(
-        Section(
-            "What was measured", "", (), (Table("", ("", "What", "Hash"), rows, "", (20, 40, 40)),)
-        )
+        Section("What was measured", "", (), (Table("", ("", "What", "Hash"), rows, "", _WIDTHS),))
     )
     return Page(
         "Acceptance of the magnetic bearing loop",
@@ -71,9 +71,14 @@ def acceptance_page(accepted: Acceptance, *, date: str = "") -> Page:
 
 
 def _sections(loop: MeasuredLoop, requirement: float | None, several: bool) -> list[Section]:
+    """The three figures of one record. requirement: the machine's limit of |S|, drawn beside the
+    zones; several: the point's name stands in the titles.
+    """
     where = f", {loop.checks.label}" if several else ""
     names = [units.axis_name(axis) for axis in loop.axes]
     diagonal = {label: np.einsum("wii->wi", S) for label, S in loop.predicted}
+
+    # per prediction: modulus of every axis, and sigma_max of the whole matrix in the last column
     S = {
         label: np.column_stack([np.abs(diagonal[label]), np.linalg.norm(full, 2, axis=(1, 2))])
         for label, full in loop.predicted
@@ -88,10 +93,10 @@ def _sections(loop: MeasuredLoop, requirement: float | None, several: bool) -> l
         zone_lines(SENSITIVITY, requirement),
     )
 
-    # T_ii = 1 - S_ii has the error of S_ii
+    # T_ii = 1 - S_ii has the error of S_ii; the open loop of an axis is 1/S_ii - 1
     T = np.abs(1 - np.einsum("wii->wi", loop.S))
-    opened = {label: 1 / own - 1 for label, own in diagonal.items()}
-    closed = {label: np.abs(1 - own) for label, own in diagonal.items()}
+    opened = {label: 1 / S_ii - 1 for label, S_ii in diagonal.items()}
+    closed = {label: np.abs(1 - S_ii) for label, S_ii in diagonal.items()}
     figures = (
         Figure(f"Sensitivity{where}", sensitivity, _SENSITIVITY),
         Figure(f"Open loop{where}", nyquist(names, loop.omega, loop.loops, opened), _OPEN),

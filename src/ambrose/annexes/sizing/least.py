@@ -29,11 +29,12 @@ from ambrose.synthesis.methods.tuned import Tuned
 from ambrose.synthesis.trade_off import lowest
 
 LEVERS = ("gain", "weight", "area", "bias", "bandwidth")
-# of one step down; ratio of the last two; share below which nothing is tried
+# The search goes down by _STEP at a time until a size fails, then bisects to a ratio of _CLOSE
+# between what fails and what does; nothing below _LOWEST of the file's is tried. Assumed.
 _STEP = 0.7
 _CLOSE = 1.05
 _LOWEST = 0.02
-_AIMS = 8
+_AIMS = 8  # levels of gain that a tuned controller is asked for in turn; assumed
 _PER_AXIS = (3, 4)  # states of the controllers that a gain is searched with
 _BISECTED = "bisection over the weight; mu as D-K iteration with scalings of first order bounds it"
 _BEGUN = ("the best with fewer",)  # starts that were tuned before

@@ -26,6 +26,7 @@ from ambrose.model.plant import top_speed
 from ambrose.model.static_load import operating_magnets, static_sag
 
 SIZES = "the sizes are those of radial magnets and of all amplifiers"
+# over the machine file's: steps of about sqrt(2), in which inductance L ~ N^2 doubles
 TURNS = (0.5, 0.7, 1.0, 1.4, 2.0)
 _NOTHING = 1e-6  # of the largest control current: what is left where the static load takes it all
 

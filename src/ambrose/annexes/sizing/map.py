@@ -19,6 +19,7 @@ from ambrose.machine.axial import across_the_shaft
 from ambrose.machine.machine import Machine, require_magnets
 from ambrose.synthesis.methods.tuned import Tuned
 
+# over the machine file's, each step about sqrt(2): pole areas down to an eighth, bias currents
 AREAS, BIASES = (0.12, 0.18, 0.25, 0.35, 0.5, 0.7, 1.0), (0.5, 0.7, 1.0)
 _MOST = 400  # cells
 

@@ -36,7 +36,7 @@ WHIRLS = 3.0  # whole turns against the spin
 FRICTION, MOUNT = (0.5, 1.5), (0.5, 2.0)
 SPEED = (0.5, 1.0)  # of the operating point's, evenly
 _CHUNK = 8  # drops between two looks at whether to go on
-_QUANTILES = (0.05, 0.5, 0.95, 1.0)
+_QUANTILES = (0.05, 0.5, 0.95, 1.0)  # of the drops, in the table
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,7 +10,7 @@ from ambrose.annexes.touchdown.analysis import Landing
 from ambrose.annexes.touchdown.campaign import WHIRLS, Campaign
 from ambrose.report import theme
 
-FRAMES = 160
+FRAMES = 160  # of the animation, at most
 SHOWN = 0.12  # [s] after the first contact
 _TRAIL = 40  # frames that stay visible
 FRAME_TIME = 60  # [ms]

@@ -10,7 +10,7 @@ from ambrose.annexes.touchdown.analysis import Landing, WhipMap
 from ambrose.report import theme
 
 _ONE = {"row": 1, "col": 1}
-_TURN = 2 * np.pi
+_TURN = 2 * np.pi  # rad
 
 
 def needed_figure(result: Landing) -> Any:

@@ -20,7 +20,7 @@ from ambrose.code.block.fixed import ControlBlock
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.peak_gain import peak_gains
 
-WORDS = (16, 32)
+WORDS = (16, 32)  # bits of a word that there is code for
 HORIZON = 1e6  # samples for which the error bound holds; integrators let it grow with time
 LARGEST_ERROR = 1e-3  # of the current limit
 _LEAST_BITS = 4

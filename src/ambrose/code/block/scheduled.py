@@ -51,7 +51,8 @@ from ambrose.law.scheduling import SPEED, Scheduling
 _EXAMINED = 3  # values in every interval at which the anti-windup is examined
 # times the highest of the grid: beyond it a value is implausible, if nobody says otherwise
 _BEYOND = 2.0
-# largest miss of one pass of the transfer, relative, that is repeated until it is gone
+# largest miss of one pass of the transfer, relative, with which it is used at all; n passes leave
+# miss^n, and are repeated until that is at most _LEFT, some fifty times the rounding of doubles
 _TRANSFER = 0.3
 _LEFT = 1e-14
 

@@ -24,7 +24,7 @@ from ambrose.code.block.run import (
 from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.code.block.supervised import SupervisedBlock
 
-_SAMPLES = 96
+_SAMPLES = 96  # of a fixed block: its test vectors
 # samples of a scheduled run in which what it is told passes through the range and beyond
 _SWEEP = 64
 _LONGEST = 20_000  # samples of one row of a supervised run

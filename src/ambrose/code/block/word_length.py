@@ -13,7 +13,7 @@ from ambrose.code.block.fixed import ControlBlock
 from ambrose.code.block.fixed_point import accumulate_rounding
 from ambrose.core.checks import invalid
 
-BITS = (8, 12, 16, 24, 32, 53)
+BITS = (8, 12, 16, 24, 32, 53)  # of a mantissa that are tried; 24 is float, 53 double
 MANTISSA = {"double": 53, "float": 24}  # bits
 _ANGLES = np.geomspace(1e-6, 0.999, 200) * np.pi  # per sample, up to the Nyquist frequency
 

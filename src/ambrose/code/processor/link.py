@@ -21,7 +21,9 @@ from ambrose.core.checks import InvalidInput
 
 _AT_ONCE = 64  # samples on the way: less than a pipe holds
 _LEAVE, _INIT, _SELF_TEST, _STEPS, _STATES, _IDENTITY, _STEPS_ALONE = range(7)
-_HELLO = 0x01020304
+_HELLO = (
+    0x01020304  # first word of the program; every byte of it differs, so that a wrong order shows
+)
 _PC = re.compile(rb"Trace \d+: \S+ \[[0-9a-f]+/0*([0-9a-f]+)/")
 
 

@@ -11,7 +11,7 @@ from ambrose.code.block.supervised import SupervisedBlock
 from ambrose.code.processor.unit import Unit
 from ambrose.code.synchronous import RunUnit
 
-SEED = 20240229
+SEED = 20240229  # any number; the run is the same everywhere
 _CORNER = 0.02  # of the error's bandwidth: the share of a new value in every sample
 # shares of the run in which something is wrong
 _LIMITED = (0.2, 0.3)

@@ -35,11 +35,13 @@ from ambrose.core.varying.proof import Proof
 
 # of gamma, above the smallest found, at which the inequality is checked
 _ROOMS = (5e-4, 1e-3, 2e-3, 4e-3, 1e-2, 3e-2)
+# of gamma, above the smallest found: a proof this close ends the search
 _ENOUGH = 2e-3
+# rounds at most, and points that a round adds where the inequality fails; assumed
 _ROUNDS, _ADDED = 12, 120
 _LARGEST = 1e6  # of X, which is I for the loop in the middle
 _FLOOR = 1e-12  # of X's largest eigenvalue, in the choice of coordinates
-_TOLERANCE = 2e-3
+_TOLERANCE = 2e-3  # relative, of one minimum: no closer than _ENOUGH asks for
 
 
 @dataclass(frozen=True, slots=True, eq=False)

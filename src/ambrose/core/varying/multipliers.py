@@ -24,7 +24,7 @@ from ambrose.core.varying.loop import Responder, VaryingLoop, Widened, responder
 ROOMS = (1e-3, 4e-3, 1.6e-2, 6e-2)  # of gamma, above the smallest, for multipliers of moderate size
 _INSIDE = 0.2  # of the room, how far the inequality is kept from zero, of the squares of w and of y
 _CLOSE = 2e-4  # of gamma^2, how far the inequality may fail between the frequencies of the search
-_ROUNDS = 15
+_ROUNDS = 15  # of minimum and search for frequencies where the inequality fails; assumed
 _FIRST, _ADDED = 16, 8  # frequencies at the start, and per round
 _PER_DECADE = 250
 _TIME_LIMIT = 60.0  # s, of one minimum

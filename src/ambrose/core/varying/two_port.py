@@ -22,7 +22,7 @@ from ambrose.core.checks import NumericalFailure
 
 _LARGEST = 0.5  # norm of the balanced Hamiltonian times the first step
 _DOUBLINGS = 60
-_STILL = 1e-13
+_STILL = 1e-13  # change of a doubling, relative, from which on it is rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,8 +23,8 @@ from ambrose.record.record import Record
 LAGS = 6  # samples, the longest delay that is tried
 _BLOCK = 8000  # samples that are compared at once, with an initial state of their own
 _REMEMBERED = 200  # samples of the law's impulse response
-_MARGINAL = 1 + 1e-9
-_AT_LIMIT = 0.999
+_MARGINAL = 1 + 1e-9  # modulus of a sampled pole: 1 of an integrator, and its rounding
+_AT_LIMIT = 0.999  # of the limit: a converter may stop a step short of it
 _FOLLOWS = 0.01  # residual of u below which its delay counts as seen
 # samples of a piece whose spectrum is taken; and standard deviations of what chance makes coherent
 _PIECE, _SURE = 1024, 4.0

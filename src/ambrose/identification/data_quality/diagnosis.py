@@ -55,9 +55,9 @@ _SUSPECT = {"y": 0.25, "u": 0.25, "K": 0.02, "i": 0.05}
 _BETTER = 1.0  # by how much a score must fall: a factor e in what is left unexplained
 _CLEARLY = 3.0  # and the worst of its relations by this factor
 _COARSE = 1.5  # times what the steps of a coarse converter make of the controller's residual
-# findings after which the loop is not the one that is modelled; modes per plane that it has
+# findings after which the loop is not the one that is modelled
 _OF_LAW = (Code.OTHER_CONTROLLER, Code.CONTROLLER_GAIN, Code.OTHER_DELAY, Code.CHANNEL_SKEW)
-_MODES = (1, 6)
+_MODES = (1, 6)  # bending modes per plane that are tried beside the number asked for; assumed
 _NEAR = 15  # lines over which a noise is alike
 _BESIDE = 1.5  # neighbouring lines of a Hann window that err together
 _LIKELIER = 12.0  # of a logarithm of likelihoods

@@ -20,7 +20,7 @@ _CROWDED = 4.0
 _STEPPED = 1e-3  # share of equal neighbours from which a signal comes in coarse steps
 _ROUNDING = 1e-9  # of a signal's size: less than this moves nothing
 _SERIOUS = 1e-3  # share of clipped or repeated samples from which a record is refused
-_AT_LIMIT = 0.999
+_AT_LIMIT = 0.999  # of the limit: a converter may stop a step short of it
 _STEADY = 0.05  # change of speed or pressure within a record, over its largest
 _MEASURED = ("y", "u", "i")
 

@@ -45,7 +45,7 @@ _PART = 0.001  # and below which the two estimates do not agree
 _LAG_SHOWS = 3.84  # of twice the gain in log-likelihood, chi-squared with one freedom at 5 %
 _COLOUR_SHOWS = 5.99  # with two freedoms
 _ROOTS = (0.95, 0.4)  # of the larger noise model, from which it is searched
-_WHITE_LAGS = 20
+_WHITE_LAGS = 20  # of the test whether the errors are white; assumed
 _AHEAD = 11  # lags of the same test, from now on
 _FLOOR = 0.2  # of a deviation: what two estimates may always differ by
 

@@ -19,7 +19,7 @@ import numpy as np
 from ambrose.core.checks import check_positive
 
 GRAVITY = 9.81  # m/s^2
-COVERAGE = 1.96
+COVERAGE = 1.96  # standard deviations to either side: 95 % of a normal distribution
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,8 +20,14 @@ from ambrose.identification.findings import ERROR, WARNING, Code, Finding
 from ambrose.identification.one_axis.axis_record import AxisRecord
 
 _AT_RAIL = 0.02  # of the samples at a flat top; assumed
-_LEVELS = 50  # values of a signal, from which on its ends are rails
-_SEGMENT = 4.0  # time constants of the plant in a segment of the coherence
+# different values of a signal, from which on its ends are rails; assumed: a square wave or a coarse
+# converter lies at its ends without being cut off
+_LEVELS = 50
+# periods 2 pi/pole of the plant in a segment of the coherence; assumed: what a segment begins with
+# has died away in it
+_SEGMENT = 4.0
+_SHORTEST, _LEAST_COUNT = 64, 8  # samples of a segment, segments of a record; assumed
+_SLOWEST = 1e-9  # [rad/s] of a plant's pole, so that none is divided by
 
 
 def look(record: AxisRecord, travel: float | None = None) -> tuple[Finding, ...]:
@@ -88,8 +94,8 @@ def coherence_with(
     1 - 0.05^(1/(K - 1)) (Bendat and Piersol, Random Data, 4th ed., 2010, section 9.2).
     """
     n = len(position)
-    wanted = _SEGMENT * 2 * np.pi / max(pole, 1e-9) * rate
-    length = int(min(max(wanted, 64), n // 8))
+    wanted = _SEGMENT * 2 * np.pi / max(pole, _SLOWEST) * rate
+    length = int(min(max(wanted, _SHORTEST), n // _LEAST_COUNT))
     frequency, value = coherence(driving, position, rate, nperseg=length)
     segments = max(n // length, 2)
     return frequency, np.nan_to_num(value), float(1 - 0.05 ** (1 / (segments - 1)))

@@ -22,7 +22,7 @@ _POLES = np.geomspace(0.002, 0.9, 10)  # rad/sample
 _DELAYS = range(-1, 9)  # samples
 _ENOUGH = 20_000  # samples to begin from
 _STARTS = 3  # of the grid, from which the search begins
-_STEPS = 60
+_STEPS = 60  # of the search from one start, at most; assumed
 _ORTHOGONAL = 3e-3  # cosine of the errors with a sensitivity, at most, in a minimum
 _STEP = 1e-6  # of a difference quotient
 

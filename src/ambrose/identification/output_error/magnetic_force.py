@@ -68,9 +68,9 @@ _GRID = 7  # points of current and of displacement, on which the terms are fitte
 # of i and x
 _POWERS = np.array([(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)])
 # known beforehand of the amplitudes, assumed: standard deviations of a load about the file's, and
-# of any load; mean and standard deviation of the cubic terms
+# of any load
 _NEAR, _ANY = 0.1 / _LOAD, 0.5 / _LOAD
-_CUBIC = (1.0, 0.5)
+_CUBIC = (1.0, 0.5)  # mean and standard deviation of the cubic terms; assumed
 _CERTAIN = 4.0  # standard deviations from which on a record says that there is, or is not
 _RARE = 0.01  # as rare as this among magnets: something else made it
 _ALIKE = 1e-8  # of the largest: what signals have of their own, below which it is rounding

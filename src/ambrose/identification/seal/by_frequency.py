@@ -30,9 +30,8 @@ from ambrose.model.assemble import seal_coefficients
 from ambrose.record.files import read_record
 from ambrose.record.record import Record
 
-# [Hz], of broadband records where nothing else is asked for
-_LOWEST = 5.0
-_HIGHEST = 100.0
+# [Hz], of broadband records where nothing else is asked for; assumed
+_LOWEST, _HIGHEST = 5.0, 100.0
 _LINES = 20  # from the one to the other
 
 

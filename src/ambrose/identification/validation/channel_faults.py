@@ -28,11 +28,11 @@ from ambrose.core.response import SystemDerivative, held_derivative
 from ambrose.core.statespace import StateSpace
 from ambrose.identification.output_error.loop_model import LoopModel
 
-# assumed: below what a channel is calibrated to, and a part mounted; of a lag: of a sample
-_GAIN, _ANGLE = 2.0, 2.0
-_LAG = 0.1
-_MOST_GAIN, _MOST_ANGLE = 50.0, 30.0
-_MOST_LAG = 3.0
+# [%], [deg], [samples] up to which a fault is harmless, assumed: less than a channel is calibrated
+# to, and a part is mounted to
+_GAIN, _ANGLE, _LAG = 2.0, 2.0, 0.1
+# [%], [deg], [samples]: a longer step is no correction of a channel, but another wiring; assumed
+_MOST_GAIN, _MOST_ANGLE, _MOST_LAG = 50.0, 30.0, 3.0
 _RANK_ONE = 1e-6  # second over first singular value of a magnet's direction, at most
 
 

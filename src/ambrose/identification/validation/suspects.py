@@ -44,7 +44,9 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import BENDING, TIMING, bending_modes_of_mesh, parse_parameter
 from ambrose.record.record import Record
 
-_CERTAIN = 4.0  # standard deviations of a step, below which noise may make it
+# standard deviations of a step, below which noise may make it; assumed: of 50 suspects chance
+# brings one beyond 4 in 3 of 1,000 records (2 (1 - Phi(4)) = 6.3e-5 each)
+_CERTAIN = 4.0
 _HARMLESS = 0.02  # of a value; assumed: less than a tolerance of a magnet's coefficients ever is
 _NOT_THESE = (  # what is left once every suspect was tried in vain
     "the model lacks something that no one of delays, gains, stiffnesses, amplifier, seals and "
@@ -54,16 +56,23 @@ _NOT_THESE = (  # what is left once every suspect was tried in vain
 BENDING_MODES = "bending modes"
 # of a number that the machine file gives and the fit takes, one standard deviation; assumed
 FILE = 0.03
-_FURTHER = 3  # bending modes beyond those modelled, which are tried
-_SEEN = 0.3  # standard deviations of a value, below which the modes beyond are left alone
+# bending modes beyond those modelled, which are tried together; assumed: each further one is
+# stiffer, and pulls at the static response by less
+_FURTHER = 3
+# standard deviations of a value that further modes must move it by to be named; assumed: 0.3
+# widens an interval by hypot(1, 0.3) = 1.04
+_SEEN = 0.3
 _MODES = 2  # bending modes that may be wrong; assumed: those beyond hardly show
-# of a parameter, of a delay in samples: a longer step is no correction, but another machine
-_OWN, _SAMPLES = 0.5, 3.0
-_DAMPED = (
-    # of a bending mode's damping, which nobody knows; where its frequency is far off, damping it
-    # away is the first step
-    3.0
-)
+# The longest step that still corrects a parameter, relative; one of a delay, in samples; assumed:
+# beyond, the linear step is no estimate, and the machine another one
+_LONGEST, _LONGEST_DELAY = 0.5, 3.0
+# the same of a bending mode's damping, which no drawing gives; where the mode's frequency is far
+# off, the first step damps it away
+_LONGEST_DAMPING = 3.0
+_TINY = 1e-300  # keeps a division by zero from a value that is zero
+# part of a suspect's column that the others leave over (S_c of a scaled H), below which rounding
+# makes it: no record tells it from the others
+_INSEPARABLE = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,7 +117,7 @@ def suspects(
     cut = (
         None
         if modes <= options.bending_modes
-        else _truncation(machine, records, controller, result, options, modes, prior)
+        else _further_modes(machine, records, controller, result, options, modes, prior)
     )
     options = replace(options, bending_modes=max(modes, options.bending_modes))
     paths = [
@@ -142,7 +151,7 @@ def suspects(
     return tuple(sorted(suspected, key=lambda item: (item.held, -item.explains)))
 
 
-def _truncation(
+def _further_modes(
     machine: Machine,
     records: Sequence[Record],
     controller: LawLike,
@@ -153,6 +162,9 @@ def _truncation(
 ) -> Suspect | None:
     """What ``modes`` bending modes would do to the values, by one step of Gauss and Newton; None
     where noise hides it.
+
+    With each count of modes the step is d = H^-1 g (with ``prior`` by ``step_with_prior``) and the
+    cost falls to r'r - g'd; the modes explain 1 less the ratio of the two costs that are left.
     """
     costs, step = [], np.zeros(0)
     for count in (options.bending_modes, modes):
@@ -167,6 +179,7 @@ def _truncation(
         if not (size > 0).all():  # a model of so many modes shows nothing of a parameter
             return None
         if prior is None:
+            # H d = g with rows and columns scaled to a diagonal of ones
             step = np.linalg.solve(H / size / size[:, None], g / size) / size
         else:
             off = result.values - result.start
@@ -209,7 +222,7 @@ def judged(result: ParameterEstimate, suspected: Sequence[Suspect], dt: float) -
     ]
     # what noise hides is in the interval, whatever it is of a value near zero
     significant = moves > result.standard_deviations
-    relative = np.where(significant, moves / np.maximum(sizes, 1e-300), 0.0)
+    relative = np.where(significant, moves / np.maximum(sizes, _TINY), 0.0)
     k = int(relative.max(axis=0).argmax())
     effect = float(relative[:, k].max())
     named = causes(suspected)
@@ -313,7 +326,8 @@ def equations_at(
     coloured: bool = False,
     loops: Sequence[Loop] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
-    """J'J (q, q), J'r (q,), r'r at theta (q,), and, ``coloured``, the covariance of J'r (q, q).
+    """J'J (q, q), J'r (q,), r'r at theta (q,), and, ``coloured``, the covariance of J'r (q, q)
+    under the colour of the residuals (otherwise zeros): the middle of the sandwich H^-1 cov H^-1.
     loops: of the experiment's models (None: as they are), with more directions perhaps.
     """
     if loops is None:
@@ -350,11 +364,11 @@ def _scores(experiment: Experiment, result: ParameterEstimate) -> list[Suspect]:
         if c in positions:
             continue
         most = (
-            _SAMPLES
+            _LONGEST_DELAY
             if path in TIMING
-            else _DAMPED
+            else _LONGEST_DAMPING
             if path.startswith("rotor.") and path.endswith("damping")
-            else _OWN
+            else _LONGEST
         ) * max(experiment.scale[c], abs(theta[c]))
         held = 0.0 if path in TIMING or path.startswith("rotor.") else FILE * abs(theta[c])
         what = Fault(path, "", np.inf, most)
@@ -406,29 +420,38 @@ def _score(
 ) -> Suspect | None:
     """The unknown at place ``c`` beside those at ``positions``; where noise can make it None, or,
     where its number is known to ``held``, what that does.
+
+    H (n, n), g (n,), cost: J'J, J'r and r'r of all unknowns; middle (n, n): covariance of J'r.
+    held [unit of the unknown]: standard deviation of the machine file's own number; 0: none.
     """
-    size = np.sqrt(np.maximum(np.diag(H), 1e-300))
+    # every unknown in units of 1/sqrt(H_ii), so that H has a diagonal of ones
+    size = np.sqrt(np.maximum(np.diag(H), _TINY))
     H = H / size / size[:, None]
     g = g / size
     middle = middle / size / size[:, None]
+
+    # x = H_pp^-1 H_pc, S_c = H_cc - H_cp x (``left``), g_c less what the others explain (``slope``)
     x = np.linalg.solve(H[np.ix_(positions, positions)], H[positions, c])
     left, slope = H[c, c] - H[c, positions] @ x, g[c] - g[positions] @ x
-    if left <= 1e-9 and not held:  # no record tells it from the others
+    if left <= _INSEPARABLE and not held:
         return None
     left = max(float(left), 0.0)
+
+    # slope = (-x, 1)' g, its variance (-x, 1)' middle (-x, 1); d = slope/S_c
     weights = np.append(-x, 1.0)
     spread = float(weights @ middle[np.ix_([*positions, c], [*positions, c])] @ weights)
-    step, score = slope / max(left, 1e-9), abs(slope) / np.sqrt(max(spread, 1e-300))
-    if held and (score <= _CERTAIN or left <= 1e-9):
+    step, score = slope / max(left, _INSEPARABLE), abs(slope) / np.sqrt(max(spread, _TINY))
+    if held and (score <= _CERTAIN or left <= _INSEPARABLE):
         # known by the file to ``held``, by the records to sqrt(spread) / left: both together, about
         # a middle that leaves the file's number by the records' part of the step
-        by_file, by_records = 1 / (held * size[c]), left / np.sqrt(max(spread, 1e-300))
+        by_file, by_records = 1 / (held * size[c]), left / np.sqrt(max(spread, _TINY))
         known = 1 / np.hypot(by_file, by_records)
         middle_off = step * (known * by_records) ** 2
         moved = -x * np.hypot(known, middle_off) / size[positions]
         return Suspect(what.name, known / size[c], float(score), 0.0, moved, held=True)
     if score <= _CERTAIN or abs(step) / size[c] >= what.most:
         return None
+    # the fitted values follow by -H_pp^-1 H_pc d, the cost falls by slope^2/S_c
     shift = -x * step / size[positions]
     explains = float(slope**2 / left / cost)
     own = step / size[c]

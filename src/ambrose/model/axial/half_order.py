@@ -32,7 +32,7 @@ CORNER = (math.sqrt(6) - math.sqrt(2)) / 2  # tau sqrt(w) at -3 dB and -15 deg
 BAND = (0.1, 5000.0)  # [Hz]
 WITHIN = (0.1, 1.0)  # [dB], [deg] over the band
 _MOST = 8  # states
-_POINTS = 160
+_POINTS = 160  # of the band, evenly by logarithm, at which the model is fitted and its error taken
 _WIDE = 2.0  # decades beyond the band that the poles cover
 
 

@@ -11,9 +11,13 @@ from ambrose.model.magnetics.iron import Froehlich
 from ambrose.model.magnetics.network import Branch, MagneticNetwork
 
 _QUADRANTS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-_JOURNAL = 0.75  # radius of the flux in the journal over the journal's (assumed)
-_S, _R = 0, 1000  # first nodes of stator and rotor
-_TIP = 2000
+# mean radius of the flux's way through the journal over the journal's (assumed: laminations from
+# half the radius outwards)
+_JOURNAL = 0.75
+# first numbers of the network's nodes: stator (yoke), rotor (journal), pole tips; numbers only tell
+# nodes apart, and magnets have fewer than 1,000 poles
+_S, _R, _TIP = 0, 1000, 2000
+_ZERO = 1e-12  # sine or cosine of a right angle, whose rounding is taken off
 
 
 def magnet_of(part: Magnet) -> DrivenMagnet:
@@ -59,7 +63,9 @@ def heteropolar(part: Magnet, *, separate: bool = False) -> DrivenMagnet:
 
 
 def _signs(m: int, polarity: str) -> np.ndarray:
-    """The senses of the poles of one half-axis."""
+    """Senses (m,), +1 or -1, of the m poles of one half-axis: in turn, but N S S N for four with
+    ``polarity`` "NNSS".
+    """
     if m == 4 and polarity == "NNSS":
         return np.array([1.0, -1.0, -1.0, 1.0])
     return np.where(np.arange(m) % 2 == 0, 1.0, -1.0)
@@ -160,7 +166,7 @@ def homopolar(part: Magnet) -> DrivenMagnet:
             branches.append(Branch(_S, _S + 1, area, part.magnet_length, "leakage"))
             columns.append(np.zeros(p + 1))
     drive = np.column_stack([np.cos(angles), np.sin(angles)])
-    drive[np.abs(drive) < 1e-12] = 0.0
+    drive[np.abs(drive) < _ZERO] = 0.0
     turns = np.array(columns)
     if permanent:
         return DrivenMagnet(MagneticNetwork(branches, turns[:, :p]), np.zeros(p), drive)
@@ -184,8 +190,9 @@ def three_pole(turns: float, pole_area: float, gap: float) -> DrivenMagnet:
         for k, a in enumerate(angles)
     ]
     network = MagneticNetwork(branches, turns * np.eye(3))
-    # f ~ conj(phi)^2 -j: about a flux along eta, current patterns -cos and sin add force along zeta
-    # and eta
+    # One complex flux phi = phi_zeta + j phi_eta makes the force f_zeta + j f_eta ~ -j conj(phi)^2.
+    # Bias puts phi along eta; a small change d of it adds -2 j conj(phi) conj(d), so that currents
+    # in the pattern -cos(a) add force along zeta, and sin(a) along eta.
     drive = np.column_stack([-np.cos(angles), np.sin(angles)])
     return DrivenMagnet(network, np.array([1.0, -0.5, -0.5]), drive)
 

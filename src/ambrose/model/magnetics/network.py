@@ -31,7 +31,7 @@ from ambrose.core.checks import InvalidInput, check_positive, check_shape, inval
 from ambrose.model.magnetics.iron import IronCurve
 from ambrose.model.magnetics.vacuum import VACUUM_PERMEABILITY
 
-_ITERATIONS = 200
+_ITERATIONS = 200  # of Newton's method, at most; assumed
 _CLOSE = 1e-12  # Newton's decrement over the energy
 
 

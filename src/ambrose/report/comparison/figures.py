@@ -30,13 +30,10 @@ _LOOPS = (  # (curve, the check that holds its refined peak)
     ("unbalance", "unbalance.orbit_0p"),
 )
 _COLUMNS = 4  # panels beside each other
-# bins of a response in time inside and outside the view; points of an outline
-_INSIDE = 150
-_OUTSIDE = 40
-_OUTLINE = 120
-# rad/s, of the controller gains
-_LOWEST = 0.1 * units.TWO_PI
-_HIGHEST = 2e3 * units.TWO_PI
+_INSIDE, _OUTSIDE = 150, 40  # bins of a response in time, inside and outside the view
+_OUTLINE = 120  # points of an outline
+# [rad/s], and points: of the controller gains, 0.1 Hz to 2 kHz
+_LOWEST, _HIGHEST = 0.1 * units.TWO_PI, 2e3 * units.TWO_PI
 _POINTS = 500
 _NONE = 1e-9  # a gain this small beside the largest is one that the controller does not have
 _DELTA = re.compile(r"^(.*\S) ([+-]\d+(?:\.\d+)?)$")

@@ -39,6 +39,7 @@ from ambrose.version import __version__
 
 __all__ = ["Candidate", "comparison_page"]
 
+# what a row of Synthesis.history may hold, and its column; bounds of mu over the frequencies
 _HISTORY = (
     ("iteration", "Iteration"),
     ("order", "Order"),
@@ -132,6 +133,7 @@ def _with_boxes(page: Page, machine: Machine, candidate: Candidate) -> Page:
 
 
 def _glance(machine: Machine, candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
+    """Verdicts and the quantities that decide, over all points and (of several) point by point."""
     contents = [
         comparison_tables.verdict_table(candidates, points),
         comparison_tables.glance_table(machine, candidates, points),

@@ -35,7 +35,7 @@ Labelled = Sequence[tuple[str, Curve]]
 
 _ENVELOPE = re.compile(r"max|worst|sigma|σ|envelope|largest|all axes", re.IGNORECASE)
 _KINDS = ("frequency", "speed", "time", "poles")
-_MOST_PANELS = 8
+_MOST_PANELS = 8  # of a figure
 _MOST_NAMES = 16  # beside the ends of the lines of one panel
 _AGREEMENT = 0.05  # the legend says up to where an overlaid model stays this close to the reference
 # [px]

@@ -15,8 +15,21 @@ from ambrose.rig.engine.inputs import Drive
 from ambrose.rig.engine.products import COLUMNS, ROWS, filled, in_blocks
 from ambrose.rig.engine.state import Rig
 
-_SHORT = 0.5  # of an amplifier's shortest time: a step, as currents bend
-_SLOWEST = 1e3  # rad/s of the rest, with an ideal amplifier
+# longest step over an amplifier's shortest time: within it the current, exact in the linear part,
+# bends by so little that the force is a parabola in time; assumed (a scenario's dt overrules it)
+_SHORT = 0.5
+# [rad/s] taken for amplifiers that are slower or ideal: steps of 0.5 ms at most; assumed
+_SLOWEST = 1e3
+_ROUNDING = 1e-9  # relative, so that a quotient that is whole but for rounding is no step more
+_IDEAL, _TWICE_FIRST = 0.0, 2.0  # orders of an amplifier, places in AMPLIFIER_ORDERS
+# [A] and [m] of the central differences of the force, small beside any bias current and gap;
+# assumed, as what the differences miss is left to F, which is exact
+_CURRENT_STEP, _DISPLACEMENT_STEP = 1e-4, 1e-7
+# places in the rows of parameters that ``_linear_parts`` changes
+_BIAS_AND_FORCES = [0, 4, 7]  # of model.effects.magnet: i_0, c of zeta, c of eta
+_CLEARANCE = 0  # of model.effects.touchdown
+_SLOPE_AND_CURRENT = slice(3, 5)  # of model.effects.amplifier: their limits
+_OFFSET = 1  # of model.effects.sensor
 
 
 class Propagator(NamedTuple):
@@ -85,11 +98,15 @@ def steps_within(rig: Rig, sample_time: float, dt: float | None) -> int:
     """The propagator's steps in a control sample [s]: of dt [s] at most, or (None) short beside the
     amplifiers' times.
     """
-    kind = rig.constants.amplifier
+    # order, w [rad/s], second rate [rad/s] of every amplifier
+    order, first, second = rig.constants.amplifier[:, :3].T
     rate = np.where(
-        kind[:, 0] == 2.0, np.maximum(kind[:, 1], kind[:, 2]), np.maximum(kind[:, 1], _SLOWEST)
+        order == _TWICE_FIRST, np.maximum(first, second), np.maximum(first, _SLOWEST)
     ).max()
-    return int(np.ceil(sample_time * (rate / _SHORT if dt is None else 1 / dt) * (1 - 1e-9)))
+
+    # the steps in a sample, of _SHORT / rate [s] each
+    per_second = rate / _SHORT if dt is None else 1 / dt
+    return int(np.ceil(sample_time * per_second * (1 - _ROUNDING)))
 
 
 def _covers(rig: Rig, last: Propagator, drive: Drive, at: Drive, turns: bool, varies: bool) -> bool:
@@ -108,6 +125,9 @@ def _covers(rig: Rig, last: Propagator, drive: Drive, at: Drive, turns: bool, va
 
 
 def _usable(rig: Rig, drive: Drive) -> bool:
+    """``Propagator.usable``: added mass and reactions stand still, and no registered effect has a
+    force that is not linear.
+    """
     steady = len(drive.reaction) <= 1 or not np.ptp(drive.reaction, axis=0).any()
     return _same_mass(drive) and steady and not rig.constants.force_at.any()
 
@@ -125,7 +145,7 @@ def _built(
     n = rig.coordinates
     b, first = len(k.magnet), len(k.magnet) + rig.attached_stations
 
-    # z' = L z + Bu u + w without the magnets
+    # 1. the linear rig: z' = L z + Bu u + w without the magnets
     L, Bu, w = _linear_parts(rig, quiet)
 
     # M^-1 of the added mass over all coordinates
@@ -134,8 +154,8 @@ def _built(
         inverse = quiet.mass_inverse[0]
         inverse = inverse if len(inverse) == n else _both_planes(inverse, n)
 
-    # (S, 2, n) displacements of the stations in x and y over the coordinates; ``pushes`` is their
-    # transpose through M^-1, what a force there does to the velocities.
+    # 2. (S, 2, n) displacements of the stations in x and y over the coordinates; ``pushes`` is
+    # their transpose through M^-1, what a force there does to the velocities.
     rows = np.concatenate(
         [np.einsum("sp,de->sdpe", k.shape, np.eye(2)).reshape(-1, 2, 2 * p), -k.support_shape],
         axis=2,
@@ -147,16 +167,17 @@ def _built(
     modal = np.zeros((2 * p, rig.states))
     modal[:, n : 2 * n] = inverse[:, : 2 * p].T  # acceleration of all coordinates by a modal force
 
-    # the currents that make force: over the states, or over the commands where the amplifier is
+    # 3. the currents that make force: over the states, or over the commands where the amplifier is
     # ideal
     currents, direct = np.zeros((a, rig.states)), np.zeros((a, a))
     for i in range(a):
-        if k.amplifier[i, 0] == 0.0:
+        if k.amplifier[i, 0] == _IDEAL:
             direct[i, i] = 1.0
         else:
-            currents[i, 2 * n + 2 * i + (k.amplifier[i, 0] == 2.0)] = 1.0
+            # two states per amplifier; the current is the second one of two lags in a row
+            currents[i, 2 * n + 2 * i + (k.amplifier[i, 0] == _TWICE_FIRST)] = 1.0
 
-    # f = by (x, y, i_zeta, i_eta) at every bearing joins L and Bu
+    # 4. f = by (x, y, i_zeta, i_eta) at every bearing joins L and Bu
     by = _magnets(
         rig,
         places[:b].reshape(2 * b, -1) @ near,
@@ -167,7 +188,7 @@ def _built(
         L += push @ (by[i, :, :2] @ places[i] + by[i, :, 2:] @ currents[2 * i : 2 * i + 2])
         Bu += push @ by[i, :, 2:] @ direct[2 * i : 2 * i + 2]
 
-    # F, in this order: magnets (2 b), then if the speed varies unbalance (2) and modal forces (2
+    # 5. F, in this order: magnets (2 b), then if the speed varies unbalance (2) and modal forces (2
     # p), then if the seals vary theirs (2 each). y: displacements at the bearings (2 b), currents
     # (a), modal velocities (2 p), per seal displacement, velocity and states.
     forces, outputs = [pushes[:b].reshape(2 * b, -1)], [places[:b].reshape(2 * b, -1), currents]
@@ -199,7 +220,7 @@ def _built(
         c, d = k.direction[s]
         driven[m] = np.kron(k.shape[s], [c, d] if axis == 0 else [-d, c]) @ modal
 
-    # states without a row or column in L stay out; the bias stands still
+    # 6. states without a row or column in L stay out; the bias stands still
     used = (L != 0).any(axis=0) | (L != 0).any(axis=1)
     used[rig.bias] = False
     used[rig.behind] = False
@@ -211,7 +232,7 @@ def _built(
     inputs = np.column_stack([Bu, w])[used]
     speed, h = float(quiet.speed[0]), quiet.dt / steps
 
-    # the step, and half of it
+    # 7. the step, and half of it
     whole = _propagated(
         L[np.ix_(used, used)], B, inputs, unbalance.T[used], driven.T[used], speed, h
     )
@@ -280,9 +301,9 @@ def _linear_parts(rig: Rig, drive: Drive) -> tuple[np.ndarray, np.ndarray, np.nd
 
     # magnets without bias current or force constant, touchdown bearings out of reach, no limits of
     # slope and current, no run-out
-    idle[:, [0, 4, 7]] = 0.0
-    free[:, 0] = np.inf
-    endless[:, 3:5] = np.inf
+    idle[:, _BIAS_AND_FORCES] = 0.0
+    free[:, _CLEARANCE] = np.inf
+    endless[:, _SLOPE_AND_CURRENT] = np.inf
     smooth = k._replace(
         magnet=idle,
         touchdown=free,
@@ -299,7 +320,7 @@ def _linear_parts(rig: Rig, drive: Drive) -> tuple[np.ndarray, np.ndarray, np.nd
 
     # without these the slope is homogeneous: a column for every unit vector
     sensor = k.sensor.copy()
-    sensor[:, 1] = 0.0
+    sensor[:, _OFFSET] = 0.0
     straight = Rig(
         rig.machine,
         rig.point,
@@ -316,13 +337,14 @@ def _magnets(rig: Rig, places: np.ndarray, currents: np.ndarray) -> np.ndarray:
     the two currents.
     """
     result = np.empty((len(rig.constants.magnet), 2, 4))
+    steps = 2 * (_CURRENT_STEP,) + 2 * (_DISPLACEMENT_STEP,)
     for i, p in enumerate(rig.constants.magnet):
         c, s = rig.constants.direction[i]
         turn = np.array([[c, -s], [s, c]])
         # in the bearing's axes (i_zeta, i_eta, zeta, eta), central differences; columns end as
         # (zeta, eta, i_zeta, i_eta)
         at = np.concatenate([currents[2 * i : 2 * i + 2], turn.T @ places[2 * i : 2 * i + 2]])
-        for j, size in enumerate((1e-4, 1e-4, 1e-7, 1e-7)):
+        for j, size in enumerate(steps):
             step = size * np.eye(4)[j]
             ends = [
                 np.array(magnet.force(v[0], v[1], v[2], v[3], tuple(p)))

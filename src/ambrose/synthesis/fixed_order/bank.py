@@ -33,11 +33,11 @@ from ambrose.model.static_load import magnet_coefficients
 
 _STEP = 1e-30  # of a complex derivative
 _FAR = 40.0  # of a logarithm: farther steps of a search stay finite
-_EDGE = 1e-9  # of a limit: values are that far within; those of a start that is beyond it:
-_INSIDE = 0.9
-# damping of poles: below, a resonance that
+_EDGE = 1e-9  # of a limit: values are that far within
+_INSIDE = 0.9  # of a limit: where a start that is beyond it is put
+# damping of poles, from and to: below, a resonance that nobody asked for; above 1 one of them is
+# faster than its frequency says
 _DAMPED = {"low-pass": (0.5, 1.0), "notch": (0.1, 1.0), "phase-bump": (0.1, 1.0)}
-# nobody asked for; above 1 one of them is faster than its frequency says
 _PHASE = 3.0  # rad; more than a phase bump can turn
 _SLOWEST = 1.0  # s; longest integral time, without which the integrals are tuned away
 _DAMPING = 0.5  # of a notch that does nothing yet

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-_MEMORY = 25
+_MEMORY = 25  # steps that the approximation of the Hessian remembers; assumed
 _HALVINGS = 25
 _RENEWED = 10  # steps between two calls of ``renew``
 

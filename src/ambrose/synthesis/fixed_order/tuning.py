@@ -53,8 +53,8 @@ _NEARLY = 1.03
 # the first of these rounds for a law that was tuned before, and for one with more states
 _AGAIN, _GROWN = 2, 1
 _ITERATIONS, _GAIN = 200, 1e-4  # steps of L-BFGS, a round, and what ten of them gain at least
-_HOLDING = 60  # of L-BFGS, towards a controller that holds all models; so many times at most:
-_TRIES = 20
+_HOLDING = 60  # of L-BFGS, towards a controller that holds all models
+_TRIES = 20  # times at most that this search is begun
 _DECAY = 5.0  # rad/s; slowest pole asked for before the first round
 _SLOW = -0.01  # rad/s; of a tuned law, whose slow integrator is no reason to search anew
 _LOWEST = 1.0  # rad/s, start of the grid

@@ -40,10 +40,16 @@ from ambrose.core.scheduled import AND, ScheduledSystem, check_axes, grid_points
 from ambrose.core.statespace import StateSpace
 from ambrose.judge.result import Certificate, Status, Synthesis
 
-_WIDEST = 0.5  # the back-off less 1 is doubled up to this before giving up
-_REFINED = 2  # how often the grid is refined where the guarantee fails between its points
-# gamma guaranteed between grid points over the designed one, above which the grid is refined
+# the back-off less 1 is doubled up to this before giving up; assumed: a gamma half above the
+# smallest says little of what the plants allow
+_WIDEST = 0.5
+# how often the grid is refined where the guarantee fails between its points; assumed: every round
+# solves all inequalities again
+_REFINED = 2
+# gamma guaranteed between grid points over the designed one, above which the grid is refined;
+# assumed: less than the default back-off of 5 % costs
 _HOLDS = 1.02
+_NORM_ERROR = 1e-6  # relative, of the computed H-infinity norm of a frozen loop
 _KEPT = 1e-9  # relative change of B2, C2, D12, D21 over the grid that counts as none
 PlantAt = Callable[[Any], GeneralizedPlant]
 
@@ -208,6 +214,9 @@ def _design(job: _Job, axes: tuple[np.ndarray, ...]) -> _Design:
     smallest, bound, _ = smallest_gamma(family, shape, job.time_limit)
     optimal, lower = smallest * family.unit, bound * family.unit
     job.say(f"smallest gamma {optimal:.6g} ({time.monotonic() - begun:.1f} s)")
+
+    # gamma = (1 + step) times the smallest: away from the optimum, where R and S are nearly
+    # singular and the controller's poles run away; twice the step where the verification fails
     step, reason = job.backoff - 1, ""
     while step <= _WIDEST:
         chosen = family.in_units(smallest * (1 + step))
@@ -282,6 +291,7 @@ def _scheduled(
     """The controllers on the grid of ``axes`` in original units and in the states of ``point``;
     values of an axis that is not the family's are left out where a plant has none there.
     """
+    # the family's plants are in time t rate, A / rate, B and C / sqrt(rate): back by rate and root
     root = np.sqrt(family.rate)
     systems, without = {}, []
     for value in grid_points(axes):
@@ -306,7 +316,10 @@ def _scheduled(
 
 
 def balanced_states(scheduled: ScheduledSystem) -> ScheduledSystem:
-    """The same system in states scaled diagonally, by one scaling for all points."""
+    """The same system in states scaled diagonally, by one scaling for all points: that which
+    balances the largest modulus of every entry of A, B and C over the points.
+    """
+    # x = diag(t) z: A -> T^-1 A T, B -> T^-1 B, C -> C T
     largest = (np.abs([getattr(s, x) for s in scheduled.systems]).max(axis=0) for x in "ABC")
     t = balance_system(*largest)[3]
     systems = [
@@ -326,13 +339,16 @@ def _require(job: _Job, at_points: Sequence[Frozen], gamma: float) -> None:
             raise NumericalFailure(
                 f"the loop is unstable {where} (spectral abscissa {f.spectral_abscissa:.4g} rad/s)"
             )
-        if f.on_grid and not (f.slack < 0 and f.norm <= gamma * (1 + 1e-6)):
+        if f.on_grid and not (f.slack < 0 and f.norm <= gamma * (1 + _NORM_ERROR)):
             raise NumericalFailure(
                 f"norm {f.norm:.6g}, largest eigenvalue of the inequality {f.slack:.2g} {where}"
             )
 
 
 def _result(job: _Job, design: _Design, nominal: Any) -> Synthesis:
+    """The design as a synthesis, certified by what was found at all checked points. Raises
+    NumericalFailure where nothing is guaranteed at one, InvalidInput for a nominal value outside.
+    """
     at_points, gamma = design.found, design.family.unit
     worst = max(at_points, key=lambda f: f.guaranteed)
     if not np.isfinite(worst.guaranteed):
@@ -407,6 +423,9 @@ def _words(job: _Job, design: _Design, worst: Frozen) -> tuple[str, ...]:
         f"{count} grid points and "
         f"checked at {len(design.found) - count} points between, nowhere else"
     ]
+
+    # The inequalities are linear in A, B1 and C1, so that they hold between two points where they
+    # hold at both, as far as the other matrices are the same (and R and S constant).
     plants = design.family.plants
     kept = all(
         np.abs(getattr(p, name) - getattr(plants[0], name)).max()

@@ -44,13 +44,17 @@ from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant
 from ambrose.model.reduce import reduce
 
-# bending modes per plane of the plant on which those are found; the ends are on the full plant
+# bending modes per plane of the plant on which the frozen peaks are searched; assumed to be enough
+# to find where they lie, as the ends and the worst pressure are computed again on the full plant
 _MODES = 3
-# for a bounded rate, between half the lowest and half the highest frequency of the frozen peaks
-_FILTERS = 3
-_SPREAD = 4.0  # between the outer two, at least
-_UNKNOWNS = 12  # rows of a multiplier, filters included, that a search takes in its stride
+
+# Sizes of the search for multipliers, assumed: a proof holds with any, only its gamma and time
+# change.
+_FILTERS = 3  # first-order filters for a bounded rate
+_SPREAD = 4.0  # highest over lowest of their poles, at least
+_UNKNOWNS = 12  # rows of a multiplier, filters included
 _TOGETHER = 8  # channels up to which the multipliers of all seals are one
+_WITHOUT_PEAK = 100.0  # [rad/s] for the poles where no frozen loop has a peak beside zero frequency
 
 
 def pressure_loop(
@@ -70,7 +74,8 @@ def pressure_loop(
     y, u = plant.named("y"), plant.named("u")
     part = select(plant.system, [*forces, *u], [*motions, *y])
 
-    # z = own (q, qdot) + shift w and f = into w; w in pairs (x, y), a pair per power and seal
+    # z = per_parameter (q, qdot) + shift w and f = into w; w in pairs (x, y), a pair per power of
+    # the pressure and seal
     r = 2 * sum(len(terms) for terms in rows)
     f = len(forces)
     v = len(motions)
@@ -90,7 +95,8 @@ def pressure_loop(
             owner += [k, k]
             at += 2
 
-    # outputs (z, y) from (q, qdot, y), inputs (w, u) into (f, u); states scaled by t
+    # outputs (z, y) from (q, qdot, y), inputs (w, u) into (f, u); states scaled by t:
+    # x = diag(t) x_s, A_s = T^-1 A T, B_s = T^-1 B, C_s = C T
     left, right = block_diag(per_parameter, np.eye(len(y))), block_diag(into, np.eye(len(u)))
     A, t = balance(part.A)
     B = part.B @ right / t[:, None]
@@ -98,7 +104,8 @@ def pressure_loop(
     D = left @ part.D @ right
     D[:r, :r] += shift
 
-    # few channels: one parameter for all seals, as it is one pressure
+    # Few channels: one parameter for all seals, as it is one pressure. Many: one per seal, which
+    # proves more than is asked (seals with pressures of their own) by a smaller search.
     every = np.array(owner) if r > _TOGETHER else np.zeros(r, int)
     K = running_law(law, plant, timing)
     if K.dt is None:
@@ -187,12 +194,19 @@ def frozen_peaks(plant: Plant, span: PressureSpan, law: LawLike, timing: Timing 
 def filter_poles(frozen: Frozen, channels: int) -> tuple[float, ...]:
     """Poles [rad/s] of the filters for a bounded rate, where the frozen loops have their peaks;
     fewer for many channels.
+
+    Geometrically between half the lowest and half the highest frequency of the peaks; a single one
+    at their geometric mean.
     """
-    usable = [omega for omega in frozen.frequencies if np.isfinite(omega) and omega > 0] or [100.0]
-    low, count = min(usable) / 2, min(_FILTERS, max(1, _UNKNOWNS // max(1, channels) - 1))
+    peaks = [omega for omega in frozen.frequencies if np.isfinite(omega) and omega > 0]
+    peaks = peaks or [_WITHOUT_PEAK]
+    low = min(peaks) / 2
+
+    # a multiplier has channels (1 + filters) rows
+    count = min(_FILTERS, max(1, _UNKNOWNS // max(1, channels) - 1))
     if count == 1:
-        return (-float(np.sqrt(low * max(usable) / 2)),)
-    return tuple(-np.geomspace(low, max(max(usable) / 2, _SPREAD * low), count))
+        return (-float(np.sqrt(low * max(peaks) / 2)),)
+    return tuple(-np.geomspace(low, max(max(peaks) / 2, _SPREAD * low), count))
 
 
 def check_pressure(
@@ -237,6 +251,8 @@ def check_pressure(
     title = "Output sensitivity proved for any motion of the pressure, however fast"
     checks.append(information("moving.sensitivity.any", title, value, "-", detail))
     tell(f"proving the loop {span.label}, at up to {rate / 1e5:.4g} bar/s")
+
+    # delta = (p - middle)/half, so that |d delta/dt| <= rate/half
     bounded, words = _proof(
         loop, filter_poles(frozen, int(np.bincount(loop.owner).max())), rate / span.half, tell
     )
@@ -261,6 +277,9 @@ def check_pressure(
 def _proof(
     loop: VaryingLoop, poles: tuple[float, ...], rate: float, tell: Tell
 ) -> tuple[float, str]:
+    """The gain proved (inf where none is) and how, in words. poles [rad/s] of the filters, rate
+    [1/s] of delta in [-1, 1].
+    """
     try:
         proof: Proof = proved_gain(loop, poles, [rate] * loop.parameters, tell=tell)
     except NumericalFailure as error:

@@ -26,7 +26,7 @@ from ambrose.machine.messages import suggestion
 
 COLUMNS = ("speed_rpm", "axis", "amplitude_um_0p", "angle_deg")
 _PEAK_TO_PEAK = "amplitude_um_pp"  # in place of the third
-_RPM = 2 * math.pi / 60
+_RPM = 2 * math.pi / 60  # rad/s per rpm
 _SAME_SPEED = 0.01  # relative difference below which lines are of one speed
 _MOST = 100_000  # lines
 

@@ -49,7 +49,7 @@ _NO_CURRENT = (
 
 
 _UNCHECKED = "that one was on is not checked (--controller names the one that ran)"
-_RPM = 30 / np.pi
+_RPM = 30 / np.pi  # rpm per rad/s
 
 
 @dataclass(frozen=True, slots=True, eq=False)

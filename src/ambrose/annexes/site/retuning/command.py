@@ -19,6 +19,7 @@ from ambrose.terminal import (
     say_json,
 )
 
+# a step's verdict: passed, failed, or nothing to judge
 _WORDS = {True: "holds", False: "does not hold", None: "for information"}
 
 
@@ -35,7 +36,7 @@ _WORDS = {True: "holds", False: "does not hold", None: "for information"}
     "--unknown",
     multiple=True,
     metavar="PATH",
-    help="What to identify, as for identify (repeatable). Default: what is usual.",
+    help="What to identify, as for identify (repeatable). Default: as identify chooses.",
 )
 @click.option(
     "--bending-modes",
@@ -56,7 +57,9 @@ _WORDS = {True: "holds", False: "does not hold", None: "for information"}
     is_flag=True,
     help="The machine is known to have changed beyond the file's own tolerances.",
 )
-@click.option("--anyway", is_flag=True, help="Design a new one also where the running one does.")
+@click.option(
+    "--anyway", is_flag=True, help="Design a new one also where the running one still holds."
+)
 @click.option(
     "-o",
     "--output",
@@ -83,7 +86,7 @@ def retune(
 
     RECORDS hold excitations e_<axis> and displacements y_<axis>, with u_<axis> best. Identifies the
     machine, says what changed, judges the running controller over the identified intervals; where
-    it does no longer do, tunes another of its structure, proves it, writes its code and what of it
+    that no longer holds, tunes another of its structure, proves it, writes its code and what of it
     changes, and tries the change and the way back on the virtual rig. Exit status 1: stopped at the
     first step that does not hold; what was done stays in the folder.
     """
