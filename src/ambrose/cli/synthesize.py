@@ -36,6 +36,13 @@ _APART = 1.5  # times: continuous and sampled peaks that differ by more are expl
     groups={
         "": ("method", "point", "output"),
         **groups_from(METHODS, "With every method", _METHOD_OPTION),
+        "A synchronous block": (
+            "synchronous",
+            "synchronous_band",
+            "synchronous_time",
+            "synchronous_update",
+            "base",
+        ),
     },
 )
 @MACHINE

@@ -30,6 +30,7 @@ _GROUPS = {
     "": ("path", "everywhere", "report", "everything"),
     "The loop as it runs": ("rate_hz", "delay_samples"),
     "Proofs while the machine moves": ("pressure_rate", "pressure_error", "speed_rate"),
+    "Synchronous blocks": ("page",),
 }
 
 

@@ -20,6 +20,7 @@ from ambrose.code.block.supervised import SupervisedBlock
 from ambrose.code.c.code import Precision
 from ambrose.code.c.synchronous import FAR, NEWTON
 from ambrose.code.rendering import render
+from ambrose.code.self_test import EVERY, SHARE, run_up_of
 from ambrose.code.structured_text import (
     Table,
     check_names,
@@ -51,18 +52,7 @@ added given current s x y share eps leak any inside wanted k next i j circle tou
 reset track held fault limited clamped behind u e turn part d row since expected check block shift
 scale status faults tolerance currents sample wrong largest done
 """  # what the function block and its test declare besides signals
-_EVERY = 61  # samples between two rows of the test
-_TURNS = 11  # of the test
-_LEAST, _MOST = 2500, 20000  # samples of it
-_SHARE = 0.1  # of the largest plausible error: the test's signals
 _TOLERANCE = {"double": 1e-9, "float": 2e-2}  # of the largest current
-_WINDOWS = {  # shares of the test in which something is wrong
-    "lost": (0.30, 0.50),
-    "contact": (0.55, 0.56),
-    "invalid": (0.60, 0.605),
-    "off": (0.65, 0.70),
-    "large": (0.85, 0.86),
-}
 
 
 def generate_run_structured_text(
@@ -175,22 +165,14 @@ def _table(name: str, x: np.ndarray, precision: Precision) -> Table:
 
 def _test(unit: RunUnit, precision: Precision) -> dict[str, Any]:
     """The signals as run_test.st.j2 makes them, in the same numbers, and what the twin answers."""
-    base, first = unit.base, unit.law.blocks[0]
+    base, run_up = unit.base, run_up_of(unit)
     dt, n = base.sample_time, len(base.inputs)
-    low, high = first.band
-    start = low + first.hysteresis + 0.05 * (high - low)
-
-    # whole rows; a run-up from near the lower end of the first band to about its middle
-    wished = int(np.clip(_TURNS * 2 * np.pi / (start * dt), _LEAST, _MOST))
-    rows = -(-wished // _EVERY)
-    count = rows * _EVERY
-    slope = min(0.25 * unit.law.fastest, 0.45 * (high - low) / (count * dt))
-    windows = {name: [round(a * count), round(b * count)] for name, (a, b) in _WINDOWS.items()}
+    count, within = run_up.count, run_up.within()
 
     # the angle in turns and what it moves in a sample, summed up in the numbers of the code
     kind: Any = np.float32 if precision == "float" else np.float64
-    turn, part = kind(0), kind(start * dt / (2 * np.pi))
-    first_part, change = part, kind(slope * dt * dt / (2 * np.pi))
+    turn, part = kind(0), kind(run_up.start * dt / (2 * np.pi))
+    first_part, change = part, kind(run_up.slope * dt * dt / (2 * np.pi))
     angle, parts = np.zeros(count, kind), np.zeros(count, kind)
     for i in range(count):
         angle[i], parts[i] = turn, part
@@ -198,13 +180,11 @@ def _test(unit: RunUnit, precision: Precision) -> dict[str, Any]:
         turn = kind(turn - kind(1)) if turn >= 1 else turn
         part = kind(part + change)
 
-    k = np.arange(count)
-    within = {name: (k >= a) & (k < b) for name, (a, b) in windows.items()}
     pulses = np.where((angle < parts) & ~within["lost"], kind(dt) * (angle / parts), kind(-1))
 
     # a triangle of each channel
     shift = (np.arange(n) * 0.2328306 % 1).astype(kind)
-    scale = (4 * _SHARE * base.error_limit).astype(kind)
+    scale = (4 * SHARE * base.error_limit).astype(kind)
     d = angle[:, None] + shift
     d = np.where(d >= 1, d - kind(1), d)
     wave = (np.where(d >= 0.5, kind(1) - d, d) - kind(0.25)) * scale
@@ -216,7 +196,7 @@ def _test(unit: RunUnit, precision: Precision) -> dict[str, Any]:
     told = np.full(count, middle) if isinstance(base, ScheduledBlock) else None
     enabled = np.logical_not(within["off"])
     run = run_unit(unit, pulses, errors, told, valid, within["contact"], enabled)
-    shown, largest = slice(_EVERY - 1, None, _EVERY), np.abs(run.currents).max(axis=0)
+    shown, largest = slice(EVERY - 1, None, EVERY), np.abs(run.currents).max(axis=0)
     tables = {
         "shift": shift,
         "scale": scale,
@@ -224,11 +204,11 @@ def _test(unit: RunUnit, precision: Precision) -> dict[str, Any]:
         "tolerance": np.maximum(_TOLERANCE[precision] * largest, 1e-12),
     }
     return {
-        "rows": rows,
-        "every": _EVERY,
+        "rows": run_up.rows,
+        "every": EVERY,
         "first": literal(float(first_part), precision),
         "change": literal(float(change), precision),
-        "windows": windows,
+        "windows": run_up.windows,
         "told": literal(float(middle), precision),
         "test_tables": [_table(name, x, precision) for name, x in tables.items()],
         "status": whole_numbers(run.status[shown]),

@@ -9,6 +9,7 @@ import numpy as np
 from ambrose.annexes.touchdown.analysis import Landing
 from ambrose.annexes.touchdown.campaign import WHIRLS, Campaign
 from ambrose.report import theme
+from ambrose.report.figures.animation import add_controls
 
 FRAMES = 160  # of the animation, at most
 SHOWN = 0.12  # [s] after the first contact
@@ -95,59 +96,18 @@ def slow_motion(result: Landing) -> Any:
         go.Frame(name=label, traces=moving, data=shown(i)) for i, label in enumerate(labels)
     ]
     theme.dress(figure, 330, legend=False)
-    _controls(figure, log[moments, 0], labels)
-    return figure
-
-
-def _controls(figure: Any, times: np.ndarray, labels: list[str]) -> None:
-    """Play, pause, and a slider of time."""
-    still = {"transition": {"duration": 0}, "mode": "immediate"}
-    move = {"frame": {"duration": FRAME_TIME, "redraw": False}, **still}
-    stop = {"frame": {"duration": 0, "redraw": False}, **still}
-    buttons = [
-        {"label": "▶ play", "method": "animate", "args": [labels, move]},
-        {"label": "❚❚ pause", "method": "animate", "args": [[None], stop]},
-    ]
-    steps = [
-        {"label": f"{1e3 * t:.1f} ms", "method": "animate", "args": [[label], stop]}
-        for t, label in zip(times, labels, strict=True)
-    ]
-    figure.update_layout(
-        updatemenus=[
-            {
-                "type": "buttons",
-                "direction": "left",
-                "buttons": buttons,
-                "showactive": False,
-                "pad": {"t": 44},
-                "x": 0,
-                "y": 0,
-                "xanchor": "left",
-                "yanchor": "top",
-                "bgcolor": "white",
-                "bordercolor": theme.MUTED,
-                "font": {"size": 12},
-            }
-        ],
-        sliders=[
-            {
-                "x": 0.24,
-                "len": 0.76,
-                "y": 0,
-                "yanchor": "top",
-                "pad": {"t": 34, "b": 0},
-                "active": len(labels) - 1,
-                "ticklen": 0,
-                "minorticklen": 0,
-                "currentvalue": {"prefix": "t = ", "font": {"size": 12}, "xanchor": "left"},
-                "tickcolor": "white",
-                "font": {"size": 11, "color": "rgba(0, 0, 0, 0)"},
-                "steps": steps,
-            }
-        ],
-        margin={"b": 112},
-        height=figure.layout.height + 64,
+    add_controls(
+        figure,
+        labels,
+        [f"{1e3 * t:.1f} ms" for t in log[moments, 0]],
+        FRAME_TIME,
+        below=44,
+        left=0.24,
+        margin=112,
+        growth=64,
+        active=len(labels) - 1,
     )
+    return figure
 
 
 def history_figure(result: Landing) -> Any:

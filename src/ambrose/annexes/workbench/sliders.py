@@ -11,7 +11,7 @@ from ambrose.annexes.workbench.given import number
 from ambrose.machine.controller import PidSettings
 from ambrose.machine.setting_numbers import UNITS, numbers_of
 
-_DECADES = 1.0
+_DECADES = 1.0  # a slider's reach on either side of the value
 
 
 def fields_of(settings: PidSettings, axes: Sequence[str]) -> list[Block]:

@@ -24,6 +24,7 @@ from ambrose.code.c.literals import integer_table, literal, real_table
 from ambrose.code.c.synchronous import generate_synchronous
 from ambrose.code.c.synchronous_fixed import generate_words
 from ambrose.code.rendering import render
+from ambrose.code.self_test import EVERY, SHARE, run_up_of
 from ambrose.code.synchronous import (
     Base,
     RunUnit,
@@ -36,19 +37,7 @@ from ambrose.code.synchronous import (
 from ambrose.core.checks import InvalidInput
 
 _FLAGS = ("-Wall", "-Wextra", "-pedantic", "-Werror", "-ffp-contract=off")
-_EVERY = 61  # samples between two rows of the self-test
-_TURNS = 11  # of the self-test
-_LEAST, _MOST = 2500, 20000  # samples of it
-_SHARE = 0.1  # of the largest plausible error: the self-test's signals
 _FLOAT = 2e-2  # of the largest current: how far single precision may be
-_WINDOWS = {  # shares of the self-test in which something is wrong
-    "lost": (0.30, 0.50),
-    "contact": (0.55, 0.56),
-    "invalid": (0.60, 0.605),
-    "off": (0.65, 0.70),
-    "none": (0.75, 0.755),
-    "large": (0.85, 0.86),
-}
 
 
 def generate_run(
@@ -111,24 +100,15 @@ def _middle(base: Base) -> list[float]:
 
 def _self_test(unit: RunUnit, arithmetic: str) -> dict[str, Any]:
     """Signals of whole numbers, as run_test.c.j2 makes them, and what the twin answers."""
-    base, first = unit.base, unit.law.blocks[0]
+    base, run_up = unit.base, run_up_of(unit)
     dt, n = base.sample_time, len(base.inputs)
-    low, high = first.band
-    start = low + first.hysteresis + 0.05 * (high - low)
+    count, within = run_up.count, run_up.within()
 
-    # whole rows; a run-up from near the lower end of the first band to about its middle
-    count = int(np.clip(_TURNS * 2 * np.pi / (start * dt), _LEAST, _MOST))
-    rows = -(-count // _EVERY)
-    count = rows * _EVERY
-    slope = min(0.25 * unit.law.fastest, 0.45 * (high - low) / (count * dt))
+    # the angle in 2^32 to a turn, and what it moves in a sample
     per_speed = dt / (2 * np.pi) * 2**32
-    step, change = round(start * per_speed), round(slope * dt * per_speed)
-    windows = {name: [round(a * count), round(b * count)] for name, (a, b) in _WINDOWS.items()}
-
-    k = np.arange(count)
-    steps = step + change * k
+    step, change = round(run_up.start * per_speed), round(run_up.slope * dt * per_speed)
+    steps = step + change * np.arange(count)
     turn = np.concatenate([[0], np.cumsum(steps)[:-1]]) % 2**32
-    within = {name: (k >= a) & (k < b) for name, (a, b) in windows.items()}
     pulses = np.where((turn < steps) & ~within["lost"], dt * (turn / steps), -1.0)
 
     # a triangle of each channel, |2^32 - at| - 2^30, at = turn + 1000000007 i
@@ -136,13 +116,13 @@ def _self_test(unit: RunUnit, arithmetic: str) -> dict[str, Any]:
     wave = np.where(at < 2**31, at, 2**32 - at) - 2**30
     valid = np.ones((count, n), bool)
     valid[within["invalid"], 0] = False
-    shown = slice(_EVERY - 1, None, _EVERY)
+    shown = slice(EVERY - 1, None, EVERY)
     facts: dict[str, Any] = {
-        "rows": rows,
-        "every": _EVERY,
+        "rows": run_up.rows,
+        "every": EVERY,
         "first": step,
         "change": change,
-        "windows": {name: f"{a}, {b}" for name, (a, b) in windows.items()},
+        "windows": {name: f"{a}, {b}" for name, (a, b) in run_up.windows.items()},
     }
     if word := WORDS.get(arithmetic, 0):
         # the same in counts: eight tenths or a tenth of the limit, and a word beyond it
@@ -161,7 +141,7 @@ def _self_test(unit: RunUnit, arithmetic: str) -> dict[str, Any]:
             "status": _whole(run.status[shown]),
             "tolerance": integer_table(np.zeros(n)),
         }
-    scale = _SHARE * base.error_limit / 2**30
+    scale = SHARE * base.error_limit / 2**30
     errors = wave * np.where(within["large"][:, None], 8.0 * scale, scale)
     errors[within["none"], -1] = np.nan
 

@@ -253,7 +253,7 @@ def _reached(frf: Frf) -> Frf:
     if frf.share is None:
         return frf
     size = np.einsum("wii->wi", frf.share).real
-    return _lines(frf, (size <= _WEAK * size.min(axis=0)).all(axis=1))
+    return frf.at_lines((size <= _WEAK * size.min(axis=0)).all(axis=1))
 
 
 def _kept(frf: Frf, band: tuple[float, float]) -> Frf:
@@ -262,17 +262,4 @@ def _kept(frf: Frf, band: tuple[float, float]) -> Frf:
         raise invalid(
             "the band", f"{band[0]:g} to {band[1]:g} rad/s", "one that holds a sine", "move it"
         )
-    return _lines(frf, inside)
-
-
-def _lines(frf: Frf, kept: np.ndarray) -> Frf:
-    return replace(
-        frf,
-        values=frf.values[kept],
-        omega=frf.omega[kept],
-        variance=frf.variance[kept],
-        coherence=frf.coherence[kept],
-        input_coherence=frf.input_coherence[kept],
-        noise=None if frf.noise is None else frf.noise[kept],
-        share=None if frf.share is None else frf.share[kept],
-    )
+    return frf.at_lines(inside)

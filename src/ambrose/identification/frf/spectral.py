@@ -86,6 +86,10 @@ class Frf:
         if not kept.any():
             has = f"{self.omega[0]:g} to {self.omega[-1]:g} rad/s"
             raise invalid("the band", f"{low:g} to {high:g} rad/s", f"within {has}", "move it")
+        return self.at_lines(kept)
+
+    def at_lines(self, kept: np.ndarray) -> Frf:
+        """The lines that ``kept`` (w,) says, true or false for each."""
         return replace(
             self,
             values=self.values[kept],

@@ -30,9 +30,11 @@ from ambrose.identification.output_error.loop_model import LoopModel
 
 # [%], [deg], [samples] up to which a fault is harmless, assumed: less than a channel is calibrated
 # to, and a part is mounted to
-_GAIN, _ANGLE, _LAG = 2.0, 2.0, 0.1
+_GAIN, _ANGLE = 2.0, 2.0
+_LAG = 0.1
 # [%], [deg], [samples]: a longer step is no correction of a channel, but another wiring; assumed
-_MOST_GAIN, _MOST_ANGLE, _MOST_LAG = 50.0, 30.0, 3.0
+_MOST_GAIN, _MOST_ANGLE = 50.0, 30.0
+_MOST_LAG = 3.0
 _RANK_ONE = 1e-6  # second over first singular value of a magnet's direction, at most
 
 

@@ -74,13 +74,7 @@ def load_doubt(machine: Machine, records: Sequence[Record]) -> str:
     if isinstance(machine, AxialMachine):
         return ""
     means, bias = recorded_means(records), _bias(records)
-    needed = dict(
-        zip(
-            machine.axes,
-            (i for item in operating_magnets(machine, bias) for i in item.currents),
-            strict=True,
-        )
-    )
+    needed = _needed_currents(machine, bias)
     known = [axis for axis in means if axis in needed]
     size = float(np.linalg.norm([needed[axis] for axis in known]))
     if size == 0.0 or _without_mean(machine, means, bias):
@@ -143,17 +137,17 @@ def sensor_scales(machine: Machine) -> tuple[np.ndarray, np.ndarray]:
     return means[:, 0].ravel(), means[:, 1].ravel()
 
 
+def _needed_currents(machine: Machine, bias: float | None) -> dict[str, float]:
+    """Mean control current [A] of every axis that carries the machine's static load."""
+    currents = (i for item in operating_magnets(machine, bias) for i in item.currents)
+    return dict(zip(machine.axes, currents, strict=True))
+
+
 def _without_mean(machine: Machine, means: Mapping[str, float], bias: float | None) -> bool:
     """Whether recorded currents hold next to nothing of what the weight needs: a logger or a linear
     loop left it out.
     """
-    needed = dict(
-        zip(
-            machine.axes,
-            (i for item in operating_magnets(machine, bias) for i in item.currents),
-            strict=True,
-        )
-    )
+    needed = _needed_currents(machine, bias)
     known = [axis for axis in means if axis in needed]
     return float(np.linalg.norm([means[a] for a in known])) < _CARRIED * float(
         np.linalg.norm([needed[a] for a in known])

@@ -16,7 +16,8 @@ _QUADRANTS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 _JOURNAL = 0.75
 # first numbers of the network's nodes: stator (yoke), rotor (journal), pole tips; numbers only tell
 # nodes apart, and magnets have fewer than 1,000 poles
-_S, _R, _TIP = 0, 1000, 2000
+_S, _R = 0, 1000
+_TIP = 2000
 _ZERO = 1e-12  # sine or cosine of a right angle, whose rounding is taken off
 
 

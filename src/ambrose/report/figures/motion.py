@@ -25,6 +25,7 @@ from ambrose.machine.machine import Machine
 from ambrose.model.ports import Port, measured_ports, ports
 from ambrose.record.record import Record
 from ambrose.report import theme, units
+from ambrose.report.figures.animation import add_controls
 from ambrose.report.figures.axes import drawn
 from ambrose.rig.scenario import Scenario
 
@@ -612,7 +613,17 @@ def rotor_animation(
         ],
     )
     figure.update_yaxes(visible=False, range=[-1.7 * reach, 1.55 * reach], scaleanchor="x")
-    _controls(figure, record, moments, names)
+    add_controls(
+        figure,
+        names,
+        [f"{record.time[m] * 1e3:.2f} ms" for m in moments],
+        _FRAME_TIME,
+        rounds=_ROUNDS,
+        below=14,
+        left=0.2,
+        margin=84,
+        growth=36,
+    )
     words = f"displacements magnified {units.number(magnified, 2)} times against the shaft"
     theme.note(figure, {}, words, 0, 1, "left", "bottom", xref="paper", yref="paper")
     return figure
@@ -665,67 +676,3 @@ def _still(
             -1.42 * 1.25 * _SIZE * machine.length,
         )
         theme.note(figure, {}, name, station.position, below, "auto", "top", colour=theme.INK)
-
-
-def _controls(figure: Any, record: Record, moments: np.ndarray, names: list[str]) -> None:
-    """Play, pause, and a slider of time."""
-    move = {
-        "frame": {"duration": _FRAME_TIME, "redraw": False},
-        "transition": {"duration": 0},
-        "mode": "immediate",
-    }
-    stop = {
-        "frame": {"duration": 0, "redraw": False},
-        "transition": {"duration": 0},
-        "mode": "immediate",
-    }
-    buttons = [
-        {"label": "▶ play", "method": "animate", "args": [names * _ROUNDS, move]},
-        {"label": "❚❚ pause", "method": "animate", "args": [[None], stop]},
-    ]
-    figure.update_layout(
-        updatemenus=[
-            {
-                "type": "buttons",
-                "direction": "left",
-                "buttons": buttons,
-                "showactive": False,
-                "pad": {"t": 14},
-                "x": 0,
-                "y": 0,
-                "xanchor": "left",
-                "yanchor": "top",
-                "bgcolor": "white",
-                "bordercolor": theme.MUTED,
-                "font": {"size": 12},
-            }
-        ],
-        sliders=[
-            {
-                "x": 0.2,
-                "len": 0.8,
-                "y": 0,
-                "yanchor": "top",
-                "pad": {"t": 4, "b": 0},
-                "ticklen": 0,
-                "minorticklen": 0,
-                "currentvalue": {
-                    "prefix": "t = ",
-                    "font": {"size": 12, "color": theme.INK},
-                    "xanchor": "left",
-                },
-                "tickcolor": "white",
-                "font": {"size": 11, "color": "rgba(0, 0, 0, 0)"},
-                "steps": [
-                    {
-                        "label": f"{record.time[m] * 1e3:.2f} ms",
-                        "method": "animate",
-                        "args": [[name], stop],
-                    }
-                    for m, name in zip(moments, names, strict=True)
-                ],
-            }
-        ],
-        margin={"b": 84},
-        height=figure.layout.height + 36,
-    )
