@@ -15,7 +15,16 @@ from ambrose.code.block.fixed import ControlBlock
 from ambrose.code.block.scheduled import ScheduledBlock
 from ambrose.code.c.code import generate
 
-FLAGS = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-Wconversion", "-Wshadow"]
+FLAGS = [
+    "-std=c99",
+    "-Wall",
+    "-Wextra",
+    "-pedantic",
+    "-Werror",
+    "-Wconversion",
+    "-Wshadow",
+    "-Wfloat-equal",
+]
 SANITIZERS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g"]
 TYPES = {"double": np.float64, "float": np.float32, "fixed32": np.int32, "fixed16": np.int16}
 STEP = 0
