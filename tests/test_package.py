@@ -202,7 +202,7 @@ def test_wheel_works_outside_the_checkout(installed):
     (installed.directory / "rig.toml").write_text(
         text[: text.index("[[tolerance]]")], encoding="utf-8"
     )
-    installed("ambrose", "synthesize", "rig.toml", "--method", "pid", "-o", "pid.json")
+    installed("ambrose", "synthesize", "rig.toml", "--method", "pid", "-o", "pid.json", status=1)
     arguments = ["--machine", "rig.toml", "--to", "c", "-o", "code", "--force", "--json"]
     done = json.loads(installed("ambrose", "export", "pid.json", *arguments, status=1))
     assert {"controller.c", "controller.h"} <= {Path(path).name for path in done["files"]}
