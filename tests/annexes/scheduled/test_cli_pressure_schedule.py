@@ -143,7 +143,7 @@ def test_export_writes_the_fallback_beside_the_schedule(folder):
     )
     refused = call(folder, *code, "--fallback", "slow.json")
     assert refused.exit_code == 2 and "--rate-hz 10000" in refused.stderr
-    assert CliRunner().invoke(main, [*words, "--rate-hz", "10000"]).exit_code == 0
+    assert CliRunner().invoke(main, [*words, "--rate-hz", "10000"]).exit_code == 1
     code += ("--fallback", "slow.json", "--pressure-rate", "80 bar/s", "--stuck-after", "0.01")
     refused = call(folder, *code)
     # the PID whirls there

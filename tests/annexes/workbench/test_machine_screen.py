@@ -195,9 +195,13 @@ def test_the_desk_answers_refuses_and_begins_anew(project):
         with pytest.raises(Refusal, match="there is no screen"):
             await desk.ask("nothing", "", {})
         first = desk.process.pid
+        # it is alive when it is asked, and dies over the question
+        os.kill(first, signal.SIGSTOP)
+        asked = asyncio.create_task(desk.ask("nothing", "", {}))
+        await asyncio.sleep(0.3)
         os.kill(first, signal.SIGKILL)
         with pytest.raises(Refusal, match="ended suddenly"):
-            await desk.ask("nothing", "", {})
+            await asked
         with pytest.raises(Refusal, match="there is no screen"):
             await desk.ask("nothing", "", {})
         assert desk.process.pid != first
