@@ -480,3 +480,29 @@ def test_a_file_with_a_number_beyond_all_machines_is_refused(tmp_path, key, word
         match=words if value > 0 else "sample_rate_hz|of an operating point|start_time",
     ):
         read_record(path)
+
+
+@pytest.mark.parametrize("ending", ["csv", "h5"])
+@pytest.mark.parametrize("value", [1e308, -1e20])
+def test_a_sample_that_no_signal_can_be_is_refused(tmp_path, ending, value):
+    """1e308 A overflowed in the products of the first estimate, whatever the command was."""
+    import h5py
+
+    values = np.zeros((1, 10))
+    values[0, 3] = 0.5
+    path = write_record(Record("m", 1e4, ("e_A_zeta",), ("A",), values), tmp_path / f"r.{ending}")
+    if ending == "csv":
+        path.write_text(path.read_text().replace("0.5", repr(value)))
+    else:
+        with h5py.File(path, "r+") as file:
+            where = []
+            file.visititems(
+                lambda name, item: where.append(name) if hasattr(item, "shape") else None
+            )
+            for name in where:
+                data = file[name][...]
+                file[name][...] = np.where(data == 0.5, value, data)
+    with pytest.raises(
+        InvalidInput, match=r"e_A_zeta at sample 3 .* at most 1e\+15 in its SI unit"
+    ):
+        read_record(path)

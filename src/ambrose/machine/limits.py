@@ -30,6 +30,7 @@ LARGEST_OF_A_POINT: Mapping[str, tuple[float, str]] = {
     "whirl_frequency": (1e9, "rad/s"),
 }
 LARGEST_TIME = 1e12  # [s] at which a record starts
+LARGEST_SAMPLE = 1e15  # of any signal, in its SI unit; powers of far larger ones overflow
 TABLES: Mapping[str, int] = {
     "shaft": ELEMENTS,
     "material": 100,

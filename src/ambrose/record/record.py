@@ -17,6 +17,7 @@ from ambrose.core.checks import InvalidInput, check_finite, check_positive, inva
 from ambrose.core.presentation import Presented, data_frame, html_table
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.limits import (
+    LARGEST_SAMPLE,
     LARGEST_TIME,
     LONGEST_SAMPLE,
     NAME,
@@ -233,15 +234,19 @@ def _is_settled(values: Any) -> bool:
 
 
 def check_samples(name: str, values: np.ndarray, first: int, start: float, rate: float) -> None:
-    """Refuse samples (n,) of a signal, from number ``first`` on, that are not finite. Raises
-    InvalidInput.
+    """Refuse samples (n,) of a signal, from number ``first`` on, that are not finite, or that are
+    larger than any signal. Raises InvalidInput.
     """
     for begin in range(0, len(values), _BLOCK):  # a long record has no second array of its length
-        finite = np.isfinite(values[begin : begin + _BLOCK])
-        if not finite.all():
-            j = begin + int(np.argmin(finite))
+        usable = np.abs(values[begin : begin + _BLOCK]) <= LARGEST_SAMPLE  # NaN is not
+        if not usable.all():
+            j = begin + int(np.argmin(usable))
             at = f"{name} at sample {first + j} (t = {start + (first + j) / rate:g} s)"
-            raise invalid(at, values[j], "finite", "cut the record before it, or measure again")
+            if np.isfinite(values[j]):
+                allowed, remedy = f"at most {LARGEST_SAMPLE:g} in its SI unit", "correct its unit"
+            else:
+                allowed, remedy = "finite", "cut the record before it"
+            raise invalid(at, values[j], allowed, f"{remedy}, or measure again")
 
 
 def _check_texts(record: Record) -> None:
