@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from free_mass import CLEARANCE, bush, polynomial_edge, rotor
 
 from ambrose.annexes.touchdown.arrays import Case
 from ambrose.annexes.touchdown.drop import Drop, case_of, rig_of, run
 from ambrose.annexes.touchdown.whip import alone, edge_alone, receptances
 from ambrose.annexes.touchdown.whip_at_stop import edge_at_stop, ring_distance
 from ambrose.model.effects.touchdown import element_force
-from free_mass import CLEARANCE, bush, polynomial_edge, rotor
 
 G, M = 9.80665, 12.0
 

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from free_mass import CLEARANCE, bush, polynomial_edge, rotor
 
 import ambrose as amb
 from ambrose.annexes.touchdown.fallen import elements_deflection, stator_receptance
 from ambrose.annexes.touchdown.whip import alone, edge_alone, receptances, together
 from ambrose.core.checks import InvalidInput
 from ambrose.model.effects.touchdown import element_force
-from free_mass import CLEARANCE, bush, polynomial_edge, rotor
 
 
 @pytest.mark.parametrize("mu", [0.05, 0.2, 0.6])

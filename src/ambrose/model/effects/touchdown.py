@@ -5,8 +5,8 @@ The normal force N = k d + c d' d/(d + d_0), d the penetration [m] and d_0 a tho
 clearance, begins at zero at first touch and is never negative, so that the contact pushes and never
 pulls. Friction mu N v/sqrt(v^2 + v_0^2) opposes the sliding speed v of the surfaces, mu between its
 values at low and at high sliding speed (Stribeck). Both only take energy: N d' - k d d' >= 0 and
-friction times v >= 0 at every instant. The rig (rig/engine/kernel.py) and drops
-(annexes/touchdown/drop_kernel.py) compile these functions as they stand.
+friction times v >= 0 at every instant. The kernels of the rig (rig/engine/kernel.py) and of drops
+compile these functions as they stand.
 """
 
 from __future__ import annotations
