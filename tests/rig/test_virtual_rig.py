@@ -128,6 +128,7 @@ def test_power_returns_within_the_fall():
     assert np.abs(back["y_A_zeta"]).max() < 1e-6
 
 
+@pytest.mark.campaign
 def test_free_again_is_told_where_the_power_returns():
     fall = Scenario("fall", 0.5, failures=(Failure(0.02, until=0.06),))
     trace = virtual_rig.run(PUMP, PUMP_PID, fall)

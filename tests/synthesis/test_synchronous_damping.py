@@ -112,6 +112,7 @@ def test_no_pressure_is_named_on_a_machine_without_seals(damped):
     assert "falls to" in damped[2].notes[0] and "pressure" not in damped[2].notes[0]
 
 
+@pytest.mark.campaign
 def test_what_cannot_keep_the_orbit_is_refused(flywheel):
     machine, law = flywheel
     impossible, _ = limited(machine, law, 1e-3)

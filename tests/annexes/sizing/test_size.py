@@ -58,6 +58,7 @@ def test_a_size_smaller_fails_for_its_weight():
     assert amb.size(rig(), (0.4,), (1.0,), FAST, reserve=0.5).trials[0].synthesis is not None
 
 
+@pytest.mark.campaign
 def test_the_front_has_less_of_one_for_more_of_the_other():
     front = sizing().front
     assert front and all(trial.met for trial in front)

@@ -429,6 +429,7 @@ def test_a_cascade_of_turned_sensors_needs_the_machine():
         build_cascade(deploy(source, DT, DT, force=True), bank, None, "rig", 1e-3, CURRENT)
 
 
+@pytest.mark.campaign
 @compiler
 def test_four_channels_of_three_bearings_run_as_code():
     """Between the mixings there are fewer channels than axes."""
