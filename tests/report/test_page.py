@@ -7,6 +7,8 @@ import gzip
 import json
 import os
 import re
+import shutil
+import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -21,9 +23,10 @@ from ambrose.machine.machine import Machine
 from ambrose.registry import registered, resolve
 from ambrose.report import page as document
 from ambrose.report import tables
-from ambrose.report.page import Cell, Figure, Page, Section, Table, Verdict
+from ambrose.report.page import Cell, Figure, Page, Section, Subject, Table, Verdict
 from ambrose.report.verification import verification_page
 
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 VOID = {"meta", "link", "img", "br", "hr", "input", "col"}
 
 
@@ -181,6 +184,45 @@ def test_a_script_in_a_label_cannot_close_the_data_element(machine: Machine) -> 
     text = document.render(Page("t", machine, (Section("s", "", (Figure("</script>", picture),)),)))
     assert "<script>alert" not in text
     assert Parsed(text).stack == []
+
+
+def test_no_name_leaves_its_string_in_the_style_sheet(machine: Machine) -> None:
+    """Name and title stand at the foot of every printed page, in a style sheet's string."""
+    name = '"; } body { display: none } /* \\ </style>'
+    text = document.render(Page("A & B", Subject(name), ()))
+    (foot,) = re.findall(r'@bottom-left { content: "(.*?)"; font', text)
+    decoded = re.sub(r"\\([0-9a-f]{6})", lambda found: chr(int(found[1], 16)), foot)
+    assert decoded == f"A & B: {name}"
+    assert re.fullmatch(r"(?:[A-Za-z0-9]|\\[0-9a-f]{6})*", foot)
+
+
+@pytest.mark.parametrize(("detail", "short"), [("", True), ("word " * 50, False)])
+def test_a_table_is_kept_on_one_page_where_it_fits_with_its_details(
+    machine: Machine, detail: str, short: bool
+) -> None:
+    """Eight rows with four lines each were pushed off a page that they had begun to fill."""
+    table = Table("Rows", ("a",), tuple((Cell("x", detail=detail),) for _ in range(8)))
+    text = document.render(Page("Report", machine, (Section("S", tables=(table,)),)))
+    (kind,) = re.findall(r'<table style="--columns: 1" class="(.*?)"', text)
+    assert ("short" in kind.split()) is short
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+def test_the_page_counts_as_loaded_when_its_figures_stand(source: str, tmp_path: Path) -> None:
+    """A printer without a person, ``--print-to-pdf``, begins at the load: it had printed "Being
+    drawn: wait before you print" in place of every figure.
+    """
+    path = tmp_path / "report.html"
+    path.write_text(source, "utf-8")
+    words = ("--headless", "--no-sandbox", "--disable-gpu", "--dump-dom", path.as_uri())
+    done = subprocess.run(
+        [str(CHROMIUM), *words], capture_output=True, text=True, timeout=120, check=False
+    )
+    if done.returncode or "<h1>" not in done.stdout:
+        pytest.skip(f"chromium does not start here: {done.stderr[-200:]}")
+    assert "Being drawn" not in done.stdout
+    places = re.findall(r'id="figure-\d+"', done.stdout)
+    assert len(places) == done.stdout.count('class="plot-container plotly"') > 0
 
 
 def test_written_in_one_step(

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import gzip
 import itertools
+import math
 from base64 import b64encode
 from dataclasses import dataclass
 from datetime import date as calendar
@@ -46,6 +47,7 @@ SHADES = {
 _ONE_PANEL = 330
 _PANEL = 265
 _WIDEST = 900
+_DETAIL = 38  # letters of a detail on one line of paper, about
 MARKS = {
     "": "",
     "sign": "",
@@ -140,6 +142,14 @@ class Table:
         return tuple(
             tuple(entry if isinstance(entry, Cell) else Cell(entry) for entry in row)
             for row in self.rows
+        )
+
+    @property
+    def lines(self) -> int:
+        """About how many lines the rows take on paper: a detail stands under its cell."""
+        return sum(
+            1 + max((math.ceil(len(cell.detail) / _DETAIL) for cell in row), default=0)
+            for row in self.cells
         )
 
     @property
@@ -279,9 +289,20 @@ def render(page: Page) -> str:
         version=__version__,
         number=itertools.count(1).__next__,
         least_width=least_width,
+        running_title=Markup(css_string(f"{page.title}: {page.machine.name}")),
         shades=SHADES,
         data=[Markup(packed(figure.picture.to_json())) for figure in pictures],
         library=Markup(packed(get_library())) if pictures else "",
+    )
+
+
+def css_string(text: str) -> str:
+    """``text`` as what stands between the quotes of a string in a style sheet: all but letters and
+    digits of ASCII as escapes of six digits (CSS Syntax 3, section 4.3.7).
+    """
+    return "".join(
+        letter if letter.isascii() and letter.isalnum() else f"\\{ord(letter):06x}"
+        for letter in text
     )
 
 

@@ -16,7 +16,8 @@ from scipy.optimize import brentq
 import ambrose as amb
 from ambrose.annexes.rotordynamics.capacity import UNBALANCE, AxisCapacity
 from ambrose.annexes.rotordynamics.critical import criticals
-from ambrose.annexes.rotordynamics.figures import level_one_figure
+from ambrose.annexes.rotordynamics.figures import level_one_figure, response_figure
+from ambrose.annexes.rotordynamics.items import as_it_runs
 from ambrose.annexes.rotordynamics.items import capacity as rows_of_capacity
 from ambrose.annexes.rotordynamics.json_schema import lateral_schema
 from ambrose.annexes.rotordynamics.level_one import OVERDAMPED
@@ -28,6 +29,7 @@ from ambrose.annexes.rotordynamics.stations import lay_out, rigid_support_critic
 from ambrose.chain.check import clearance_doubts
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.judge.capacity import AxisLimits, Demand, together
+from ambrose.law.law import law_of
 from ambrose.law.timing import timing_of
 from ambrose.machine.file.toml import loads_machine
 from ambrose.model.effects.clearance import Clearance
@@ -189,12 +191,20 @@ def test_a_rotor_that_cannot_ring_has_its_unbalance_placed_as_a_rigid_one():
     # every row of the sheet with its basis, and where its figure stands
     (sheet,) = page.sections[0].tables
     assert sheet.columns == (
-        *("Item", "Edition and clause", "Basis", "Value", "Limit", "Verdict", "Figure"),
+        *("Item", "Verdict", "Value", "Limit", "Edition and clause", "Basis", "Figure"),
     )
     place = titles.index("Unbalance response")
     before = sum(len(section.figures) for section in page.sections[:place])
     (vibration,) = [row for row in sheet.rows if row[0].text.startswith("Largest probe")]
-    assert vibration[2] == "recalled" and vibration[1].detail.startswith("6.8.2")
+    assert vibration[5] == "recalled" and vibration[4].detail.startswith("6.8.2")
+    assert "µm" in vibration[2].text and " um" not in vibration[0].detail
+    # no magnet and no tolerance: no word of a controller, no column without a value
+    facts = dict(page.facts)
+    assert facts["Controller"] == "none: journal bearings"
+    assert not any("controller" in item.note for item in result.items)
+    # the rotor's mass as the matrices have it
+    (rotor,) = page.sections[1].tables
+    assert rotor.rows[0][0] == "Mass" and rotor.rows[0][1].text == f"{m:.5g} kg"
     # the figure of the placement of unbalance that the row is of, not the section's first
     (own,) = [
         number
@@ -203,6 +213,40 @@ def test_a_rotor_that_cannot_ring_has_its_unbalance_placed_as_a_rigid_one():
     ]
     assert vibration[-1].link == f"#figure-{own}" and vibration[-1].text == f"{own}"
     assert page.signatures
+
+
+def test_readings_far_below_the_limit_keep_their_shape_and_the_limit_is_told():
+    """On an axis up to the limit they were a line on the ground: 1 um under 15.7 um."""
+    result = amb.lateral(films(), trip=6300 * RPM)
+    (separation, _, name), *_ = result.critical_speeds
+    case = next(k for k, c in enumerate(result.response.cases) if c.name == name)
+    largest = 2e6 * max(float(y.max()) for _, y in result.response.curves(case))
+    ring = (separation.critical.speed / RPM, 2e6 * separation.critical.amplitude)
+    for limit, drawn in ((2 * largest, True), (5 * largest, False)):
+        figure = response_figure(
+            result.response, result.speeds, case, limit, result.critical_speeds
+        )
+        top = max(float(np.nanmax(trace.y)) for trace in figure.data)
+        words = [note.text for note in figure.layout.annotations]
+        assert (top >= limit) is drawn
+        assert (f"vibration limit {limit:.3g} µm p-p, above" in words) is not drawn
+        # each critical speed of this placement stands in it, with its amplification factor
+        rings = [(t.x[0], t.y[0]) for t in figure.data if t.mode == "markers"]
+        assert any(found == pytest.approx(ring) for found in rings)
+        assert any(f"AF {separation.critical.amplification:.3g}" in word for word in words)
+
+
+def test_a_controller_without_a_rate_says_what_a_rate_would_make_of_it():
+    """All 14 rows of the turboexpander held for a law that no program runs, without a word: at
+    10 kHz and one sample late its loop is unstable.
+    """
+    machine = amb.load_machine("turboexpander")
+    controller = amb.design(machine, "pid")
+    loop = shaft_loop(lay_out(machine), machine.operation.nominal, controller, None)
+    (row,) = as_it_runs(loop, law_of(controller), None)
+    assert row.passed is None and "unstable (a pole with real part +" in row.note
+    timing = timing_of(machine, controller, 1e5, 1)
+    assert not list(as_it_runs(loop, law_of(controller), timing))
 
 
 def test_shares_add_up_to_the_log_decrement():

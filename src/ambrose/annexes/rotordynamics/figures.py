@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from ambrose.annexes.rotordynamics import standard
 from ambrose.annexes.rotordynamics.capacity import PART, UNBALANCE, AxisCapacity
+from ambrose.annexes.rotordynamics.critical import Separation
 from ambrose.annexes.rotordynamics.level_one import OVERDAMPED, LevelOne
 from ambrose.annexes.rotordynamics.response import Response
 from ambrose.annexes.rotordynamics.stations import Layout
@@ -18,14 +20,23 @@ UM, MM = 1e6, 1e3  # um, mm per m
 _MARKERS = {UNBALANCE: "circle", PART: "circle-open", IMPULSE: "diamond", SURGE: "square"}
 _KINDS = {PART: "of it: seals, stages"}
 _SHADES = ("#d55e00", "#009e73", "#cc79a7", "#e69f00")
+_FAR = 3.0  # a limit this many times above the readings would press them to the ground
 _EVERY = 5  # of the fine grid: enough for the eye
 _ONE = {"row": 1, "col": 1}
 
 
 def response_figure(
-    response: Response, speeds: tuple[float, float, float], case: int, limit: float
+    response: Response,
+    speeds: tuple[float, float, float],
+    case: int,
+    limit: float,
+    found: Sequence[tuple[Separation, str, str]] = (),
 ) -> Any:
-    """Probe readings, peak to peak, over the speed for one placement; limit A_vl [um]."""
+    """Probe readings, peak to peak, over the speed for one placement; limit A_vl [um]; found: the
+    critical speeds of all placements, drawn where they are of this one.
+
+    A limit far above all readings is told in words, so that the readings keep their shape.
+    """
     figure = theme.subplots(rows=1, cols=1)
     layout = response.layout
     curves = [(item.name, response.read(item, case)) for item in layout.readings]
@@ -36,7 +47,7 @@ def response_figure(
         ]
     rpm = response.fine[::_EVERY] / standard.RPM
     looks = theme.styles([name for name, _ in curves])
-    highest = limit
+    highest = 0.0
     for name, amplitude in curves:
         y = 2 * UM * amplitude[::_EVERY]
         look = looks[name]
@@ -48,12 +59,19 @@ def response_figure(
             name,
             shown=True,
             line={"color": look.colour, "dash": look.dash, "width": 1.8},
-            hovertemplate="%{x:.5g} rpm: %{y:.3g} um p-p<extra>" + theme.plain(name) + "</extra>",
+            hovertemplate="%{x:.5g} rpm: %{y:.3g} µm p-p<extra>" + theme.plain(name) + "</extra>",
         )
         highest = max(highest, float(y.max()))
     lowest, top, trip = (speed / standard.RPM for speed in speeds)
-    theme.guide(figure, _ONE, [rpm[0], rpm[-1]], [limit, limit], color=theme.LIMIT, width=1.4)
-    theme.note(figure, _ONE, "vibration limit", rpm[0], limit, "left", "bottom")
+    if limit > _FAR * highest:
+        highest *= 1.15
+        words = f"vibration limit {limit:.3g} µm p-p, above"
+        theme.note(figure, _ONE, words, rpm[0], highest, "left", "bottom", colour=theme.LIMIT)
+    else:
+        highest = max(highest, limit)
+        theme.guide(figure, _ONE, [rpm[0], rpm[-1]], [limit, limit], color=theme.LIMIT, width=1.4)
+        theme.note(figure, _ONE, "vibration limit", rpm[0], limit, "left", "bottom")
+    _peaks(figure, [item for item in found if item[2] == response.cases[case].name])
     marks = {lowest: "lowest", top: "highest running"}
     marks[trip] = "highest running, trip" if trip == top else "trip"
     # one below the other: they stand close together
@@ -64,14 +82,33 @@ def response_figure(
         theme.note(figure, _ONE, word, speed, highest, "right", "top", yshift=-15 * k)
     theme.dress(figure, 300, legend=True)
     figure.update_xaxes(title_text="Speed [rpm]")
-    figure.update_yaxes(title_text="Reading [um p-p]", rangemode="tozero")
+    figure.update_yaxes(title_text="Reading [µm p-p]", rangemode="tozero")
     return figure
+
+
+def _peaks(figure: Any, found: Sequence[tuple[Separation, str, str]]) -> None:
+    """A ring at every critical speed, with its speed and amplification factor."""
+    for item, name, _ in found:
+        peak = item.critical
+        x, y = peak.speed / standard.RPM, 2 * UM * peak.amplitude
+        factor = f", AF {peak.amplification:.3g}" if np.isfinite(peak.amplification) else ""
+        theme.scatter(
+            figure,
+            _ONE,
+            [x],
+            [y],
+            mode="markers",
+            marker={"size": 9, "color": theme.INK, "symbol": "circle-open"},
+            hovertemplate=f"{theme.plain(name)}: %{{y:.3g}} µm p-p<extra></extra>",
+        )
+        theme.note(figure, _ONE, f"{x:.5g} rpm{factor}", x, y, "center", "bottom", yshift=5)
 
 
 def placement_figure(layout: Layout, response: Response) -> Any:
     """The shape of each placement along the shaft, with its weights; journals as lines."""
     shown = response.cases
-    figure = theme.subplots(rows=len(shown), cols=1, shared_xaxes=True, vertical_spacing=0.09)
+    gap = 0.27 / len(shown)  # for a heading, of all panels together
+    figure = theme.subplots(rows=len(shown), cols=1, shared_xaxes=True, vertical_spacing=gap)
     x = MM * layout.positions
     for row, case in enumerate(shown, 1):
         place, line = {"row": row, "col": 1}, case.line
@@ -103,7 +140,7 @@ def placement_figure(layout: Layout, response: Response) -> Any:
             theme.note(figure, place, text, at, tip, side, "bottom" if tip > 0 else "top")
         theme.heading(figure, place, case.heading)
     theme.dress(figure, 150 * len(shown), legend=False, lines=1)
-    figure.update_yaxes(showticklabels=False, range=[-1.35, 1.35])
+    figure.update_yaxes(showticklabels=False, range=[-1.6, 1.6])
     figure.update_xaxes(title_text="Position [mm]", row=len(shown), col=1)
     return figure
 
@@ -156,7 +193,7 @@ def level_one_figure(one: LevelOne) -> Any:
             theme.guide(figure, _ONE, [at, at], [low, high], color=theme.MUTED, width=1, dash="dot")
             theme.note(figure, _ONE, word, at, high, "left", "top")
     theme.dress(figure, 280, legend=True)
-    figure.update_xaxes(title_text="Cross-coupled stiffness Q [N/um]", rangemode="tozero")
+    figure.update_xaxes(title_text="Cross-coupled stiffness Q [N/µm]", rangemode="tozero")
     figure.update_yaxes(title_text="Log decrement [-]")
     return figure
 

@@ -20,9 +20,10 @@ from ambrose.annexes.rotordynamics.phase_budget import CONTROLLER, PhaseBudget
 from ambrose.annexes.rotordynamics.response import Response
 from ambrose.annexes.rotordynamics.result import OWN, RECALLED, Item, ModeRow, Rub
 from ambrose.judge.nominal import check
+from ambrose.judge.stability import judge_stability
 from ambrose.law.law import LawLike
 from ambrose.law.loop import running_law
-from ambrose.law.timing import Timing
+from ambrose.law.timing import DEFAULT, Timing
 from ambrose.machine.criteria import SENSITIVITY, SENSITIVITY_RANGE, demand
 from ambrose.machine.machine import Machine
 from ambrose.model.effects.load import IMPULSE, SURGE
@@ -249,8 +250,10 @@ def level_one(one: LevelOne | None) -> Iterator[Item]:
     )
 
 
-def level_two(table: Sequence[ModeRow], highest: float) -> Iterator[Item]:
-    """The least log decrement of the modes up to the running speed, and over the tolerances."""
+def level_two(table: Sequence[ModeRow], highest: float, controlled: bool) -> Iterator[Item]:
+    """The least log decrement of the modes up to the running speed, and over the tolerances;
+    controlled: whether a controller is among what acts.
+    """
     counted = [row for row in table if row.mode.frequency <= highest]
     if not counted:
         yield Item(
@@ -278,7 +281,8 @@ def level_two(table: Sequence[ModeRow], highest: float) -> Iterator[Item]:
         ">=",
         standard.LEAST_LOG_DECREMENT,
         value >= standard.LEAST_LOG_DECREMENT,
-        f"mode at {worst.mode.frequency / standard.RPM:.5g} rpm; seals, stages and controller in",
+        f"mode at {worst.mode.frequency / standard.RPM:.5g} rpm; with seals, stages and "
+        + ("the controller" if controlled else "journal bearings"),
     )
     known = [row for row in counted if row.least is not None]
     if known:
@@ -298,6 +302,28 @@ def level_two(table: Sequence[ModeRow], highest: float) -> Iterator[Item]:
             f"mode at {least.mode.frequency / standard.RPM:.5g} rpm: {least.member}; found, not "
             "proved",
         )
+
+
+def as_it_runs(loop: ShaftLoop, law: LawLike | None, timing: Timing | None) -> Iterator[Item]:
+    """That no rate is known, where none is: then every row is of the continuous law, and whether
+    the loop would hold at the rate that others assume is not among them.
+    """
+    if law is None or timing is not None:
+        return
+    abscissa = judge_stability(loop.plant, law, DEFAULT).abscissa
+    found = "stable" if abscissa < 0 else f"unstable (a pole with real part {abscissa:+.4g} 1/s)"
+    yield Item(
+        "controller.rate",
+        "Sample rate and computing delay of the controller",
+        "Ambrose",
+        "controller as it runs",
+        OWN,
+        None,
+        "-",
+        note="not stated: every row takes the controller as continuous, without sampling, hold and "
+        f"delay. At {DEFAULT.rate:g} Hz and one sample late, as virtual rig and export assume, the "
+        f"loop would be {found}; state sample_time in the machine file, or --rate-hz",
+    )
 
 
 def speeds_in_words(lowest: float, highest: float) -> str:

@@ -5,6 +5,7 @@ write(lateral_page(lateral(machine, controller)), "lateral.html")
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -22,6 +23,7 @@ from ambrose.core.presentation import with_unit
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
 from ambrose.model.effects.load import Load
+from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
 from ambrose.report import units
 from ambrose.report.figures.rotor_drawing import machine_drawing
 from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, Verdict, numbers
@@ -49,7 +51,7 @@ _LEVEL_ONE = (
     "takes the damping of the forward modes. The border is judged on the loop as it runs."
 )
 _LEVEL_TWO = (
-    "Every lateral mode that can ring, with seals, stages and controller as it runs. The shares "
+    "Every lateral mode that can ring, with seals, stages and {acting}. The shares "
     "add up to the log decrement: the mean power of each component in the mode, over the mode's "
     "energy; negative ones destabilise."
 )
@@ -84,6 +86,7 @@ _SECTIONS = {  # where a row's figure stands, by the first word of its name
     "capacity": "Load capacity",
     "phase": "Phase budget",
 }
+_MICRO = re.compile(r"\bum\b")
 _HYPHEN, _SPACE = "\u2011", "\u00a0"  # where no line ends
 _BESIDE = (
     "Critical speeds and modes are paired so that all pairs together lie as near as they can. "
@@ -108,7 +111,9 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
         )
         sections.append(Section("Stability, Level I", _LEVEL_ONE, (picture,)))
     if result.modes:
-        sections.append(Section("Stability, Level II", _LEVEL_TWO, (), (modes_table(result),)))
+        acting = "the controller as it runs" if result.machine.bearings else "journal bearings"
+        two = _LEVEL_TWO.format(acting=acting)
+        sections.append(Section("Stability, Level II", two, (), (modes_table(result),)))
     if result.rubs:
         sections.append(Section("Clearances", "", (), (clearance_table(result),)))
     if result.capacities:
@@ -130,9 +135,13 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
         sections.append(Section("Notes", "\n\n".join(result.notes), (), chosen))
     lowest, highest, trip = result.speeds
     running = f"running {speeds_in_words(lowest, highest)}, trip {trip / standard.RPM:.5g} rpm"
+    controlled = bool(result.machine.bearings)
     facts = (
-        ("Machine file", machine_hash(result.machine)),
-        ("Controller", f"{result.controller}; {result.timing}"),
+        ("Machine file", f"SHA-256 of its values {machine_hash(result.machine)}"),
+        (
+            "Controller",
+            f"{result.controller}; {result.timing}" if controlled else "none: journal bearings",
+        ),
         ("Operating point", result.point),
         ("Speeds", running),
         ("Model", "finite-element rotor, all modes to 100 kHz; consistent mass"),
@@ -145,9 +154,8 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
         else f"{len(failed)} of {len(judged)} rows with a limit fail: "
         + "; ".join(item.title for item in failed)
     )
-    opening = Section(
-        "Rotor", "", (Figure("Rotor and its parts", machine_drawing(result.machine)),)
-    )
+    drawing = Figure("Rotor and its parts", machine_drawing(result.machine))
+    opening = Section("Rotor", "", (drawing,), (rotor_table(result),))
     summary, *rest = sections
     ordered = (summary, opening, *rest)
     summary = replace(summary, tables=(summary_table(result, ordered),))
@@ -160,6 +168,34 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
         date,
         result=Verdict("Result", not failed, words),
     )
+
+
+def rotor_table(result: Lateral) -> Table:
+    """Mass, inertia, length and span of the rotor, and what each journal carries of it."""
+    rotor = finite_element_rotor(result.machine)
+    whole, layout = mass_properties(rotor), result.layout
+    places = [journal.position for journal in layout.journals]
+    length = rotor.positions[-1] - rotor.positions[0]
+    rows: list[Row] = [
+        ("Mass", *numbers(f"{whole.mass:.5g} kg")),
+        ("Centre of mass, from the left end", *numbers(f"{1e3 * whole.centre:.5g} mm")),
+        ("Polar inertia", *numbers(f"{whole.polar_inertia:.4g} kg m²")),
+        (
+            "Diametral inertia about the centre of mass",
+            *numbers(f"{whole.diametral_inertia:.4g} kg m²"),
+        ),
+        ("Length", *numbers(f"{1e3 * length:.5g} mm")),
+        ("Bearing span", *numbers(f"{1e3 * (max(places) - min(places)):.5g} mm")),
+    ]
+    rows += [
+        (
+            Cell(f"Bearing {journal.name}", detail=f"at {1e3 * journal.position:.5g} mm"),
+            *numbers(f"{journal.weight:.4g} kg"),
+        )
+        for journal in layout.journals
+    ]
+    note = "Of a bearing: its static share of the mass, of the rotor lying horizontally."
+    return Table("Rotor", ("Quantity", "Value"), tuple(rows), note)
 
 
 def phase_table(budget: PhaseBudget) -> Table:
@@ -184,7 +220,8 @@ def _at_the_border(one: LevelOne) -> str:
     other = "" if one.binding is not None else ", none of the forward modes drawn,"
     late = any(branch.late for branch in one.branches)
     since = " It is no forward mode without Q." if late else ""
-    return f"At Q0, {1e-6 * one.border:.4g} N/um, {mode}{other} loses its damping.{since} {asked}"
+    q = f"{1e-6 * one.border:.4g} N/µm ({units.number(one.border)} N/m)"
+    return f"At Q0, {q}, {mode}{other} loses its damping.{since} {asked}"
 
 
 def comparison_table(comparison: Comparison) -> Table:
@@ -218,7 +255,7 @@ def summary_table(result: Lateral, sections: Sequence[Section] = ()) -> Table:
     """
     places = _places(sections)
     rows = tuple((*_summary_row(item), _figure_of(item, places)) for item in result.items)
-    columns = ("Item", "Edition and clause", "Basis", "Value", "Limit", "Verdict", "Figure")
+    columns = ("Item", "Verdict", "Value", "Limit", "Edition and clause", "Basis", "Figure")
     return Table("Clause by clause", columns, rows, _BASIS)
 
 
@@ -257,10 +294,10 @@ def _summary_row(item: Item) -> Row:
     limit = "-" if item.limit is None else f"{_relation(item.relation)} {_number(item.limit)}{unit}"
     return (
         Cell(item.title, detail=_whole(item.note)),
+        Cell(word, mark),
+        *numbers(value, limit),
         Cell(_edition(item.standard), detail=_said_once(item)),
         item.basis,
-        *numbers(value, limit),
-        Cell(word, mark),
     )
 
 
@@ -270,7 +307,8 @@ def _said_once(item: Item) -> str:
 
 
 def _whole(text: str) -> str:
-    """p-p and 0-p that no line ends within, beside their unit."""
+    """p-p and 0-p that no line ends within, beside their unit; micrometres with their letter."""
+    text = _MICRO.sub("µm", text)
     for end in ("p", "0"):
         text = text.replace(f" {end}-p", f"{_SPACE}{end}{_HYPHEN}p")
     return text
@@ -301,8 +339,8 @@ def _response_sections(result: Lateral) -> list[Section]:
     pictures = tuple(
         Figure(
             f"{_FOR}{case.name}",
-            figures.response_figure(response, result.speeds, k, limit),
-            case.why,
+            figures.response_figure(response, result.speeds, k, limit, result.critical_speeds),
+            f"{case.why[0].upper()}{case.why[1:]}. Rings: critical speeds found in this placement.",
         )
         for k, case in enumerate(response.cases)
     )
@@ -333,6 +371,7 @@ def _response_sections(result: Lateral) -> list[Section]:
 
 def modes_table(result: Lateral) -> Table:
     """Frequency, log decrement, whirl and the largest shares of every mode."""
+    sought = any(row.least is not None for row in result.modes)
     rows: list[Row] = []
     for row in result.modes:
         mode = row.mode
@@ -345,12 +384,17 @@ def modes_table(result: Lateral) -> Table:
                 Cell(f"{mode.frequency / standard.RPM:.5g} rpm", detail=words),
                 way,
                 *numbers(f"{mode.log_decrement:.3g}"),
-                Cell(least, "number", detail=row.member),
+                *((Cell(least, "number", detail=row.member),) if sought else ()),
             )
         )
     return Table(
         "Modes, with the largest shares of their log decrement",
-        ("Mode", "Whirl", "Log decrement", "Least found over the tolerances"),
+        (
+            "Mode",
+            "Whirl",
+            "Log decrement",
+            *(("Least found over the tolerances",) if sought else ()),
+        ),
         tuple(rows),
     )
 
@@ -373,9 +417,9 @@ def clearance_table(result: Lateral) -> Table:
     )
     columns = (
         "Place",
-        "Diametral clearance [um]",
+        "Diametral clearance [µm]",
         _whole("Motion, scaled [um p-p]"),
-        "Static offset [um]",
+        "Static offset [µm]",
         "At [rpm]",
         "Taken [%]",
         "Verdict",

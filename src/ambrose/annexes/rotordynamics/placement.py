@@ -212,7 +212,13 @@ def _placed(
         why = "antinodes between the bearings: load of the nearest journal"
         sets.append((", between bearings" if overhung else "", why, each))
     return tuple(
-        UnbalanceCase(name + where, _weights(line, chosen, speed), why, line, heading)
+        UnbalanceCase(
+            name + where,
+            _weights(line, chosen, speed),
+            why,
+            line,
+            f"{heading.partition(',')[0]}{where}" if where else heading,
+        )
         for where, why, chosen in sets
     )
 
