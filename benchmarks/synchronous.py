@@ -62,6 +62,12 @@ def controlled(name: str) -> tuple[Machine, StateSpace]:
     return machine, pid_controller(machine.reference, machine)
 
 
+def without_noise(machine: Machine) -> Machine:
+    """A machine whose sensors neither scatter nor round."""
+    silent = [replace(sensor, noise=0.0, resolution=0.0) for sensor in machine.sensors]
+    return replace(machine, sensors=type(machine.sensors)(silent))
+
+
 def growth(machine: Machine, K: StateSpace, speed: float, dt: float, eps: float = _SMALL) -> float:
     """``growth_of`` the full plant at a speed with the plain notch, T = 1."""
     point = replace(machine.operation.design, speed=speed, label="")
@@ -170,8 +176,7 @@ def hold(
     """
     machine, law = controlled(name)
     if quiet:
-        silent = [replace(sensor, noise=0.0, resolution=0.0) for sensor in machine.sensors]
-        machine = replace(machine, sensors=type(machine.sensors)(silent))
+        machine = without_noise(machine)
     loop, speed = synchronous_loop(machine, law), share * machine.operation.design.speed
     design = design_synchronous(machine, law, band=(0.95 * speed, 1.05 * speed))
     blocks = running_law(design.blocks, loop)

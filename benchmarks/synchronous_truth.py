@@ -1,7 +1,8 @@
 """What the design of a synchronous block promises, tried from outside: members, attack, run-up.
 
-    python -m benchmarks.synchronous_truth --part members|attack|runup|through [--machine NAME ...]
-                                           [--count N] [--bands N] [--slow X] [--span LOW HIGH] [--rate X]
+    python -m benchmarks.synchronous_truth --part members|attack|runup|through|rate [--machine NAME ...]
+                                           [--count N] [--bands N] [--slow X] [--quiet]
+                                           [--span LOW HIGH] [--rate X]
 
 members: the designed T at random members of the tolerances, at every pressure: convergence for
 small gains at twelve speeds of each band (eigenvalues of T S, from the plant's ports), and exact
@@ -12,8 +13,9 @@ each the proof over the band and the tolerances, then exact poles with a random 
 speeds and members. ``refuted``: proved, and a pole outside although the loop is stable without the block.
 runup: the virtual rig through the designed bands, with and without the block: largest 1x control
 current, orbit and magnetic force while the block is on, and the largest sensitivity of an axis with
-and without it.
+and without it. --quiet: without noise and quantisation of the sensors, so that what is left is lag.
 through: a run-up with all blocks of a design over a span, through the bands that it leaves out.
+rate: from the law of the lag, the run-up's rate at which the largest 1x current falls by 30 dB.
 """
 
 from __future__ import annotations
@@ -29,10 +31,17 @@ from ambrose import design
 from ambrose.code.c.synchronous import CompiledSynchronous
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import StateSpace
-from ambrose.core.synchronous import best_inverse
+from ambrose.core.synchronous import best_inverse, convergence
 from ambrose.judge.synchronous_bands import orbit_limit
 from ambrose.judge.synchronous_sensitivity import sensitivity_peak
-from ambrose.law.synchronous import Condition, SynchronousLoop, conditions, synchronous_loop
+from ambrose.law.synchronous import (
+    Condition,
+    Converged,
+    SynchronousLoop,
+    conditions,
+    forward_patterns,
+    synchronous_loop,
+)
 from ambrose.law.synchronous_block import BlockState
 from ambrose.law.synchronous_pencils import loop_pencils, prove_interval
 from ambrose.law.synchronous_table import BlockTable, block_table, running_law
@@ -48,11 +57,19 @@ from ambrose.rig.synchronous import synchronous_program
 from ambrose.rig.virtual_rig import run
 from ambrose.synthesis.synchronous_design import check_base_loop, design_synchronous
 from benchmarks.box_attack import ports
-from benchmarks.synchronous import MACHINES, controlled, growth_with, held_plant
+from benchmarks.synchronous import (
+    MACHINES,
+    controlled,
+    growth_with,
+    held_plant,
+    without_noise,
+)
 
 _SPEEDS = 12  # of each band, at which all members are tried for small gains
 _PROBES = 4  # speeds and members against one proof
 _SUSPECTS = 6, 10  # speeds of a band and members at each, of which those are drawn
+_LAGS = 40  # speeds of a band at which the lag is worked out
+_SWITCHED = 0.5  # s in which a block that is switched on comes up
 _ROUNDING = 1e-9  # 1/s: beyond which a pole that a block moved counts as outside
 
 
@@ -111,9 +128,7 @@ def sensitivity_of(
     # hold and delay at the speed, and the sampled controller there
     s = 1j * speed
     late = (1 - np.exp(-s * T)) / (s * T) * np.exp(-s * T * loop.timing.delay_samples)
-    law = loop.controller(plant)
-    z = np.exp(s * T)
-    K = law.C @ np.linalg.solve(z * np.eye(len(law.A)) - law.A, law.B.astype(complex)) + law.D
+    K = transfer_at(loop.controller(plant), np.exp(s * T))
     return np.asarray(np.linalg.inv(np.eye(len(K)) + late * G @ K))
 
 
@@ -269,11 +284,13 @@ class RunUp:
     sensitivity: tuple[float, float]
 
 
-def run_up(name: str, slow: float) -> tuple[str, RunUp]:
+def run_up(name: str, slow: float, *, quiet: bool = False) -> tuple[str, RunUp]:
     """``runup`` of the module's text, through the widest band of the design; slow: times as long as
     80 time constants.
     """
     machine, law = held(name)
+    if quiet:
+        machine = without_noise(machine)
     loop = synchronous_loop(machine, law)
     found = design_synchronous(machine, law)
     block = max(found.blocks, key=lambda item: item.band[1] - item.band[0])
@@ -285,9 +302,13 @@ def run_up(name: str, slow: float) -> tuple[str, RunUp]:
     weights = (Unbalance(first, size), Unbalance(last, 0.7 * size, phase=1.0))
     # slow against the block: what it lags behind is the change in a time constant
     ramp = max(1.0, 80 * slow * block.time_constant)
-    hold = max(0.3, 5 * block.time_constant)
-    # held at the lower edge until it has converged, then up
-    start = low + block.hysteresis
+    # up from the lower edge; what is measured begins when the block's slowest direction has
+    # converged to 60 dB there: exp(-7)
+    start, at = low + block.hysteresis, conditions(machine)[0]
+    slowest = convergence(
+        block_table(block, machine).at(start), loop.response(block.mode, start, at)
+    )
+    hold = _SWITCHED + 7 * block.time_constant / float(slowest)
     scenario = Scenario(
         "run-up", hold + ramp, unbalances=weights, speed=start, to_speed=high, ramp=hold + ramp
     )
@@ -313,7 +334,9 @@ def run_up(name: str, slow: float) -> tuple[str, RunUp]:
                 peak = sensitivity_peak(loop, block.mode, float(w), condition, chosen, eps)[0]
                 worst = max(worst, peak)
         peaks.append(worst)
-    words = f"{low:.4g} to {high:.4g} rad/s in {ramp:.3g} s"
+    rate = (high - start) / scenario.duration
+    begin = start + rate * hold
+    words = f"{begin:.4g} to {high:.4g} rad/s in {ramp:.3g} s, {rate:.3g} rad/s^2"
     return words, RunUp(change[0], change[1], change[2], float(on), (peaks[0], peaks[1]))
 
 
@@ -372,7 +395,7 @@ def through(name: str, low: float, high: float, duration: float) -> list[str]:
     rate, lines = (high - low) / duration, []
     for block in found.blocks:
         # on from the hysteresis, ramped in half a second, settled after five time constants
-        settled = block.band[0] + block.hysteresis + rate * (5 * block.time_constant + 0.5)
+        settled = block.band[0] + block.hysteresis + rate * (5 * block.time_constant + _SWITCHED)
         span = (settled - low) / rate, (block.band[1] - low) / rate
         inside = [one.between(0.0, span[1]) for one in records]
         ends = low + rate * float(inside[0].time[-1])
@@ -385,10 +408,65 @@ def through(name: str, low: float, high: float, duration: float) -> list[str]:
     return [*lines, f"orbit {largest[0]:.3g}, {largest[1]:.3g} m, limit {limit:.3g} m"]
 
 
+@dataclass(frozen=True, slots=True)
+class Lag:
+    """What a run-up leaves of the 1x current, by the law of the lag: band [rad/s]; speed [rad/s] at
+    which most is left; per_rate [s^2/rad]: the largest of the band over the largest without the
+    block, of a run-up of 1 rad/s^2; own: the same over that without the block at the same speed.
+    """
+
+    band: tuple[float, float]
+    speed: float
+    per_rate: float
+    own: float
+
+    def rate(self, decibels: float) -> float:
+        """The rate [rad/s^2] at which the largest current falls by so much."""
+        return float(10 ** (-decibels / 20) / self.per_rate)
+
+
+def lags_of(name: str) -> list[Lag]:
+    """``rate`` of the module's text, for every block of the design."""
+    machine, law = held(name)
+    loop, condition = synchronous_loop(machine, law), conditions(machine)[0]
+    pattern, size = forward_patterns(machine), np.zeros(len(machine.bearings), complex)
+    # as in the run-ups: phases count from the bearing's own first axis
+    size[0] = np.exp(1j * machine.bearings[0].angle)
+    size[-1] += 0.7 * np.exp(1j * (1.0 + machine.bearings[-1].angle))
+    found = []
+    for block in design_synchronous(machine, law).blocks:
+        table, before, left = block_table(block, machine), [], []
+        speeds = np.linspace(block.band[0] + block.hysteresis, block.band[1], _LAGS)
+        for w in speeds.tolist():
+
+            def settled(speed: float, mode: str | None = block.mode) -> Converged:
+                force = (pattern @ size)[:, None] * speed**2
+                return loop.converged(mode, speed, condition, force)
+
+            # a' = (eps/2) T (e_0 - S a) with a* = S^-1 e_0: a' = a*' leaves e = (2/eps) T^-1 a*'
+            below, above = max(0.999 * w, block.band[0]), min(1.001 * w, block.band[1])
+            slope = (settled(above).c - settled(below).c) / (above - below)
+            e = 2 / block.gain * np.linalg.solve(table.at(w), slope)
+            z = np.exp(1j * w * loop.timing.sample_time)
+            K = transfer_at(loop.controller(loop.plant(w, condition)), z)
+            left.append(float(np.abs(K @ e).max()))
+            before.append(float(np.abs(settled(w, None).u).max()))
+        k = int(np.argmax(left))
+        share = float(np.max(np.array(left) / np.array(before)))
+        found.append(Lag(block.band, float(speeds[k]), left[k] / max(before), share))
+    return found
+
+
+def transfer_at(law: StateSpace, z: complex) -> np.ndarray:
+    """(outputs, inputs) of a sampled law at z."""
+    inner = np.linalg.solve(z * np.eye(len(law.A)) - law.A, law.B.astype(complex))
+    return np.asarray(law.C @ inner + law.D)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
-        "--part", choices=("members", "attack", "runup", "through"), default="members"
+        "--part", choices=("members", "attack", "runup", "through", "rate"), default="members"
     )
     parser.add_argument("--machine", nargs="*", default=MACHINES)
     parser.add_argument("--count", type=int, default=500)
@@ -396,6 +474,7 @@ def main() -> None:
     parser.add_argument("--span", type=float, nargs=2, default=(700.0, 1250.0), help="rad/s")
     parser.add_argument("--rate", type=float, default=25.0, help="rad/s^2, of through")
     parser.add_argument("--slow", type=float, default=1.0, help="of the run-up")
+    parser.add_argument("--quiet", action="store_true", help="run-up without noise")
     options = parser.parse_args()
     for name in options.machine:
         if options.part == "members":
@@ -409,12 +488,20 @@ def main() -> None:
         elif options.part == "attack":
             tried, proved, refuted = attack_on(name, options.count, options.bands)
             print(f"{name}: {tried} tables, {proved} proved, {refuted} refuted", flush=True)
+        elif options.part == "rate":
+            for lag in lags_of(name):
+                print(
+                    f"{name}, {lag.band[0]:.4g} to {lag.band[1]:.4g} rad/s: 30 dB of the largest "
+                    f"current at {lag.rate(30):.3g} rad/s^2 ({lag.speed:.4g} rad/s), at every "
+                    f"speed at {10**-1.5 / lag.own:.3g} rad/s^2",
+                    flush=True,
+                )
         elif options.part == "through":
             low, high = options.span
             for line in through(name, low, high, (high - low) / options.rate):
                 print(f"{name}: {line}", flush=True)
         else:
-            words, r = run_up(name, options.slow)
+            words, r = run_up(name, options.slow, quiet=options.quiet)
             print(
                 f"{name}, {words}: 1x current {r.current:.1f} dB, force {r.force:.1f} dB, orbit "
                 f"{r.orbit:.1f} dB, on {r.share_on:.0%}; S {r.sensitivity[0]:.3g} without, "
