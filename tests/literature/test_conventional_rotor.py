@@ -6,8 +6,8 @@
    here. Both were read in the documentation of ROSS, not in the book.
 2. What ROSS 2.3.0 makes of them (ross-rotordynamics, run once in an environment of its own, twelve
    elements, the unbalance that ``lateral`` places).
-3. The figures of ROSS's own test of its clearance analysis (its tests of results,
-   631a249a of August 2026; facts only).
+3. The figures of ROSS's own test of its clearance analysis before 3.1 (its tests of results,
+   631a249a of August 2026, which calls itself 2.3.0; facts only). For 3.1: test_ross_31.py.
 
 Both codes have a consistent mass. ROSS interpolates tables by splines, Ambrose linearly, so that
 they are compared at the tables' speeds, and at a peak that is 9 rpm away from one.

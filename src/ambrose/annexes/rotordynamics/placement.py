@@ -20,7 +20,7 @@ from ambrose.annexes.rotordynamics import standard
 from ambrose.annexes.rotordynamics.loop import ShaftLoop
 from ambrose.annexes.rotordynamics.stations import Layout
 from ambrose.judge.rotor_modes import OSCILLATORY, damping_ratio
-from ambrose.model.effects.rotor import finite_element_rotor
+from ambrose.machine.rotor_model import ShaftSection
 
 BACKWARD = 0.25  # amplitude-weighted whirl beyond which a mode counts as backward
 _OUTER = 1.05  # an overhung end is an antinode where it moves so many times as its journal does
@@ -268,21 +268,31 @@ def _nearest_load(layout: Layout, station: int) -> float:
 
 
 def _mass_outboard(layout: Layout, *, right: bool) -> float:
-    """Mass [kg] of shaft and discs outboard of the outermost journal on one side."""
-    rotor = finite_element_rotor(layout.machine)
+    """Mass [kg] of shaft and discs outboard of the outermost journal on one side, whatever the
+    mesh.
+    """
+    machine = layout.machine
     places = [journal.position for journal in layout.journals]
     border = max(places) if right else min(places)
-    # total mass by rigid translation of the nodes outboard: half of an element's mass each side
-    unit = np.zeros(2 * rotor.n_nodes)
-    beyond = rotor.positions > border if right else rotor.positions < border
-    unit[0::2] = beyond
-    return float(unit @ rotor.plane_mass @ _translation(rotor.n_nodes))
+    low, high = (border, np.inf) if right else (-np.inf, border)
+    discs = sum(disc.mass for disc in machine.discs if low < disc.position < high)
+    return float(discs + sum(_mass_within(section, low, high) for section in machine.shaft))
 
 
-def _translation(nodes: int) -> np.ndarray:
-    rigid = np.zeros(2 * nodes)
-    rigid[0::2] = 1.0
-    return rigid
+def _mass_within(section: ShaftSection, low: float, high: float) -> float:
+    """Mass [kg] of what a section has between two axial places [m]."""
+    start = max(low, section.start)
+    end = min(high, section.start + section.length)
+    if end <= start:
+        return 0.0
+
+    # m = rho int pi/4 (D^2 - d^2) dx; diameters are linear, so that Simpson's rule is exact
+    areas = []
+    for x in (start, 0.5 * (start + end), end):
+        _, bore, outer = section.diameters((x - section.start) / section.length)
+        areas.append(0.25 * np.pi * (outer**2 - bore**2))
+    first, middle, last = areas
+    return float(section.material.density * (end - start) * (first + 4 * middle + last) / 6)
 
 
 def span_middle(layout: Layout) -> int:
