@@ -413,7 +413,7 @@ def _result(
         "models": float(len(job.models)),
     }
     certificate = Certificate(
-        True,
+        abscissa < 0,
         abscissa,
         best.worst,
         fastest_pole(best.controller),
@@ -431,7 +431,7 @@ def _result(
         best.controller,
         "polish",
         best.worst,
-        Status.VERIFIED,
+        Status.VERIFIED if certificate.stable else Status.UNSTABLE,
         certificate,
         tuple(history),
         tuple(notes),

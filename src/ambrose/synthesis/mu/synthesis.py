@@ -430,7 +430,7 @@ def _result(job: _Job, iterates: Sequence[_Iterate], reason: str) -> Synthesis:
     margins["mu_mixed_proved"] = _proved(job, best)
     margins["nominal_norm"] = found.closed_loop_norm
     certificate = Certificate(
-        True,
+        best.stable_abscissa < 0,
         best.stable_abscissa,
         best.gamma,
         found.fastest_pole,
@@ -449,7 +449,7 @@ def _result(job: _Job, iterates: Sequence[_Iterate], reason: str) -> Synthesis:
         best.controller,
         "mu",
         best.gamma,
-        Status.VERIFIED,
+        Status.VERIFIED if certificate.stable else Status.UNSTABLE,
         certificate,
         tuple(item.row for item in iterates),
         tuple(notes),

@@ -392,7 +392,7 @@ def _result(job: _Job, design: _Design, nominal: Any) -> Synthesis:
         scheduled.at(value),
         "lpv",
         worst.guaranteed,
-        Status.VERIFIED,
+        Status.VERIFIED if certificate.stable else Status.UNSTABLE,
         certificate,
         tuple(f.row() for f in at_points),
         (*design.notes, *_words(job, design, worst)),
