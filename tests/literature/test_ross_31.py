@@ -1,6 +1,6 @@
 """Placement and close clearances beside ROSS 3.1.0, which follows API 617's 6.8.2 too.
 
-Source: the tests of results of ross-rotordynamics 3.1.0 (``ross/tests/test_results.py``, read in
+Source: the tests of results of ross-rotordynamics 3.1.0 (read in
 the published package; Apache 2.0; facts only): their machine, what they assert, and for the
 figures that they compute but do not print, one run of 3.1.0 in an environment of its own.
 
