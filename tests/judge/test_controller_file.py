@@ -255,8 +255,12 @@ BAD_CONTENT = {
         put("good", "certificate", "margins", "gain_margin"),
         "margins.gain_margin is 'good'",
     ),
-    "verified without certificate": (put(None, "certificate"), "does not say stable"),
+    "verified without certificate": (put(None, "certificate"), "there is no certificate"),
     "verified but unstable": (put(False, "certificate", "stable"), "does not say stable"),
+    "stable with a pole on the right": (
+        put(3.0, "certificate", "spectral_abscissa"),
+        "stable with spectral abscissa 3 rad/s",
+    ),
     "another package": (put("pickle", "provenance", "package"), "provenance.package"),
     "no date": (put("yesterday", "provenance", "date"), "provenance.date is 'yesterday'"),
 }

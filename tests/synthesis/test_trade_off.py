@@ -59,7 +59,8 @@ def test_a_value_that_was_not_met_is_no_start_for_the_next(monkeypatch):
     def tuned(job, law, structure, *, again=False):
         begun.append((law.n_states, again))
         margins = {"ratio_sensitivity": 1.0, "ratio_gain": 9.0 if len(begun) == 1 else 0.5}
-        return amb.Synthesis(law, "tuned", 1.0, Status.VERIFIED, Certificate(margins=margins))
+        certificate = Certificate(True, -1.0, margins=margins)
+        return amb.Synthesis(law, "tuned", 1.0, Status.VERIFIED, certificate)
 
     monkeypatch.setattr(module, "tuned", tuned)
     result = trade_off(coarse("seal-rig"), "order", [12, 16, 20], Tuned(rate=1e4))
@@ -111,7 +112,7 @@ def test_ctrl_c_ends_it_and_keeps_the_values_that_are_done(monkeypatch):
             "tuned",
             1.0,
             Status.VERIFIED,
-            Certificate(margins={"ratio_sensitivity": 1.0, "ratio_gain": 0.5}),
+            Certificate(True, -1.0, margins={"ratio_sensitivity": 1.0, "ratio_gain": 0.5}),
         )
         return done if len(seen) == 1 else replace(done, stopped_early="interrupted")
 

@@ -543,11 +543,6 @@ def _synthesis(table: ControllerTable) -> Synthesis:
         if table.certificate is None
         else Certificate(**table.certificate.model_dump())
     )
-    if table.status is Status.VERIFIED and not certificate.stable:
-        raise InvalidInput(
-            "status is 'verified', but the certificate does not say stable; design the controller "
-            "again"
-        )
     if table.method == "lpv" and scheduled is None:
         raise InvalidInput("method is 'lpv', but scheduling is null; design the controller again")
     if table.certificate is None and table.status is not Status.UNCERTIFIED:

@@ -43,7 +43,7 @@ class Certificate(Presented):
     margins: named numbers such as {"sensitivity_peak": ..., "disk_gain_margin": ...}; plant: what
     it was verified on; envelope: {operating point: spectral abscissa [rad/s]} of the loop on the
     full plant, as it runs, at every operating point of the machine that the controller is meant for
-    (empty: not asked).
+    (empty: not asked). Raises InvalidInput for a claim that its own pole contradicts.
     """
 
     _FACTS: ClassVar = ("stable", "spectral_abscissa", "closed_loop_norm", "fastest_pole", "plant")
@@ -55,6 +55,12 @@ class Certificate(Presented):
     margins: Mapping[str, float] = field(default_factory=dict)
     plant: str = ""
     envelope: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        # the claim follows from the pole that was computed, never beside it
+        if self.stable and not self.spectral_abscissa < 0:
+            found = f"stable with spectral abscissa {self.spectral_abscissa:g} rad/s"
+            raise invalid("certificate", found, "stable with one below 0", "certify it again")
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +112,7 @@ class Synthesis(Presented, Law):
     was shown of.
 
     Two are equal when all they say is equal, whatever file they come from. Raises InvalidInput for
-    an unknown status.
+    an unknown status, or for "verified" without a certificate that says stable.
     """
 
     controller: StateSpace
@@ -127,6 +133,9 @@ class Synthesis(Presented, Law):
         if self.status not in list(Status):
             raise invalid("status", repr(self.status), ", ".join(Status), "take a member of Status")
         object.__setattr__(self, "status", Status(self.status))
+        if self.status is Status.VERIFIED and not self.certificate.stable:
+            found = "'verified' with a certificate that does not say stable"
+            raise invalid("status", found, "one that says it", "design the controller again")
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Synthesis):

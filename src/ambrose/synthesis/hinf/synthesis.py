@@ -378,7 +378,7 @@ def _finish(
         design.controller,
         "hinf",
         certificate.closed_loop_norm,
-        Status.VERIFIED,
+        Status.VERIFIED if certificate.stable else Status.UNSTABLE,
         certificate,
         design.history if history is None else history,
         notes,
