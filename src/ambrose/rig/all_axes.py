@@ -28,7 +28,7 @@ from ambrose.rig import axial_rig, virtual_rig
 from ambrose.rig.engine.controller import RunningProgram, SampledLaw, sample_time, sampled_law
 from ambrose.rig.engine.equilibrium import fastest_pole, steps_per_sample
 from ambrose.rig.engine.inputs import Drive, Plan, plan, stretch
-from ambrose.rig.engine.outcome import classify_outcome, watch
+from ambrose.rig.engine.outcome import classify_outcome, watch, within_bounds
 from ambrose.rig.engine.propagator import steps_within
 from ambrose.rig.engine.record import Recorder
 from ambrose.rig.engine.state import build
@@ -148,7 +148,8 @@ def run(
         across_log, _ = virtual_rig.advance_motion(
             task.rig, whole, every_axis, steps, moving, count, running, axis
         )
-        return drive, pushed, across_log, log[: len(across_log)]
+        both = within_bounds(log[: len(across_log)])
+        return drive, pushed, across_log[:both], log[:both]
 
     # called once, so that it is compiled; the axis' noise goes on from there, as by itself
     trial = replace(motion, z=motion.z.copy(), x=motion.x.copy(), held=motion.held.copy())

@@ -37,6 +37,7 @@ from ambrose.rig.engine.controller import (
     sampled_law,
 )
 from ambrose.rig.engine.inputs import Plan, plan
+from ambrose.rig.engine.outcome import within_bounds
 from ambrose.rig.engine.record import Recorder
 from ambrose.rig.scenario import LEVITATED, Scenario
 from ambrose.rig.trace import Trace
@@ -196,6 +197,7 @@ def run(
             done = _kernel()(along, laws, code, work, x, held, seen)
             if running is not None and running.failure is not None:
                 raise running.failure
+            done = within_bounds(log[:done])
             watched.follow(number, log[:done], sample)
             recorder.add(number, recorded(task, drive), log[:done])  # type: ignore[arg-type]
             if progress is not None and time.perf_counter() - reported > _REPORT_EVERY:

@@ -43,7 +43,7 @@ from ambrose.rig.engine.equilibrium import (
     steps_per_sample,
 )
 from ambrose.rig.engine.inputs import Drive, Plan, plan, stretch
-from ambrose.rig.engine.outcome import classify_outcome, watch
+from ambrose.rig.engine.outcome import classify_outcome, watch, within_bounds
 from ambrose.rig.engine.propagator import Propagator, propagator, steps_within
 from ambrose.rig.engine.record import Recorder
 from ambrose.rig.engine.state import Rig, build, compiled, kept
@@ -357,8 +357,8 @@ def advance_motion(
     running: RunningProgram | None = None,
     along: axial_rig.Along | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Log (k, columns) and errors (a, k) of a stretch, up to the sample where the state
-    overflowed. along: the axis along the shaft, of a law and a drive that have it as the last one.
+    """Log (k, columns) and errors (a, k) of a stretch, up to the sample where the motion left all
+    bounds. along: the axis along the shaft, of a law and a drive that have it as the last one.
     """
     a, axes = len(rig.axes), len(motion.held)
     log, errors = np.empty((count, 4 * a + len(rig.port_names))), np.empty((count, axes))
@@ -389,9 +389,11 @@ def advance_motion(
                 f"the program gave up after {done} samples of this stretch; look at what it "
                 "returned"
             )
+    # a state that overflowed ends in the row after the last that was done
+    kept = within_bounds(log[: done + 1])
+    if kept < count:
         motion.overflow = np.nan  # its time is added by who knows it
-        log, errors = log[: done + 1], errors[: done + 1]
-        log = log[np.isfinite(log).all(axis=1)]
+        log, errors = log[:kept], errors[:kept]
     return log, errors.T
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ambrose.machine.limits import LARGEST_SAMPLE
 from ambrose.rig.engine.inputs import Plan
 from ambrose.rig.engine.state import Rig
 from ambrose.rig.scenario import LEVITATED, Scenario
@@ -14,6 +15,19 @@ from ambrose.rig.scenario import LEVITATED, Scenario
 _CLEAR, _OFF = 0.05, 0.9
 _BEFORE = 0.05  # [s] before a touchdown in which currents at their limit count as its cause
 _AT_LIMIT = 0.999  # of the limit: reached, but for rounding
+
+
+# a motion beyond it has left all bounds; a thousandth of what a record holds, for what is derived
+# from it
+_BOUND = 1e-3 * LARGEST_SAMPLE
+
+
+def within_bounds(log: np.ndarray) -> int:
+    """How many rows of a log (k, columns) come before the first that is no number, or beyond all
+    bounds.
+    """
+    usable = (np.abs(log) <= _BOUND).all(axis=1)  # NaN is not
+    return len(log) if usable.all() else int(np.argmin(usable))
 
 
 @dataclass(slots=True)
@@ -105,7 +119,7 @@ def classify_outcome(
 ) -> tuple[str, str]:
     """The outcome ("completed", "touchdown", "not levitated" or "diverged") and the same in words.
 
-    overflow [s]: when a state was no number any more. pole [rad/s]: the rightmost of the linear
+    overflow [s]: when the motion left all bounds. pole [rad/s]: the rightmost of the linear
     loop.
     """
     modes = (monitor.rig.coordinates - 4) // 2
@@ -114,9 +128,13 @@ def classify_outcome(
         "" if pole is None else f"; {loop}: rightmost pole {pole.real:.4g}{pole.imag:+.4g}j rad/s"
     )
     if overflow is not None:
+        began = ""
+        if monitor.inside is not None:
+            at, where = monitor.inside
+            began = f"at t = {at:.6g} s the rotor is beyond the air gap of bearing {where}, and "
         return (
             "diverged",
-            f"diverged: the motion left all bounds at t = {overflow:.6g} s; the record ends "
+            f"diverged: {began}the motion left all bounds at t = {overflow:.6g} s; the record ends "
             f"before{side}",
         )
     if monitor.inside is not None:
