@@ -24,8 +24,8 @@ class Trace(Presented):
     text: the outcome in words. pole [rad/s]: the rightmost one, None without states. stopped_at
     [s]: where the record ends early, because the displacement limit was passed or the motion
     left all bounds. scenario: its name. speed_error: estimated error of holding the speed over
-    short intervals during a run-up, as a fraction of the peak. touchdown_at [s]: first contact with a
-    touchdown bearing after levitation. run_time, compile_time [s]: of the computer; the second
+    short intervals during a run-up, as a fraction of the peak. touchdown_at [s]: first contact with
+    a touchdown bearing after levitation. run_time, compile_time [s]: of the computer; the second
     includes all that precedes the first sample.
     """
 
