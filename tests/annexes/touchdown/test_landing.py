@@ -14,12 +14,19 @@ from ambrose.annexes.touchdown.analysis import usual_duration
 from ambrose.annexes.touchdown.campaign import draw, drops
 from ambrose.annexes.touchdown.fallen import fallen_rotor
 from ambrose.annexes.touchdown.run_down import run_down
-from ambrose.annexes.touchdown.thrust_face import landing_force, thrust_rows
+from ambrose.annexes.touchdown.thrust_face import (
+    axial_drop,
+    axial_drops,
+    landing_force,
+    thrust_rows,
+)
 from ambrose.annexes.touchdown.verdict import judge_landing
 from ambrose.annexes.touchdown.whip_at_stop import beyond_stop
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
+from ambrose.machine.attachment import attached
 from ambrose.machine.file.toml import dumps_machine
+from ambrose.machine.thrust import ThrustBearing
 from ambrose.machine.touchdown import (
     CoastDown,
     Touchdown,
@@ -27,6 +34,7 @@ from ambrose.machine.touchdown import (
     TouchdownMount,
     TouchdownRace,
 )
+from ambrose.model.axial.wiring import rotor_mass
 from ambrose.report.page import page_of, render
 
 G = 9.80665
@@ -169,9 +177,61 @@ def test_landing_on_a_thrust_face():
     path = solve_ivp(motion, (0, 0.01), [0.0, 0.0], max_step=5e-6, rtol=1e-9).y[0]
     assert landing_force(thrust, way, k) == pytest.approx(k * (path.max() - way), rel=1e-4)
     machine = amb.load_machine(EXAMPLE)
-    (row,) = thrust_rows(machine, next(p for p in machine.operation.points if p.label == "rated"))
-    assert row.place.endswith("left")  # the expander wheel pulls there
-    assert row.value > 0
+    (drop,) = axial_drops(machine, mass, rated(machine), 0.5)
+    force, gap = thrust_rows((drop,))
+    assert force.place.endswith("left")  # the expander wheel pulls there
+    assert 0 < force.value < drop.bound and gap.passed
+
+
+def rated(machine):
+    return next(point for point in machine.operation.points if point.label == "rated")
+
+
+def thrust_part():
+    (part,) = (p for _, p in attached(amb.load_machine(EXAMPLE)) if isinstance(p, ThrustBearing))
+    return part
+
+
+def test_the_first_blow_on_a_thrust_face_is_that_of_a_damped_oscillator():
+    """m x'' + d x' + k x = F_0 from x = 0 at the speed v of the free way, its first turning point
+    in closed form; first contact sqrt(2 m c / F_0); at the end F_0 / k beyond the stop.
+    """
+    part, mass, thrust = thrust_part(), 12.0, 120.0
+    k, d, way = part.stop_stiffness, part.stop_damping, part.touchdown_gap[0]
+    drop = axial_drop(part, mass, -thrust, 0.5)
+    assert drop.first_contact == pytest.approx(np.sqrt(2 * mass * way / thrust), rel=1e-6)
+    speed = np.sqrt(2 * thrust * way / mass)
+    decay, turning = d / (2 * mass), np.sqrt(k / mass - (d / (2 * mass)) ** 2)
+    # x = F_0/k + e^(-a t) (A cos w t + B sin w t)
+    A, B = -thrust / k, (speed - decay * thrust / k) / turning
+    t = np.arctan2(B * turning - A * decay, A * turning + B * decay) / turning
+    deep = thrust / k + np.exp(-decay * t) * (A * np.cos(turning * t) + B * np.sin(turning * t))
+    assert drop.reach == pytest.approx(way + deep, rel=1e-6)
+    assert drop.settled is not None
+    assert abs(drop.place[-1]) == pytest.approx(way + thrust / k, rel=1e-6)
+    assert axial_drop(part, mass, thrust, 0.5).place.max() == pytest.approx(drop.reach, rel=1e-9)
+
+
+def test_a_stop_without_damping_reaches_its_bound_and_a_coupling_may_hold_the_rotor():
+    part, mass = thrust_part(), 12.0
+    bare = axial_drop(replace(part, stop_damping=0.0), mass, -120.0, 0.02)
+    assert bare.largest_force == pytest.approx(bare.bound, rel=1e-5)
+    assert bare.settled is None
+    held = axial_drop(replace(part, coupling_stiffness=1e6), mass, -120.0, 0.1)
+    assert held.first_contact is None and held.largest_force == 0.0
+    assert held.reach == pytest.approx(2 * 120.0 / 1e6, rel=1e-4)  # twice the static deflection
+
+
+def test_the_rig_lands_on_its_thrust_face_as_the_drop_says():
+    """The rig's flux decays first, which holds the rotor back a little; as far within 0.5 %."""
+    axial = amb.load_machine(f"{EXAMPLE}#axial")
+    run = amb.simulate(axial, amb.design(axial, "pid"), "power-loss", point="rated")
+    machine = amb.load_machine(EXAMPLE)
+    (drop,) = axial_drops(machine, rotor_mass(axial), rated(machine), 0.5)
+    place = run.record.values[run.record.signals.index("q_T_z")]
+    later = run.touchdown_at - 0.1 - drop.first_contact
+    assert 0 < later < 0.15 * drop.first_contact
+    assert np.abs(place).max() == pytest.approx(drop.reach, rel=5e-3)
 
 
 def test_a_drop_lasts_until_the_races_turn():

@@ -20,7 +20,7 @@ from ambrose.annexes.touchdown.relevitation import (
     with_magnets,
 )
 from ambrose.annexes.touchdown.run_down import RunDown, run_down
-from ambrose.annexes.touchdown.thrust_face import thrust_rows
+from ambrose.annexes.touchdown.thrust_face import AxialDrop, axial_drops, thrust_rows
 from ambrose.annexes.touchdown.trip import speed_at, state_at
 from ambrose.annexes.touchdown.verdict import Row, judge_landing
 from ambrose.annexes.touchdown.whip import (
@@ -114,7 +114,8 @@ class Landing(Presented):
     frequency. whip_map: edges over friction and mount. drop, fall: the machine as written down,
     with its residual unbalance; down: until it stands. recovery: with the magnets on
     again, None where no controller was given. campaign: many drops, None where none were
-    asked for. rows: what landings cost, over the campaign or else over the one drop.
+    asked for. rows: what landings cost, over the campaign or else over the one drop. along: the
+    motion along the axis, of every thrust bearing with stops and a thrust at the point.
     """
 
     _FACTS: ClassVar = ("machine=machine_name", "point=point_name", "worst=worst_whip")
@@ -132,6 +133,7 @@ class Landing(Presented):
     recovery: Recovery | None
     campaign: Campaign | None
     rows: tuple[Row, ...]
+    along: tuple[AxialDrop, ...] = ()
 
     @property
     def passed(self) -> bool | None:
@@ -172,6 +174,7 @@ class Landing(Presented):
             "drop": fall_data(self),
             "run_down": self.down.to_dict(),
             "recovery": None if self.recovery is None else self.recovery.to_dict(),
+            "along": {item.bearing: item.to_dict() for item in self.along},
             "campaign": None if self.campaign is None else self.campaign.to_dict(),
             "rows": [row.to_dict() for row in self.rows],
             "passed": self.passed,
@@ -323,7 +326,8 @@ def landing(
         seals = campaign.seals
     force, load = figures[:, :, 2], figures[:, :, 3]
     rows = judge_landing(machine, moving, force, load, slip, figures[:, :, 5], seals, down.slip / b)
-    rows = (*rows, *thrust_rows(machine, chosen))
+    along = axial_drops(machine, moving.mass, chosen, lasts)
+    rows = (*rows, *thrust_rows(along))
     if recovery is not None:
         title = "power to the last contact"
         rows = (*rows, Row("recovery", "all", title, recovery.time, "s", "<=", lasts))
@@ -341,6 +345,7 @@ def landing(
         recovery,
         campaign,
         rows,
+        along,
     )
 
 

@@ -5,7 +5,7 @@ Modelled: rotor in a few bending modes with gyroscopics, seals and couplings lin
 centre; weight; unbalance W^2; contact with stiffness, damping and friction (Stribeck); race that
 spins up, rolling elements after Hertz with preload, ring on its mount with a stop; drive, windage
 and friction that slow the rotor. Not modelled: wear, oil films, heat that changes friction or
-clearance, motion along the axis, the reaction of unbalance on the spin.
+clearance, motion along the axis (thrust_face.py has it), the reaction of unbalance on the spin.
 """
 
 from __future__ import annotations

@@ -8,6 +8,7 @@ import numpy as np
 
 from ambrose.annexes.touchdown.analysis import Landing
 from ambrose.annexes.touchdown.campaign import WHIRLS, Campaign
+from ambrose.annexes.touchdown.thrust_face import AxialDrop
 from ambrose.report import theme
 from ambrose.report.figures.animation import add_controls
 
@@ -146,6 +147,45 @@ def history_figure(result: Landing) -> Any:
     theme.dress(figure, 400, legend=True)
     figure.update_yaxes(title_text="Contact force [kN]", row=1, col=1)
     figure.update_yaxes(title_text="Speed [rpm]", rangemode="tozero", row=2, col=1)
+    figure.update_xaxes(title_text="Time after the loss of power [ms]", row=2, col=1)
+    return figure
+
+
+def axial_figure(drop: AxialDrop) -> Any:
+    """Place of the collar between stop and magnet, and the stop's force, until it rests."""
+    figure = theme.subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.1)
+    end = drop.time[-1] if drop.settled is None else 1.3 * drop.settled
+    window = drop.time <= end
+    time, sign = 1e3 * drop.time[window], 1.0 if drop.thrust > 0 else -1.0
+    for row, values, unit in ((1, 1e6 * drop.place, "um"), (2, 1e-3 * drop.force, "kN")):
+        theme.scatter(
+            figure,
+            {"row": row, "col": 1},
+            np.float32(time),
+            np.float32(values[window]),
+            mode="lines",
+            line={"color": _COLOURS[0], "width": 1.4},
+            hovertemplate=f"%{{x:.4g}} ms: %{{y:.4g}} {unit}<extra></extra>",
+        )
+    ends = [0.0, float(time[-1])]
+    for words, at, style in (
+        ("stop", drop.way, {"color": theme.MUTED, "width": 1.4, "dash": "dash"}),
+        ("magnet", drop.gap, {"color": theme.LIMIT, "width": 1.6}),
+    ):
+        theme.scatter(
+            figure,
+            {"row": 1, "col": 1},
+            np.array(ends, np.float32),
+            np.full(2, 1e6 * sign * at, np.float32),
+            words,
+            shown=True,
+            mode="lines",
+            line=style,
+            hoverinfo="skip",
+        )
+    theme.dress(figure, 360, legend=True)
+    figure.update_yaxes(title_text="Place along the shaft [um]", row=1, col=1)
+    figure.update_yaxes(title_text="Force of the stop [kN]", rangemode="tozero", row=2, col=1)
     figure.update_xaxes(title_text="Time after the loss of power [ms]", row=2, col=1)
     return figure
 

@@ -10,10 +10,12 @@ from ambrose.annexes.touchdown.drop_figures import (
     FRAME_TIME,
     FRAMES,
     SHOWN,
+    axial_figure,
     distribution_figure,
     history_figure,
     slow_motion,
 )
+from ambrose.annexes.touchdown.thrust_face import AxialDrop
 from ambrose.annexes.touchdown.whip_figures import map_figure, needed_figure
 from ambrose.machine.file.toml import machine_hash
 from ambrose.report.figures.rotor_drawing import machine_drawing
@@ -49,8 +51,14 @@ _MANY = (
 _DISTRIBUTION = "Left: share of drops with at most a force. Right: at most 1,500 drops."
 _COST = (
     "Over all drops where there is a campaign, else over the one drop; the rest of the run-down is "
-    "estimated. Not covered: wear, heat that changes friction or clearance, motion along the axis."
+    "estimated. Not covered: wear, heat that changes friction or clearance."
 )
+_ALONG = (
+    "The thrust bearing loses its power with the others: rotor, coupling and stop of the machine "
+    "file, from rest at the middle, under the process thrust of {thrust:.4g} N. Left out: what the "
+    "magnets still pull as their flux decays (the rig has it), friction on the face."
+)
+_FACE = "The collar against its stop, and how near it comes to the magnet."
 _HEADS = (
     "The heads of ISO 14839-5:2022, recalled from its published scope (its text was not at hand; "
     "it states no numeric limits), and where this page has something on them."
@@ -97,6 +105,7 @@ def landing_page(result: Landing, *, date: str = "") -> Page:
         Section("Rotor", "", (drawing,)),
         Section("What landings cost", _COST, (), (cost_table(result),)),
         drop_section(result),
+        *map(axial_section, result.along),
         *([] if result.campaign is None else [campaign_section(result)]),
         Section(
             "Whip before any simulation", _WHIP, pictures, (table, damping_table(result)), True
@@ -214,6 +223,35 @@ def drop_section(result: Landing) -> Section:
     )
     modes = (len(result.fallen.mass_matrix) - 4) // 2
     return Section("One drop", _DROP.format(modes=modes), pictures, (table,), True)
+
+
+def axial_section(drop: AxialDrop) -> Section:
+    """The motion along the axis of one thrust bearing."""
+    touched, settled = drop.first_contact, drop.settled
+    row: Row = (
+        f"{drop.bearing} {drop.side}",
+        *numbers(
+            "never" if touched is None else f"{1e3 * touched:.4g} ms",
+            f"{drop.largest_force / 1e3:.3g} kN",
+            f"{drop.bound / 1e3:.3g} kN",
+            f"{1e6 * drop.reach:.4g} um",
+            f"{1e6 * drop.gap:.4g} um",
+            "not yet" if settled is None else f"{1e3 * settled:.4g} ms",
+        ),
+    )
+    columns = (
+        "Face",
+        "First contact",
+        "Largest force",
+        "Without damping",
+        "Displacement",
+        "Magnet at",
+        "At rest from",
+    )
+    table = Table("Along the shaft", columns, (row,))
+    picture = Figure("On the thrust face", axial_figure(drop), _FACE)
+    words = _ALONG.format(thrust=drop.thrust)
+    return Section("Landing on the thrust face", words, (picture,), (table,), True)
 
 
 def campaign_section(result: Landing) -> Section:
