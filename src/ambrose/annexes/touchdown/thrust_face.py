@@ -151,7 +151,8 @@ def _motion(
 
     change.terminal = True  # type: ignore[attr-defined]
     parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-    now, state, touching = 0.0, np.zeros(2), False
+    now, state = 0.0, np.zeros(2)
+    touching = False
     for _phase in range(_PHASES):
         # a contact that lasts dies out as e^(-d t / 2 m), after twenty such times to 2e-9
         lasts = 40 * mass / d if touching and d else duration
@@ -177,8 +178,8 @@ def _motion(
         touching = not touching
         # just past the change, so that the next phase does not end where it begins
         state = state + np.array([state[1], 0.0]) * 1e-12
-    time, place, force = (np.concatenate(item) for item in zip(*parts, strict=True))
-    return time, place, force
+    together = [np.concatenate(item) for item in zip(*parts, strict=True)]
+    return together[0], together[1], together[2]
 
 
 def _settled(
