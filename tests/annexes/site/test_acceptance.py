@@ -238,3 +238,56 @@ def test_the_command_writes_the_page_to_sign(tmp_path):
     # the record that was signed for is known again, as `sha256sum run.h5` gives it
     digest = hashlib.sha256((tmp_path / "run.h5").read_bytes()).hexdigest()
     assert told["records"] == [{"name": "run.h5", "sha256": digest}] and digest in page
+
+
+def bare(seconds=8.0, bit=7e-4, noise=2e-8):
+    """The blower's loop under sequences without power at 1 over their bit time, sensors noisy."""
+    sequences = tuple(replace(item, bit_time=bit) for item in load_scenario("acceptance").sequences)
+    scenario = replace(load_scenario("acceptance"), duration=seconds, sequences=sequences)
+    found = amb.simulate(machine(), law(), scenario, linear=True).record
+    found = found.select([name for name in found.signals if name[:2] in {"y_", "e_"}])
+    shown = np.array([name.startswith("y_") for name in found.signals])[:, None]
+    heard = np.random.default_rng(2).standard_normal(found.values.shape)
+    return replace(found, values=found.values + noise * shown * heard)
+
+
+@pytest.mark.campaign
+def test_lines_without_excitation_neither_pass_nor_fail():
+    """A null of the sequence within the band that is judged: there the loop comes out as anything,
+    with an interval as wide, and the page says to excite there.
+    """
+    accepted = accept(machine(), law(), bare())
+    loop = accepted.points[0]
+    S = np.abs(np.einsum("wii->wi", loop.predicted[0][1]))
+    told = loop.told[:, :-1]
+    frequency = loop.omega / (2 * np.pi)
+    null = np.abs(frequency - 1 / 7e-4) < 4
+    assert null.any() and not told[null].any()
+    assert told[np.abs(frequency - 1 / 7e-4) > 100].all()
+
+    # without the question, noise decides: the largest value of an axis lies at the null
+    wild = int(loop.modulus[:, 2].argmax())
+    assert not told[wild, 2] and loop.modulus[wild, 2] > 1.3 * S[:, 2].max()
+    checks = {check.name: check for check in loop.checks.checks}
+    for i, axis in enumerate(loop.axes):
+        peak = checks[f"sensitivity.output.{axis}"]
+        assert peak.passed and peak.value == loop.modulus[told[:, i], i].max()
+        assert "% of the band told" in peak.detail
+    assert checks["sensitivity.output.max"].passed
+    reach = checks["sensitivity.told"]
+    assert "excite there: 14" in reach.detail
+    assert reach.passed and 0.95 < reach.value < 1
+    for i, (low, high) in enumerate(loop.peaks):
+        assert low < S[:, i].max() < high
+    plain = accepted.to_dict()["points"][0]
+    assert plain["told"] == told.T.tolist() and len(plain["sigma_told"]) == len(loop.omega)
+    page = render(acceptance_page(accepted))
+    assert "excite there" in page and "of the band told" in page
+
+
+@pytest.mark.campaign
+def test_a_band_left_dark_fails_as_a_whole():
+    """Bits of 2 ms leave most above 500 Hz in the noise: what was not asked was not accepted."""
+    loop = accept(machine(), law(), bare(bit=2e-3, noise=2e-7)).points[0]
+    reach = {check.name: check for check in loop.checks.checks}["sensitivity.told"]
+    assert reach.passed is False and reach.value < 0.9 and "excite there" in reach.detail

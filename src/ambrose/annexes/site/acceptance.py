@@ -25,6 +25,7 @@ from ambrose.annexes.site.resolution import (
     predicted_resonances,
     risen,
 )
+from ambrose.annexes.site.telling import judged_reach, share, telling
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.frequency import frequency_response
 from ambrose.core.presentation import Presented
@@ -72,7 +73,9 @@ class MeasuredLoop:
     sigma, low, high (w,): its maximum singular value and the ends of its interval; predicted:
     (label, S (w, a, a)) by the machine file and, where the records hold currents, with the magnets
     at their static load; coherence (w, a); checks: its verdict; between (w - 1, a + 1): by what
-    factor the prediction of every axis, and of sigma, rises between two lines above both.
+    factor the prediction of every axis, and of sigma, rises between two lines above both; told
+    (w, a + 1): the lines of every axis, and of sigma, that the excitation reached, so that they
+    tell something of the limit (telling.py).
     """
 
     point: OperatingPoint
@@ -87,6 +90,7 @@ class MeasuredLoop:
     coherence: np.ndarray
     checks: Checks
     between: np.ndarray
+    told: np.ndarray
 
     @property
     def modulus(self) -> np.ndarray:
@@ -95,10 +99,20 @@ class MeasuredLoop:
 
     @property
     def peaks(self) -> list[tuple[float, float]]:
-        """Ends of the 95 % interval of the peak of |S_ii| over all lines, of every axis."""
-        low, high = self.modulus - _ALL_LINES * self.half, self.modulus + self.half
+        """Ends of the 95 % interval of the peak of |S_ii| over all lines that tell, of every
+        axis; -inf where none does.
+        """
+        told = self.told[:, :-1]
+        low = np.where(told, self.modulus - _ALL_LINES * self.half, -np.inf)
+        high = np.where(told, self.modulus + self.half, -np.inf)
         top = [risen(high[:, i], self.between[:, i]) for i in range(len(self.axes))]
         return list(zip(low.max(axis=0).tolist(), top, strict=True))
+
+    @property
+    def largest(self) -> float:
+        """The largest |S_ii| at a line that tells; nan without any."""
+        told = self.told[:, :-1]
+        return float(self.modulus[told].max()) if told.any() else float("nan")
 
     @property
     def loops(self) -> np.ndarray:
@@ -126,7 +140,7 @@ class Acceptance(Presented):
     def facts(self) -> dict[str, Any]:
         """The verdict and the largest measured sensitivity."""
         peaks = {
-            loop.point.label or f"{loop.point.speed:.4g} rad/s": float(loop.modulus.max())
+            loop.point.label or f"{loop.point.speed:.4g} rad/s": loop.largest
             for loop in self.points
         }
         return {
@@ -144,8 +158,10 @@ class Acceptance(Presented):
                 "axes": list(loop.axes),
                 "sensitivity": loop.modulus.T.tolist(),
                 "half_width": loop.half.T.tolist(),
+                "told": loop.told[:, :-1].T.tolist(),
                 "sigma": loop.sigma.tolist(),
                 "sigma_95": [loop.low.tolist(), loop.high.tolist()],
+                "sigma_told": loop.told[:, -1].tolist(),
             }
             for loop in self.points
         ]
@@ -200,9 +216,9 @@ def accept(
     findings = screened(
         machine, read, controller, computing_delay=timing.delay_samples, excited="er"
     )
-    told = _told(findings)
+    said = _told(findings)
     measured = tuple(
-        _measure(machine, controller, timing, group, harmonics, told) for group in points.values()
+        _measure(machine, controller, timing, group, harmonics, said) for group in points.values()
     )
     return Acceptance(machine, controller, str(timing), measured, names)
 
@@ -266,7 +282,7 @@ def _measure(
     timing: Timing,
     records: list[Record],
     harmonics: int,
-    told: list[Check],
+    said: list[Check],
 ) -> MeasuredLoop:
     from scipy.special import stdtrit
 
@@ -312,7 +328,7 @@ def _measure(
 
     # half-width of S_ii: variance of e_i^T dM through e_i, with that of the curvature
     unit = np.eye(a)
-    half = t * np.sqrt(
+    noise = t * np.sqrt(
         np.array(
             [_spread(M, np.tile(unit[i], (len(omega), 1)), through[:, :, i]) for i in range(a)]
         ).T
@@ -320,7 +336,7 @@ def _measure(
 
     # currents that push (1 + d) times as much, every axis by itself: dS = -(S G) d (K S)
     pushed, driven = M.values if kind == "e" else M.values @ np.linalg.pinv(K), K @ S
-    half = np.hypot(half, _CURVED * np.linalg.norm(pushed * driven.swapaxes(1, 2), axis=2))
+    half = np.hypot(noise, _CURVED * np.linalg.norm(pushed * driven.swapaxes(1, 2), axis=2))
 
     # largest singular value u^H S v: first order d sigma = -Re(u^H dM through v), v = conj(right)
     left, sigma, right = np.linalg.svd(S)
@@ -328,10 +344,24 @@ def _measure(
     first = np.einsum("wi,wij->wj", left[:, :, 0].conj(), pushed)
     last_of = np.einsum("wij,wj->wi", driven, right[:, 0].conj())
     curved = _CURVED * np.linalg.norm(first * last_of, axis=1)
-    above = np.hypot(t * np.sqrt(_spread(M, left[:, :, 0], top)), curved)
+    above = t * np.sqrt(_spread(M, left[:, :, 0], top))
 
     # the noise lifts the largest singular value, so that the lower end allows for its norm
-    low, high = sigma[:, 0] - np.maximum(above, _norm_of_error(M, through)), sigma[:, 0] + above
+    lift = _norm_of_error(M, through)
+
+    # the lines that the excitation reached
+    own, largest = (
+        demand(words, machine.requirements).limit
+        for words in ("sensitivity of an axis", "maximum singular value of a sensitivity")
+    )
+    told = np.column_stack(
+        [
+            telling(np.abs(np.einsum("wii->wi", S)), noise, own),
+            telling(sigma[:, 0], above, largest, lift),
+        ]
+    )
+    above = np.hypot(above, curved)
+    low, high = sigma[:, 0] - np.maximum(above, lift), sigma[:, 0] + above
 
     # the prediction, and beside it the one with the magnets at the load that the currents tell
     predicted = tuple(
@@ -357,6 +387,7 @@ def _measure(
         M.coherence,
         Checks(label, True, (), (), notes),
         between(last, law, omega),
+        told,
     )
     checks = [
         *_checks(loop, machine, highest, _allowed(last, law, omega)),
@@ -364,7 +395,7 @@ def _measure(
     ]
     if currents:
         checks += _law_checks(both, K, kind, timing)
-    checks += told
+    checks += said
     return replace(loop, checks=replace(loop.checks, checks=tuple(checks)))
 
 
@@ -519,6 +550,7 @@ def _checks(
     requirements, found = machine.requirements, []
     file, last = loop.predicted[0][1], loop.predicted[-1]
     own, predicted = loop.modulus, np.abs(np.einsum("wii->wi", file))
+    told = loop.told[:, :-1]
 
     # the lower end holds for all lines together: the peak is the largest of many
     low, high = own - _ALL_LINES * loop.half, own + loop.half
@@ -534,6 +566,7 @@ def _checks(
                 high[:, i],
                 predicted[:, i],
                 loop.between[:, i],
+                loop.told[:, i],
                 wanted,
             )
         )
@@ -550,11 +583,15 @@ def _checks(
             loop.high,
             largest,
             loop.between[:, -1],
+            loop.told[:, -1],
             wanted,
         )
     )
+    names = [*loop.axes, words]
+    both, limits = np.column_stack([predicted, largest]), [check.limit for check in found]
+    reach = judged_reach(names, loop.omega, loop.told, both, limits)
     for i, axis in enumerate(loop.axes):
-        phase, at = phase_margin(loop.omega, loop.loops[:, i])
+        phase, at = phase_margin(loop.omega, loop.loops[:, i], told[:, i])
         detail = (
             f"at {at / TWO_PI:.4g} Hz"
             if np.isfinite(at)
@@ -571,14 +608,17 @@ def _checks(
                 detail,
             )
         )
+    found.append(reach)
 
     # distance from the last prediction, with the magnets at their load where that is known, over
-    # what noise on a thousand lines and the doubts of the machine file make of it
-    off = np.abs(own - np.abs(np.einsum("wii->wi", last[1])))
+    # what noise on a thousand lines and the doubts of the machine file make of it; of the lines
+    # that tell
+    off = np.where(told, np.abs(own - np.abs(np.einsum("wii->wi", last[1]))), 0.0)
     doubt = np.hypot(_ALL_LINES * loop.half, _DOUBTED * allowed)
     worst = int(np.argmax((off / doubt).max(axis=1)))
     inside = (
-        f"{100 * float((off <= loop.half).mean()):.0f} % of the lines within 95 % of the measured"
+        f"{100 * float((off <= loop.half)[told].mean()) if told.any() else 0:.0f} % of the lines "
+        "within 95 % of the measured"
     )
     detail = (
         f"at {loop.omega[worst] / TWO_PI:.4g} Hz, where it is {off[worst].max():.3g}, {last[0]}; "
@@ -606,8 +646,9 @@ def _checks(
 
     # not measured as high as asked, and still near the peak at the last lines: the peak may
     # lie beyond
-    edge = own[-max(len(own) // 20, 1) :].max() if measured < 0.95 * highest else 0.0
-    rises = bool(edge >= 0.9 * own.max())
+    size = np.where(told, own, 0.0)
+    edge = size[-max(len(own) // 20, 1) :].max() if measured < 0.95 * highest else 0.0
+    rises = bool(edge and edge >= 0.9 * size.max())
     found.append(
         replace(
             reach, relation=">=", limit=highest if rises else None, passed=False if rises else None
@@ -625,45 +666,52 @@ def _peak(
     high: np.ndarray,
     predicted: np.ndarray,
     between: np.ndarray,
+    told: np.ndarray,
     wanted: Any,
 ) -> Check:
-    """The largest measured value; the limit and the zone judge the outer end of its interval, and
-    of what the prediction rises between the lines.
+    """The largest value that was measured at a line that tells; the limit and the zone judge the
+    outer end of its interval, and of what the prediction rises between the lines.
     """
+    title = f"Measured peak sensitivity, {what}"
+    if not told.any():
+        words = "no line tells anything; excite more, or record longer"
+        return information(name, title, float("nan"), "-", words)
+    value, low = np.where(told, value, -np.inf), np.where(told, low, -np.inf)
+    high = np.where(told, high, -np.inf)
     k = int(np.argmax(value))
     top, at = risen(high, between), omega[np.argmax(predicted)] / TWO_PI
     beside = (
         f"95 %: {low.max():.3g} to {top:.3g}; predicted peak {predicted.max():.4g} at {at:.4g} Hz"
     )
-    check = judge(
-        name,
-        f"Measured peak sensitivity, {what}",
-        top,
-        "-",
-        wanted,
-        f"at {omega[k] / TWO_PI:.4g} Hz; {beside}",
-    )
+    if not told.all():
+        beside += f"; {100 * share(omega, told):.3g} % of the band told"
+    detail = f"at {omega[k] / TWO_PI:.4g} Hz; {beside}"
+    check = judge(name, title, top, "-", wanted, detail)
     met = None if check.limit is None else holds(top, check.relation, check.limit)
     if (
         met is False
         and check.limit is not None
         and holds(float(value[k]), check.relation, check.limit)
     ):
-        check = replace(
-            check, detail=f"{check.detail}; the interval reaches past the limit: record longer"
-        )
+        furthest = omega[np.argmax(high)] / TWO_PI
+        words = f"the interval reaches past the limit at {furthest:.4g} Hz"
+        remedy = "record longer, or excite more there"
+        check = replace(check, detail=f"{check.detail}; {words}: {remedy}")
     return replace(check, value=float(value[k]), passed=met)
 
 
-def phase_margin(omega: np.ndarray, L: np.ndarray) -> tuple[float, float]:
+def phase_margin(
+    omega: np.ndarray, L: np.ndarray, told: np.ndarray | None = None
+) -> tuple[float, float]:
     """Smallest angle [rad] between the loop at unit gain and the critical point, and where [rad/s];
-    inf, nan without any.
+    inf, nan without any. told (w,): the lines that are looked at (None: all).
     """
     size = np.log(np.abs(L))
 
     # crossings of unit gain: log |L| changes its sign; between the lines by a straight line
     # in log |L|
-    i = np.flatnonzero(size[:-1] * size[1:] <= 0)
+    crossed = size[:-1] * size[1:] <= 0
+    i = np.flatnonzero(crossed if told is None else crossed & told[:-1] & told[1:])
     if not len(i):
         return float("inf"), float("nan")
     share = size[i] / (size[i] - size[i + 1])

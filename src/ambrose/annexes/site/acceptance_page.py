@@ -19,10 +19,10 @@ from ambrose.report.page import Cell, Figure, Page, Section, Table
 
 _SENSITIVITY = (
     "Modulus of the output sensitivity of every axis with the other loops closed (ISO 14839-3), "
-    "and the largest singular value "
-    "of the whole matrix, which is stricter. Blue with its 95 % band: measured. Thin: what the "
-    "machine file predicted, and "
-    "with the magnets at the static load of the record. Limits judge the band's upper edge."
+    "and the largest singular value of the whole matrix, which is stricter. Blue with its 95 % "
+    "band: measured, and nothing where noise hides the loop. Thin: what the machine file "
+    "predicted, and with the magnets at the static load of the record. Limits judge the band's "
+    "upper edge."
 )
 _CLOSED = "Modulus of the complementary sensitivity 1 − S of every axis: reference to displacement."
 _OPEN = (
@@ -91,18 +91,20 @@ def _sections(loop: MeasuredLoop, requirement: float | None, several: bool) -> l
         np.column_stack([loop.modulus + loop.half, loop.high]),
         S,
         zone_lines(SENSITIVITY, requirement),
+        loop.told,
     )
 
     # T_ii = 1 - S_ii has the error of S_ii; the open loop of an axis is 1/S_ii - 1
+    told = loop.told[:, :-1]
     T = np.abs(1 - np.einsum("wii->wi", loop.S))
     opened = {label: 1 / S_ii - 1 for label, S_ii in diagonal.items()}
     closed = {label: np.abs(1 - S_ii) for label, S_ii in diagonal.items()}
     figures = (
         Figure(f"Sensitivity{where}", sensitivity, _SENSITIVITY),
-        Figure(f"Open loop{where}", nyquist(names, loop.omega, loop.loops, opened), _OPEN),
+        Figure(f"Open loop{where}", nyquist(names, loop.omega, loop.loops, opened, told), _OPEN),
         Figure(
             f"Closed loop{where}",
-            panels(names, loop.omega, T, T - loop.half, T + loop.half, closed, ()),
+            panels(names, loop.omega, T, T - loop.half, T + loop.half, closed, (), told),
             _CLOSED,
         ),
     )

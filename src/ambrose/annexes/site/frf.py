@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from ambrose.annexes.site.acceptance import phase_margin
+from ambrose.annexes.site.telling import share, telling, where
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import FrequencyResponse, frequency_response
 from ambrose.core.presentation import Presented
@@ -329,22 +330,36 @@ def open_loop(sensitivity: Frf) -> Frf:
     return replace(sensitivity, values=1 / S - 1, variance=sensitivity.variance / np.abs(S) ** 4)
 
 
+def heard(sensitivity: Frf) -> np.ndarray:
+    """The lines (w,) at which a sensitivity (w, 1, 1) tells anything."""
+    S = np.abs(sensitivity.values[:, 0, 0])
+    return telling(S, sensitivity.radius()[:, 0, 0], None)
+
+
 def summary(point: PointResponse) -> list[dict[str, Any]]:
     """What an axis driven by itself tells: the largest sensitivity with its 95 % interval and
-    where, the phase margin and the frequency of unit gain, SI; predicted: the model's largest.
+    where, the phase margin and the frequency of unit gain, SI, of the lines that tell anything;
+    told: which part of the band they are; predicted: the model's largest.
     """
     rows = []
     for item in point.of("sensitivity"):
         frf = item.measured
         S, radius = np.abs(frf.values[:, 0, 0]), frf.radius()[:, 0, 0]
-        margin, at = phase_margin(frf.omega, open_loop(frf).values[:, 0, 0])
-        k = int(np.argmax(S))
+        told = heard(frf)
+        margin, at = phase_margin(frf.omega, open_loop(frf).values[:, 0, 0], told)
+        size = np.where(told, S, -np.inf)
+        k = int(np.argmax(size))
+        some = bool(told.any())
         rows.append(
             {
                 "axis": frf.inputs[0][2:],
-                "peak": float(S[k]),
-                "peak_95": [float((S - radius).max()), float((S + radius).max())],
-                "at": float(frf.omega[k]),
+                "told": share(frf.omega, told),
+                "silent": where(frf.omega, told),
+                "peak": float(S[k]) if some else None,
+                "peak_95": [float((size - radius).max()), float((size + radius).max())]
+                if some
+                else None,
+                "at": float(frf.omega[k]) if some else None,
                 "phase_margin": margin if np.isfinite(margin) else None,
                 "unit_gain_at": at if np.isfinite(at) else None,
                 "predicted": None if item.model is None else float(np.abs(item.model.values).max()),

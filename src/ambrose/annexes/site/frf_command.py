@@ -77,7 +77,7 @@ def frf(
     """
     from math import inf, tau
 
-    from ambrose.annexes.site.frf import respond
+    from ambrose.annexes.site.frf import respond, summary
     from ambrose.annexes.site.frf_page import response_tables
     from ambrose.machine.atomic_write import write_text
 
@@ -118,6 +118,11 @@ def frf(
                     item.columns,
                     [tuple(c.text for c in row) for row in item.cells],
                 )
+            for row in summary(point):
+                if row["silent"]:
+                    say(
+                        f"{row['axis']}: noise hides the sensitivity, excite there: {row['silent']}"
+                    )
         for finding in found.findings:
             say(f"doubt: {finding}")
         for what, place in (("Table", table), ("Page", output)):

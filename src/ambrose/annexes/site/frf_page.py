@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from ambrose.annexes.site.frf import PointResponse, Response, Responses, open_loop, summary
+from ambrose.annexes.site.frf import PointResponse, Response, Responses, heard, open_loop, summary
 from ambrose.core.frequency import FrequencyResponse
 from ambrose.identification.frf.measured import IN_WORDS
 from ambrose.identification.frf.spectral import Frf
@@ -37,7 +37,7 @@ _PLANT = (
 )
 _SENSITIVITY = (
     "Modulus of the sensitivity of every axis driven by itself, the other loops closed, with its "
-    "95 % band and the zones."
+    "95 % band and the zones; nothing where noise hides it."
 )
 _OPEN = (
     "Open loop 1/S − 1 of every axis driven by itself, the others closed, about the critical "
@@ -155,16 +155,16 @@ def _loops(found: Responses, point: PointResponse, where: str) -> Iterator[Figur
     models = [item.model.values[:, 0, 0] for item in items if item.model is not None]
     told = {"model": np.column_stack(models)} if len(models) == len(items) else {}
     limits = zone_lines(SENSITIVITY, found.machine.requirements.sensitivity_peak)
-    size = np.abs(S)
+    size, drawn = np.abs(S), np.column_stack([heard(item.measured) for item in items])
     moduli = {label: np.abs(value) for label, value in told.items()}
     yield Figure(
         f"Sensitivity{where}",
-        panels(names, omega, size, size - half, size + half, moduli, limits),
+        panels(names, omega, size, size - half, size + half, moduli, limits, drawn),
         _SENSITIVITY,
     )
     yield Figure(
         f"Open loop{where}",
-        nyquist(names, omega, L, {k: 1 / v - 1 for k, v in told.items()}),
+        nyquist(names, omega, L, {k: 1 / v - 1 for k, v in told.items()}, drawn),
         _OPEN,
     )
 
@@ -172,8 +172,9 @@ def _loops(found: Responses, point: PointResponse, where: str) -> Iterator[Figur
 def response_tables(found: Responses, point: PointResponse) -> Iterator[Table]:
     """What every axis driven by itself tells, and how far the model holds."""
     rows: list[Row] = []
+    silent = []
     for row in summary(point):
-        low, high = row["peak_95"]
+        low, high = row["peak_95"] or (float("nan"), float("nan"))
         predicted = "" if row["predicted"] is None else units.number(row["predicted"])
         margin = (
             "no unit gain"
@@ -184,21 +185,24 @@ def response_tables(found: Responses, point: PointResponse) -> Iterator[Table]:
             "" if row["unit_gain_at"] is None else units.quantity(row["unit_gain_at"], "rad/s")
         )
         told = (
-            units.number(row["peak"]),
-            f"{units.number(low)} … {units.number(high)}",
-            units.quantity(row["at"], "rad/s"),
+            units.number(row["peak"]) if row["peak"] else "not told",
+            f"{units.number(low)} … {units.number(high)}" if row["peak"] else "",
+            units.quantity(row["at"], "rad/s") if row["peak"] else "",
             predicted,
             margin,
             crossing,
         )
         rows.append((units.axis_name(row["axis"]), *numbers(*told)))
+        if row["silent"]:
+            silent.append(f"{units.axis_name(row['axis'])}: {row['silent']}")
     if rows:
+        hidden = f" Excite there, noise hides it: {'; '.join(silent)}." if silent else ""
         columns = ("Axis", "Largest |S|", "95 %", "At", "Model", "Phase margin", "Unit gain at")
         yield Table(
             "Each axis, the other loops closed",
             columns,
             tuple(rows),
-            "Over the lines that were measured.",
+            f"Over the lines that tell something.{hidden}",
         )
     held: list[Row] = []
     for item in point.responses:

@@ -40,6 +40,12 @@ def _grid(count: int, titles: Sequence[str]) -> tuple[Any, list[dict[str, int]]]
     return figure, [{"row": i // _COLUMNS + 1, "col": i % _COLUMNS + 1} for i in range(count)]
 
 
+def _runs(told: np.ndarray) -> list[slice]:
+    """The runs of neighbouring True in told (w,)."""
+    edge = np.diff(np.r_[0, told, 0].astype(int))
+    return list(map(slice, np.flatnonzero(edge == 1), np.flatnonzero(edge == -1)))
+
+
 def panels(
     titles: Sequence[str],
     omega: np.ndarray,
@@ -48,8 +54,12 @@ def panels(
     high: np.ndarray,
     models: dict[str, np.ndarray],
     limits: Sequence[tuple[str, float]],
+    told: np.ndarray,
 ) -> Any:
-    """Moduli (w, n) with their intervals over frequency, a panel each, models (w, n) over them."""
+    """Moduli (w, n) with their intervals over frequency, a panel each, models (w, n) over them;
+    nothing is drawn where ``told`` (w, n) is False.
+    """
+    value = np.where(told, value, np.nan)
     figure, places = _grid(len(titles), titles)
     f, looks = omega / units.TWO_PI, dict(zip(models, _LOOKS, strict=False))
     curves = [
@@ -71,15 +81,10 @@ def panels(
     axes = axes_of(curves)
     levels, line = limit_levels(curves, axes), {"color": _MEASURED, "width": 1.8}
     for i, place in enumerate(places):
-        theme.band(
-            figure,
-            place,
-            f,
-            np.maximum(low[:, i], axes.y_range[0] / 10),
-            high[:, i],
-            _BAND,
-            "95 %" if i == 0 else "",
-        )
+        bottom = np.maximum(low[:, i], axes.y_range[0] / 10)
+        for number, part in enumerate(_runs(told[:, i])):
+            name = "95 %" if i == 0 and number == 0 else ""
+            theme.band(figure, place, f[part], bottom[part], high[part, i], _BAND, name)
         theme.scatter(
             figure, place, drawn(f), drawn(value[:, i]), "measured", shown=i == 0, line=line
         )
@@ -101,11 +106,16 @@ def panels(
 
 
 def nyquist(
-    titles: Sequence[str], omega: np.ndarray, loops: np.ndarray, models: dict[str, np.ndarray]
+    titles: Sequence[str],
+    omega: np.ndarray,
+    loops: np.ndarray,
+    models: dict[str, np.ndarray],
+    told: np.ndarray,
 ) -> Any:
     """Open loops (w, n) about the critical point, a panel each, the models' over them; around it
-    the borders of the zones.
+    the borders of the zones. Nothing is drawn of a loop where ``told`` (w, n) is False.
     """
+    loops = np.where(told, loops, np.nan)
     figure, places = _grid(len(titles), titles)
     turn = np.linspace(0, 2 * np.pi, 90)
     for i, place in enumerate(places):

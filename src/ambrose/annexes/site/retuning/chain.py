@@ -639,7 +639,7 @@ def _accepted(chain: _Chain, records: Records) -> None:
         return
     chain.made["acceptance"] = result
     failed = list(joined.from_iterable(loop.checks.failed for loop in result.points))
-    peaks = [float(loop.modulus.max()) for loop in result.points]
+    peaks = [loop.largest for loop in result.points]
     good = f"every limit is met; largest sensitivity of an axis {max(peaks):.3g}"
     words = "; ".join(_why(check) for check in failed[:_MOST]) if failed else good
     chain.say("accepted", title, result.passed, words)
