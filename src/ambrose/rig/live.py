@@ -403,13 +403,16 @@ class LiveRig:
         """
         check_positive(amplitude, "the excitation", "give it in A", zero_allowed=True)
         now, bit = self._now, max(round(1e-3 / self.dt), 1) * self.dt
+        # no bit comes twice in the longest record: a sequence that repeats has power at the
+        # multiples of its own frequency only
+        order = math.ceil(math.log2(_LONGEST_RECORD / bit + 1))
         ended = [
             s if s.duration is not None else replace(s, duration=now - s.start)
             for s in self._task.scenario.sequences
             if s.start < now
         ]
         new = [
-            Prbs(f"e_{axis}", amplitude, bit, 11, seed=i, start=now)
+            Prbs(f"e_{axis}", amplitude, bit, order, seed=i, start=now)
             for i, axis in enumerate(self.axes)
             if amplitude
         ]

@@ -14,6 +14,7 @@ import re
 import shlex
 import signal
 import sys
+import textwrap
 import time
 from collections.abc import Mapping
 from contextlib import suppress
@@ -87,6 +88,8 @@ _STATE = 100_000  # bytes of a job's state
 _SHOWN = 3  # of a screen's commands
 _LONGEST = 200  # characters of a field
 _TAIL = 4000  # bytes of a log that the page shows
+_LINE = 120  # characters of a line in it
+_FRAME = "│┃┏└├┡"  # of tables
 _CHILD = "ambrose.annexes.workbench.child"
 
 
@@ -143,16 +146,20 @@ class Jobs:
             title += f", {(job.ended or time.time()) - job.begun:.0f} s"
         if job.status is not None:
             title += f", status {job.status}"
+            title += ": not all holds" if job.state == "done" and job.status else ""
         way = (
             blocks.button("Cancel", "/api/jobs/cancel", name=job.name)
             if runs
             else blocks.button("Again", "/api/jobs/start", again=job.name)
         )
         command = f"ambrose {shlex.join(job.words)}"
-        tone = {"done": "good", "failed": "bad", "stopped": "bad"}.get(job.state, "")
-        log = self._log(job.name)
+        # 1: it was computed, and something that was asked does not hold
+        tone = {"done": "bad" if job.status else "good", "failed": "bad", "stopped": "bad"}
+        log = _wrapped(self._log(job.name))
         same = {"Command line": command}
-        return blocks.form(f"job-{job.name}", (), [way], title, tone=tone, log=log, same=same)
+        return blocks.form(
+            f"job-{job.name}", (), [way], title, tone=tone.get(job.state, ""), log=log, same=same
+        )
 
     def start(self, said: Mapping[str, Any]) -> None:
         """A job of a kind, or again one that is over. Raises InvalidInput."""
@@ -297,6 +304,15 @@ class Jobs:
                 return words.partition("\n")[2] if cut > 0 else words
         except OSError:
             return ""
+
+
+def _wrapped(log: str) -> str:
+    """What a job printed, its long sentences in lines of a screen; tables as they are."""
+    lines: list[str] = []
+    for line in log.splitlines():
+        long = len(line) > _LINE and not any(mark in line for mark in _FRAME)
+        lines += textwrap.wrap(line, _LINE) if long else [line]
+    return "\n".join(lines)
 
 
 def _read(path: Path) -> Job:

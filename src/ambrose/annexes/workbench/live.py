@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 SAMPLES = 2048  # of a message at most: a spectrum
 _LATE = 0.1  # [s] that a frame makes up for at most; more is dropped
 _BUSY = 0.02  # [s] of a processor in a frame; a rotor that touches is shown slower, not in jerks
+_STEM = 40  # letters of a controller's name in a record's
 _PACES = {"real": 1.0, "slow": 0.1, "fast": math.inf}
 _SAME = """import ambrose as amb
 from ambrose.rig.live import LiveRig
@@ -337,7 +338,9 @@ class LiveSession:
 
     def record(self, said: Mapping[str, Any]) -> None:
         """A record of the project from here on."""
-        stem = said.get("name") or f"live-{datetime.now():%Y%m%d-%H%M%S}"
+        # the name says which controller ran: other screens offer it with the record
+        ran = self.controller.removesuffix(".json")[:_STEM]
+        stem = said.get("name") or f"live-{ran}-{datetime.now():%Y%m%d-%H%M%S}"
         path = self._project.free("records", slug(stem, "record"))
         self.rig.record(path)
         self._recorded = path.name

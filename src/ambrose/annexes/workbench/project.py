@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 import re
+from contextlib import suppress
 from pathlib import Path
 
 from ambrose.core.checks import InvalidInput
@@ -80,6 +81,15 @@ class Project:
         leads out, before anything is made there.
         """
         return make_folder(self.inside(self.root / name))
+
+    def newest(self, kind: str, endings: tuple[str, ...] = ("",)) -> str:
+        """The file of a kind that was written last; "" where there is none."""
+        found = []
+        for name in self.names(kind):
+            with suppress(OSError):  # gone meanwhile
+                if name.endswith(endings):
+                    found.append((self.path(kind, name).stat().st_mtime, name))
+        return max(found, default=(0.0, ""))[1]
 
     def names(self, kind: str) -> list[str]:
         """The files of a kind that can be named, sorted."""

@@ -23,6 +23,8 @@ from ambrose.record.record import Record
 
 _DEGREE = 2  # of the local polynomial (Pintelon & Schoukens 2012, ch. 7)
 _INDEPENDENT = 1e-5  # least singular value of the lines' matrix, columns of unit length
+_SPREAD = 1.5  # lines with power for every unknown of the response, at least
+_SPARSE = 0.3  # of a band's lines: where fewer have power, noise is told from these
 _WIDER = (1.0, 3.0, 9.0)  # bands tried, in widths of the least
 _WORSE = 1.25  # times the noise of the least band, up to which a wider one is no worse
 
@@ -199,6 +201,10 @@ def _fit(
     size = np.linalg.norm(X, axis=0)
     if len(X) <= X.shape[1] or not size.all():
         return None
+    power = np.sum(np.abs(X[:, :m] / size[:m]) ** 2, axis=1)
+    spread = _lines_with_power(power)
+    if spread < _SPREAD * count * m:
+        return None
     Q, R = np.linalg.qr(X / size)
     s = np.linalg.svd(R, compute_uv=False)
     if s[-1] <= _INDEPENDENT * s[0]:
@@ -208,16 +214,34 @@ def _fit(
     back = np.linalg.inv(R)[:m] / size[:m, None]
     inside = Q.conj().T @ Y
     left = Y - Q @ inside
+    if spread < _SPARSE * len(Y):
+        # what a polynomial does not follow is seen where there is power, not beside it: there alone
+        # noise is told, by rows of the weights w_i (1 - h_i) with the leverage h_i = |Q_i|^2
+        leverage = np.sum(np.abs(Q) ** 2, axis=1)
+        noise = (left.T * power) @ left.conj() / float(np.sum(power * (1 - leverage)))
+    else:
+        noise = left.T @ left.conj() / max(len(Y) - X.shape[1], 1)
     total = np.sum(np.abs(Y) ** 2, axis=0)
     coherence = 1 - np.sum(np.abs(left) ** 2, axis=0) / np.where(total > 0, total, 1.0)
 
     # G; noise of the outputs; (X'X)^-1 of these columns, conjugated: Cov G = noise (x) share
     return (
         (back @ inside).T,
-        left.T @ left.conj() / max(len(Y) - X.shape[1], 1),
+        noise,
         back.conj() @ back.T,
         coherence,
     )
+
+
+def _lines_with_power(power: np.ndarray) -> float:
+    """Over how many lines of a band the inputs spread their power (k,), each taken over its own.
+
+    A sequence that repeats has power at the multiples of its own frequency only; every axis' copy
+    of it, shifted, has it at the same ones. Fewer of them than unknowns are fitted exactly, and
+    what lies between tells nothing of the response, but makes the noise look small.
+    """
+    # of k equal ones k, of a single one 1
+    return float(power.sum() ** 2 / np.sum(power**2))
 
 
 def _spectra(record: Record, names: tuple[str, ...]) -> np.ndarray:

@@ -27,7 +27,7 @@ def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     form = blocks.form(
         "export",
         [
-            blocks.choice("controller", "Controller", names),
+            blocks.choice("controller", "Controller", names, project.newest("controllers")),
             blocks.choice("target", "Target", CHOICES["target"], "c"),
             blocks.choice("arithmetic", "Arithmetic", CHOICES["arithmetic"], "double"),
             blocks.field("rate", "Sample rate [Hz], default: the file's"),
@@ -36,7 +36,7 @@ def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
         "Write code",
         hint="The loop is verified as it will run before anything is written.",
     )
-    controller = names[0] if names else "pid.json"
+    controller = project.newest("controllers") or "pid.json"
     same = blocks.same(
         f"ambrose export controllers/{controller} --to c --machine {MACHINE} -o code/c",
         f'amb.export("controllers/{controller}", "code/c", to="c", machine="{MACHINE}")',

@@ -36,7 +36,7 @@ def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
     form = blocks.form(
         "verify",
         [
-            blocks.choice("controller", "Controller", names),
+            blocks.choice("controller", "Controller", names, project.newest("controllers")),
             blocks.field("pressure_rate", "Pressure rate, such as 20 bar/s"),
             blocks.field("speed_rate", "Run-up [rad/s²]"),
         ],
@@ -44,7 +44,7 @@ def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
         "Judge a controller",
         hint=hint,
     )
-    controller = names[0] if names else "pid.json"
+    controller = project.newest("controllers") or "pid.json"
     same = blocks.same(
         f"ambrose verify {MACHINE} --controller controllers/{controller} "
         "--report reports/verify.html",

@@ -4,6 +4,7 @@ seen and judged against the machine.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from ambrose.record.foreign import read_foreign, variables_in_words
 from ambrose.report.record import record_page
 
 OWN = (".h5", ".hdf5", ".csv")
+_LIVE = re.compile(r"live-(.+)-\d{8}-\d{6}(?:-\d+)?\.h5")
 _KINDS = {"y": "um", "e": "A", "u": "A", "i": "A"}  # of signals of an axis, and usual units
 _FIELDS = 500
 
@@ -50,14 +52,15 @@ def show(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
 def run_fields(project: Project) -> list[Block]:
     """The record of a run, the newest one at first, and the controller that ran."""
     records = [name for name in project.names("records") if name.endswith(OWN)]
-    newest = max(
-        records, key=lambda name: project.path("records", name).stat().st_mtime, default=""
-    )
+    newest = project.newest("records", OWN)
+    controllers = project.names("controllers")
+    # the live rig writes the controller's name into the record's
+    ran = _LIVE.fullmatch(newest)
+    named = f"{ran[1]}.json" if ran else ""
+    known = named if named in controllers else "pid.json"
     return [
         blocks.choice("record", "Record", records, newest),
-        blocks.choice(
-            "controller", "Controller that ran", project.names("controllers"), "pid.json"
-        ),
+        blocks.choice("controller", "Controller that ran", controllers, known),
     ]
 
 
