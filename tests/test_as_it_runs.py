@@ -18,9 +18,10 @@ from ambrose.judge.as_it_runs import certify_as_it_runs, sampled_margins, withou
 from ambrose.judge.certificate import certify
 from ambrose.judge.controller_file import read_controller
 from ambrose.judge.result import Status, Synthesis
-from ambrose.judge.verdict import verify_controller
+from ambrose.judge.stability import judge_stability
+from ambrose.judge.verdict import verify_controller, verify_points
 from ambrose.law.design_problem import design_plant
-from ambrose.law.timing import Timing
+from ambrose.law.timing import DEFAULT, Timing
 from ambrose.machine.description import Tolerance
 from ambrose.machine.file.toml import read_machine_text
 from ambrose.model.assemble import assemble
@@ -140,6 +141,29 @@ def test_a_loop_that_is_unstable_as_it_runs_is_never_verified(stating, tmp_path)
         ).exit_code
         == 2
     )
+
+
+def test_a_loop_that_no_rate_is_known_of_and_that_the_assumed_one_would_lose_is_not_passed():
+    """The turboexpander's own PID held all limits of stability as a continuous loop; rig and code
+    run it at 10 kHz and one sample late, where it grows. One that holds there gets no check.
+    """
+    machine = amb.load_machine("turboexpander")
+    plant = assemble(machine)
+    law = pid_synthesis(plant).controller
+    (checks,) = verify_points([plant], law)
+    growth = checks["timing.assumed"]
+    grown = judge_stability(plant, law, DEFAULT).abscissa
+    assert checks.stable and growth.passed is False and growth.value == grown > 0
+    assert "sample_time in [controller] or --rate-hz" in growth.detail
+    verdict = amb.verify(machine, law, points=[plant.point], tolerances=False)
+    assert "timing.assumed" in verdict.worst and not verdict.passed
+    quiet = assemble(coarse("seal-rig"))
+    # a known rate, or one at which it holds: nothing is assumed
+    for found in (
+        verify_points([plant], law, timing=Timing(1e-5, 1)),
+        verify_points([quiet], pid_synthesis(quiet).controller),
+    ):
+        assert not [check for item in found for check in item.checks if "timing" in check.name]
 
 
 @pytest.mark.campaign

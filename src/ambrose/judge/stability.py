@@ -17,7 +17,7 @@ from ambrose.core.statespace import StateSpace, feedback, select, series, static
 from ambrose.core.statespace import spectral_abscissa as abscissa_of
 from ambrose.law.law import LawLike, law_of
 from ambrose.law.loop import running_law
-from ambrose.law.timing import Timing
+from ambrose.law.timing import DEFAULT, Timing
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.model.assemble import assemble
@@ -67,6 +67,15 @@ def judge_stability(plant: Plant, given: LawLike, timing: Timing | None) -> Stab
         f"{kind}, {plant.system.n_states} states",
         "continuous" if timing is None else str(timing),
     )
+
+
+def judge_assumed(plant: Plant, given: LawLike, timing: Timing | None) -> Stability | None:
+    """Stability at the rate and delay that virtual rig and export assume where nobody states one
+    (``law.timing.DEFAULT``); None where a timing is known or the law is sampled itself.
+    """
+    if timing is not None or law_of(given).at(plant.point).dt is not None:
+        return None
+    return judge_stability(plant, given, DEFAULT)
 
 
 def judge_points(

@@ -17,12 +17,13 @@ from ambrose.judge.between import check_range
 from ambrose.judge.checks import Check, Checks
 from ambrose.judge.motion import Motion, moving_proofs, refuse_motion
 from ambrose.judge.plants import Progress, full_plants, plant_at, plants_along_speed, split_covered
+from ambrose.judge.stability import judge_assumed
 from ambrose.judge.synchronous import block_loops, check_block
 from ambrose.judge.verification import CONTINUOUS, WITH_MEAN_DELAY, Verification, box_label
 from ambrose.law.law import Law, LawLike, law_of
 from ambrose.law.loop import match_controller, running_law
 from ambrose.law.scheduling import SPEED
-from ambrose.law.timing import Timing, timing_of
+from ambrose.law.timing import DEFAULT, STATE_RATE, Timing, timing_of
 from ambrose.law.weights import machine_weights
 from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.machine import Machine
@@ -122,8 +123,9 @@ def verify_points(
     progress: Progress = lambda stage: None,
     timing: Timing | None = None,
 ) -> tuple[Checks, ...]:
-    """The checks on every full plant, of the loop as it runs. Raises InvalidInput where the
-    controller is not one for it.
+    """The checks on every full plant, of the loop as it runs. Where nobody states a rate and the
+    loop would be unstable at the one that rig and export assume, "timing.assumed" fails. Raises
+    InvalidInput where the controller is not one for it.
     """
     law = law_of(controller)
     results = []
@@ -133,8 +135,31 @@ def verify_points(
         fixed = not law.follows(SPEED)
         turning = fixed and plant.machine.operation.speed_range[1] > 0 and plant is plants[0]
         along = plants_along_speed(plant) if turning else None
-        results.append(nominal.check(plant, running_law(law, plant, timing), plant_at=along))
+        checks = nominal.check(plant, running_law(law, plant, timing), plant_at=along)
+        unsampled = _unstable_when_sampled(plant, law, timing) if checks.stable else ()
+        results.append(replace(checks, checks=(*checks.checks, *unsampled)))
     return tuple(results)
+
+
+def _unstable_when_sampled(plant: Plant, law: Law, timing: Timing | None) -> tuple[Check, ...]:
+    """A failed check of a loop that holds as continuous alone: what rig and code would run does
+    not.
+    """
+    assumed = judge_assumed(plant, law, timing)
+    if assumed is None or assumed.stable:
+        return ()
+    return (
+        Check(
+            "timing.assumed",
+            f"Growth at {DEFAULT.rate:g} Hz and one sample late, as virtual rig and export assume",
+            assumed.abscissa,
+            "rad/s",
+            0.0,
+            "<",
+            False,
+            detail=f"nobody states the rate and the continuous loop was judged; {STATE_RATE}",
+        ),
+    )
 
 
 def verify_ranges(

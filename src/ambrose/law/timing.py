@@ -86,6 +86,7 @@ class Timing:
 
 
 DEFAULT = Timing(1e-4, 1, "assumed: nothing says it")  # where a rate is needed and nobody knows one
+STATE_RATE = "state the rate that it runs at, sample_time in [controller] or --rate-hz"
 
 
 def machine_timing(machine: Machine | None) -> Timing | None:

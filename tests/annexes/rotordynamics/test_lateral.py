@@ -25,6 +25,7 @@ from ambrose.annexes.rotordynamics.level_two import shares
 from ambrose.annexes.rotordynamics.loop import shaft_loop
 from ambrose.annexes.rotordynamics.page import assumed_table, lateral_page, load_table
 from ambrose.annexes.rotordynamics.placement import place, shaft_modes, span_middle
+from ambrose.annexes.rotordynamics.result import Lateral
 from ambrose.annexes.rotordynamics.stations import lay_out, rigid_support_critical
 from ambrose.chain.check import clearance_doubts
 from ambrose.core.checks import InvalidInput, NumericalFailure
@@ -35,6 +36,7 @@ from ambrose.machine.file.toml import loads_machine
 from ambrose.model.effects.clearance import Clearance
 from ambrose.model.effects.load import IMPULSE, SURGE
 from ambrose.registry import registered, resolve
+from coarse import coarse
 
 RPM = math.pi / 30
 # stiff as nothing on earth: the films bend first
@@ -236,17 +238,34 @@ def test_readings_far_below_the_limit_keep_their_shape_and_the_limit_is_told():
         assert any(f"AF {separation.critical.amplification:.3g}" in word for word in words)
 
 
-def test_a_controller_without_a_rate_says_what_a_rate_would_make_of_it():
-    """All 14 rows of the turboexpander held for a law that no program runs, without a word: at
-    10 kHz and one sample late its loop is unstable.
+def test_a_controller_without_a_rate_fails_where_a_rate_would_lose_it():
+    """All 14 rows of the turboexpander held for a law that no program runs: at 10 kHz and one
+    sample late its loop is unstable, and the page's head said that all rows hold.
     """
     machine = amb.load_machine("turboexpander")
     controller = amb.design(machine, "pid")
-    loop = shaft_loop(lay_out(machine), machine.operation.nominal, controller, None)
-    (row,) = as_it_runs(loop, law_of(controller), None)
-    assert row.passed is None and "unstable (a pole with real part +" in row.note
+    layout, law = lay_out(machine), law_of(controller)
+    loops = [
+        shaft_loop(layout, point, controller, None) for point in machine.operation.envelope[:2]
+    ]
+    (row,) = as_it_runs(loops, law, None)
+    assert row.passed is False and "a pole with real part +" in row.note
+    assert "sample_time in [controller] or --rate-hz" in row.note
+    assert "1 of 1 judged rows fails" in heads(machine, (row,))
     timing = timing_of(machine, controller, 1e5, 1)
-    assert not list(as_it_runs(loop, law_of(controller), timing))
+    assert not list(as_it_runs(loops, law, timing))
+    # one that holds there: nothing to fail, and said all the same
+    machine = coarse("seal-rig")
+    controller = amb.design(machine, "pid")
+    loop = shaft_loop(lay_out(machine), machine.operation.nominal, controller, None)
+    (row,) = as_it_runs([loop], law_of(controller), None)
+    assert row.passed is None and "the loop would be stable" in row.note
+
+
+def heads(machine, items):
+    """The verdict at the head of a page of these rows alone."""
+    bare = Lateral(machine, "as given", "continuous", "", (1.0, 1.0, 1.0), lay_out(machine), items)
+    return lateral_page(bare).result.text
 
 
 def test_shares_add_up_to_the_log_decrement():

@@ -161,7 +161,7 @@ def lateral(
         *rows.clearances(found, response),
         *rows.level_one(one),
         *rows.level_two(table, highest, law is not None),
-        *rows.as_it_runs(at_top, law, timing),
+        *rows.as_it_runs([loop_at(w) for w in sorted({lowest, highest, trip})], law, timing),
         *rows.capacity(capacity),
         *rows.phase(budgets),
         *rows.circuit(circuit_change(machine, chosen, law, timing, modes)),

@@ -86,7 +86,7 @@ def lateral_command(
     Unbalance response with API's amounts placed for every mode, separation margins, vibration
     limit, clearances from rest to trip, stability Level I and II with each component's share, and
     load capacity. Clauses are recalled, not read from the standards, and marked so. Exit status 1:
-    a row with a limit fails.
+    a judged row fails.
     """
     from ambrose.annexes.rotordynamics.analysis import lateral
     from ambrose.annexes.rotordynamics.comparison import compare, read_theirs

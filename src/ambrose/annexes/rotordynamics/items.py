@@ -20,10 +20,10 @@ from ambrose.annexes.rotordynamics.phase_budget import CONTROLLER, PhaseBudget
 from ambrose.annexes.rotordynamics.response import Response
 from ambrose.annexes.rotordynamics.result import OWN, RECALLED, Item, ModeRow, Rub
 from ambrose.judge.nominal import check
-from ambrose.judge.stability import judge_stability
+from ambrose.judge.stability import judge_assumed
 from ambrose.law.law import LawLike
 from ambrose.law.loop import running_law
-from ambrose.law.timing import DEFAULT, Timing
+from ambrose.law.timing import DEFAULT, STATE_RATE, Timing
 from ambrose.machine.criteria import SENSITIVITY, SENSITIVITY_RANGE, demand
 from ambrose.machine.machine import Machine
 from ambrose.model.effects.load import IMPULSE, SURGE
@@ -304,14 +304,23 @@ def level_two(table: Sequence[ModeRow], highest: float, controlled: bool) -> Ite
         )
 
 
-def as_it_runs(loop: ShaftLoop, law: LawLike | None, timing: Timing | None) -> Iterator[Item]:
-    """That no rate is known, where none is: then every row is of the continuous law, and whether
-    the loop would hold at the rate that others assume is not among them.
+def as_it_runs(
+    loops: Sequence[ShaftLoop], law: LawLike | None, timing: Timing | None
+) -> Iterator[Item]:
+    """That no rate is known, where none is: then every row is of the continuous law. It fails
+    where the loop would be unstable at one of these speeds at the rate that others assume.
     """
-    if law is None or timing is not None:
+    if law is None or not loops:
         return
-    abscissa = judge_stability(loop.plant, law, DEFAULT).abscissa
-    found = "stable" if abscissa < 0 else f"unstable (a pole with real part {abscissa:+.4g} 1/s)"
+    found = [(loop, judge_assumed(loop.plant, law, timing)) for loop in loops]
+    known = [(stability.abscissa, loop) for loop, stability in found if stability is not None]
+    if not known:
+        return
+    abscissa, loop = max(known, key=lambda row: row[0])
+    would = "stable"
+    if abscissa >= 0:
+        rpm = loop.point.speed / standard.RPM
+        would = f"unstable (at {rpm:.5g} rpm a pole with real part {abscissa:+.4g} 1/s)"
     yield Item(
         "controller.rate",
         "Sample rate and computing delay of the controller",
@@ -320,9 +329,10 @@ def as_it_runs(loop: ShaftLoop, law: LawLike | None, timing: Timing | None) -> I
         OWN,
         None,
         "-",
+        passed=False if abscissa >= 0 else None,
         note="not stated: every row takes the controller as continuous, without sampling, hold and "
         f"delay. At {DEFAULT.rate:g} Hz and one sample late, as virtual rig and export assume, the "
-        f"loop would be {found}; state sample_time in the machine file, or --rate-hz",
+        f"loop would be {would}; {STATE_RATE}",
     )
 
 

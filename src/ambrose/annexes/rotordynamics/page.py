@@ -149,9 +149,9 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
     failed = [item for item in result.items if item.passed is False]
     judged = [item for item in result.items if item.passed is not None]
     words = (
-        f"all {len(judged)} rows with a limit hold"
+        f"all {len(judged)} judged rows hold"
         if not failed
-        else f"{len(failed)} of {len(judged)} rows with a limit fail: "
+        else f"{len(failed)} of {len(judged)} judged rows {'fails' if len(failed) == 1 else 'fail'}: "
         + "; ".join(item.title for item in failed)
     )
     drawing = Figure("Rotor and its parts", machine_drawing(result.machine))

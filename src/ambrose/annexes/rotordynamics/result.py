@@ -128,7 +128,7 @@ class Lateral(Presented):
 
     @property
     def passed(self) -> bool:
-        """Whether no row with a limit fails."""
+        """Whether no judged row fails."""
         return not self.failed
 
     @property
