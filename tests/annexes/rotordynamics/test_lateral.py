@@ -24,7 +24,14 @@ from ambrose.annexes.rotordynamics.level_one import OVERDAMPED
 from ambrose.annexes.rotordynamics.level_two import shares
 from ambrose.annexes.rotordynamics.loop import shaft_loop
 from ambrose.annexes.rotordynamics.page import assumed_table, lateral_page, load_table
-from ambrose.annexes.rotordynamics.placement import place, shaft_modes, span_middle
+from ambrose.annexes.rotordynamics.placement import (
+    UnbalanceCase,
+    Weight,
+    place,
+    shaft_modes,
+    span_middle,
+)
+from ambrose.annexes.rotordynamics.response import respond
 from ambrose.annexes.rotordynamics.result import Lateral
 from ambrose.annexes.rotordynamics.stations import lay_out, rigid_support_critical
 from ambrose.chain.check import clearance_doubts
@@ -169,6 +176,70 @@ def test_critical_speed_amplitude_and_factor_of_one_mass():
     assert found.amplification == pytest.approx(peak / (flanks[1] - flanks[0]), rel=1e-3)
 
 
+PROBES = """
+[[probe]]
+name = "X"
+position = "0.5 m"
+direction = "0 deg"
+[[probe]]
+name = "oblique"
+position = "0.5 m"
+direction = "-45 deg"
+[[probe]]
+name = "orbit"
+position = "0.5 m"
+"""
+
+
+def test_every_probe_lags_as_one_mass_does():
+    """tan(lag) = c W/(k - m W^2) in whatever direction a probe reads, and of the orbit itself: the
+    mark passes each where the unbalance does.
+    """
+    machine = films(PROBES)
+    result = amb.lateral(machine, trip=6300 * RPM)
+    m, k, c, response = mass_of(machine), 2 * K, 2 * C, result.response
+    w = response.fine
+    exact = np.arctan2(c * w, k - m * w**2)
+    for reading in response.layout.readings:
+        assert response.phase_lag(reading, 0) == pytest.approx(exact, abs=2e-3)
+    # 90 degrees where m W^2 = k, whatever the damping
+    (at,) = response.phase_lag(response.layout.readings[1], 0, np.array([math.sqrt(k / m)]))
+    assert at == pytest.approx(math.pi / 2, abs=2e-3)
+    data = result.to_dict()["response"]
+    rows = [row for row in data["curves"] if row["case"] == response.cases[0].name]
+    speeds = np.array(data["speeds_rad_per_s"])
+    expected = np.degrees(np.arctan2(c * speeds, k - m * speeds**2))
+    assert {row["reading"] for row in rows} >= {"X", "oblique", "orbit"}
+    for row in rows:
+        assert row["phase_lag_deg"] == pytest.approx(expected, abs=0.2)
+    # drawn above the amplitude, over the same speeds
+    figure = response_figure(response, result.speeds, 0, 25.4)
+    drawn = [trace for trace in figure.data if trace.name and trace.yaxis == "y"]
+    assert [trace.name for trace in drawn] == ["X", "oblique", "orbit"]
+    for trace in drawn:
+        assert np.interp(math.sqrt(k / m) / RPM, trace.x, trace.y) == pytest.approx(90, abs=0.5)
+
+
+def test_a_weight_that_is_turned_back_adds_its_angle_to_the_lag():
+    """Placements set the first weight at 0; a user's own set need not."""
+    machine = films(PROBES)
+    layout = lay_out(machine)
+    middle = layout.nearest(0.5)
+    turned = [
+        UnbalanceCase("own", (Weight(middle, 1e-4, angle, 10.0),), "own") for angle in (0, -0.5)
+    ]
+    response = respond(
+        layout,
+        lambda w: shaft_loop(layout, amb.OperatingPoint(w), None, None),
+        turned,
+        30.0,
+        600.0,
+    )
+    for reading in layout.readings:
+        first, second = (response.phase_lag(reading, k) for k in (0, 1))
+        assert second - first == pytest.approx(0.5, abs=1e-9)
+
+
 def test_a_rotor_that_cannot_ring_has_its_unbalance_placed_as_a_rigid_one():
     """Films far beyond critical damping: in the middle for the whole mass, and at both ends for
     half of it each, turned against each other. There had been no analysis and no page.
@@ -228,7 +299,8 @@ def test_readings_far_below_the_limit_keep_their_shape_and_the_limit_is_told():
         figure = response_figure(
             result.response, result.speeds, case, limit, result.critical_speeds
         )
-        top = max(float(np.nanmax(trace.y)) for trace in figure.data)
+        readings = [trace for trace in figure.data if trace.yaxis == "y2"]
+        top = max(float(np.nanmax(trace.y)) for trace in readings)
         words = [note.text for note in figure.layout.annotations]
         assert (top >= limit) is drawn
         assert (f"vibration limit {limit:.3g} µm p-p, above" in words) is not drawn

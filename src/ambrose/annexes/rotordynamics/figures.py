@@ -23,6 +23,7 @@ _SHADES = ("#d55e00", "#009e73", "#cc79a7", "#e69f00")
 _FAR = 3.0  # a limit this many times above the readings would press them to the ground
 _EVERY = 5  # of the fine grid: enough for the eye
 _ONE = {"row": 1, "col": 1}
+_TOP, _LOW = _ONE, {"row": 2, "col": 1}
 
 
 def response_figure(
@@ -32,57 +33,60 @@ def response_figure(
     limit: float,
     found: Sequence[tuple[Separation, str, str]] = (),
 ) -> Any:
-    """Probe readings, peak to peak, over the speed for one placement; limit A_vl [um]; found: the
-    critical speeds of all placements, drawn where they are of this one.
+    """Probe readings over the speed for one placement: phase lag above, amplitude peak to peak
+    below; limit A_vl [um]; found: the critical speeds of all placements, drawn where they are of
+    this one.
 
     A limit far above all readings is told in words, so that the readings keep their shape.
     """
-    figure = theme.subplots(rows=1, cols=1)
-    layout = response.layout
-    curves = [(item.name, response.read(item, case)) for item in layout.readings]
-    if not curves:
-        curves = [
-            (f"journal {j.name}", response.major_axis(layout.nearest(j.position), case))
-            for j in layout.journals
-        ]
+    figure = theme.subplots(
+        rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.05, row_heights=[0.3, 0.7]
+    )
+    readings = response.layout.readings or response.all_readings
     rpm = response.fine[::_EVERY] / standard.RPM
-    looks = theme.styles([name for name, _ in curves])
+    looks = theme.styles([item.name for item in readings])
     highest = 0.0
-    for name, amplitude in curves:
-        y = 2 * UM * amplitude[::_EVERY]
-        look = looks[name]
-        theme.scatter(
-            figure,
-            _ONE,
-            np.float32(rpm),
-            np.float32(y),
-            name,
-            shown=True,
-            line={"color": look.colour, "dash": look.dash, "width": 1.8},
-            hovertemplate="%{x:.5g} rpm: %{y:.3g} µm p-p<extra>" + theme.plain(name) + "</extra>",
-        )
+    lags = []
+    for item in readings:
+        look, name = looks[item.name], theme.plain(item.name)
+        y = 2 * UM * response.read(item, case)[::_EVERY]
+        lag = np.degrees(response.phase_lag(item, case))[::_EVERY]
+        lags += [lag.min(), lag.max()]
+        for place, values, text in ((_TOP, lag, "%{y:.4g}°"), (_LOW, y, "%{y:.3g} µm p-p")):
+            theme.scatter(
+                figure,
+                place,
+                np.float32(rpm),
+                np.float32(values),
+                item.name,
+                shown=place is _LOW,
+                line={"color": look.colour, "dash": look.dash, "width": 1.8},
+                hovertemplate=f"%{{x:.5g}} rpm: {text}<extra>{name}</extra>",
+            )
         highest = max(highest, float(y.max()))
     lowest, top, trip = (speed / standard.RPM for speed in speeds)
     if limit > _FAR * highest:
         highest *= 1.15
         words = f"vibration limit {limit:.3g} µm p-p, above"
-        theme.note(figure, _ONE, words, rpm[0], highest, "left", "bottom", colour=theme.LIMIT)
+        theme.note(figure, _LOW, words, rpm[0], highest, "left", "bottom", colour=theme.LIMIT)
     else:
         highest = max(highest, limit)
-        theme.guide(figure, _ONE, [rpm[0], rpm[-1]], [limit, limit], color=theme.LIMIT, width=1.4)
-        theme.note(figure, _ONE, "vibration limit", rpm[0], limit, "left", "bottom")
+        theme.guide(figure, _LOW, [rpm[0], rpm[-1]], [limit, limit], color=theme.LIMIT, width=1.4)
+        theme.note(figure, _LOW, "vibration limit", rpm[0], limit, "left", "bottom")
     _peaks(figure, [item for item in found if item[2] == response.cases[case].name])
     marks = {lowest: "lowest", top: "highest running"}
     marks[trip] = "highest running, trip" if trip == top else "trip"
     # one below the other: they stand close together
     for k, (speed, word) in enumerate(marks.items()):
-        theme.guide(
-            figure, _ONE, [speed, speed], [0, highest], color=theme.MUTED, width=1, dash="dot"
-        )
-        theme.note(figure, _ONE, word, speed, highest, "right", "top", yshift=-15 * k)
-    theme.dress(figure, 300, legend=True)
-    figure.update_xaxes(title_text="Speed [rpm]")
-    figure.update_yaxes(title_text="Reading [µm p-p]", rangemode="tozero")
+        for place, ends in ((_TOP, [min(lags), max(lags)]), (_LOW, [0, highest])):
+            theme.guide(
+                figure, place, [speed, speed], ends, color=theme.MUTED, width=1, dash="dot"
+            )
+        theme.note(figure, _LOW, word, speed, highest, "right", "top", yshift=-15 * k)
+    theme.dress(figure, 420, legend=True)
+    figure.update_xaxes(title_text="Speed [rpm]", **_LOW)
+    figure.update_yaxes(title_text="Lag [°]", dtick=90, **_TOP)
+    figure.update_yaxes(title_text="Reading [µm p-p]", rangemode="tozero", **_LOW)
     return figure
 
 
@@ -94,14 +98,14 @@ def _peaks(figure: Any, found: Sequence[tuple[Separation, str, str]]) -> None:
         factor = f", AF {peak.amplification:.3g}" if np.isfinite(peak.amplification) else ""
         theme.scatter(
             figure,
-            _ONE,
+            _LOW,
             [x],
             [y],
             mode="markers",
             marker={"size": 9, "color": theme.INK, "symbol": "circle-open"},
             hovertemplate=f"{theme.plain(name)}: %{{y:.3g}} µm p-p<extra></extra>",
         )
-        theme.note(figure, _ONE, f"{x:.5g} rpm{factor}", x, y, "center", "bottom", yshift=5)
+        theme.note(figure, _LOW, f"{x:.5g} rpm{factor}", x, y, "center", "bottom", yshift=5)
 
 
 def placement_figure(layout: Layout, response: Response) -> Any:

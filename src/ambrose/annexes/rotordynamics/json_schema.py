@@ -89,7 +89,14 @@ def lateral_schema() -> dict[str, Any]:
         "amplification_factor": _ANY_NUMBER,
     }
     curve = _table(
-        reading=_TEXT, case=_TEXT, amplitude_m_pp=_list(_NUMBER), peaks=_list(_table(**peak))
+        reading=_TEXT,
+        case=_TEXT,
+        amplitude_m_pp=_list(_NUMBER),
+        phase_lag_deg={
+            **_list(_NUMBER),
+            "description": "behind the key phasor, which is where the first unbalance is",
+        },
+        peaks=_list(_table(**peak)),
     )
     branch = _table(frequency_rad_per_s=_NUMBER, log_decrement=_list(_NUMBER))
     whole = _table(

@@ -38,7 +38,9 @@ _SUMMARY = (
     "says so."
 )
 _RESPONSE = (
-    "Probe readings, peak to peak, with twice the residual unbalance placed for the mode named. "
+    "Probe readings, peak to peak, with twice the residual unbalance placed for the mode named, "
+    "and by how much their phase lags, in the direction of spin, behind a key phasor that passes "
+    "where the first unbalance does. "
     "The rotor is assembled anew at every speed; between the {count} computed speeds amplitudes "
     "are interpolated (a spline through half of them misses the others by {error} of the largest)."
 )

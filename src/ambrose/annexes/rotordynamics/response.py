@@ -56,6 +56,33 @@ class Response:
         xy = self.at(self.motion[:, station, :, case], speeds)
         return np.asarray(orbit(xy[:, 0], xy[:, 1]))
 
+    def phase_lag(
+        self, reading: Reading, case: int, speeds: np.ndarray | None = None
+    ) -> np.ndarray:
+        """By how much a reading lags the key phasor (v,) [rad], without jumps of a whole turn.
+
+        The mark on the shaft stands where the first unbalance does and passes a probe at angle
+        theta when W t = theta. What it reads, Re(R e^{j W t}), is largest at W t = -arg R:
+
+            lag = -arg R - theta,    0 of a stiff rotor, 90 degrees at resonance, 180 beyond it.
+
+        Without a direction R is the forward part of the orbit, (X + j Y)/2, and theta = 0.
+        """
+        speeds = self.fine if speeds is None else speeds
+        # turns are counted on the fine grid, however coarse the speeds are
+        grid = np.union1d(self.fine, speeds)
+        xy = self.at(self.motion[:, self.layout.nearest(reading.position), :, case], grid)
+        if reading.direction is None:
+            turned = xy[:, 0] + 1j * xy[:, 1]
+        else:
+            theta = reading.direction
+            along = np.array([np.cos(theta), np.sin(theta)])
+            turned = xy @ along * np.exp(1j * theta)
+        lag = np.unwrap(-np.angle(turned))
+        # at the slowest speed from -90 to 270 degrees: lead is small where there is any
+        lag -= 2 * np.pi * np.floor((lag[0] + 0.5 * np.pi) / (2 * np.pi))
+        return np.asarray(lag[np.searchsorted(grid, speeds)])
+
     def read(self, reading: Reading, case: int, speeds: np.ndarray | None = None) -> np.ndarray:
         """What a probe reads, zero to peak (v,) [m]: along its direction, or the major axis."""
         station = self.layout.nearest(reading.position)
@@ -66,21 +93,22 @@ class Response:
         along = np.array([np.cos(reading.direction), np.sin(reading.direction)])
         return np.asarray(np.abs(xy @ along))
 
-    def curves(self, case: int, speeds: np.ndarray | None = None) -> list[tuple[str, np.ndarray]]:
-        """(name, amplitude zero to peak (v,) [m]) of every probe, and of the major axis at each
-        directed probe's plane, or at the journals of a rotor without probes.
+    @property
+    def all_readings(self) -> tuple[Reading, ...]:
+        """Every probe, and the major axis at each directed probe's plane, or at the journals of a
+        rotor without probes.
         """
         layout = self.layout
-        found = [(item.name, self.read(item, case, speeds)) for item in layout.readings]
         # a probe without a direction reads the major axis itself
         places = {r.position: r.name for r in layout.readings if r.direction is not None}
         if not layout.readings:
             places = {j.position: f"journal {j.name}" for j in layout.journals}
-        found += [
-            (f"major axis at {name}", self.major_axis(layout.nearest(position), case, speeds))
-            for position, name in places.items()
-        ]
-        return found
+        axes = (Reading(f"major axis at {name}", at, None) for at, name in places.items())
+        return (*layout.readings, *axes)
+
+    def curves(self, case: int, speeds: np.ndarray | None = None) -> list[tuple[str, np.ndarray]]:
+        """(name, amplitude zero to peak (v,) [m]) of ``all_readings``."""
+        return [(item.name, self.read(item, case, speeds)) for item in self.all_readings]
 
     def currents(self, case: int, speeds: np.ndarray | None = None) -> np.ndarray:
         """Coil currents, zero to peak (v, a) [A]."""

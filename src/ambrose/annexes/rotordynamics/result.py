@@ -272,16 +272,20 @@ def _capacity(axis: AxisCapacity) -> dict[str, Any]:
 
 
 def _curves(response: Response) -> dict[str, Any]:
-    """Amplitudes of all readings at the computed speeds, and their peaks by interpolation."""
+    """Amplitudes and phases of all readings at the computed speeds, and their peaks by
+    interpolation.
+    """
     rows = []
     for k, case in enumerate(response.cases):
-        coarse = response.curves(k, response.speeds)
-        for (name, amplitude), (_, fine) in zip(coarse, response.curves(k), strict=True):
+        for reading in response.all_readings:
+            fine = response.read(reading, k)
+            lag = response.phase_lag(reading, k, response.speeds)
             rows.append(
                 {
-                    "reading": name,
+                    "reading": reading.name,
                     "case": case.name,
-                    "amplitude_m_pp": (2 * amplitude).tolist(),
+                    "amplitude_m_pp": (2 * response.read(reading, k, response.speeds)).tolist(),
+                    "phase_lag_deg": np.degrees(lag).tolist(),
                     "peaks": [_peak(peak) for peak in criticals(response.fine, fine)],
                 }
             )
