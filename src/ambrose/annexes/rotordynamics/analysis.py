@@ -11,6 +11,7 @@ from ambrose.annexes.rotordynamics import standard
 from ambrose.annexes.rotordynamics.capacity import capacities
 from ambrose.annexes.rotordynamics.circuit import circuit_change
 from ambrose.annexes.rotordynamics.clearances import largest_reading, rubs
+from ambrose.annexes.rotordynamics.critical_map import critical_map
 from ambrose.annexes.rotordynamics.level_one import LevelOne, sweep
 from ambrose.annexes.rotordynamics.level_two import shares
 from ambrose.annexes.rotordynamics.loop import ShaftLoop, shaft_loop
@@ -24,7 +25,7 @@ from ambrose.annexes.rotordynamics.placement import (
     span_middle,
 )
 from ambrose.annexes.rotordynamics.response import respond
-from ambrose.annexes.rotordynamics.result import Lateral, ModeRow
+from ambrose.annexes.rotordynamics.result import Item, Lateral, ModeRow
 from ambrose.annexes.rotordynamics.stations import Layout, lay_out, rigid_support_critical
 from ambrose.annexes.rotordynamics.tolerances import least_decrements
 from ambrose.chain.check import clearance_doubts
@@ -108,6 +109,9 @@ def lateral(
     _reaches(loop_at, trip)
     at_top = loop_at(chosen.speed)
     name = getattr(controller, "label", "") or ("none" if law is None else "as given")
+    slowest = _slowest(machine, trip)
+    progress("undamped critical speeds")
+    undamped = critical_map(layout, at_top, loop_at, law, (slowest, trip))
     bare = Lateral(
         machine=machine,
         controller=str(name),
@@ -115,13 +119,15 @@ def lateral(
         point=chosen.label or f"{chosen.speed:.4g} rad/s",
         speeds=(lowest, highest, trip),
         layout=layout,
+        critical_map=undamped,
     )
     unstable = _unstable_at(at_top, loop_at, law, timing, (lowest, highest, trip))
     progress("modes")
     modes = shaft_modes(at_top, standard.MODES_TO * trip)
     table = tuple(ModeRow(mode, shares(at_top, mode)) for mode in modes)
     if unstable is not None:
-        return replace(bare, items=(rows.unstable(unstable),), modes=table)
+        items: tuple[Item, ...] = (*rows.undamped(undamped), rows.unstable(unstable))
+        return replace(bare, items=items, modes=table)
     if tolerances and machine.tolerances:
         progress("modes over the tolerances")
         table = least_decrements(at_top, table)
@@ -132,7 +138,6 @@ def lateral(
         cases = place_rigid(layout, chosen.speed)
         early = (*early, _RIGID)
     progress(f"unbalance response, {len(cases)} placements")
-    slowest = _slowest(machine, trip)
     if slowest > _SLOWEST * trip:
         early = (
             *early,
@@ -157,6 +162,7 @@ def lateral(
         else ()
     )
     items = (
+        *rows.undamped(undamped),
         *rows.unbalance(response, reading, (lowest, highest, trip), scale),
         *rows.clearances(found, response),
         *rows.level_one(one),

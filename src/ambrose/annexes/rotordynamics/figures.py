@@ -10,6 +10,7 @@ import numpy as np
 from ambrose.annexes.rotordynamics import standard
 from ambrose.annexes.rotordynamics.capacity import PART, UNBALANCE, AxisCapacity
 from ambrose.annexes.rotordynamics.critical import Separation
+from ambrose.annexes.rotordynamics.critical_map import CriticalMap, Support
 from ambrose.annexes.rotordynamics.level_one import OVERDAMPED, LevelOne
 from ambrose.annexes.rotordynamics.response import Response
 from ambrose.annexes.rotordynamics.stations import Layout
@@ -79,9 +80,7 @@ def response_figure(
     # one below the other: they stand close together
     for k, (speed, word) in enumerate(marks.items()):
         for place, ends in ((_TOP, [min(lags), max(lags)]), (_LOW, [0, highest])):
-            theme.guide(
-                figure, place, [speed, speed], ends, color=theme.MUTED, width=1, dash="dot"
-            )
+            theme.guide(figure, place, [speed, speed], ends, color=theme.MUTED, width=1, dash="dot")
         theme.note(figure, _LOW, word, speed, highest, "right", "top", yshift=-15 * k)
     theme.dress(figure, 420, legend=True)
     figure.update_xaxes(title_text="Speed [rpm]", **_LOW)
@@ -106,6 +105,87 @@ def _peaks(figure: Any, found: Sequence[tuple[Separation, str, str]]) -> None:
             hovertemplate=f"{theme.plain(name)}: %{{y:.3g}} µm p-p<extra></extra>",
         )
         theme.note(figure, _LOW, f"{x:.5g} rpm{factor}", x, y, "center", "bottom", yshift=5)
+
+
+def critical_map_figure(found: CriticalMap, speeds: tuple[float, float, float]) -> Any:
+    """Undamped critical speeds over the stiffness of the supports, that of the bearings over them,
+    and a ring where they meet.
+    """
+    figure = theme.subplots(rows=1, cols=1)
+    stiffness = 1e-6 * found.stiffness  # [N/um]
+    ends = [float(stiffness[0]), float(stiffness[-1])]
+    for number, row in enumerate(found.speeds, 1):
+        rpm = row / standard.RPM
+        theme.scatter(
+            figure,
+            _ONE,
+            np.float32(stiffness),
+            np.float32(rpm),
+            line={"color": theme.INK, "width": 1.8},
+            hovertemplate=f"critical speed {number}: %{{y:.5g}} rpm at %{{x:.4g}} N/µm"
+            "<extra></extra>",
+        )
+        words = f"{number}, rigid {found.rigid[number - 1] / standard.RPM:.5g} rpm"
+        theme.note(figure, _ONE, words, *_log(ends[1], rpm[-1]), "right", "bottom")
+    looks = theme.styles([item.name for item in found.supports])
+    for item in found.supports:
+        size = np.abs(item.stiffness)
+        shown = size > 0
+        theme.scatter(
+            figure,
+            _ONE,
+            np.float32(1e-6 * size[shown]),
+            np.float32(item.speeds[shown] / standard.RPM),
+            _short(item),
+            shown=True,
+            line=looks[item.name].line,
+            hovertemplate="%{x:.4g} N/µm at %{y:.5g} rpm<extra>"
+            + theme.plain(item.name)
+            + "</extra>",
+        )
+        rings = [crossing for crossing in found.crossings if crossing.support == item.name]
+        theme.scatter(
+            figure,
+            _ONE,
+            [1e-6 * crossing.stiffness for crossing in rings],
+            [crossing.speed / standard.RPM for crossing in rings],
+            mode="markers",
+            marker={"size": 9, "color": looks[item.name].colour, "symbol": "circle-open"},
+            hovertemplate="%{y:.5g} rpm at %{x:.4g} N/µm<extra>"
+            + theme.plain(item.name)
+            + "</extra>",
+        )
+    lowest, top, trip = (speed / standard.RPM for speed in speeds)
+    for rpm in sorted({lowest, top, trip}):
+        theme.guide(figure, _ONE, ends, [rpm, rpm], color=theme.MUTED, width=1, dash="dot")
+    word = "running speed" if lowest == top else "highest running speed"
+    word += " and trip" if trip > top else ""
+    theme.note(figure, _ONE, word, *_log(ends[0], trip), "left", "bottom")
+    if lowest < top:
+        theme.note(figure, _ONE, "lowest running speed", *_log(ends[0], lowest), "left", "top")
+    low = min(float(found.speeds[0].min()), *(float(s.speeds[0]) for s in found.supports))
+    high = max(float(found.speeds[-1].max()), speeds[2])
+    theme.dress(figure, 360, legend=True)
+    figure.update_xaxes(title_text="Stiffness of each support [N/µm]", **theme.decades(*ends))
+    figure.update_yaxes(
+        title_text="Critical speed [rpm]",
+        **theme.decades(low / standard.RPM, 1.2 * high / standard.RPM),
+    )
+    return figure
+
+
+def _log(x: float, y: float) -> tuple[float, float]:
+    """A place on logarithmic axes, as annotations take it."""
+    return float(np.log10(x)), float(np.log10(y))
+
+
+def _short(item: Support) -> str:
+    """The axes of a support in a legend: the first, and how many are like it."""
+    names = [name.replace("_zeta", " ζ").replace("_eta", " η") for name in item.axes]
+    words = "|K(jω)| of " if item.magnetic else ""
+    return words + (
+        ", ".join(names) if len(names) <= 4 else f"{names[0]} and {len(names) - 1} alike"
+    )
 
 
 def placement_figure(layout: Layout, response: Response) -> Any:

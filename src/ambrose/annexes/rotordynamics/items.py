@@ -14,6 +14,7 @@ from ambrose.annexes.rotordynamics.capacity import UNBALANCE, AxisCapacity, bind
 from ambrose.annexes.rotordynamics.circuit import FLAG, CircuitChange
 from ambrose.annexes.rotordynamics.clearances import Reading
 from ambrose.annexes.rotordynamics.critical import Separation, criticals, separation
+from ambrose.annexes.rotordynamics.critical_map import CriticalMap
 from ambrose.annexes.rotordynamics.level_one import LevelOne
 from ambrose.annexes.rotordynamics.loop import ShaftLoop
 from ambrose.annexes.rotordynamics.phase_budget import CONTROLLER, PhaseBudget
@@ -50,6 +51,30 @@ def unstable(where: str) -> Item:
         passed=False,
         note=f"{where}; the rest of the analysis has no meaning on an unstable loop: design a "
         "controller that holds it first",
+    )
+
+
+def undamped(found: CriticalMap) -> Iterator[Item]:
+    """Where the bearings' stiffness meets the undamped critical speeds, for information."""
+    words = []
+    for support in found.supports:
+        speeds = [
+            f"{crossing.speed / standard.RPM:.5g}"
+            for crossing in found.crossings
+            if crossing.support == support.name
+        ]
+        words.append(f"{support.name} {', '.join(speeds)} rpm" if speeds else "")
+    met = "; ".join(word for word in words if word) or "none up to trip"
+    first = found.rigid[0] / standard.RPM
+    yield Item(
+        "undamped",
+        "Undamped critical speeds where the bearings' stiffness meets them",
+        standard.EDITION,
+        "6.8.2, undamped critical speeds",
+        RECALLED,
+        None,
+        "-",
+        note=f"{met}; the first on rigid supports is {first:.5g} rpm",
     )
 
 

@@ -98,6 +98,29 @@ def lateral_schema() -> dict[str, Any]:
         },
         peaks=_list(_table(**peak)),
     )
+    support = _table(
+        axes=_list(_TEXT),
+        kind={"enum": ["magnet", "film"]},
+        speeds_rad_per_s=_list(_NUMBER),
+        stiffness_abs_N_per_m=_list(_NUMBER),
+        stiffness_real_N_per_m=_list(_NUMBER),
+    )
+    crossing = _table(
+        axes=_TEXT,
+        critical_speed={"type": "integer"},
+        speed_rad_per_s=_NUMBER,
+        stiffness_N_per_m=_NUMBER,
+    )
+    undamped = _table(
+        support_stiffness_N_per_m=_list(_NUMBER),
+        forward_rad_per_s={
+            **_list(_list(_NUMBER)),
+            "description": "a row per critical speed, over the stiffness",
+        },
+        on_rigid_supports_rad_per_s=_list(_NUMBER),
+        supports=_list(support),
+        crossings=_list(crossing),
+    )
     branch = _table(frequency_rad_per_s=_NUMBER, log_decrement=_list(_NUMBER))
     whole = _table(
         schema={"const": SCHEMA},
@@ -114,6 +137,7 @@ def lateral_schema() -> dict[str, Any]:
         phase_budget=_list(budget),
         capacity=_list(capacity),
         notes=_list(_TEXT),
+        critical_speed_map=undamped,
         level_one=_table(
             anticipated_N_per_m=_MAYBE,
             border_N_per_m=_ANY_NUMBER,

@@ -14,6 +14,7 @@ import numpy as np
 from ambrose.annexes.rotordynamics import figures, standard
 from ambrose.annexes.rotordynamics.capacity import PART, SEALS, AxisCapacity
 from ambrose.annexes.rotordynamics.comparison import Comparison, Pair
+from ambrose.annexes.rotordynamics.critical_map import CriticalMap
 from ambrose.annexes.rotordynamics.items import speeds_in_words
 from ambrose.annexes.rotordynamics.level_one import LevelOne
 from ambrose.annexes.rotordynamics.phase_budget import PhaseBudget
@@ -77,8 +78,21 @@ _PHASE = (
     "From the shaft's displacement to the current that makes force, element after element, at the "
     "free rotor's bending modes at rest. Negative: late. What the controller adds is its lead."
 )
+_UNDAMPED = (
+    "The rotor alone, without seals, stages and damping, on equal springs at its bearings: where "
+    "it whirls forward as fast as it spins. Over it the stiffness of the bearings at that speed: "
+    "{of}. Where lines meet, the rotor would have a critical speed with all supports as stiff as "
+    "this one; what damping makes of it is in the unbalance response."
+)
+_OF_MAGNETS = (
+    "of a magnet the modulus of force over displacement, with sensor, controller as it runs, "
+    "amplifier and negative stiffness, of an axis that moves alone"
+)
+_OF_FILMS = "of a film K_xx and K_yy of its table"
+_MAPPED = "Undamped critical speeds"
 _RESPONSES, _FOR = "Unbalance response", "Unbalance placed for the "
 _SECTIONS = {  # where a row's figure stands, by the first word of its name
+    "undamped": _MAPPED,
     "critical_speed": _RESPONSES,
     "vibration": _RESPONSES,
     "scale_factor": "Clearances",
@@ -103,6 +117,8 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
     sections = [
         Section("Summary sheet", _SUMMARY),
     ]
+    if result.critical_map is not None:
+        sections.append(_map_section(result.critical_map, result.speeds))
     if result.response is not None:
         sections += _response_sections(result)
     if result.level_one is not None:
@@ -153,7 +169,8 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
     words = (
         f"all {len(judged)} judged rows hold"
         if not failed
-        else f"{len(failed)} of {len(judged)} judged rows {'fails' if len(failed) == 1 else 'fail'}: "
+        else f"{len(failed)} of {len(judged)} judged rows "
+        + ("fails: " if len(failed) == 1 else "fail: ")
         + "; ".join(item.title for item in failed)
     )
     drawing = Figure("Rotor and its parts", machine_drawing(result.machine))
@@ -331,6 +348,33 @@ def _relation(text: str) -> str:
 
 def _number(value: float) -> str:
     return units.number(value) if np.isfinite(value) else "not reached"
+
+
+def _map_section(found: CriticalMap, speeds: tuple[float, float, float]) -> Section:
+    kinds = {item.magnetic for item in found.supports}
+    of = [
+        words for magnetic, words in ((True, _OF_MAGNETS), (False, _OF_FILMS)) if magnetic in kinds
+    ]
+    text = _UNDAMPED.format(of="; ".join(of))
+    picture = Figure("Critical-speed map", figures.critical_map_figure(found, speeds))
+    rows: tuple[Row, ...] = tuple(
+        (
+            _axes_in_words(item.support),
+            *numbers(
+                f"{item.number}",
+                f"{item.speed / standard.RPM:.5g}",
+                f"{1e-6 * item.stiffness:.4g}",
+            ),
+        )
+        for item in found.crossings
+    )
+    columns = ("Stiffness of", "Critical speed", "At [rpm]", "Stiffness [N/µm]")
+    tables = (Table("Where they meet", columns, rows),) if rows else ()
+    return Section(_MAPPED, text, (picture,), tables)
+
+
+def _axes_in_words(names: str) -> str:
+    return names.replace("_zeta", " ζ").replace("_eta", " η")
 
 
 def _response_sections(result: Lateral) -> list[Section]:

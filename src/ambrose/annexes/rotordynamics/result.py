@@ -10,6 +10,7 @@ import numpy as np
 
 from ambrose.annexes.rotordynamics.capacity import AxisCapacity
 from ambrose.annexes.rotordynamics.critical import Critical, Separation, criticals
+from ambrose.annexes.rotordynamics.critical_map import CriticalMap
 from ambrose.annexes.rotordynamics.level_one import LevelOne
 from ambrose.annexes.rotordynamics.level_two import Share
 from ambrose.annexes.rotordynamics.phase_budget import PhaseBudget
@@ -121,6 +122,7 @@ class Lateral(Presented):
     notes: tuple[str, ...] = ()
     critical_speeds: tuple[tuple[Separation, str, str], ...] = ()
     phase_budgets: tuple[PhaseBudget, ...] = ()
+    critical_map: CriticalMap | None = None
 
     @property
     def machine_name(self) -> str:
@@ -191,6 +193,8 @@ class Lateral(Presented):
             "capacity": [_capacity(axis) for axis in self.capacities],
             "notes": list(self.notes),
         }
+        if self.critical_map is not None:
+            data["critical_speed_map"] = _map(self.critical_map)
         if self.level_one is not None:
             one = self.level_one
             data["level_one"] = {
@@ -267,6 +271,34 @@ def _capacity(axis: AxisCapacity) -> dict[str, Any]:
         "margins": [
             {"margin": _plain(item.value), "of": item.of, "limited_by": item.limited_by}
             for item in axis.margins
+        ],
+    }
+
+
+def _map(found: CriticalMap) -> dict[str, Any]:
+    """Undamped critical speeds over the stiffness, and the bearings' own."""
+    return {
+        "support_stiffness_N_per_m": found.stiffness.tolist(),
+        "forward_rad_per_s": found.speeds.tolist(),
+        "on_rigid_supports_rad_per_s": found.rigid.tolist(),
+        "supports": [
+            {
+                "axes": list(item.axes),
+                "kind": "magnet" if item.magnetic else "film",
+                "speeds_rad_per_s": item.speeds.tolist(),
+                "stiffness_abs_N_per_m": np.abs(item.stiffness).tolist(),
+                "stiffness_real_N_per_m": item.stiffness.real.tolist(),
+            }
+            for item in found.supports
+        ],
+        "crossings": [
+            {
+                "axes": item.support,
+                "critical_speed": item.number,
+                "speed_rad_per_s": item.speed,
+                "stiffness_N_per_m": item.stiffness,
+            }
+            for item in found.crossings
         ],
     }
 
