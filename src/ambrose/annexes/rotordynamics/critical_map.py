@@ -40,7 +40,8 @@ from ambrose.model.effects.rotor import finite_element_rotor, mass_properties, p
 from ambrose.model.ports import QUARTER, sensor_ports
 from ambrose.model.static_load import magnet_coefficients
 
-_COUNT = 4  # critical speeds: two of the rigid rotor, two bending ones
+_COUNT = (2, 5)  # critical speeds, at least and at most
+_TO = 3.0  # times the top speed: what lies above it on soft supports is left out
 _SOFT, _HARD = 1e-3, 1e2  # of the stiffness at which support and shaft yield alike
 _PER_DECADE = 20  # values of k
 _SPEEDS = 120  # of a bearing's curve
@@ -128,7 +129,8 @@ def critical_map(
     stiffness = np.logspace(*ends, int(_PER_DECADE * (ends[1] - ends[0])) + 1)
 
     rows = [undamped_criticals(free, k) for k in stiffness]
-    count = min(_COUNT, *(len(row) for row in rows))
+    within = int((rows[0] <= _TO * speeds[1]).sum())
+    count = min(max(within, _COUNT[0]), _COUNT[1], *(len(row) for row in rows))
     curves = np.array([row[:count] for row in rows]).T
     crossings = tuple(
         crossing for support in supports for crossing in _crossings(free, support, count)

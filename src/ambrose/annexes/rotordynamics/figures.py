@@ -82,7 +82,8 @@ def response_figure(
         for place, ends in ((_TOP, [min(lags), max(lags)]), (_LOW, [0, highest])):
             theme.guide(figure, place, [speed, speed], ends, color=theme.MUTED, width=1, dash="dot")
         theme.note(figure, _LOW, word, speed, highest, "right", "top", yshift=-15 * k)
-    theme.dress(figure, 420, legend=True)
+    theme.dress(figure, 360, legend=True)
+    figure.update_xaxes(range=[float(rpm[0]), float(rpm[-1])])
     figure.update_xaxes(title_text="Speed [rpm]", **_LOW)
     figure.update_yaxes(title_text="Lag [°]", dtick=90, **_TOP)
     figure.update_yaxes(title_text="Reading [µm p-p]", rangemode="tozero", **_LOW)
@@ -125,8 +126,7 @@ def critical_map_figure(found: CriticalMap, speeds: tuple[float, float, float]) 
             hovertemplate=f"critical speed {number}: %{{y:.5g}} rpm at %{{x:.4g}} N/µm"
             "<extra></extra>",
         )
-        words = f"{number}, rigid {found.rigid[number - 1] / standard.RPM:.5g} rpm"
-        theme.note(figure, _ONE, words, *_log(ends[1], rpm[-1]), "right", "bottom")
+        theme.note(figure, _ONE, f"{number}", *_log(ends[1], rpm[-1]), "left", "middle", xshift=3)
     looks = theme.styles([item.name for item in found.supports])
     for item in found.supports:
         size = np.abs(item.stiffness)
@@ -180,12 +180,10 @@ def _log(x: float, y: float) -> tuple[float, float]:
 
 
 def _short(item: Support) -> str:
-    """The axes of a support in a legend: the first, and how many are like it."""
-    names = [name.replace("_zeta", " ζ").replace("_eta", " η") for name in item.axes]
-    words = "|K(jω)| of " if item.magnetic else ""
-    return words + (
-        ", ".join(names) if len(names) <= 4 else f"{names[0]} and {len(names) - 1} alike"
-    )
+    """A support in a legend: its axes, or the first and how many are like it."""
+    words = "|K(jω)| " if item.magnetic else ""
+    names = item.axes
+    return words + (item.name if len(names) <= 4 else f"{names[0]} and {len(names) - 1} alike")
 
 
 def placement_figure(layout: Layout, response: Response) -> Any:
@@ -206,7 +204,7 @@ def placement_figure(layout: Layout, response: Response) -> Any:
             # on the side that the shaft and its weights leave free
             below = np.interp(at, x, line) >= 0
             edge, side = (-1, "bottom") if below else (1, "top")
-            theme.note(figure, place, theme.plain(journal.name), at, edge, "center", side)
+            theme.note(figure, place, theme.plain(journal.name), at, edge, "left", side, xshift=3)
         for weight in case.weights:
             at = MM * layout.positions[weight.station]
             tip = float(line[weight.station])
@@ -221,10 +219,11 @@ def placement_figure(layout: Layout, response: Response) -> Any:
             )
             text = f"{1e6 * weight.amount:.4g} g mm, {np.degrees(weight.angle):.0f} deg"
             side = "left" if at < 0.5 * x[-1] else "right"
-            theme.note(figure, place, text, at, tip, side, "bottom" if tip > 0 else "top")
+            up, shift = ("bottom" if tip > 0 else "top"), 7 if side == "left" else -7
+            theme.note(figure, place, text, at, tip, side, up, xshift=shift)
         theme.heading(figure, place, case.heading)
     theme.dress(figure, 150 * len(shown), legend=False, lines=1)
-    figure.update_yaxes(showticklabels=False, range=[-1.6, 1.6])
+    figure.update_yaxes(showticklabels=False, ticks="", range=[-1.6, 1.6])
     figure.update_xaxes(title_text="Position [mm]", row=len(shown), col=1)
     return figure
 

@@ -63,7 +63,7 @@ def undamped(found: CriticalMap) -> Iterator[Item]:
             for crossing in found.crossings
             if crossing.support == support.name
         ]
-        words.append(f"{support.name} {', '.join(speeds)} rpm" if speeds else "")
+        words.append(f"{support.name} at {', '.join(speeds)} rpm" if speeds else "")
     met = "; ".join(word for word in words if word) or "none up to trip"
     first = found.rigid[0] / standard.RPM
     yield Item(

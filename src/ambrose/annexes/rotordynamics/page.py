@@ -359,7 +359,7 @@ def _map_section(found: CriticalMap, speeds: tuple[float, float, float]) -> Sect
     picture = Figure("Critical-speed map", figures.critical_map_figure(found, speeds))
     rows: tuple[Row, ...] = tuple(
         (
-            _axes_in_words(item.support),
+            item.support,
             *numbers(
                 f"{item.number}",
                 f"{item.speed / standard.RPM:.5g}",
@@ -368,13 +368,12 @@ def _map_section(found: CriticalMap, speeds: tuple[float, float, float]) -> Sect
         )
         for item in found.crossings
     )
-    columns = ("Stiffness of", "Critical speed", "At [rpm]", "Stiffness [N/µm]")
-    tables = (Table("Where they meet", columns, rows),) if rows else ()
-    return Section(_MAPPED, text, (picture,), tables)
-
-
-def _axes_in_words(names: str) -> str:
-    return names.replace("_zeta", " ζ").replace("_eta", " η")
+    rows += tuple(
+        ("rigid supports", *numbers(f"{number}", f"{speed / standard.RPM:.5g}", "-"))
+        for number, speed in enumerate(found.rigid, 1)
+    )
+    columns = ("Supports as", "Critical speed", "At [rpm]", "Stiffness [N/µm]")
+    return Section(_MAPPED, text, (picture,), (Table("Where they meet", columns, rows),))
 
 
 def _response_sections(result: Lateral) -> list[Section]:
