@@ -126,7 +126,7 @@ def lateral(
     modes = shaft_modes(at_top, standard.MODES_TO * trip)
     table = tuple(ModeRow(mode, shares(at_top, mode)) for mode in modes)
     if unstable is not None:
-        items: tuple[Item, ...] = (*rows.undamped(undamped), rows.unstable(unstable))
+        items: tuple[Item, ...] = (rows.unstable(unstable), *rows.undamped(undamped))
         return replace(bare, items=items, modes=table)
     if tolerances and machine.tolerances:
         progress("modes over the tolerances")
