@@ -14,7 +14,7 @@ from ambrose.machine.description import Amplifier, Tolerance
 from ambrose.machine.seals import SealTable
 from ambrose.model.assemble import assemble
 from ambrose.model.reduce import free_mode_reduction, reduce
-from ambrose.model.uncertainty import perturbed, uncertain
+from ambrose.model.uncertainty import family, perturbed, uncertain
 from coarse import coarse
 
 OMEGA = np.array([1.0, 100.0, 500.0, 3000.0, 12000.0])
@@ -391,3 +391,15 @@ def test_a_perturbed_plant_says_so(moved):
     assert len(repr(moved)) < 200
     assert moved.to_dict()["offsets"] == DELTA
     json.dumps(moved.to_dict())
+
+
+def test_members_of_a_family_do_not_know_of_each_other(plant, moved):
+    """One model for all members, of a plant as it is and of one that is moved already."""
+    names = [tolerance.parameter for tolerance in plant.machine.tolerances]
+    for source in (plant, moved):
+        member = family(source, names)
+        first, second = ({name: value for name in names} for value in (0.5, -1.0))
+        once = member(first).system
+        np.testing.assert_array_equal(member(second).system.A, perturbed(source, second).system.A)
+        np.testing.assert_array_equal(member(first).system.A, once.A)
+        assert np.abs(once.A - source.system.A).max() > 0

@@ -115,15 +115,20 @@ def check_over_box(
             abscissa[i] = max(abscissa[i], poles.real.max())
         light.append(box.light(poles))
 
-    # the peak of every member on the grid; members whose resonances are alike share one
+    # the peak of every member on the grid, which all share but for what lies beside resonances;
+    # members whose resonances are alike share that, too
     base = box.base_grid()
-    peaks: list[Peak] = [Peak(0.0, 0.0, point) for point in points]
+    peaks = [
+        Peak(float(row.max()), float(base[row.argmax()]), point)
+        for row, point in zip(box.gains(base, points), points, strict=True)
+    ]
     for members in _alike(light):
-        grid = np.union1d(base, box.beside(light[members[0]]))
-        gain = box.gains(grid, points[members])
-        for i, row in zip(members, gain, strict=True):
-            best = int(row.argmax())
-            peaks[i] = Peak(float(row[best]), float(grid[best]), points[i])
+        grid = box.beside(light[members[0]])
+        if not len(grid):
+            continue
+        for i, row in zip(members, box.gains(grid, points[members]), strict=True):
+            if row.max() > peaks[i].value:
+                peaks[i] = Peak(float(row.max()), float(grid[row.argmax()]), points[i])
 
     # the search moves on the gain alone: where it ends the poles are looked at again
     unstable = abscissa >= 0

@@ -17,8 +17,8 @@ falls at least with 1/w^2, a term with 1/w^3; ``ALIASES`` on either side leave a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +33,7 @@ from ambrose.core.worst_case.elimination import transfers_at
 from ambrose.law.design_problem import open_model
 from ambrose.machine.description import Tolerance
 from ambrose.model.plant import Plant
-from ambrose.model.uncertainty import perturbed
+from ambrose.model.uncertainty import family
 
 ALIASES = 4  # on either side: see above
 _LOWEST = 1.0  # rad/s, of the grid
@@ -59,7 +59,8 @@ class SampledBox:
 
     plant: full; controller: sampled, with its delay, err_<axis> to u_<axis>; names (k,): parameters
     of ``tolerances``; model: chords from (w_delta, u) to (z_delta, y); owner (n,): the parameter
-    that a channel of w_delta belongs to.
+    that a channel of w_delta belongs to; families: the members of a plant, made as they are asked
+    for.
     """
 
     plant: Plant
@@ -68,6 +69,7 @@ class SampledBox:
     names: tuple[str, ...]
     model: Chords
     owner: np.ndarray
+    families: dict[Plant, Callable[[Mapping[str, float]], Plant]] = field(default_factory=dict)
 
     @property
     def nyquist(self) -> float:
@@ -112,7 +114,9 @@ class SampledBox:
         reduced one is given.
         """
         source = self.plant if plant is None else plant
-        member = perturbed(source, self.named(delta), self.tolerances)
+        if source not in self.families:
+            self.families[source] = family(source, self.names, self.tolerances)
+        member = self.families[source](self.named(delta))
         sampled = c2d(select(member.system, member.named("u"), member.named("y")), self.sample_time)
         unit = static_gain(np.eye(len(source.axes)), dt=self.sample_time)
         z = poles(feedback(series(self.controller, sampled), unit))
