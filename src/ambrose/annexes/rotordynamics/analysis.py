@@ -102,7 +102,7 @@ def lateral(
     if stated is None and not _covers(loop_at, trip):
         early = (
             *early,
-            f"The machine file does not cover {trip / standard.RPM:.5g} rpm, 1.05 times the "
+            f"The machine file does not cover {standard.rpm(trip)} rpm, 1.05 times the "
             "running speed; without a stated trip speed the analysis ends at the running speed.",
         )
         trip = highest
@@ -141,7 +141,7 @@ def lateral(
     if slowest > _SLOWEST * trip:
         early = (
             *early,
-            f"Response curves begin at {slowest / standard.RPM:.5g} rpm, where the tables of the "
+            f"Response curves begin at {standard.rpm(slowest)} rpm, where the tables of the "
             "journal bearings do.",
         )
     response = respond(layout, loop_at, cases, slowest, trip, progress)
@@ -181,7 +181,7 @@ def lateral(
         notes = (
             *notes,
             "No running_speeds in the machine file: the machine is taken to run at "
-            f"{highest / standard.RPM:.5g} rpm alone, so that a slower critical speed needs its "
+            f"{standard.rpm(highest)} rpm alone, so that a slower critical speed needs its "
             "margin from there.",
         )
     return replace(
@@ -224,8 +224,8 @@ def _trip(trip: float | None, highest: float) -> float:
     if not (math.isfinite(trip) and trip >= highest):
         raise invalid(
             "the trip speed",
-            f"{trip / standard.RPM:.6g} rpm",
-            f"{highest / standard.RPM:.6g} rpm or more",
+            f"{standard.rpm(trip)} rpm",
+            f"{standard.rpm(highest)} rpm or more",
             "it ends the curves",
         )
     return trip
@@ -273,7 +273,7 @@ def _unstable_at(
         else:
             abscissa = judge_stability(loop.plant, law, timing).abscissa
         if abscissa >= 0:
-            return f"at {speed / standard.RPM:.5g} rpm a pole has real part {abscissa:.4g} 1/s"
+            return f"at {standard.rpm(speed)} rpm a pole has real part {abscissa:.4g} 1/s"
     return None
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from ambrose.annexes.rotordynamics.placement import BACKWARD
 from ambrose.annexes.rotordynamics.result import SCHEMA, Lateral
-from ambrose.annexes.rotordynamics.standard import MODES_TO, RPM
+from ambrose.annexes.rotordynamics.standard import MODES_TO, RPM, rpm
 from ambrose.annexes.rotordynamics.their_table import TheirRow, read_table
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.presentation import Presented, data_frame
@@ -343,7 +343,7 @@ def _amplitude_pair(ours: Mapping[str, Any], row: TheirRow) -> Pair:
     speeds = np.asarray(ours["response"]["speeds_rad_per_s"])
     theirs = UM * float(row.amplitude or 0.0)
     if not speeds[0] <= row.speed <= speeds[-1]:
-        note = f"our curves run from {speeds[0] / RPM:.5g} to {speeds[-1] / RPM:.5g} rpm"
+        note = f"our curves run from {rpm(speeds[0])} to {rpm(speeds[-1])} rpm"
         return Pair(where, "amplitude", theirs, None, "um p-p", note)
     values = [
         float(CubicSpline(speeds, curve["amplitude_m_pp"])(row.speed))
@@ -357,14 +357,14 @@ def _worded(row: TheirRow, what: str) -> str:
     more += [
         f'{word} "{name}"' for word, name in (("probe", row.probe), ("case", row.case)) if name
     ]
-    return ", ".join([f"{what} at {row.speed / RPM:.5g} rpm", *more])
+    return ", ".join([f"{what} at {rpm(row.speed)} rpm", *more])
 
 
 def _nobody(row: TheirRow, what: str, ours: Sequence[tuple[float, str]], top: float) -> str:
     """Why a row has no partner: the nearest of ours (speed [rad/s], whirl), and how far ours are
     listed, to the speed ``top`` [rad/s].
     """
-    listed = f"; ours are listed up to {top / RPM:.5g} rpm" if row.speed > top else ""
+    listed = f"; ours are listed up to {rpm(top)} rpm" if row.speed > top else ""
     if not ours:
         return f"ours has no {what}{listed}"
 
@@ -375,7 +375,7 @@ def _nobody(row: TheirRow, what: str, ours: Sequence[tuple[float, str]], top: fl
 
     best = min(ours, key=rank)
     far, other, _ = rank(best)
-    nearest = f"{best[0] / RPM:.5g} rpm" + (f" ({best[1]})" if best[1] and row.whirl else "")
+    nearest = f"{rpm(best[0])} rpm" + (f" ({best[1]})" if best[1] and row.whirl else "")
     if far:
         return f"no {what} of ours within {100 * NEAR:g} %, the nearest at {nearest}{listed}"
     reason = "whirls the other way" if other else "is another row's"

@@ -233,7 +233,7 @@ def level_one_figure(one: LevelOne) -> Any:
     figure = theme.subplots(rows=1, cols=1)
     q = one.cross_coupling / 1e6
     names = [
-        f"{branch.mode.frequency / standard.RPM:.5g} rpm" + (" (at Q0)" if branch.late else "")
+        f"{standard.rpm(branch.mode.frequency)} rpm" + (" (at Q0)" if branch.late else "")
         for branch in one.branches
     ]
     looks = theme.styles(names)

@@ -59,7 +59,7 @@ def undamped(found: CriticalMap) -> Iterator[Item]:
     words = []
     for support in found.supports:
         speeds = [
-            f"{crossing.speed / standard.RPM:.5g}"
+            f"{standard.rpm(crossing.speed)}"
             for crossing in found.crossings
             if crossing.support == support.name
         ]
@@ -133,7 +133,7 @@ def unbalance(
         "<=",
         limit,
         UM * reading.peak_to_peak <= limit,
-        f'probe "{reading.probe}", {reading.case}, at {reading.speed / standard.RPM:.5g} rpm; with '
+        f'probe "{reading.probe}", {reading.case}, at {standard.rpm(reading.speed)} rpm; with '
         "twice the residual unbalance",
     )
     yield Item(
@@ -196,7 +196,7 @@ def clearances(found: Sequence[Rub], response: Response) -> Iterator[Item]:
             "<=",
             100 * worst.allowed / worst.diametral,
             all(rub.passed for rub in of_kind),
-            f"{UM * worst.motion:.3g} um p-p scaled at {worst.speed / standard.RPM:.5g} rpm, "
+            f"{UM * worst.motion:.3g} um p-p scaled at {standard.rpm(worst.speed)} rpm, "
             f"static offset {UM * worst.offset:.3g} um, of {UM * worst.diametral:.4g} um; "
             f"{worst.case}",
         )
@@ -229,8 +229,8 @@ def level_one(one: LevelOne | None) -> Iterator[Item]:
         )
         return
     where = "overhung impellers" if len(one.stations) > 1 else "one place"
-    rings = "" if math.isnan(one.least) else f", {one.least / standard.RPM:.5g} rpm mode"
-    crossing = "" if math.isnan(one.crossing) else f"; {one.crossing / standard.RPM:.5g} rpm mode"
+    rings = "" if math.isnan(one.least) else f", {standard.rpm(one.least)} rpm mode"
+    crossing = "" if math.isnan(one.crossing) else f"; {standard.rpm(one.crossing)} rpm mode"
     if one.anticipated is None:
         yield Item(
             "level_one.border",
@@ -306,7 +306,7 @@ def level_two(table: Sequence[ModeRow], highest: float, controlled: bool) -> Ite
         ">=",
         standard.LEAST_LOG_DECREMENT,
         value >= standard.LEAST_LOG_DECREMENT,
-        f"mode at {worst.mode.frequency / standard.RPM:.5g} rpm; with seals, stages and "
+        f"mode at {standard.rpm(worst.mode.frequency)} rpm; with seals, stages and "
         + ("the controller" if controlled else "journal bearings"),
     )
     known = [row for row in counted if row.least is not None]
@@ -324,8 +324,7 @@ def level_two(table: Sequence[ModeRow], highest: float, controlled: bool) -> Ite
             ">=",
             standard.LEAST_LOG_DECREMENT,
             value >= standard.LEAST_LOG_DECREMENT,
-            f"mode at {least.mode.frequency / standard.RPM:.5g} rpm: {least.member}; found, not "
-            "proved",
+            f"mode at {standard.rpm(least.mode.frequency)} rpm: {least.member}; found, not proved",
         )
 
 
@@ -363,7 +362,7 @@ def as_it_runs(
 
 def speeds_in_words(lowest: float, highest: float) -> str:
     """The running speeds [rad/s] in rpm."""
-    first, last = (f"{speed / standard.RPM:.5g}" for speed in (lowest, highest))
+    first, last = (f"{standard.rpm(speed)}" for speed in (lowest, highest))
     return f"at {first} rpm" if first == last else f"from {first} to {last} rpm"
 
 
@@ -451,7 +450,7 @@ def circuit(found: CircuitChange | None) -> Iterator[Item]:
     yield Item(
         "circuit.damping",
         f"Change of damping with the amplifier as a circuit, mode at "
-        f"{found.frequency / standard.RPM:.5g} rpm",
+        f"{standard.rpm(found.frequency)} rpm",
         "Ambrose",
         "electronics",
         OWN,

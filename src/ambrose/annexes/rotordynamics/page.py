@@ -152,7 +152,7 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
     if result.notes or chosen:
         sections.append(Section("Notes", "\n\n".join(result.notes), (), chosen))
     lowest, highest, trip = result.speeds
-    running = f"running {speeds_in_words(lowest, highest)}, trip {trip / standard.RPM:.5g} rpm"
+    running = f"running {speeds_in_words(lowest, highest)}, trip {standard.rpm(trip)} rpm"
     controlled = bool(result.machine.bearings)
     facts = (
         ("Machine file", f"SHA-256 of its values {machine_hash(result.machine)}"),
@@ -235,7 +235,7 @@ def _at_the_border(one: LevelOne) -> str:
     asked = f"Red: the least log decrement asked for, {standard.LEAST_LOG_DECREMENT:g}."
     if not np.isfinite(one.border):
         return f"No mode loses its damping in this sweep. {asked}"
-    mode = f"the mode at {one.crossing / standard.RPM:.5g} rpm"
+    mode = f"the mode at {standard.rpm(one.crossing)} rpm"
     other = "" if one.binding is not None else ", none of the forward modes drawn,"
     late = any(branch.late for branch in one.branches)
     since = " It is no forward mode without Q." if late else ""
@@ -362,14 +362,14 @@ def _map_section(found: CriticalMap, speeds: tuple[float, float, float]) -> Sect
             item.support,
             *numbers(
                 f"{item.number}",
-                f"{item.speed / standard.RPM:.5g}",
+                f"{standard.rpm(item.speed)}",
                 f"{1e-6 * item.stiffness:.4g}",
             ),
         )
         for item in found.crossings
     )
     rows += tuple(
-        ("rigid supports", *numbers(f"{number}", f"{speed / standard.RPM:.5g}", "-"))
+        ("rigid supports", *numbers(f"{number}", f"{standard.rpm(speed)}", "-"))
         for number, speed in enumerate(found.rigid, 1)
     )
     columns = ("Supports as", "Critical speed", "At [rpm]", "Stiffness [N/µm]")
@@ -426,7 +426,7 @@ def modes_table(result: Lateral) -> Table:
         way = "forward" if mode.whirl > BACKWARD else "planar" if mode.forward else "backward"
         rows.append(
             (
-                Cell(f"{mode.frequency / standard.RPM:.5g} rpm", detail=words),
+                Cell(f"{standard.rpm(mode.frequency)} rpm", detail=words),
                 way,
                 *numbers(f"{mode.log_decrement:.3g}"),
                 *((Cell(least, "number", detail=row.member),) if sought else ()),
@@ -453,7 +453,7 @@ def clearance_table(result: Lateral) -> Table:
                 f"{1e6 * rub.diametral:.4g}",
                 f"{1e6 * rub.motion:.3g}",
                 f"{1e6 * rub.offset:.3g}",
-                f"{rub.speed / standard.RPM:.5g}",
+                f"{standard.rpm(rub.speed)}",
                 f"{100 * rub.share:.3g}",
             ),
             Cell("holds" if rub.passed else "fails", "pass" if rub.passed else "fail"),

@@ -156,7 +156,7 @@ def amount(carried: float, speed: float) -> float:
 
 def mode_name(mode: ShaftMode) -> str:
     """What its placement is called: "10898 rpm mode"."""
-    return f"{mode.frequency / standard.RPM:.5g} rpm mode"
+    return f"{standard.rpm(mode.frequency)} rpm mode"
 
 
 def place(layout: Layout, mode: ShaftMode, speed: float) -> tuple[UnbalanceCase, ...]:
@@ -166,7 +166,7 @@ def place(layout: Layout, mode: ShaftMode, speed: float) -> tuple[UnbalanceCase,
     Where an overhung antinode governs, a second set is placed between the bearings if the shape
     has an antinode there: a rotor that bends freely has both.
     """
-    heading = f"{mode.frequency / standard.RPM:.5g} rpm, log decrement {mode.log_decrement:.3g}"
+    heading = f"{standard.rpm(mode.frequency)} rpm, log decrement {mode.log_decrement:.3g}"
     return _placed(layout, mode.line().real, mode_name(mode), heading, speed)
 
 

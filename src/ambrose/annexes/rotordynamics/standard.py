@@ -32,6 +32,12 @@ MODES_TO = 1.25  # times the trip speed: up to where modes are listed and excite
 OVERHANG = 0.5  # of the largest: from here an overhung antinode governs
 
 
+def rpm(speed: float) -> str:
+    """A speed [rad/s] in rpm, to five digits or to whole ones."""
+    text = f"{speed / RPM:.5g}"
+    return f"{speed / RPM:.0f}" if "e" in text else text
+
+
 def residual_amount(weight: float, speed_rpm: float) -> float:
     """U_r [g mm] of a plane that carries ``weight`` [kg] at the maximum continuous speed N [rpm].
 
