@@ -224,8 +224,8 @@ def test_an_unstable_loop_has_its_map():
     law = amb.design(machine, "pid")
     result = amb.lateral(machine, law, rate=1e4, tolerances=False)
     assert result.response is None and [item.name for item in result.items] == [
-        "undamped",
         "stability",
+        "undamped",
     ]
     titles = [section.title for section in lateral_page(result).sections]
     assert "Undamped critical speeds" in titles and "Unbalance response" not in titles
