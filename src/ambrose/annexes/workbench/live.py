@@ -373,8 +373,11 @@ def packed(head: Mapping[str, Any], samples: np.ndarray) -> bytes:
 
 
 def _stamp(project: Project) -> tuple[int, int]:
-    """What changes when the machine file does."""
-    status = project.machine.stat()
+    """What changes when the machine file does, also where it is gone."""
+    try:
+        status = project.machine.stat()
+    except OSError:
+        return 0, 0
     return status.st_mtime_ns, status.st_size
 
 

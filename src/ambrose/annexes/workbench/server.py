@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 import signal
 import socket
+import stat
 import threading
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager, suppress
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import uvicorn
 from starlette.applications import Starlette
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
+from starlette.types import Receive, Scope, Send
 from starlette.websockets import WebSocket
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from ambrose.annexes.workbench import blocks, uploads
 from ambrose.annexes.workbench.blocks import Refusal
@@ -31,6 +35,9 @@ from ambrose.annexes.workbench.viewers import THREAD, LiveRoom
 from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.core.listening import names_of
 
+if TYPE_CHECKING:
+    import h11
+
 _TYPES = {
     ".html": "text/html; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
@@ -41,6 +48,8 @@ ALL_JOBS = blocks.content(
     [blocks.words("lead", "What was started on the other screens, the newest first.")], jobs=["*"]
 )
 _MESSAGE = 65_536  # bytes of a socket's message
+_LINES, _LINE = 100, 8000  # headers of a socket's handshake, bytes of each
+_CONTROL = re.compile(rb"[\x00-\x08\x0a-\x1f\x7f]").search
 _ENDS = (signal.SIGINT, signal.SIGTERM)
 _PATIENCE = 2  # [s] for open requests when the server ends
 
@@ -164,14 +173,42 @@ def _static(name: str) -> Response:
     return Response(known[name].read_bytes(), media_type=_TYPES[Path(name).suffix])
 
 
+class _Opened(FileResponse):
+    """A file that is open: what goes out is what was looked at, whatever its name means by then."""
+
+    def __init__(self, file: BinaryIO, **more: Any) -> None:
+        number = file.fileno()
+        super().__init__(f"/dev/fd/{number}", stat_result=os.fstat(number), **more)
+        self._file = file
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        with self._file:
+            await super().__call__(scope, receive, send)
+
+
 def _file(path: Path) -> Response:
     """A file of the project: pages of results run alone, all others are downloads."""
-    if not path.is_file():
+    try:
+        file = _open(path)
+    except OSError:
         return PlainTextResponse("there is no such file\n", status_code=404)
     if path.suffix.lower() == ".html":
         headers = {"content-security-policy": PAGE_POLICY}
-        return FileResponse(path, media_type=_TYPES[".html"], headers=headers)
-    return FileResponse(path, media_type="application/octet-stream", filename=path.name)
+        return _Opened(file, media_type=_TYPES[".html"], headers=headers)
+    return _Opened(file, media_type="application/octet-stream", filename=path.name)
+
+
+def _open(path: Path) -> BinaryIO:
+    """An ordinary file of a folder of the project, neither of them a link. Raises OSError."""
+    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:  # a pipe is not waited for
+        number = os.open(path.name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=folder)
+    finally:
+        os.close(folder)
+    if not stat.S_ISREG(os.fstat(number).st_mode):
+        os.close(number)
+        raise FileNotFoundError(path.name)
+    return os.fdopen(number, "rb")
 
 
 def _state(project: Project) -> dict[str, Any]:
@@ -193,6 +230,7 @@ def serve(project: Project, listener: socket.socket, announce: Callable[[str], N
     app = build(project, hosts, lambda token: announce(f"http://{hosts[0]}/?token={token}"))
     config = uvicorn.Config(
         app,
+        http=_Http,
         log_level="warning",
         access_log=False,
         proxy_headers=False,
@@ -207,6 +245,17 @@ def serve(project: Project, listener: socket.socket, announce: Callable[[str], N
     asyncio.run(_Server(config).serve([listener]))
     if any(thread.name.startswith(THREAD) for thread in threading.enumerate()):
         os._exit(0)  # a rig that is compiled cannot be told to stop, and nothing is lost with it
+
+
+class _Http(H11Protocol):
+    """uvicorn's, which also answers a handshake that the reader of sockets leaves unanswered."""
+
+    def handle_websocket_upgrade(self, event: h11.Request) -> None:
+        lines = [event.target, *(value for _, value in event.headers)]
+        if len(lines) > _LINES or any(len(line) > _LINE or _CONTROL(line) for line in lines):
+            self.send_400_response("the handshake is too long or holds control characters")
+        else:
+            super().handle_websocket_upgrade(event)
 
 
 class _Server(uvicorn.Server):
