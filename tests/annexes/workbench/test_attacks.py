@@ -244,8 +244,8 @@ PATHS = [
     "/files/%2e%2e/secret.json",
     "/files/controllers/../../secret.json",
     "/files//etc/passwd",
-    "/static/%2e%2e/server.py",
-    "/static/..%2fserver.py",
+    "/static/%2e%2e/server%2epy",
+    "/static/..%2fserver%2epy",
 ]
 
 
