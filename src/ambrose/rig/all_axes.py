@@ -167,9 +167,14 @@ def run(
             count = min(virtual_rig.STRETCH, task.samples - number)
             drive, pushed, log, axial_log = advanced(number, count, motion, running)
             monitor.follow(task, number, log)
+            log = monitor.until_lost(number, log)
+            axial_log = axial_log[: len(log)]
             watched.follow(number, axial_log, sample)
             row: Any = (thrust, axial_rig.recorded(thrust, pushed), axial_log)
             recorder.add(number, drive, log, row)
+            if monitor.inside is not None:  # what comes after it means nothing
+                motion.overflow = None
+                break
             if len(log) < count or motion.overflow is not None:
                 motion.overflow = (number + len(log)) * sample
                 break
@@ -192,7 +197,7 @@ def run(
         outcome,
         text,
         max(poles, key=lambda item: item.real),
-        motion.overflow,
+        monitor.stopped_at(motion.overflow),
         touchdown_at=min(touched, default=None),
         run_time=time.perf_counter() - prepared,
         compile_time=prepared - begun,

@@ -155,7 +155,10 @@ def run(
     with recorder:
         for number, drive, log in _stretches(task, laws, motion, steps, progress, program):
             monitor.follow(task, number, log)
-            recorder.add(number, drive, log)
+            recorder.add(number, drive, monitor.until_lost(number, log))
+            if monitor.inside is not None:  # what comes after it means nothing
+                motion.overflow = None
+                break
         outcome, text = classify_outcome(monitor, scenario, motion.overflow, pole)
         record = recorder.finish(text)
     return Trace(
@@ -165,7 +168,7 @@ def run(
         outcome,
         text,
         pole,
-        motion.overflow,
+        monitor.stopped_at(motion.overflow),
         touchdown_at=monitor.touched_at,
         run_time=time.perf_counter() - prepared,
         compile_time=prepared - begun,

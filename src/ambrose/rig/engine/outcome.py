@@ -53,10 +53,12 @@ class Watch:
     limited: list[tuple[float, str]] = field(default_factory=list)
     # when the rotor first was beyond a magnet's air gap [s], and at which bearing
     inside: tuple[float, str] | None = None
+    _dt: float = 0.0  # [s] of a sample
 
     def follow(self, task: Plan, number: int, log: np.ndarray) -> None:
         """One stretch: number of its first sample, log (k, columns) as kernel.py writes it."""
         a = len(self.rig.axes)
+        self._dt = task.dt
         time = (number + np.arange(len(log))) * task.dt
         outputs, places = log[:, a : 2 * a].T, log[:, 4 * a : 5 * a].T
         gaps = self.rig.constants.touchdown[:, 0]
@@ -98,6 +100,18 @@ class Watch:
             self.contact += len(after) * task.dt
             self.deepest = max(self.deepest, float(depth[:, after].max()))
 
+    def until_lost(self, number: int, log: np.ndarray) -> np.ndarray:
+        """The rows of a stretch that was followed, up to the one at which the rotor is beyond an
+        air gap.
+        """
+        if self.inside is None:
+            return log
+        return log[: max(round(self.inside[0] / self._dt) - number, 0) + 1]
+
+    def stopped_at(self, overflow: float | None) -> float | None:
+        """When [s] the run ended early; overflow: when the motion left all bounds."""
+        return overflow if self.inside is None else self.inside[0]
+
     def _lift(self, time: np.ndarray, touching: np.ndarray) -> None:
         for t, contact in zip(time, touching, strict=True):
             if contact:
@@ -128,23 +142,24 @@ def classify_outcome(
         "" if pole is None else f"; {loop}: rightmost pole {pole.real:.4g}{pole.imag:+.4g}j rad/s"
     )
     if overflow is not None:
-        began = ""
-        if monitor.inside is not None:
-            at, where = monitor.inside
-            began = f"at t = {at:.6g} s the rotor is beyond the air gap of bearing {where}, and "
         return (
             "diverged",
-            f"diverged: {began}the motion left all bounds at t = {overflow:.6g} s; the record ends "
+            f"diverged: the motion left all bounds at t = {overflow:.6g} s; the record ends "
             f"before{side}",
         )
     if monitor.inside is not None:
         at, where = monitor.inside
+        # an unstable loop drives it there; of a stable one the magnet overcomes the contact
+        why = (
+            "the loop is unstable as it runs: another controller, rate or delay"
+            if pole is not None and pole.real >= 0
+            else "the magnet pulls it through the touchdown bearing; lower the current, or correct "
+            "[bearing.touchdown] stiffness"
+        )
         return (
             "diverged",
             f"diverged: at t = {at:.6g} s the rotor is beyond the air gap of bearing {where}, "
-            "where nothing can be: the magnet "
-            "pulls it through the touchdown bearing; lower the current, or correct "
-            f"[bearing.touchdown] stiffness{side}",
+            f"where nothing can be, and the record ends there; {why}{side}",
         )
     if monitor.lifted_at is None:
         return (
