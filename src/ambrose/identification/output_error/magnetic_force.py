@@ -4,9 +4,9 @@ A magnet pair is odd in (i, x): without a load its first terms beyond k_i i + k_
 static load i_0 adds quadratic ones, which grow with i_0. As forces they pass the linear loop,
 driven by the currents and displacements that it has itself (the second order of a Volterra series;
 Rugh 1981). So what they do to the outputs is known but for a few amplitudes: the static load of
-every axis, and one for the cubic terms of all, which is 1 if the magnets are as in the machine
-file. Those are found by one step of least squares beside the parameters; values fitted to what is
-then left are those of small motion.
+every axis, and one for the odd terms of all (third and fifth order), which is 1 for magnets that
+have the coefficients found. Those are found by one step of least squares beside the parameters;
+values fitted to what is then left are those of small motion.
 
 Where the excitation is weak the record says little about the amplitudes, and cubic terms resemble
 changed parameters. So what magnets can do is known beforehand: the loads, as recorded mean currents
@@ -19,13 +19,14 @@ joined, and what stays unknown widens the parameters' intervals.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import scipy.special
 
-from ambrose.core.checks import AmbroseError
+from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.response import simulate
 from ambrose.core.statespace import StateSpace, select
@@ -55,6 +56,7 @@ from ambrose.machine.axial import AxialMachine
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
 from ambrose.model.effects import magnet
+from ambrose.model.effects.loaded_magnet import slopes, with_coefficients
 from ambrose.model.plant import Plant
 from ambrose.model.static_load import magnet_coefficients, operating_magnets
 from ambrose.record.record import Record
@@ -67,6 +69,7 @@ _PIECE = 65_536  # samples at a time
 _GRID = 7  # points of current and of displacement, on which the terms are fitted
 # of i and x
 _POWERS = np.array([(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)])
+_ODD = np.array([(order - n, n) for order in (3, 5) for n in range(order + 1)])  # of i and x
 # known beforehand of the amplitudes, assumed: standard deviations of a load about the file's, and
 # of any load
 _NEAR, _ANY = 0.1 / _LOAD, 0.5 / _LOAD
@@ -82,8 +85,8 @@ _SMALL = 0.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MagneticForce:
-    """loads {axis: static current [A]} that the records tell, cubic terms (1: as in the machine
-    file), amplitudes (a + 1,) of the candidates, and the share of what the linear model left that
+    """loads {axis: static current [A]} that the records tell, cubic terms (1: of magnets with the
+    coefficients found), amplitudes (a + 1,) of the candidates, and the share of what the linear model left that
     they explain. widening (q,): variances that their own uncertainty adds to the fitted
     parameters'; moved (q,): what the last step of the amplitudes makes of the parameters, to first
     order. believed: they are those of magnets; else they are what magnets would make. responses:
@@ -131,7 +134,7 @@ class MagneticForce:
         """One sentence without its stop."""
         loads = ", ".join(f"{value:.3g} A on {axis}" for axis, value in self.loads.items())
         loads = f"static loads of about {loads}" if loads else "no static load"
-        sizes = f"{loads}, cubic terms {self.cubic:.2g} times the machine file's"
+        sizes = f"{loads}, cubic terms {self.cubic:.2g} times those of such magnets"
         if len(self.amplitudes) == 1:  # of a thrust bearing at its place, in one
             sizes = f"it is {self.cubic:.2g} times that of the machine file's magnets"
         return (
@@ -176,7 +179,7 @@ def magnetic_force(
             waves.append(
                 thrust_responses(*driven, _thrust_coefficients(plant, values), turning)
                 if isinstance(machine, AxialMachine)
-                else nonlinear_responses(*driven, turning)
+                else nonlinear_responses(*driven, turning, magnets_found(plant, values))
             )
             waves[-1] /= experiment.sizes[:, None].astype(np.float32)
     # no magnet follows from these coefficients, or the loop with a whole delay is none that runs
@@ -511,14 +514,17 @@ def nonlinear_responses(
     excitations: Sequence[str],
     signals: Sequence[str],
     turning: Sequence[tuple[float, np.ndarray]] = (),
+    magnets: Sequence[tuple[float, ...]] = (),
 ) -> np.ndarray:
     """The candidates (a + 1, p, k) in the signals (p,) of a record: quadratic terms of every axis,
     then all cubic ones.
 
     plant: reduced, with the parameters that were found; law: the controller as it runs; turning:
-    frequency and phasors (2 a,) of currents, then displacements, that no excitation makes. Raises
-    InvalidInput where no magnet follows from the coefficients.
+    frequency and phasors (2 a,) of currents, then displacements, that no excitation makes; magnets:
+    of every bearing what ``magnet.force`` needs (empty: the machine file's). Raises InvalidInput
+    where no magnet follows from the coefficients.
     """
+    magnets = magnets or magnets_found(plant, {})
     loop, axes = closed_loop(plant, law), plant.axes
     driven = np.array(signal_rows(record, excitations))
     responses = np.empty((len(axes) + 1, len(signals), driven.shape[1]), np.float32)
@@ -531,7 +537,7 @@ def nonlinear_responses(
             t = record.dt * np.arange(part.start, part.stop)
             for omega, phasors in turning:
                 moved[:, part] += (phasors[j :: len(axes), None] * np.exp(1j * omega * t)).real
-        _replaced(moved, plant, j)
+        _replaced(moved, plant, j, magnets[j // 2])
         responses[j], cubic[j] = simulate(select(loop, [f"f_{axis}"], signals), moved[:1]), moved[1]
 
     # the cubic forces of all axes at once: one amplitude
@@ -539,7 +545,50 @@ def nonlinear_responses(
     return responses
 
 
-def _replaced(moved: np.ndarray, plant: Plant, j: int) -> np.ndarray:
+def magnets_found(plant: Plant, values: Mapping[str, float]) -> list[tuple[float, ...]]:
+    """What ``magnet.force`` needs of every bearing's magnets with the coefficients of ``values``,
+    by path; as the machine file has them where no magnet is like that. Raises InvalidInput where
+    none is like the file's either.
+
+    A K_s over K_i that differs from the file's by a share is a gap that does, and a cubic term by
+    twice as much: with the file's own magnets one amplitude cannot be right for all axes.
+    """
+    machine, bias = plant.machine, plant.point.bias_current
+    by_file = operating_magnets(machine, bias)
+    bearings = list(machine.bearings)
+    for k, (bearing, item) in enumerate(zip(machine.bearings, by_file, strict=True)):
+        found = [
+            _coefficients(values, f"bearing.{bearing.name}.{quantity}", stated)
+            for quantity, stated in (
+                ("force_per_current", item.coefficients.force_per_current),
+                ("negative_stiffness", item.coefficients.negative_stiffness),
+            )
+        ]
+        coefficients = magnet.MagnetCoefficients(*found)
+        if coefficients != item.coefficients:
+            bearings[k] = with_coefficients(bearing, bias or bearing.bias_current, coefficients)
+    own = by_file
+    # no magnet has such coefficients
+    with suppress(InvalidInput):
+        own = operating_magnets(replace(machine, bearings=tuple(bearings)), bias)
+    return [
+        item.of_force if moved.parameters is None else moved.parameters
+        for item, moved in zip(by_file, own, strict=True)
+    ]
+
+
+def _coefficients(
+    values: Mapping[str, float], path: str, stated: tuple[float, float]
+) -> tuple[float, float]:
+    """Of zeta and eta, each by its own path, or both by one; else as stated."""
+    zeta, eta = (
+        values.get(f"{path}.{way}", values.get(path, value))
+        for way, value in zip(("zeta", "eta"), stated, strict=True)
+    )
+    return zeta, eta
+
+
+def _replaced(moved: np.ndarray, plant: Plant, j: int, magnets: tuple[float, ...]) -> np.ndarray:
     """Current and displacement (2, k) of axis number j, replaced by its quadratic and its cubic
     force.
     """
@@ -549,13 +598,13 @@ def _replaced(moved: np.ndarray, plant: Plant, j: int) -> np.ndarray:
         return moved
     bias = _bias(plant, j)
     i, x = moved
-    records_without = []
-    p = operating_magnets(plant.machine, plant.point.bias_current)[j // 2].of_force
-    for load, power in ((_LOAD * bias, 2), (0.0, 3)):
-        terms, chosen = _terms(p, plant.axes[j], load, *largest), _POWERS.sum(axis=1) == power
-        records_without.append(
-            sum(c * i**m * x**n for c, (m, n) in zip(terms[chosen], _POWERS[chosen], strict=True))
-        )
+    axis, even = plant.axes[j], _POWERS.sum(axis=1) == 2
+    quadratic = _terms(magnets, axis, _LOAD * bias, *largest)[even]
+    odd = _odd_terms(magnets, axis, *largest)
+    records_without = [
+        sum(c * i**m * x**n for c, (m, n) in zip(terms, powers, strict=True))
+        for terms, powers in ((quadratic, _POWERS[even]), (odd, _ODD))
+    ]
     moved[:] = records_without
     return moved
 
@@ -563,6 +612,27 @@ def _replaced(moved: np.ndarray, plant: Plant, j: int) -> np.ndarray:
 def _bias(plant: Plant, j: int) -> float:
     """The bias current [A] of axis number j at the plant's operating point."""
     return plant.point.bias_current or plant.machine.bearings[j // 2].bias_current
+
+
+def _odd_terms(p: tuple[float, ...], axis: str, i: float, x: float) -> np.ndarray:
+    """Coefficients (10,) of ``_ODD`` in what an axis' force without load has beyond its tangent, up
+    to currents i [A] and displacements x [m]. The tangent is exact: fitted beside, it would take
+    a part of the fifth order, and k_s with it.
+    """
+    way = int(axis.endswith("_eta"))
+    at, centre = np.linspace(-1.0, 1.0, _GRID), (p[6], p[9])
+    tangent = slopes(p, (0.0, 0.0), centre)
+    beyond = np.zeros((_GRID, _GRID))
+    for j, current in enumerate(i * at):
+        for k, shift in enumerate(x * at):
+            currents, place = [0.0, 0.0], list(centre)
+            currents[way], place[way] = current, centre[way] + shift
+            beyond[j, k] = magnet.force(*currents, *place, p)[way] - (
+                tangent.force_per_current[way] * current + tangent.negative_stiffness[way] * shift
+            )
+    basis = np.stack([at[:, None] ** m * at[None] ** n for m, n in _ODD], axis=-1)
+    fitted = np.linalg.lstsq(basis.reshape(-1, len(_ODD)), beyond.ravel())[0]
+    return np.asarray(fitted / i ** _ODD[:, 0] / x ** _ODD[:, 1])
 
 
 def _terms(p: tuple[float, ...], axis: str, load: float, i: float, x: float) -> np.ndarray:
