@@ -88,9 +88,9 @@ class MagneticForce:
     """loads {axis: static current [A]} that the records tell, cubic terms (1: of magnets with the
     coefficients found), amplitudes (a + 1,) of the candidates, and the share of what the linear
     model left that they explain. widening (q,): variances that their own uncertainty adds to the
-    fitted parameters'; moved (q,): what the last step of the amplitudes makes of the parameters, to first
-    order. believed: they are those of magnets; else they are what magnets would make. responses:
-    one (p, k) per record in the fitted signals, SI.
+    fitted parameters'; moved (q,): what the last step of the amplitudes makes of the parameters, to
+    first order. believed: they are those of magnets; else they are what magnets would make.
+    responses: one (p, k) per record in the fitted signals, SI.
     """
 
     loads: Mapping[str, float]
