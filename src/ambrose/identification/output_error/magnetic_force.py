@@ -627,7 +627,7 @@ def _odd_terms(p: tuple[float, ...], axis: str, i: float, x: float) -> np.ndarra
         for k, shift in enumerate(x * at):
             currents, place = [0.0, 0.0], list(centre)
             currents[way], place[way] = current, centre[way] + shift
-            beyond[j, k] = magnet.force(*currents, *place, p)[way] - (
+            beyond[j, k] = magnet.force(currents[0], currents[1], place[0], place[1], p)[way] - (
                 tangent.force_per_current[way] * current + tangent.negative_stiffness[way] * shift
             )
     basis = np.stack([at[:, None] ** m * at[None] ** n for m, n in _ODD], axis=-1)
