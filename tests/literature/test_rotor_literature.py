@@ -15,12 +15,17 @@ import numpy as np
 import pytest
 import scipy.linalg as sla
 
+import ambrose as amb
+from ambrose.annexes.rotordynamics.critical_map import critical_map
+from ambrose.annexes.rotordynamics.loop import shaft_loop
+from ambrose.annexes.rotordynamics.stations import lay_out
 from ambrose.core.mechanical import SecondOrder, to_statespace
 from ambrose.core.statespace import poles
 from ambrose.machine.description import Amplifier, MachineDescription
 from ambrose.machine.file.toml import load_machine
 from ambrose.machine.machine import Machine
 from ambrose.machine.rotor_model import Disc, Material, ShaftSection
+from ambrose.model.effects.journal_bearing import JournalBearing
 from ambrose.model.effects.rotor import (
     displacement_row,
     finite_element_rotor,
@@ -289,3 +294,53 @@ def test_ross_eigenvalues(theory, speed):
     values = values[np.argsort(values.imag)][:10]
     expected = np.array([complex(*pair) for pair in ROSS_EIGENVALUES[theory][speed]])
     assert np.abs(values - expected).max() < 1e-5
+
+
+ROSS_STIFFNESS = (1e5, 1e6, 1e7, 1e8, 1e9)  # [N/m]
+ROSS_MAP = {  # run_ucs(synchronous=True): [rad/s], a row per forward critical speed
+    "timoshenko": (
+        (75.24212304, 231.4342178, 581.18024183, 819.40769481, 859.46132336),
+        (139.47626143, 433.9591074, 1227.08504615, 2490.81483399, 2949.91345757),
+        (2844.35183385, 2950.28807297, 3841.21414983, 6247.320238, 7421.11169178),
+    ),
+    "rayleigh": (
+        (75.24827388, 231.61757095, 584.42831975, 829.09079826, 870.67761226),
+        (139.48660247, 434.26281129, 1232.93613852, 2540.15737281, 3033.59335329),
+        (2890.366532, 2995.99058258, 3895.18036886, 6552.60103429, 8010.16857128),
+    ),
+}
+
+
+@pytest.mark.parametrize("theory", list(ROSS_MAP))
+def test_the_undamped_critical_speeds_over_the_support_are_ross_s(theory):
+    """ROSS takes every element's polar inertia off its diametral one and solves at rest, Ambrose has
+    one pencil with M - G; decades are values of the map. Found within 2e-9.
+    """
+    shaft, z, nodes = [], 0.0, [0.0]
+    for length, outer, inner, elements in ROSS_SECTIONS:
+        material = Material(7850.0, 2.1e11, 0.3)
+        shaft.append(ShaftSection(z, length, outer, inner, elements=elements, material=material))
+        nodes += [z + length * (k + 1) / elements for k in range(elements)]
+        z += length
+    films = tuple(
+        JournalBearing(f"b{node}", nodes[node], (1e7,), (1e7,), (0.0,), (0.0,))
+        for node, *_ in ROSS_BEARINGS[:2]
+    )
+    machine = Machine(
+        "ROSS",
+        tuple(shaft),
+        (),
+        (),
+        Amplifier("none"),
+        discs=ROSS_DISCS,
+        beam_theory=theory,
+        effects=films,
+    )
+    layout = lay_out(machine)
+    loop = shaft_loop(layout, amb.OperatingPoint(2000.0), None, None)
+    found = critical_map(layout, loop, lambda speed: loop, None, (100.0, 3000.0))
+    for number, row in enumerate(ROSS_MAP[theory]):
+        ours = np.exp(
+            np.interp(np.log(ROSS_STIFFNESS), np.log(found.stiffness), np.log(found.speeds[number]))
+        )
+        assert ours == pytest.approx(row, rel=1e-8)
