@@ -77,12 +77,13 @@ def response_figure(
     _peaks(figure, [item for item in found if item[2] == response.cases[case].name])
     marks = {lowest: "lowest", top: "highest running"}
     marks[trip] = "highest running, trip" if trip == top else "trip"
-    # one below the other: they stand close together
-    for k, (speed, word) in enumerate(marks.items()):
+    for speed, word in marks.items():
         for place, ends in ((_TOP, [min(lags), max(lags)]), (_LOW, [0, highest])):
             theme.guide(figure, place, [speed, speed], ends, color=theme.MUTED, width=1, dash="dot")
-        theme.note(figure, _LOW, word, speed, highest, "right", "top", yshift=-15 * k)
-    theme.dress(figure, 360, legend=True)
+        # above the phase, off the critical speeds' words; trip stands close to the running speed
+        up = 14 if speed == trip > top else 0
+        theme.note(figure, _TOP, word, speed, max(lags), "right", "bottom", yshift=up)
+    theme.dress(figure, 360, legend=True, lines=1)
     figure.update_xaxes(range=[float(rpm[0]), float(rpm[-1])])
     figure.update_xaxes(title_text="Speed [rpm]", **_LOW)
     figure.update_yaxes(title_text="Lag [°]", dtick=90, **_TOP)
