@@ -147,7 +147,7 @@ def fit_excitation(
         return None
     try:
         at = np.geomspace(_LOWEST, _ANGLE / dt, _TRIED)
-        measured = local_response(records, e, y, at=at.tolist())
+        measured = local_response(records, e, y, at=at.tolist(), sparse=True)
         told = _lines(measured)
         omega, r = measured.omega[told], len(axes)
         if np.abs(poles(closed_loop(plant, law))).max() > 1:

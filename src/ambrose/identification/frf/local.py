@@ -41,6 +41,7 @@ def local_response(
     at: Sequence[float] | None = None,
     beside: Sequence[float] = (),
     sharp: Sequence[tuple[float, float, float]] = (),
+    sparse: bool = False,
 ) -> Frf:
     """The response of ``outputs`` to excitations ``inputs`` (e_, r_ or d_<axis>), which are free of
     noise, over all records.
@@ -52,9 +53,11 @@ def local_response(
     transient. at [rad/s]: the lines wanted, of which those that cannot be told are left out (None:
     as dense as the record allows); beside [rad/s]: further ones between these. sharp: (from, to,
     width) [rad/s] of resonances between which no wider band than this, or the least, is fitted:
-    noise may hide that a polynomial does not follow one. Bands overlap: neighbouring lines are not
-    independent. Raises InvalidInput where the records are too short, or
-    the inputs alike.
+    noise may hide that a polynomial does not follow one. sparse: take the least band also where
+    fewer lines in it have power than the response has unknowns, as of a sequence that repeats: for
+    who weighs the misfit himself; a wider band follows a phase less. Bands overlap: neighbouring
+    lines are not independent. Raises InvalidInput where the records are too short, or the inputs
+    alike.
     """
     u, y = (tuple([names] if isinstance(names, str) else names) for names in (inputs, outputs))
     records = (records,) if isinstance(records, Record) else tuple(records)
@@ -96,12 +99,13 @@ def local_response(
         if wanted is not None and (centre := next(wanted, np.inf)) == np.inf:
             break
         most = widest(centre)
-        narrow, wider = _line(spectra, spans, m, centre, width, dt, periodic, most)
+        narrow, wider = _line(spectra, spans, m, centre, width, dt, periodic, most, sparse)
         if narrow is not None:
             lines.append((centre, *narrow))
         centre += width * max(0.5, wider / 6)  # a third of half the band that was fitted
     for centre in sorted({w for w in beside if low <= w < high} - {line[0] for line in lines}):
-        found, _ = _line(spectra, spans, m, centre, width, dt, periodic, widest(centre))
+        most = widest(centre)
+        found, _ = _line(spectra, spans, m, centre, width, dt, periodic, most, sparse)
         if found is not None:
             lines.append((centre, *found))
     lines.sort(key=lambda line: line[0])
@@ -149,6 +153,7 @@ def _line(
     dt: float,
     periodic: bool,
     most: float = np.inf,
+    sparse: bool = False,
 ) -> tuple[_Fit | None, float]:
     """``_fit`` in the widest band that is no worse than the least, of up to ``most`` [rad/s], and
     how many times wider that is; None where the inputs are not told apart.
@@ -160,7 +165,7 @@ def _line(
             break
         if wider > 1 and not reach < centre < 0.99 * np.pi / dt - reach:
             break
-        fit = _fit(spectra, spans, m, centre, reach, periodic)
+        fit = _fit(spectra, spans, m, centre, reach, periodic, sparse)
         if fit is None and best is not None:
             break
         if fit is None:  # lines that are excited may lie apart
@@ -178,6 +183,7 @@ def _fit(
     centre: float,
     reach: float,
     periodic: bool,
+    sparse: bool,
 ) -> _Fit | None:
     """Response (p, m), noise (p, p), share (m, m) and coherence (p,) in centre -+ reach [rad/s];
     None: not told.
@@ -203,7 +209,7 @@ def _fit(
         return None
     power = np.sum(np.abs(X[:, :m] / size[:m]) ** 2, axis=1)
     spread = _lines_with_power(power)
-    if spread < _SPREAD * count * m:
+    if spread < _SPREAD * count * m and not sparse:
         return None
     Q, R = np.linalg.qr(X / size)
     s = np.linalg.svd(R, compute_uv=False)
@@ -214,7 +220,7 @@ def _fit(
     back = np.linalg.inv(R)[:m] / size[:m, None]
     inside = Q.conj().T @ Y
     left = Y - Q @ inside
-    if spread < _SPARSE * len(Y):
+    if spread < _SPARSE * len(Y) and not sparse:
         # what a polynomial does not follow is seen where there is power, not beside it: there alone
         # noise is told, by rows of the weights w_i (1 - h_i) with the leverage h_i = |Q_i|^2
         leverage = np.sum(np.abs(Q) ** 2, axis=1)
