@@ -120,6 +120,34 @@ def test_the_experiment_is_built_once(monkeypatch):
     assert len(built) == 1
 
 
+def test_a_part_of_a_record():
+    machine, record, controller = setting()
+    end = float(record.time[-1])
+    result = identify(
+        machine, record, controller, unknown=FOUR[0], between=(0.25 * end, 0.75 * end)
+    )
+    taken = result.outputs[0].record
+    assert taken.start_time == pytest.approx(0.25 * end, abs=record.dt)
+    assert taken.time[-1] == pytest.approx(0.75 * end, abs=2 * record.dt)
+    assert not any("settled" in remark for remark in result.remarks)
+    with pytest.raises(InvalidInput, match="time window"):
+        identify(machine, record, controller, unknown=FOUR[0], between=(end + 1, end + 2))
+
+
+def test_a_beginning_that_has_not_settled_is_left_out():
+    """The rotor comes from 60 um off; seen in the values as well as told."""
+    machine, record, controller = setting()
+    values = record.values.copy()
+    rows = [j for j, name in enumerate(record.signals) if name.startswith("y_")]
+    values[rows] += 60e-6 * np.exp(-(record.time - record.time[0]) / (0.02 * record.time[-1]))
+    result = identify(machine, replace(record, values=values), controller, unknown=FOUR)
+    assert any("had not settled" in remark for remark in result.remarks)
+    assert 0 < result.outputs[0].record.start_time < 0.3 * record.time[-1]
+    whole = done().parameters
+    for row, before in zip(result.parameters, whole, strict=True):
+        assert row.value == pytest.approx(before.value, rel=2e-3)
+
+
 def test_records_may_be_files_and_controllers_anything_with_a_state_space(tmp_path):
     machine, record, controller = setting()
     path = write_record(record, tmp_path / "run.h5")

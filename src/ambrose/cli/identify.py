@@ -27,7 +27,7 @@ from ambrose.terminal import (
 _WORD = "--method"
 _GROUPS = {
     "": ("method", "controller", "unknown", "output", "report"),
-    "Records": ("repeats", "compare"),
+    "Records": ("repeats", "between", "compare"),
     **groups_from(METHODS, "With every method", _WORD),
 }
 
@@ -47,6 +47,13 @@ _GROUPS = {
 )
 @options_from(METHODS)
 @click.option("--repeats", is_flag=True, help="The records are repeats: identify each alone, too.")
+@click.option(
+    "--between",
+    nargs=2,
+    type=float,
+    metavar="FROM TO",
+    help="Seconds of the records to take; default: all, from where the rotor has settled on.",
+)
 @click.option(
     "--compare",
     type=click.Path(path_type=Path),
@@ -71,6 +78,7 @@ def identify(
     method: str,
     controller: Path | None,
     repeats: bool,
+    between: tuple[float, float] | None,
     compare: Path | None,
     report: Path | None,
     output: Path,
@@ -108,6 +116,7 @@ def identify(
             law,
             method=chosen,
             repeats=repeats,
+            between=between,
             provenance=names,
             progress=progress,
         )

@@ -17,6 +17,7 @@ from typing import Any, cast
 
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_finite, invalid
+from ambrose.identification.data_quality.settling import left_out, settled
 from ambrose.identification.loop import Progress, identify_loop, usual_unknowns
 from ambrose.identification.methods import (
     METHODS,
@@ -63,6 +64,7 @@ def identify(
     *,
     method: Identifying | str = "closed-loop",
     repeats: bool = False,
+    between: tuple[float, float] | None = None,
     provenance: Provenance | None = None,
     progress: Progress = lambda stage: None,
     **options: Any,
@@ -76,8 +78,9 @@ def identify(
     B, C, D. method: ``ClosedLoop``, ``Youla`` (needs every u_<axis>) or ``StaticLoads`` (loads
     f_<port> and currents give K_i, no controller) with its options; or the name of one,
     "closed-loop", "youla", "static", its options then by name. repeats: the records repeat one
-    experiment. provenance: the names of the files. Raises InvalidInput with every reason why no
-    number can be trusted.
+    experiment. between: the seconds (from, to) of every record that are taken; else a beginning at
+    which the rotor had not settled is left out, with a remark. provenance: the names of the files.
+    Raises InvalidInput with every reason why no number can be trusted.
     """
     chosen = choose(METHODS, "method", method, options)
     check_controller(chosen, controller is not None, repeats)
@@ -89,6 +92,8 @@ def identify(
     start = _start_values(chosen.start) if isinstance(chosen, LoopMethod) else None
     unknown = _paths(chosen.unknown) if isinstance(chosen, LoopMethod) else ()
     measured, names = _read(records, progress)
+    if between is not None:
+        measured = tuple(record.between(*between) for record in measured)
     if isinstance(machine, AxialMachine):
         machine = at_place(machine, measured)
     provenance = provenance or Provenance(names)
@@ -105,7 +110,7 @@ def identify(
             "at least 2 for repeats",
             "give every repeat as a record",
         )
-    done: Identification
+    done: StaticIdentification | LoopIdentification
     if isinstance(chosen, StaticLoads):
         done = _identify_static(machine, measured, repeats, progress, chosen)
     else:
@@ -116,6 +121,9 @@ def identify(
                 "Synthesis"
             )
         law = law_of(controller, functions=False)
+        whole = measured
+        if between is None:
+            measured = tuple(settled(record, machine.axes) for record in whole)
         how = loop.fit_options(law.delay_samples)
         # delays and "bending" alone: beside what is usual
         usual = all("." not in path or path in TIMING for path in unknown)
@@ -161,6 +169,7 @@ def identify(
                 progress=progress,
                 options=how,
             )
+        done = replace(done, unsettled=left_out(whole, measured))
     return replace(done, provenance=provenance).updated()
 
 

@@ -227,7 +227,8 @@ class LoopIdentification(Identification):
     records beforehand (None: it was not certain, or the method another). seen_delay [samples]: of u
     behind the controller, taken as known although it was asked for. standing: where the rotor stood
     off the sensors' zero, to which the values are carried (None: it stood there). found_along: what
-    numbers of the machine file were found along, in words.
+    numbers of the machine file were found along, in words. unsettled: which beginnings of records
+    were left out, in words.
     """
 
     result: ParameterEstimate
@@ -241,6 +242,7 @@ class LoopIdentification(Identification):
     seen_delay: int | None = None
     standing: Standing | None = None
     found_along: str = ""
+    unsettled: str = ""
 
     @property
     def method(self) -> str:
@@ -266,6 +268,7 @@ class LoopIdentification(Identification):
                 *remarks,
             )
         remarks = remarks if self.magnets is None else (self.magnets.words, *remarks)
+        remarks = (self.unsettled, *remarks) if self.unsettled else remarks
         return remarks if self.seal is None or not self.seal.note else (*remarks, self.seal.note)
 
     @property

@@ -85,7 +85,11 @@ def test_single_precision_stays_within_its_bounds(blocks, method, tmp_path):
     found, status = driver.replay(program, "float", e, valid)
     # stated in docs/integrator.md; limiting included
     assert np.abs(found - expected.currents).max() <= 1e-4 * CURRENT
-    assert (status == expected.status).all()
+    # but for a current that rounding alone puts above its limit or below
+    differs = status != expected.status
+    inside = block.current_limit - np.minimum(np.abs(found), np.abs(expected.currents))
+    assert ((status ^ expected.status)[differs] == LIMITED).all() and differs.sum() <= 5
+    assert (inside.min(axis=1)[differs] <= 1e-4 * CURRENT).all()
     # no limiting: the bound, which grows with the signals, holds
     share = 0.9 * CURRENT / block.raw_limit.max()
     e = np.where(np.abs(e) <= block.error_limit, e * share, 0.0).astype(np.float32).astype(float)

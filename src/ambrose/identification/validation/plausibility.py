@@ -308,7 +308,10 @@ def _bursts(output: SimulatedOutput, number: int) -> Iterator[Finding]:
                 f"at t = {at}{' and later' if len(starts) > 4 else ''} by up to "
                 f"{size.max() / quiet:.0f} times the usual"
             )
-            remedy = "a knock, contact or lost samples: cut the record there and identify again"
+            remedy = (
+                "a knock, contact or lost samples: identify from the time before or after it "
+                "(--between)"
+            )
             yield Finding(Code.BURST, WARNING, what, evidence, remedy)
 
 
