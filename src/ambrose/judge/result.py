@@ -223,7 +223,15 @@ class Synthesis(Presented, Law):
             "corner_sensitivity_limit", math.inf
         )
         unmet = margins.get("unmet_checks", 0.0) > 0
+        unmet |= self.lost_as_assumed
         return beyond or unmet or (self.method == "tuned" and self.gamma > 1)
+
+    @property
+    def lost_as_assumed(self) -> bool:
+        """Whether nobody states the rate, and the loop would be unstable at the one that virtual
+        rig and export assume.
+        """
+        return self.certificate.margins.get("assumed_abscissa", -1.0) >= 0
 
     @property
     def lost(self) -> tuple[str, ...]:
@@ -246,7 +254,9 @@ class Synthesis(Presented, Law):
             )
         elif self.status is Status.VERIFIED and len(envelope) > 1:
             words += f" at all {len(envelope)} operating points"
-        if self.missed:
+        if self.lost_as_assumed:
+            words += ", but only as a continuous loop"
+        elif self.missed:
             words += ", but not every requirement is met"
         return (
             words

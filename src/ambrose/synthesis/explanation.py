@@ -14,6 +14,7 @@ from ambrose.core.statespace import StateSpace, select
 from ambrose.judge.checks import Check
 from ambrose.judge.envelope import envelope_of
 from ambrose.judge.result import Synthesis
+from ambrose.judge.stability import judge_assumed
 from ambrose.judge.static_stiffness import below_stiffness, stiffness_margin
 from ambrose.judge.unavoidable import beyond_reach, unavoidable_sensitivity
 from ambrose.judge.verdict import verify_points
@@ -53,9 +54,9 @@ def explained(
             *result.notes,
             *_above_limit(plant, result),
             *_not_modelled(plant, result, timing, bending_modes),
-            *_unsampled(plant, result, timing),
         ),
     )
+    result = _with_assumed(plant, result, timing)
     lost = result.lost
     if result.status != "unstable" and not lost:
         missed = result.method == "tuned" and result.gamma > 1
@@ -159,26 +160,50 @@ def _in_words(label: str, check: Check) -> str:
     return f"{title} at {label}: {check.value:.4g}{unit}{limit}{f' ({cause})' if cause else ''}"
 
 
-def _unsampled(plant: Plant, result: Synthesis, timing: Timing | None) -> list[str]:
-    """Where nobody stated a rate the loop was judged continuous; whether it would run at the rate
-    that the rig assumes.
+def _with_assumed(plant: Plant, result: Synthesis, timing: Timing | None) -> Synthesis:
+    """Where nobody stated a rate the loop was judged continuous. One that would not run at the rate
+    that the rig assumes gets a note with the pole, and the margin "assumed_abscissa"; as
+    ``verify``'s check "timing.assumed", which asks the judge the same.
     """
-    law = law_of(result.law).at(plant.point)
-    if timing is not None or law.dt is not None or result.status == "unstable":
-        return []
-    modes = min(_TRIED, bending_modes_of(plant.rotor_model))
-    try:
-        abscissa, frequency = _rightmost(reduce_from(plant, modes), DEFAULT.in_loop(law))
-    except AmbroseError:
-        return []
-    if abscissa < 0:
-        return []
+    if result.status == "unstable":
+        return result
+    places = [
+        place
+        for place in envelope_of(plant)
+        # one that the continuous loop loses has its own words
+        if law_of(result.law).covers(place) and place.point.label not in result.lost
+    ]
+    found = [(place, judge_assumed(place, result.law, timing)) for place in places]
+    lost = [
+        (judged.abscissa, place)
+        for place, judged in found
+        if judged is not None and not judged.stable
+    ]
+    if not lost:
+        return result
+    abscissa, place = max(lost, key=lambda item: item[0])
     late = f"{DEFAULT.rate:g} Hz and one sample late, as virtual rig and export assume,"
-    pole = f"{abscissa:+.4g} rad/s at {frequency:.4g} Hz"
-    return [
+    pole = f"{abscissa:+.4g} rad/s{_at_frequency(place, result)}"
+    note = (
         f"judged as continuous; at {late} it would be unstable ({pole}); state the rate, "
         "--rate-hz or sample_time"
-    ]
+    )
+    margins = {**result.certificate.margins, "assumed_abscissa": abscissa}
+    return replace(
+        result,
+        certificate=replace(result.certificate, margins=margins),
+        notes=(*result.notes, note),
+    )
+
+
+def _at_frequency(plant: Plant, result: Synthesis) -> str:
+    """ " at so many Hz", of the rightmost pole at the assumed rate; "" where none can be named."""
+    modes = min(_TRIED, bending_modes_of(plant.rotor_model))
+    law = law_of(result.law).at(plant.point)
+    try:
+        return f" at {_rightmost(reduce_from(plant, modes), DEFAULT.in_loop(law))[1]:.4g} Hz"
+    except AmbroseError:
+        return ""
 
 
 def why_none(plant: Plant, timing: Timing | None) -> str:
