@@ -236,6 +236,114 @@ def test_critical_speeds_are_where_a_forward_mode_turns_as_fast_as_the_rotor():
         assert np.abs(values).min() < 1e-3 * speed**2
 
 
+STIFF = """
+[machine]
+schema = 1
+name = "rigid rotor"
+beam_theory = "timoshenko"
+
+[[shaft]]
+length = "400 mm"
+outer_diameter = "80 mm"
+elements = 8
+
+[[bearing]]
+name = "A"
+position = "50 mm"
+bias_current = "3 A"
+force_per_current = 180
+negative_stiffness = "0.7 N/um"
+[[bearing]]
+name = "B"
+position = "350 mm"
+bias_current = "3 A"
+force_per_current = 180
+negative_stiffness = "0.7 N/um"
+
+[[sensor]]
+bearing = "A"
+position = "50 mm"
+[[sensor]]
+bearing = "B"
+position = "350 mm"
+
+[amplifier]
+order = "first"
+bandwidth = "1.5 kHz"
+
+[controller]
+gain = "5 A/mm"
+derivative_time = "3 ms"
+derivative_filter = 0.1
+
+[operation]
+speed_range = [0, "12000 rpm"]
+[[operation.point]]
+label = "rated"
+speed = "12000 rpm"
+"""
+STAGE = """
+[[stage]]
+name = "impeller"
+position = "100 mm"
+power = "{power:g} W"
+speed = "12000 rpm"
+diameter = "200 mm"
+width = "15 mm"
+density_ratio = 1.4
+"""
+FILM = """
+[[journal_bearing]]
+name = "film"
+position = "300 mm"
+K_xx = ["0.2 N/um"]
+K_yy = ["0.2 N/um"]
+C_xx = ["1 kN s/m"]
+C_yy = ["1 kN s/m"]
+K_xy = ["{xy:g} N/m"]
+K_yx = ["{yx:g} N/m"]
+"""
+
+
+def written(tmp_path, text):
+    path = tmp_path / "machine.toml"
+    path.write_text(text, encoding="utf-8")
+    return amb.load_machine(path)
+
+
+@pytest.mark.parametrize("power", [1e-6, 1e3, 1e7])
+def test_critical_speeds_do_not_depend_on_cross_coupling(tmp_path, power):
+    """A stage of any power: the same numbers as without, and for a rigid rotor on two springs k at
+    distances b from its centre m W^2 = 2 k and (I_d - I_p) W^2 = 2 k b^2.
+
+    The roots of W^2 became complex with any q, and were left out as none.
+    """
+    plain = critical_speeds(written(tmp_path, STIFF))
+    staged = critical_speeds(written(tmp_path, STIFF + STAGE.format(power=power)))
+    assert len(plain) == 4
+    np.testing.assert_allclose(staged, plain, rtol=1e-9)
+    density, d, length, b = Material().density, 0.08, 0.4, 0.15
+    k = 5000.0 * 180 - 0.7e6
+    m = density * math.pi / 4 * d**2 * length
+    polar, diametral = m * d**2 / 8, m * (3 * d**2 / 4 + length**2) / 12
+    rigid = math.sqrt(2 * k / m), math.sqrt(2 * k * b**2 / (diametral - polar))
+    # and what the shaft bends
+    np.testing.assert_allclose(plain[:2], sorted(rigid), rtol=2e-3)
+
+
+def test_critical_speeds_take_of_a_film_what_is_symmetric(tmp_path):
+    """K_xy = -K_yx moves nothing; K_xy = K_yx is a spring across the axes, as strong as the
+    difference of two along axes turned by 45 degrees.
+    """
+    at = {
+        xy: critical_speeds(written(tmp_path, STIFF + FILM.format(xy=xy[0], yx=xy[1])))
+        for xy in ((0, 0), (3e5, -3e5), (1e5, 1e5), (3e5, -1e5))
+    }
+    np.testing.assert_allclose(at[3e5, -3e5], at[0, 0], rtol=1e-9)
+    np.testing.assert_allclose(at[3e5, -1e5], at[1e5, 1e5], rtol=1e-9)
+    assert abs(at[1e5, 1e5][0] / at[0, 0][0] - 1) > 1e-3
+
+
 def test_the_limit_holds_for_every_controller_that_was_designed(rig):
     plant = amb.assemble(
         replace(rig, controller=replace(rig.controller, sample_time=1e-3, delay=1e-3))

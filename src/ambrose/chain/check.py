@@ -117,11 +117,13 @@ def springs(machine: Machine) -> dict[str, tuple[float, float]]:
 
 
 def critical_speeds(machine: Machine, count: int = 4) -> list[float]:
-    """The lowest undamped critical speeds [rad/s], forward, of the rotor on ``springs``, couplings
-    and supports, without seals.
+    """The lowest undamped critical speeds [rad/s], forward, of the rotor on ``springs``, couplings,
+    supports and films at the design point, without seals.
 
     (K - W^2 (M - j G)) q = 0: whirl as fast as spin; forward, or planar where a support is stiffer
-    one way than the other.
+    one way than the other. K is the symmetric part of the stiffness alone: the rest, a stage's q or
+    a film's (K_xy - K_yx)/2, is a force along the whirl. It drives or brakes, as damping does, and
+    no undamped speed is its.
     """
     rotor = finite_element_rotor(machine)
     supports = springs(machine)
@@ -142,6 +144,7 @@ def critical_speeds(machine: Machine, count: int = 4) -> list[float]:
     # parts what whirls alike either way
     apart = _APART * sla.block_diag(planes, np.zeros((model.n - len(planes),) * 2))
     stiffness = model.stiffness + N.T @ np.diag(extra) @ N
+    stiffness = (stiffness + stiffness.T) / 2  # with it, roots of lightest q are complex already
     values, vectors = sla.eig(stiffness, model.mass - 1j * (model.gyroscopic + apart))
     names = tuple(f"{k}_{plane}" for k in range(2 + bending) for plane in "xy")
     forward = whirl_measure(vectors[: len(names)], names) > -PLANAR

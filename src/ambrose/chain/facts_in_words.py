@@ -22,7 +22,7 @@ def rows_of(facts: dict[str, Any]) -> list[tuple[str, str]]:
                 "no reference controller" if margin is None else f"{margin:.3g}",
             ),
             (
-                "critical speeds, undamped",
+                "critical speeds, undamped, no cross-coupling",
                 ", ".join(quantity(w, "rad/s") for w in facts["critical_speeds_rad_s"]) or "none",
             ),
             (
