@@ -7,6 +7,7 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import jsonschema
 import numpy as np
@@ -15,10 +16,12 @@ from scipy.optimize import brentq
 
 import ambrose as amb
 from ambrose.annexes.rotordynamics.capacity import UNBALANCE, AxisCapacity
-from ambrose.annexes.rotordynamics.critical import criticals
+from ambrose.annexes.rotordynamics.clearances import Reading
+from ambrose.annexes.rotordynamics.critical import Critical, criticals
 from ambrose.annexes.rotordynamics.figures import level_one_figure, response_figure
 from ambrose.annexes.rotordynamics.items import as_it_runs
 from ambrose.annexes.rotordynamics.items import capacity as rows_of_capacity
+from ambrose.annexes.rotordynamics.items import unbalance as rows_of_unbalance
 from ambrose.annexes.rotordynamics.json_schema import lateral_schema
 from ambrose.annexes.rotordynamics.level_one import OVERDAMPED
 from ambrose.annexes.rotordynamics.level_two import shares
@@ -32,7 +35,7 @@ from ambrose.annexes.rotordynamics.placement import (
     span_middle,
 )
 from ambrose.annexes.rotordynamics.response import respond
-from ambrose.annexes.rotordynamics.result import Lateral
+from ambrose.annexes.rotordynamics.result import Item, Lateral
 from ambrose.annexes.rotordynamics.stations import lay_out, rigid_support_critical
 from ambrose.chain.check import clearance_doubts
 from ambrose.core.checks import InvalidInput, NumericalFailure
@@ -174,6 +177,67 @@ def test_critical_speed_amplitude_and_factor_of_one_mass():
     assert found.speed == pytest.approx(peak, rel=1e-3)
     assert found.amplitude == pytest.approx(amplitude(peak), rel=1e-3)
     assert found.amplification == pytest.approx(peak / (flanks[1] - flanks[0]), rel=1e-3)
+
+
+def curve_of_peaks(speeds, *peaks):
+    """Amplitudes [m] over speeds [rad/s]: (at [rad/s], height [m], width [rad/s]) of each peak."""
+    return sum(height / (1 + ((speeds - at) / width) ** 2) for at, height, width in peaks)
+
+
+def rows_of_peaks(*peaks):
+    """Rows of the summary of one reading with these peaks, running from 900 to 1000 rad/s."""
+    speeds = np.linspace(50, 1050, 2001)
+    curve = curve_of_peaks(speeds, *peaks)
+    case = SimpleNamespace(name="first mode")
+    response = SimpleNamespace(
+        cases=(case,), fine=speeds, curves=lambda k: [("DE zeta", curve)], all_readings=()
+    )
+    reading = Reading(2 * float(curve.max()), "DE zeta", "first mode", 900.0)
+    rows = list(rows_of_unbalance(response, reading, (900.0, 1000.0, 1050.0), (1.0, 1.0)))
+    return [row for row in rows if row.name.startswith(("critical_speed", "small_peaks"))]
+
+
+def test_an_unknown_amplification_factor_is_not_judged():
+    """ "nan AF < 2.5 holds": a hump between two others, at the valleys of which it stays above
+    0.707 of its peak, has no half-power band, and nobody knows whether it is critically damped.
+    """
+    outer = [(500.0, 1.05e-5, 25.0), (600.0, 1.05e-5, 25.0)]
+    first, middle, last = rows_of_peaks(*outer, (550.0, 1e-5, 25.0))
+    assert middle.passed is None and middle.limit is None
+    assert middle.value == pytest.approx(28.4) and middle.unit == "um p-p"
+    assert "amplification factor not known" in middle.title and "not judged" in middle.note
+    # what is known is judged as before
+    assert first.passed and last.passed and first.limit is not None
+    assert not Critical(1.0, 1.0, math.nan, False).damped
+
+
+def test_peaks_far_below_the_vibration_limit_are_one_row_of_information():
+    """A ripple of 0.003 um was a critical speed of its own. The border is 1 % of the limit, here
+    25.4 um p-p: 0.127 um 0-p.
+    """
+    main, ripple = (600.0, 1e-5, 60.0), (180.0, 5e-7, 6.0)
+    assert [row.name for row in rows_of_peaks(main, ripple)] == [
+        "critical_speed.1",
+        "critical_speed.2",
+    ]
+    tenth = [(at, height / 50, width) for at, height, width in (main, (180.0, 5e-7, 60.0))]
+    one, small = rows_of_peaks(*tenth)
+    assert one.limit is not None and "critically damped" not in one.title
+    assert small.passed is None and small.limit is None and "not judged" in small.note
+    # a sharp one stays a critical speed, however small
+    sharp = [(at, height / 50, width) for at, height, width in (main, ripple)]
+    assert [row.limit is None for row in rows_of_peaks(*sharp)] == [False, False]
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_value_that_is_not_finite_passes_nothing(value):
+    row = Item("x", "A thing", "", "", "own", value, "-", ">=", 1.0, True, "somewhere")
+    assert row.passed is None and row.unjudged
+    assert row.note == "somewhere; value not known, not judged"
+    failing = Item("x", "A thing", "", "", "own", value, "-", ">=", 1.0, False)
+    assert failing.passed is False
+    text = heads(films(), (row, Item("y", "Another", "", "", "own", 2.0, "-", ">=", 1.0, True)))
+    assert "all 1 judged rows hold" in text and "not judged" in text and "A thing" in text
 
 
 PROBES = """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from hashlib import sha256
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +29,7 @@ from ambrose.terminal import (
 
 if TYPE_CHECKING:
     from ambrose.annexes.rotordynamics.comparison import Comparison
+    from ambrose.annexes.rotordynamics.result import Item
 
 
 @click.command("lateral")
@@ -122,7 +124,7 @@ def lateral_command(
         rows = [
             (
                 item.title,
-                "-" if item.value is None else f"{item.value:.4g} {item.unit}".rstrip(" -"),
+                _value(item),
                 "-" if item.limit is None else f"{item.relation} {item.limit:.4g}",
                 "-" if item.passed is None else "holds" if item.passed else "fails",
             )
@@ -182,6 +184,17 @@ def print_comparison(result: Comparison) -> None:
         say(f"largest difference {result.largest_percent:.3g} %")
     if result.unpaired:
         say(f"{len(result.unpaired)} rows without a partner")
+
+
+def _value(item: Item) -> str:
+    """A row's value with its unit, "-" without one."""
+    from ambrose.annexes.rotordynamics.result import not_finite
+
+    if item.value is None:
+        return "-"
+    if not isfinite(item.value):
+        return not_finite(item.value)
+    return f"{item.value:.4g} {item.unit}".rstrip(" -")
 
 
 def _write(result: Any, path: Path) -> None:

@@ -29,9 +29,14 @@ class Critical:
     both_flanks: bool
 
     @property
+    def known(self) -> bool:
+        """Whether the curve shows an amplification factor."""
+        return math.isfinite(self.amplification)
+
+    @property
     def damped(self) -> bool:
-        """Critically damped: no margin is asked for."""
-        return not self.amplification >= standard.CRITICALLY_DAMPED
+        """Critically damped: no margin is asked for. Of an unknown factor nobody can say so."""
+        return self.amplification < standard.CRITICALLY_DAMPED
 
 
 def criticals(speeds: np.ndarray, amplitude: np.ndarray) -> tuple[Critical, ...]:
@@ -72,7 +77,9 @@ def _flank(curve: CubicSpline, peak: float, top: float, end: float) -> float | N
 
 @dataclass(frozen=True, slots=True)
 class Separation:
-    """How far a critical speed lies from the running speeds: margin and what is required [%]."""
+    """How far a critical speed lies from the running speeds: margin and what is required [%]; of an
+    unknown amplification factor the most that is asked of any.
+    """
 
     critical: Critical
     margin: float
@@ -87,10 +94,8 @@ def separation(critical: Critical, lowest: float, highest: float) -> Separation:
     """Of a critical speed from the running range [rad/s]; inside of it the margin is 0 and what is
     asked for that below the range.
     """
-    below, above = (
-        (function(critical.amplification) if not critical.damped else 0.0)
-        for function in (standard.margin_below, standard.margin_above)
-    )
+    factor = critical.amplification if critical.known else math.inf
+    below, above = standard.margin_below(factor), standard.margin_above(factor)
     if critical.speed < lowest:
         return Separation(critical, 100 * (lowest - critical.speed) / lowest, below)
     if critical.speed > highest:

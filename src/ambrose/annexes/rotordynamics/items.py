@@ -86,12 +86,14 @@ def unbalance(
 ) -> Iterator[Item]:
     """Critical speeds with their margins, vibration and scale factor."""
     lowest, highest, _ = speeds
+    limit = standard.vibration_limit(highest / standard.RPM)
     for k, (worst, probe, case) in enumerate(critical_speeds(response, lowest, highest), 1):
         peak = worst.critical
         rpm = peak.speed / standard.RPM
-        factor = (
-            f"AF {peak.amplification:.3g}" if math.isfinite(peak.amplification) else "AF not known"
-        )
+        if not peak.known:
+            yield _unknown_factor(k, worst, f'reading "{probe}", {case}')
+            continue
+        factor = f"AF {peak.amplification:.3g}"
         flank = "" if peak.both_flanks else ", of one flank"
         if peak.damped:
             yield Item(
@@ -121,7 +123,7 @@ def unbalance(
             worst.passed,
             f'{factor}{flank}, reading "{probe}", {case}',
         )
-    limit = standard.vibration_limit(highest / standard.RPM)
+    yield from _small(response, limit / UM, (lowest, highest))
     yield Item(
         "vibration",
         f"Largest probe reading {speeds_in_words(lowest, highest)}",
@@ -148,34 +150,104 @@ def unbalance(
     )
 
 
+def _unknown_factor(k: int, worst: Separation, where: str) -> Item:
+    """A peak without an amplification factor: told with its size and margin, not judged."""
+    peak = worst.critical
+    return Item(
+        f"critical_speed.{k}",
+        f"Response peak at {peak.speed / standard.RPM:.5g} rpm: amplification factor not known",
+        standard.EDITION,
+        _RESPONSE,
+        RECALLED,
+        2 * UM * peak.amplitude,
+        "um p-p",
+        note=f"{where}; the response falls to 0.707 of this peak on neither side, so that it has "
+        f"no half-power band: not judged. Separation margin {worst.margin:.3g} %; the most that "
+        f"is asked of any amplification factor is {worst.required:.3g} %",
+    )
+
+
+def _small(response: Response, limit: float, running: tuple[float, float]) -> Iterator[Item]:
+    """All peaks too small to be judged in one row; limit: of vibration [m] peak to peak."""
+    _, small = _peaks(response, *running)
+    if not small:
+        return
+    speeds = ", ".join(f"{group[0][0].critical.speed / standard.RPM:.5g}" for group in small)
+    largest = max(row[0].critical.amplitude for group in small for row in group)
+    yield Item(
+        "small_peaks",
+        f"Response peaks below {100 * standard.SMALL_PEAK:g} % of the vibration limit",
+        standard.EDITION,
+        _RESPONSE,
+        OWN,
+        2 * UM * largest,
+        "um p-p",
+        note=f"at {speeds} rpm, the largest stated; with an amplification factor below "
+        f"{standard.CRITICALLY_DAMPED:g} or none that could be read: too small for a critical "
+        f"speed (limit {UM * limit:.3g} um p-p), not judged",
+    )
+
+
 def critical_speeds(
     response: Response, lowest: float, highest: float
 ) -> list[tuple[Separation, str, str]]:
     """Every critical speed that a probe or a major axis sees: its tightest reading with the probe
-    and the placement, by speed.
+    and the placement, by speed. Peaks of less than ``standard.SMALL_PEAK`` of the vibration limit
+    are none, unless their amplification factor is 2.5 or more.
     """
-    seen: list[tuple[Separation, str, str]] = []
+    return [min(group, key=_tightness) for group in _peaks(response, lowest, highest)[0]]
+
+
+_Group = list[tuple[Separation, str, str]]
+
+
+def _peaks(response: Response, lowest: float, highest: float) -> tuple[list[_Group], list[_Group]]:
+    """Readings of peaks that are one critical speed, by speed; and those of peaks too small, where
+    no other reading has a larger one beside.
+    """
+    seen: _Group = []
     for k, case in enumerate(response.cases):
         curves = response.curves(k)
         for name, amplitude in curves:
             for peak in criticals(response.fine, amplitude):
                 seen.append((separation(peak, lowest, highest), name, case.name))
     seen.sort(key=lambda row: row[0].critical.speed)
-    groups: list[list[tuple[Separation, str, str]]] = []
+    least = standard.SMALL_PEAK * standard.vibration_limit(highest / standard.RPM) / UM / 2
+    kept, small = [], []
     for row in seen:
+        peak = row[0].critical
+        sharp = peak.known and not peak.damped
+        (kept if sharp or peak.amplitude >= least else small).append(row)
+    speeds = [row[0].critical.speed for row in kept]
+    alone = [
+        row
+        for row in small
+        if all(abs(row[0].critical.speed - speed) > _SAME_SPEED * speed for speed in speeds)
+    ]
+    return _grouped(kept), _grouped(alone)
+
+
+def _grouped(rows: _Group) -> list[_Group]:
+    """Readings by speed, those of one critical speed together."""
+    groups: list[_Group] = []
+    for row in rows:
         last = groups[-1][-1][0].critical.speed if groups else -math.inf
         near = row[0].critical.speed - last <= _SAME_SPEED * row[0].critical.speed
         if groups and near:
             groups[-1].append(row)
         else:
             groups.append([row])
-    return [min(group, key=_tightness) for group in groups]
+    return groups
 
 
-def _tightness(row: tuple[Separation, str, str]) -> float:
-    """What a reading lacks or has to spare; critically damped ones come last."""
-    item = row[0]
-    return math.inf if item.critical.damped else item.margin - item.required
+def _tightness(row: tuple[Separation, str, str]) -> tuple[int, float]:
+    """What a reading lacks or has to spare; then the critically damped ones, the sharpest first;
+    last those of which no amplification factor is known, the largest first.
+    """
+    item, peak = row[0], row[0].critical
+    if not peak.known:
+        return 2, -peak.amplitude
+    return (1, -peak.amplification) if peak.damped else (0, item.margin - item.required)
 
 
 def clearances(found: Sequence[Rub], response: Response) -> Iterator[Item]:

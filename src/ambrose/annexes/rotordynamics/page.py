@@ -19,7 +19,7 @@ from ambrose.annexes.rotordynamics.items import speeds_in_words
 from ambrose.annexes.rotordynamics.level_one import LevelOne
 from ambrose.annexes.rotordynamics.phase_budget import PhaseBudget
 from ambrose.annexes.rotordynamics.placement import BACKWARD
-from ambrose.annexes.rotordynamics.result import Item, Lateral
+from ambrose.annexes.rotordynamics.result import Item, Lateral, not_finite
 from ambrose.core.presentation import with_unit
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
@@ -94,6 +94,7 @@ _RESPONSES, _FOR = "Unbalance response", "Unbalance placed for the "
 _SECTIONS = {  # where a row's figure stands, by the first word of its name
     "undamped": _MAPPED,
     "critical_speed": _RESPONSES,
+    "small_peaks": _RESPONSES,
     "vibration": _RESPONSES,
     "scale_factor": "Clearances",
     "clearance": "Clearances",
@@ -173,6 +174,8 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
         + ("fails: " if len(failed) == 1 else "fail: ")
         + "; ".join(item.title for item in failed)
     )
+    if unjudged := [item.title for item in result.items if item.unjudged]:
+        words += f"; not judged, since the value is not known: {'; '.join(unjudged)}"
     drawing = Figure("Rotor and its parts", machine_drawing(result.machine))
     opening = Section("Rotor", "", (drawing,), (rotor_table(result),))
     summary, *rest = sections
@@ -347,7 +350,7 @@ def _relation(text: str) -> str:
 
 
 def _number(value: float) -> str:
-    return units.number(value) if np.isfinite(value) else "not reached"
+    return units.number(value) if np.isfinite(value) else not_finite(value)
 
 
 def _map_section(found: CriticalMap, speeds: tuple[float, float, float]) -> Section:
@@ -471,7 +474,7 @@ def clearance_table(result: Lateral) -> Table:
     )
     capped, uncapped = result.scale
     note = (
-        f"Scale factor {capped:.3g} (uncapped {units.number(uncapped)}); 75 % of the clearance may "
+        f"Scale factor {capped:.3g} (uncapped {_number(uncapped)}); 75 % of the clearance may "
         "be taken, unless the machine file says otherwise."
     )
     return Table("Motion at the close clearances, from rest to trip", columns, rows, note)

@@ -32,6 +32,7 @@ class Item:
     name: of the quantity, as in lateral.json; unit: "um p-p", "um 0-p", "%", "N/m" ...: amplitudes
     say which. basis: "checked" (a source that quotes the clause was at hand), "recalled", or "own"
     (no clause: what Ambrose adds). limit None and passed None: for information, or not covered.
+    A value that is not finite passes nothing: such a row is not judged.
     """
 
     name: str
@@ -46,6 +47,18 @@ class Item:
     passed: bool | None = None
     note: str = ""
 
+    def __post_init__(self) -> None:
+        if self.passed and self.value is not None and not np.isfinite(self.value):
+            object.__setattr__(self, "passed", None)
+            said = "; ".join(text for text in (self.note, "value not known, not judged") if text)
+            object.__setattr__(self, "note", said)
+
+    @property
+    def unjudged(self) -> bool:
+        """Whether a limit stands without a verdict, since the value is not known."""
+        unknown = self.value is not None and not np.isfinite(self.value)
+        return self.passed is None and self.limit is not None and unknown
+
     def to_dict(self) -> dict[str, Any]:
         """Plain data; infinite values as text."""
         row = {name: getattr(self, name) for name in self.__slots__}
@@ -53,6 +66,11 @@ class Item:
             key: (str(value) if isinstance(value, float) and not np.isfinite(value) else value)
             for key, value in row.items()
         }
+
+
+def not_finite(value: float) -> str:
+    """A value that is no number, in words."""
+    return "not known" if np.isnan(value) else "infinite"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
