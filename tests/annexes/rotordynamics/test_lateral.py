@@ -119,6 +119,38 @@ def test_border_of_cross_coupling_is_c_sqrt_k_over_m():
     assert one.branches[one.binding].border == one.border
 
 
+def test_a_border_beyond_the_sweep_is_more_than_its_end_and_the_density_leaves_its_trace():
+    """ "Q0 inf N/m" where the sweep stopped at 10 Q_A with the log decrement still falling."""
+    stage = STAGE.replace("400 kW", "20 kW")
+    result = amb.lateral(films(stage), trip=6300 * RPM, density=40.0)
+    one, data = result.level_one, result.to_dict()
+    assert math.isinf(one.border) and one.end == pytest.approx(10 * one.anticipated)
+    rows = {item.name: item for item in result.items}
+    border = rows["level_one.border"]
+    assert (border.bound, border.value, border.passed) == (">", pytest.approx(10.0), True)
+    assert f"{one.end:.4g} N/m = 10 Q_A, where the sweep ends" in border.note
+    assert f"least log decrement there {one.least_at_end:.3g}" in border.note
+    assert 0 < one.least_at_end < one.at_anticipated
+    assert data["level_one"]["border_N_per_m"] == f"> {one.end:.6g}"
+    assert "inf" not in border.note and "inf" not in json.dumps(data["level_one"])
+    page = lateral_page(result)
+    (shown,) = [
+        row for row in page.sections[0].tables[0].rows if row[0].text.startswith("Level I: border")
+    ]
+    assert shown[2].text == "> 10"
+    # the density: in data, table and facts
+    ratio = rows["level_one.speed_ratio"]
+    assert ratio.value == pytest.approx(6000 * RPM / rigid_support_critical(result.layout))
+    assert "40 kg/m3" in ratio.title and "region A: region B lies above 2.23" in ratio.note
+    assert data["mean_gas_density_kg_per_m3"] == 40.0
+    assert any("40 kg/m³" in text for _, text in page.facts)
+    # without an anticipated value there is nothing to pass, and a density is told all the same
+    bare = amb.lateral(films(), trip=6300 * RPM, density=40.0)
+    assert {item.name for item in bare.items} >= {"level_one.border", "level_one.speed_ratio"}
+    with pytest.raises(InvalidInput, match="gas density is -1"):
+        amb.lateral(films(), density=-1.0)
+
+
 def test_a_mode_that_is_overdamped_without_cross_coupling_is_judged_at_q_a():
     """m z'' + c z' + (k - j Q) z = 0 between inboard films, c above 0.75 of the critical: only
     tilting rings at Q = 0, and what crosses at c sqrt(k/m) was in no row. z = x + j y.

@@ -86,6 +86,8 @@ def lateral(
     running = machine.requirements.running_speeds
     lowest, highest = running or (chosen.speed, chosen.speed)
     stated, trip = trip, _trip(trip, highest)
+    if density is not None and not 0 < density < math.inf:
+        raise invalid("the mean gas density", density, "more than 0 kg/m3", "it screens Level I")
     if controller is None and machine.bearings:
         raise InvalidInput(
             f"{machine.name} floats on magnetic bearings and needs a controller: give one, or "
@@ -120,6 +122,7 @@ def lateral(
         speeds=(lowest, highest, trip),
         layout=layout,
         critical_map=undamped,
+        density=density,
     )
     unstable = _unstable_at(at_top, loop_at, law, timing, (lowest, highest, trip))
     progress("modes")
@@ -165,7 +168,7 @@ def lateral(
         *rows.undamped(undamped),
         *rows.unbalance(response, reading, (lowest, highest, trip), scale),
         *rows.clearances(found, response),
-        *rows.level_one(one),
+        *rows.level_one(one, density),
         *rows.level_two(table, highest, law is not None),
         *rows.as_it_runs([loop_at(w) for w in sorted({lowest, highest, trip})], law, timing),
         *rows.capacity(capacity),
@@ -316,7 +319,12 @@ def _level_one(
     try:
         return sweep(loop, stations, anticipated, standard.MODES_TO * trip, ratio, density), notes
     except NumericalFailure as error:
-        return None, (*notes, f"Level I was not done: {error}")
+        unused = (
+            ""
+            if density is None
+            else f"; the gas density, {density:.4g} kg/m3, that screens it was of no use"
+        )
+        return None, (*notes, f"Level I was not done: {error}{unused}")
 
 
 def layout_of(machine: Machine, layout: Layout) -> Layout:

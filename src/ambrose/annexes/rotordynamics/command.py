@@ -194,7 +194,7 @@ def _value(item: Item) -> str:
         return "-"
     if not isfinite(item.value):
         return not_finite(item.value)
-    return f"{item.value:.4g} {item.unit}".rstrip(" -")
+    return f"{item.bound} {item.value:.4g} {item.unit}".strip(" -")
 
 
 def _write(result: Any, path: Path) -> None:

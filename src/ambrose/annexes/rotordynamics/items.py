@@ -15,7 +15,7 @@ from ambrose.annexes.rotordynamics.circuit import FLAG, CircuitChange
 from ambrose.annexes.rotordynamics.clearances import Reading
 from ambrose.annexes.rotordynamics.critical import Separation, criticals, separation
 from ambrose.annexes.rotordynamics.critical_map import CriticalMap
-from ambrose.annexes.rotordynamics.level_one import LevelOne
+from ambrose.annexes.rotordynamics.level_one import OVERDAMPED, LevelOne
 from ambrose.annexes.rotordynamics.loop import ShaftLoop
 from ambrose.annexes.rotordynamics.phase_budget import CONTROLLER, PhaseBudget
 from ambrose.annexes.rotordynamics.response import Response
@@ -286,8 +286,18 @@ def clearances(found: Sequence[Rub], response: Response) -> Iterator[Item]:
         )
 
 
-def level_one(one: LevelOne | None) -> Iterator[Item]:
-    """Log decrement at Q_A, border, screening."""
+def level_one_beyond(one: LevelOne) -> str:
+    """Of a sweep that met no border: how far it went, and what is left of the damping there."""
+    times = "" if one.anticipated is None else f" = {standard.SWEEP:g} Q_A"
+    left = one.least_at_end
+    decrement = "" if left >= OVERDAMPED else f"; least log decrement there {left:.3g}"
+    return (
+        f"no mode loses its damping up to {one.end:.4g} N/m{times}, where the sweep ends{decrement}"
+    )
+
+
+def level_one(one: LevelOne | None, density: float | None = None) -> Iterator[Item]:
+    """Log decrement at Q_A, border, screening with a mean gas density [kg/m^3]."""
     if one is None:
         yield Item(
             "level_one",
@@ -310,11 +320,14 @@ def level_one(one: LevelOne | None) -> Iterator[Item]:
             standard.EDITION,
             _LEVEL_ONE,
             RECALLED,
-            one.border,
+            one.border if math.isfinite(one.border) else one.end,
             "N/m",
             ">=",
-            note=f"no anticipated value: the machine file has no [[stage]]{crossing}",
+            note="no anticipated value: the machine file has no [[stage]]"
+            + (crossing if math.isfinite(one.border) else f"; {level_one_beyond(one)}"),
+            bound="" if math.isfinite(one.border) else ">",
         )
+        yield from _screening(one, density)
         return
     yield Item(
         "level_one.log_decrement",
@@ -329,7 +342,8 @@ def level_one(one: LevelOne | None) -> Iterator[Item]:
         one.at_anticipated >= standard.LEAST_LOG_DECREMENT,
         f"Q_A {one.anticipated:.4g} N/m at {where}; least of all forward modes that ring{rings}",
     )
-    ratio = one.border / one.anticipated
+    met = math.isfinite(one.border)
+    ratio = (one.border if met else one.end) / one.anticipated
     reasons = one.screening.reasons if one.screening is not None else ()
     yield Item(
         "level_one.border",
@@ -342,8 +356,35 @@ def level_one(one: LevelOne | None) -> Iterator[Item]:
         ">=",
         standard.SCREEN_NEAR,
         ratio >= standard.SCREEN_NEAR,
-        f"Q0 {one.border:.4g} N/m{crossing}; "
+        (f"Q0 {one.border:.4g} N/m{crossing}; " if met else f"{level_one_beyond(one)}; ")
         + ("Level I is enough" if not reasons else "Level II is asked for: " + "; ".join(reasons)),
+        bound="" if met else ">",
+    )
+    yield from _screening(one, density)
+
+
+def _screening(one: LevelOne, density: float | None) -> Iterator[Item]:
+    """Critical speed ratio beside the border of region B at the gas density, for information."""
+    if one.speed_ratio is None:
+        return
+    used = f"asked where {standard.SCREEN_NEAR:g} <= Q0/Q_A < {standard.SCREEN_FAR:g}"
+    if density is None:
+        title = "Level I: critical speed ratio, mean gas density not given"
+        note = f"region B is assumed; {used}; give the density with --density"
+    else:
+        border = standard.border_speed_ratio(density)
+        region = "B" if one.speed_ratio > border else "A"
+        title = f"Level I: critical speed ratio, mean gas density {density:.4g} kg/m3"
+        note = f"region {region}: region B lies above {border:.4g} at this density; {used}"
+    yield Item(
+        "level_one.speed_ratio",
+        title,
+        standard.EDITION,
+        _LEVEL_ONE,
+        RECALLED,
+        one.speed_ratio,
+        "-",
+        note=f"{note}; maximum continuous speed over the first critical speed on rigid supports",
     )
 
 

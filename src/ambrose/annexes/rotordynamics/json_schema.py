@@ -34,6 +34,7 @@ def lateral_schema() -> dict[str, Any]:
         limit={"type": ["number", "string", "null"]},
         passed=_VERDICT,
         note=_TEXT,
+        bound={"enum": ["", ">"], "description": ">: the value is more than the one given"},
     )
     mode = _table(
         frequency_rad_per_s=_NUMBER,
@@ -130,6 +131,7 @@ def lateral_schema() -> dict[str, Any]:
         operating_point=_TEXT,
         passed={"type": "boolean"},
         speeds_rad_per_s=_table(lowest=_NUMBER, highest=_NUMBER, trip=_NUMBER),
+        mean_gas_density_kg_per_m3=_MAYBE,
         scale_factor=_table(capped=_NUMBER, uncapped=_ANY_NUMBER),
         items=_list(item),
         modes=_list(mode),
@@ -140,8 +142,17 @@ def lateral_schema() -> dict[str, Any]:
         critical_speed_map=undamped,
         level_one=_table(
             anticipated_N_per_m=_MAYBE,
-            border_N_per_m=_ANY_NUMBER,
+            border_N_per_m={
+                **_ANY_NUMBER,
+                "description": "text, > and the end of the sweep, where none was met up to there",
+            },
             log_decrement_at_anticipated=_MAYBE,
+            critical_speed_ratio=_MAYBE,
+            level_two_asked_for={
+                "type": ["array", "null"],
+                "items": _TEXT,
+                "description": "reasons; null: no anticipated cross-coupling",
+            },
             cross_coupling_N_per_m=_list(_NUMBER),
             modes=_list(branch),
         ),

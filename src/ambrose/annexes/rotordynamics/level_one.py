@@ -60,7 +60,8 @@ class LevelOne:
     Q_A; None where the mode that crosses could not be followed. crossing: frequency [rad/s] of the
     mode that crosses at the border (nan: none). stations: where Q acts, in equal parts. screening:
     whether Level I is enough; None without an anticipated value. least: frequency [rad/s] of the
-    mode that has the least log decrement at Q_A (nan: of none that rings there).
+    mode that has the least log decrement at Q_A (nan: of none that rings there). speed_ratio:
+    maximum continuous speed over the first critical speed on rigid supports.
     """
 
     cross_coupling: np.ndarray
@@ -73,6 +74,17 @@ class LevelOne:
     stations: tuple[int, ...]
     screening: standard.Screening | None
     least: float = math.nan
+    speed_ratio: float | None = None
+
+    @property
+    def end(self) -> float:
+        """The largest cross-coupling of the sweep [N/m]: a border that was not met lies beyond."""
+        return float(self.cross_coupling[-1])
+
+    @property
+    def least_at_end(self) -> float:
+        """The least log decrement of the modes followed, at the end of the sweep."""
+        return min(float(branch.log_decrement[-1]) for branch in self.branches)
 
 
 def sweep(
@@ -164,6 +176,7 @@ def sweep(
         tuple(stations),
         screening,
         least,
+        speed_ratio,
     )
 
 

@@ -15,7 +15,7 @@ from ambrose.annexes.rotordynamics import figures, standard
 from ambrose.annexes.rotordynamics.capacity import PART, SEALS, AxisCapacity
 from ambrose.annexes.rotordynamics.comparison import Comparison, Pair
 from ambrose.annexes.rotordynamics.critical_map import CriticalMap
-from ambrose.annexes.rotordynamics.items import speeds_in_words
+from ambrose.annexes.rotordynamics.items import level_one_beyond, speeds_in_words
 from ambrose.annexes.rotordynamics.level_one import LevelOne
 from ambrose.annexes.rotordynamics.phase_budget import PhaseBudget
 from ambrose.annexes.rotordynamics.placement import BACKWARD
@@ -155,7 +155,7 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
     lowest, highest, trip = result.speeds
     running = f"running {speeds_in_words(lowest, highest)}, trip {standard.rpm(trip)} rpm"
     controlled = bool(result.machine.bearings)
-    facts = (
+    facts: tuple[tuple[str, str], ...] = (
         ("Machine file", f"SHA-256 of its values {machine_hash(result.machine)}"),
         (
             "Controller",
@@ -165,6 +165,9 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
         ("Speeds", running),
         ("Model", "finite-element rotor, all modes to 100 kHz; consistent mass"),
     )
+    if result.density is not None:
+        given = f"{result.density:.4g} kg/m³, mean, for the screening of Level I"
+        facts = (*facts, ("Gas density", given))
     failed = [item for item in result.items if item.passed is False]
     judged = [item for item in result.items if item.passed is not None]
     words = (
@@ -237,7 +240,7 @@ def _at_the_border(one: LevelOne) -> str:
     """What happens at Q0, and what the red line is."""
     asked = f"Red: the least log decrement asked for, {standard.LEAST_LOG_DECREMENT:g}."
     if not np.isfinite(one.border):
-        return f"No mode loses its damping in this sweep. {asked}"
+        return f"{level_one_beyond(one)}. {asked}"
     mode = f"the mode at {standard.rpm(one.crossing)} rpm"
     other = "" if one.binding is not None else ", none of the forward modes drawn,"
     late = any(branch.late for branch in one.branches)
@@ -312,7 +315,7 @@ def _summary_row(item: Item) -> Row:
     mark = "none" if item.passed is None else "pass" if item.passed else "fail"
     word = "" if item.passed is None else "holds" if item.passed else "fails"
     unit = "" if item.unit == "-" else f" {_whole(item.unit)}"
-    value = "-" if item.value is None else f"{_number(item.value)}{unit}"
+    value = "-" if item.value is None else f"{item.bound} {_number(item.value)}{unit}".strip()
     limit = "-" if item.limit is None else f"{_relation(item.relation)} {_number(item.limit)}{unit}"
     return (
         Cell(item.title, detail=_whole(item.note)),

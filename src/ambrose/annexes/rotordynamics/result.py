@@ -32,7 +32,8 @@ class Item:
     name: of the quantity, as in lateral.json; unit: "um p-p", "um 0-p", "%", "N/m" ...: amplitudes
     say which. basis: "checked" (a source that quotes the clause was at hand), "recalled", or "own"
     (no clause: what Ambrose adds). limit None and passed None: for information, or not covered.
-    A value that is not finite passes nothing: such a row is not judged.
+    A value that is not finite passes nothing: such a row is not judged. bound ">": the value is
+    more than the one given, which is as far as was looked.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Item:
     limit: float | None = None
     passed: bool | None = None
     note: str = ""
+    bound: str = ""
 
     def __post_init__(self) -> None:
         if self.passed and self.value is not None and not np.isfinite(self.value):
@@ -119,7 +121,8 @@ class Lateral(Presented):
 
     speeds: lowest and highest running speed and trip speed [rad/s]. items: the summary's rows.
     critical_speeds: the tightest reading of each, with its probe and the placement. response
-    None: the loop is unstable, and only ``items`` and modes are there.
+    None: the loop is unstable, and only ``items`` and modes are there. density: mean gas density
+    [kg/m^3] that was given, None: none.
     """
 
     _FACTS: ClassVar = ("machine=machine_name", "passed", "failed")
@@ -141,6 +144,7 @@ class Lateral(Presented):
     critical_speeds: tuple[tuple[Separation, str, str], ...] = ()
     phase_budgets: tuple[PhaseBudget, ...] = ()
     critical_map: CriticalMap | None = None
+    density: float | None = None
 
     @property
     def machine_name(self) -> str:
@@ -167,6 +171,7 @@ class Lateral(Presented):
             "operating_point": self.point,
             "passed": self.passed,
             "speeds_rad_per_s": {"lowest": low, "highest": high, "trip": trip},
+            "mean_gas_density_kg_per_m3": self.density,
             "scale_factor": {"capped": self.scale[0], "uncapped": _plain(self.scale[1])},
             "items": [item.to_dict() for item in self.items],
             "modes": [
@@ -217,8 +222,12 @@ class Lateral(Presented):
             one = self.level_one
             data["level_one"] = {
                 "anticipated_N_per_m": one.anticipated,
-                "border_N_per_m": _plain(one.border),
+                "border_N_per_m": one.border if np.isfinite(one.border) else f"> {one.end:.6g}",
                 "log_decrement_at_anticipated": one.at_anticipated,
+                "critical_speed_ratio": one.speed_ratio,
+                "level_two_asked_for": None
+                if one.screening is None
+                else list(one.screening.reasons),
                 "cross_coupling_N_per_m": one.cross_coupling.tolist(),
                 "modes": [
                     {
