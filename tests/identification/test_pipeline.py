@@ -130,8 +130,12 @@ def test_a_part_of_a_record():
     assert taken.start_time == pytest.approx(0.25 * end, abs=record.dt)
     assert taken.time[-1] == pytest.approx(0.75 * end, abs=2 * record.dt)
     assert not any("settled" in remark for remark in result.remarks)
+    assert "s of record 1 was taken" in result.remarks[0] and "was taken." in result.comment
     with pytest.raises(InvalidInput, match="time window"):
         identify(machine, record, controller, unknown=FOUR[0], between=(end + 1, end + 2))
+    for wrong in ((2.0, 1.0), (float("nan"), 1.0)):
+        with pytest.raises(InvalidInput, match="give the beginning first"):
+            identify(machine, record, controller, unknown=FOUR[0], between=wrong)
 
 
 def test_a_beginning_that_has_not_settled_is_left_out():
@@ -145,7 +149,8 @@ def test_a_beginning_that_has_not_settled_is_left_out():
     assert 0 < result.outputs[0].record.start_time < 0.3 * record.time[-1]
     whole = done().parameters
     for row, before in zip(result.parameters, whole, strict=True):
-        assert row.value == pytest.approx(before.value, rel=2e-3)
+        assert abs(row.value - before.value) < 3 * row.standard_deviation
+        assert row.value == pytest.approx(before.value, rel=1e-2)
 
 
 def test_records_may_be_files_and_controllers_anything_with_a_state_space(tmp_path):

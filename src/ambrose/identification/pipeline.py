@@ -17,7 +17,7 @@ from typing import Any, cast
 
 from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import InvalidInput, check_finite, invalid
-from ambrose.identification.data_quality.settling import left_out, settled
+from ambrose.identification.data_quality.settling import left_out, settled, taken
 from ambrose.identification.loop import Progress, identify_loop, usual_unknowns
 from ambrose.identification.methods import (
     METHODS,
@@ -92,10 +92,6 @@ def identify(
     start = _start_values(chosen.start) if isinstance(chosen, LoopMethod) else None
     unknown = _paths(chosen.unknown) if isinstance(chosen, LoopMethod) else ()
     measured, names = _read(records, progress)
-    if between is not None:
-        measured = tuple(record.between(*between) for record in measured)
-    if isinstance(machine, AxialMachine):
-        machine = at_place(machine, measured)
     provenance = provenance or Provenance(names)
     seal_form = chosen.seal_form if isinstance(chosen, ClosedLoop) else None
     if seal_form is not None:  # those without pressure first, as they are numbered
@@ -103,6 +99,15 @@ def identify(
         measured = tuple(measured[i] for i in order)
         if len(provenance.records) == len(order):
             provenance = replace(provenance, records=tuple(provenance.records[i] for i in order))
+    whole = measured
+    if between is not None:
+        measured = tuple(record.between(*between) for record in whole)
+        provenance = replace(provenance, part=taken(measured))
+    elif isinstance(chosen, LoopMethod):
+        measured = tuple(settled(machine, record) for record in whole)
+        provenance = replace(provenance, part=left_out(whole, measured))
+    if isinstance(machine, AxialMachine):
+        machine = at_place(machine, measured)
     if repeats and len(measured) < 2:
         raise invalid(
             "the number of records",
@@ -121,9 +126,6 @@ def identify(
                 "Synthesis"
             )
         law = law_of(controller, functions=False)
-        whole = measured
-        if between is None:
-            measured = tuple(settled(record, machine.axes) for record in whole)
         how = loop.fit_options(law.delay_samples)
         # delays and "bending" alone: beside what is usual
         usual = all("." not in path or path in TIMING for path in unknown)
@@ -169,7 +171,6 @@ def identify(
                 progress=progress,
                 options=how,
             )
-        done = replace(done, unsettled=left_out(whole, measured))
     return replace(done, provenance=provenance).updated()
 
 

@@ -35,11 +35,14 @@ from ambrose.version import __version__
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """Names of the records' files and of the controller's, and the date (ISO, today if empty)."""
+    """Names of the records' files and of the controller's, the date (ISO, today if empty), and in
+    words what part of the records was taken (empty: all of them).
+    """
 
     records: tuple[str, ...] = ()
     controller: str = ""
     date: str = field(default_factory=lambda: date.today().isoformat())
+    part: str = ""
 
     def __post_init__(self) -> None:
         # they stand in files of text
@@ -147,8 +150,10 @@ class Identification(Presented, ABC):
     @property
     def comment(self) -> str:
         """Where the values are from, as a comment to stand above the machine's file."""
+        part = self.provenance.part
         lines = [
             *self._heading(),
+            *([f"{part[:1].upper()}{part[1:]}."] if part else []),
             f"Verdict: {self.verdict}",
             *[f"Warning: {finding}" for finding in self.doubts],
         ]
@@ -227,8 +232,7 @@ class LoopIdentification(Identification):
     records beforehand (None: it was not certain, or the method another). seen_delay [samples]: of u
     behind the controller, taken as known although it was asked for. standing: where the rotor stood
     off the sensors' zero, to which the values are carried (None: it stood there). found_along: what
-    numbers of the machine file were found along, in words. unsettled: which beginnings of records
-    were left out, in words.
+    numbers of the machine file were found along, in words.
     """
 
     result: ParameterEstimate
@@ -242,7 +246,6 @@ class LoopIdentification(Identification):
     seen_delay: int | None = None
     standing: Standing | None = None
     found_along: str = ""
-    unsettled: str = ""
 
     @property
     def method(self) -> str:
@@ -268,7 +271,7 @@ class LoopIdentification(Identification):
                 *remarks,
             )
         remarks = remarks if self.magnets is None else (self.magnets.words, *remarks)
-        remarks = (self.unsettled, *remarks) if self.unsettled else remarks
+        remarks = (self.provenance.part, *remarks) if self.provenance.part else remarks
         return remarks if self.seal is None or not self.seal.note else (*remarks, self.seal.note)
 
     @property

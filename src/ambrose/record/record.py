@@ -208,6 +208,13 @@ class Record(Presented):
     def between(self, start: float, stop: float) -> Record:
         """The samples with start <= t < stop [s]; raises InvalidInput where there are none."""
         time = self.time
+        if not start < stop:
+            raise invalid(
+                "the time window",
+                f"[{start:g}, {stop:g}) s",
+                "from an earlier to a later time",
+                "give the beginning first",
+            )
         kept = np.flatnonzero((time >= start - 1e-6 * self.dt) & (time < stop - 1e-6 * self.dt))
         if not len(kept):
             raise invalid(

@@ -310,7 +310,7 @@ def _bursts(output: SimulatedOutput, number: int) -> Iterator[Finding]:
             )
             remedy = (
                 "a knock, contact or lost samples: identify from the time before or after it "
-                "(--between)"
+                "(identify --between)"
             )
             yield Finding(Code.BURST, WARNING, what, evidence, remedy)
 
