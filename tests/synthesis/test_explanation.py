@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import ambrose as amb
+from ambrose.cli import main
 from ambrose.core.checks import NumericalFailure
 from ambrose.judge.static_stiffness import stiffness_margin
 from ambrose.law.pid import common_sections, pid_controller
@@ -160,6 +162,24 @@ def test_what_only_a_continuous_controller_holds_is_said_with_the_remedy():
     )
     fast = amb.design(machine, "pid", rate=200_000)
     assert not any("judged as continuous" in note for note in fast.notes) and not fast.missed
+
+
+def test_of_one_point_that_was_asked_for_the_loss_at_another_is_told_only(tmp_path):
+    """At zero pressure the sampled loop holds as well; at nominal only the continuous one does."""
+    machine = amb.load_machine("seal-rig")
+    settings = machine.controller
+    slack = replace(settings, derivative_time=0.8 * settings.derivative_time)
+    path = tmp_path / "slack.toml"
+    amb.save_machine(replace(machine, controller=slack), path)
+    of_point = amb.design(amb.load_machine(path), "pid", point="zero pressure")
+    assert of_point.lost_as_assumed and of_point.lost_elsewhere
+    assert "unstable at nominal pressure" in " ".join(of_point.notes)
+    assert of_point.verdict.endswith("only as a continuous loop at other operating points")
+    out = tmp_path / "k.json"
+    words = ["synthesize", str(path), "--method", "pid", "-o", str(out)]
+    runner = CliRunner()
+    assert runner.invoke(main, [*words, "--point", "zero pressure"]).exit_code == 0
+    assert runner.invoke(main, [*words, "--point", "nominal pressure"]).exit_code == 1
 
 
 def test_a_tuned_loop_says_which_checks_of_verify_it_fails():

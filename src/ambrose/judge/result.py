@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from typing import Any, ClassVar
 
@@ -223,8 +223,8 @@ class Synthesis(Presented, Law):
             "corner_sensitivity_limit", math.inf
         )
         unmet = margins.get("unmet_checks", 0.0) > 0
-        unmet |= self.lost_as_assumed
-        return beyond or unmet or (self.method == "tuned" and self.gamma > 1)
+        too_large = self.method == "tuned" and self.gamma > 1
+        return beyond or unmet or too_large or self.lost_as_assumed
 
     @property
     def lost_as_assumed(self) -> bool:
@@ -232,6 +232,16 @@ class Synthesis(Presented, Law):
         rig and export assume.
         """
         return self.certificate.margins.get("assumed_abscissa", -1.0) >= 0
+
+    @property
+    def lost_elsewhere(self) -> bool:
+        """Whether ``lost_as_assumed`` is said of other points alone than that of the design, where
+        all else is met.
+        """
+        own = self.certificate.margins.get("assumed_abscissa_of_design", -1.0)
+        others = {k: v for k, v in self.certificate.margins.items() if k != "assumed_abscissa"}
+        rest = replace(self, certificate=replace(self.certificate, margins=others))
+        return self.lost_as_assumed and own < 0 and not rest.missed
 
     @property
     def lost(self) -> tuple[str, ...]:
@@ -255,7 +265,8 @@ class Synthesis(Presented, Law):
         elif self.status is Status.VERIFIED and len(envelope) > 1:
             words += f" at all {len(envelope)} operating points"
         if self.lost_as_assumed:
-            words += ", but only as a continuous loop"
+            elsewhere = " at other operating points" if self.lost_elsewhere else ""
+            words += f", but only as a continuous loop{elsewhere}"
         elif self.missed:
             words += ", but not every requirement is met"
         return (

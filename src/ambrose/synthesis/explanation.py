@@ -182,13 +182,17 @@ def _with_assumed(plant: Plant, result: Synthesis, timing: Timing | None) -> Syn
     if not lost:
         return result
     abscissa, place = max(lost, key=lambda item: item[0])
+    own = [value for value, where in lost if where.point.label == plant.point.label]
+    where = f" at {', '.join(item.point.label for _, item in lost)}" if len(found) > 1 else ""
     late = f"{DEFAULT.rate:g} Hz and one sample late, as virtual rig and export assume,"
     pole = f"{abscissa:+.4g} rad/s{_at_frequency(place, result)}"
     note = (
-        f"judged as continuous; at {late} it would be unstable ({pole}); state the rate, "
+        f"judged as continuous; at {late} it would be unstable{where} ({pole}); state the rate, "
         "--rate-hz or sample_time"
     )
     margins = {**result.certificate.margins, "assumed_abscissa": abscissa}
+    if own:
+        margins["assumed_abscissa_of_design"] = own[0]
     return replace(
         result,
         certificate=replace(result.certificate, margins=margins),

@@ -66,6 +66,16 @@ def test_a_slider_moves_the_curves_and_says_so_in_python(project):
     assert "name" in refused.value.content["fields"]
 
 
+def test_what_is_saved_is_judged_as_a_designed_one_is(tmp_path):
+    """At every operating point, and at the rate that others assume where nobody states one."""
+    made = Project(tmp_path)
+    begin(made, "turboexpander")
+    told, _ = ask(made, "save", name="mine")
+    assert "at all 6 operating points, but only as a continuous loop" in told["told"]
+    saved = read_controller(made.path("controllers", "mine.json"))
+    assert saved.missed and len(saved.certificate.envelope) == 6
+
+
 def test_controllers_are_compared_at_every_point(project):
     for name in ("one", "two", "three", "four"):
         ask(project, "save", name=name)

@@ -202,7 +202,6 @@ def _pictures(
 def _same(machine: Machine, given: Mapping[str, Any], settings: PidSettings) -> Block:
     lines = [
         "from dataclasses import replace",
-        "from ambrose.synthesis.pid import pid_synthesis",
         f'machine = amb.load_machine("{MACHINE}")',
     ]
     if machine.reference is None:
@@ -212,19 +211,25 @@ def _same(machine: Machine, given: Mapping[str, Any], settings: PidSettings) -> 
         lines.append("settings = machine.controller")
     before = _settings(machine)
     lines += lines_of(before, values_of(before, given))
-    lines.append("controller = pid_synthesis(amb.assemble(machine), settings)")
+    lines.append("machine = replace(machine, controller=settings)")
+    lines.append('controller = amb.design(machine, "pid")')
     lines.append("amb.verify(machine, controller, tolerances=False)")
     return blocks.same(f"ambrose synthesize {MACHINE} --method pid -o controllers/pid.json", *lines)
 
 
 def _synthesis(project: Project, given: Mapping[str, Any]) -> tuple[Machine, Any]:
-    """The controller of the sliders, certified on the full plant."""
+    """The controller of the sliders, certified on the full plant at every operating point, with
+    all that a designed one is told.
+    """
+    from ambrose.judge.result import Provenance
     from ambrose.model.assemble import assemble
-    from ambrose.synthesis.pid import pid_synthesis
+    from ambrose.synthesis.design import design
 
     machine, _ = _bench(project)
-    settings = _turned(machine, given)
-    return machine, pid_synthesis(assemble(machine), settings)
+    with_sliders = replace(machine, controller=_turned(machine, given))
+    result = design(assemble(with_sliders), "pid")
+    # the project's file holds other settings
+    return machine, replace(result, provenance=Provenance())
 
 
 def _judge(project: Project, given: Mapping[str, Any]) -> dict[str, Any]:
