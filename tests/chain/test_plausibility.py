@@ -12,15 +12,19 @@ import pytest
 from click.testing import CliRunner
 
 import ambrose as amb
+from ambrose.chain import plants
 from ambrose.chain.check import critical_speeds, shares
 from ambrose.chain.plants import facts
 from ambrose.cli import main
+from ambrose.core.checks import NumericalFailure
 from ambrose.judge.unavoidable import unavoidable_sensitivity
-from ambrose.machine.description import OperatingPoint, Operation, Tolerance
+from ambrose.machine.description import Amplifier, OperatingPoint, Operation, Tolerance
 from ambrose.machine.file.toml import read_machine_text
-from ambrose.machine.rotor_model import Material
+from ambrose.machine.rotor_model import BendingMode, Material
 from ambrose.machine.touchdown import Touchdown, TouchdownRace
 from ambrose.machine.units import DIMENSIONS, read_quantity
+from ambrose.model.effects.load import Load
+from ambrose.model.effects.stage import Stage
 from coarse import coarse
 
 
@@ -85,6 +89,30 @@ def points(machine, speed):
         operation=Operation((OperatingPoint(speed, label="fast"),), (0.0, 100.0)),
         tolerances=(),
     )
+
+
+def seal(machine, **changes):
+    return replace(machine, seals=(replace(machine.seals[0], **changes),))
+
+
+def pressure(machine, value):
+    operation = Operation((OperatingPoint(0.0, value, label="rated"),))
+    return replace(machine, operation=operation, tolerances=())
+
+
+def stage(**changes):
+    """The overhung blower, which turns at 6000 and 12 000 rpm, with a stage."""
+    machine = amb.load_machine("overhung-blower")
+    rated = {"power": 2e5, "speed": 400 * math.pi, "diameter": 0.3, "width": 0.02} | changes
+    return replace(machine, effects=(*machine.effects, Stage("wheel", 0.035, **rated)))
+
+
+def first_section(machine, **changes):
+    return replace(machine, shaft=(replace(machine.shaft[0], **changes), *machine.shaft[1:]))
+
+
+def amplifier(machine, **changes):
+    return replace(machine, amplifier=replace(machine.amplifier, **changes))
 
 
 CASES = {
@@ -166,7 +194,117 @@ CASES = {
         lambda m: replace(m, controller=replace(m.controller, sample_time=1e-2)),
         r"at 100 Hz, less than 10 times the 2",
     ),
+    "sensor elsewhere": (
+        lambda m: sensor_at(m, 0.78),
+        r"sensor of bearing A, at 780 mm, is nearer to bearing B, at 698 mm, than to its own, at "
+        r"162 mm: .*correct its position or its bearing",
+    ),
+    "modal damping": (
+        lambda m: replace(m, modal_damping=0.3),
+        r'modal_damping is 30 %, where shafts have 0.1 to 2 %; write per cent as "0.3 %"',
+    ),
+    "damping of a mode": (
+        lambda m: replace(m, bending_modes=(BendingMode(1, damping=0.5),)),
+        r"damping of bending mode 1 is 50 %",
+    ),
+    "inductance": (
+        lambda m: amplifier(m, inductance=43.0, max_voltage=300.0),
+        r'\[amplifier\]: inductance is 43 H, .*write the unit, such as "43 mH"',
+    ),
+    "contact": (
+        lambda m: bearings(m, touchdown=Touchdown(stiffness=150.0)),
+        r"bearing A: stiffness of its touchdown bearing is 150 N/m, .*such as \"150 N/um\"",
+    ),
+    "rolling elements": (
+        lambda m: bearings(
+            m, touchdown=Touchdown(radius=0.05, race=TouchdownRace(0.3, 1e-3, 100.0, 1e3))
+        ),
+        r"bearing A: element_stiffness of its touchdown bearing is 100 N/m",
+    ),
+    "sign of k": (
+        lambda m: seal(m, k=-3.2e6),
+        r"k of seal center is -3.2 N/um at operating point .*correct its sign",
+    ),
+    "bar as pascals": (
+        lambda m: pressure(m, 30.0),
+        r'point "rated" has 30 Pa across its seals; .*write "30 bar"',
+    ),
+    "reference in pascals": (
+        lambda m: seal(m, reference_pressure=204.0),
+        r'reference_pressure of seal center is 204 Pa; .*write "204 bar"',
+    ),
+    "far from the reference": (
+        lambda m: pressure(m, 20.4e5),
+        r'"rated" has 20.4 bar across seal center, 10 times its reference_pressure, 2.04 bar',
+    ),
+    "mass diameter": (
+        lambda m: first_section(m, mass_diameter=0.001),
+        r"mass_diameter of \[\[shaft\]\] 1.*, 1 mm, is below its outer_diameter, [\d.]+ mm",
+    ),
+    "power": (
+        lambda m: stage(power=200.0),
+        r'wheel of 300 mm in diameter takes 200 W, where 1,000 W and more .*write "200 kW"',
+    ),
+    "rated speed": (
+        lambda m: stage(speed=12000.0),
+        r"wheel is rated at 114,592 rpm, where the machine turns at 6,000 to 12,000 rpm; "
+        r'.*write "12000 rpm"',
+    ),
+    "load": (
+        lambda m: replace(m, effects=(*m.effects, Load("surge", 0.4, kind="static", force=300e3))),
+        r"load surge, 300,000 N, is [\d.]+ times what all bearings reach together",
+    ),
+    "corner of the amplifier": (
+        lambda m: replace(m, amplifier=Amplifier("first", 1500.0)),
+        r'bandwidth of the amplifier means 238.7 Hz, less than 10 times the .*write "1500 Hz"',
+    ),
+    "corner of a sensor": (
+        lambda m: replace(m, sensors=tuple(replace(s, bandwidth=1500.0) for s in m.sensors)),
+        r"bandwidth of the sensor of bearing A means 238.7 Hz",
+    ),
 }
+
+SOUND = {
+    "laminated shaft": lambda m: replace(m, modal_damping=0.02),
+    "strong coil": lambda m: amplifier(m, inductance=0.5, max_voltage=300.0),
+    "soft contact": lambda m: bearings(m, touchdown=Touchdown(stiffness=1e6)),
+    "half a sensor elsewhere": lambda m: replace(
+        m,
+        sensors=(
+            replace(m.sensors[0], weight=0.8),
+            replace(m.sensors[0], weight=0.2, position=0.6),
+            *m.sensors[1:],
+        ),
+    ),
+    "swirl brake": lambda m: replace(
+        seal(m, k=-1e5), assumed=(("seal.center.k", "swirl brakes"),), tolerances=()
+    ),
+    "fan": lambda m: seal(pressure(m, 2e3), reference_pressure=2e3),
+    "small wheel": lambda m: stage(power=300.0, diameter=0.04, width=0.003),
+    "slow stage": lambda m: stage(speed=200 * math.pi),
+    "shock": lambda m: replace(
+        m, effects=(*m.effects, Load("shock", 0.4, kind="static", force=5e3))
+    ),
+    "no coil": lambda m: replace(m, amplifier=Amplifier("first", 3200.0)),
+}
+
+
+def test_an_implausible_entry_is_named_where_the_model_fails(rig, monkeypatch):
+    """A reference pressure of 2.04 Pa made poles that no reduction parts, and `check` said that."""
+
+    def fails(*_):
+        raise NumericalFailure("poles 20 and 21 cannot be parted; keep one more")
+
+    monkeypatch.setattr(plants, "reduce_from", fails)
+    with pytest.raises(NumericalFailure, match=r"one more; probably .*: reference_pressure of"):
+        facts(seal(rig, reference_pressure=2.04))
+    with pytest.raises(NumericalFailure, match=r"one more$"):
+        facts(rig)
+
+
+@pytest.mark.parametrize("case", sorted(SOUND))
+def test_what_is_unusual_but_built_is_not_doubted(rig, case):
+    assert doubts(SOUND[case](rig)) == []
 
 
 @pytest.mark.parametrize("case", sorted(CASES))

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
+from ambrose.chain.check_entries import corner_doubts, entry_doubts, load_doubts
 from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.judge.rotor_modes import PLANAR, whirl_measure
 from ambrose.judge.stability import judge_stability
@@ -203,7 +204,11 @@ def insight(plant: Plant) -> dict[str, Any]:
             "stiffness_margin": None,
             "critical_speeds_rad_s": [],
             "least_sensitivity": None,
-            "doubts": [*_sizes(machine, properties), *_mesh(bending, errors)],
+            "doubts": [
+                *_sizes(machine, properties),
+                *entry_doubts(machine),
+                *_mesh(bending, errors),
+            ],
             "remarks": ["no magnetic bearings: ambrose lateral analyses the rotor as it stands"],
         }
     bearings = capacities(machine, properties)
@@ -233,12 +238,15 @@ def insight(plant: Plant) -> dict[str, Any]:
         **free,
         "doubts": [
             *_sizes(machine, properties),
+            *entry_doubts(machine),
             *_mesh(bending, errors),
             *_forces(machine, bearings),
+            *load_doubts(machine, sum(item.force for item in bearings)),
             *_stiffness(machine, margin),
             *_places(machine, rotor),
             *_operation(machine, critical),
             *_timing(machine, rotor, least, pole, delay),
+            *corner_doubts(machine, critical[0] if critical else pole),
         ],
         "remarks": [*_remarks(machine), *_not_held(machine)],
     }

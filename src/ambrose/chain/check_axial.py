@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
+from ambrose.chain.check_entries import coil_doubt
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import poles
 from ambrose.judge.static_stiffness import below_stiffness, stiffness_margin
@@ -104,6 +105,7 @@ def _doubts(machine: AxialMachine, margin: float | None) -> Iterator[str]:
     reference controller) that a machine along its shaft hardly has, a sentence each.
     """
     part = machine.thrust
+    yield from coil_doubt("[thrust_bearing]", part.inductance)
     for name, side in zip(("left", "right"), sides(part), strict=True):
         if not _GAP[0] <= side.gap <= _GAP[1]:
             yield (

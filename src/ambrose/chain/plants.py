@@ -6,7 +6,8 @@ from typing import Any
 
 from ambrose.chain.check import insight
 from ambrose.chain.check_axial import along_doubts, axial_facts
-from ambrose.core.checks import named_failure
+from ambrose.chain.check_entries import entry_doubts
+from ambrose.core.checks import AmbroseError, named_failure
 from ambrose.core.statespace import poles
 from ambrose.machine.axial import AxialMachine
 from ambrose.machine.machine import Machine
@@ -18,11 +19,22 @@ from ambrose.model.effects.rotor import (
 from ambrose.model.reduce import reduce_from
 
 
-@named_failure("the model of the machine")
 def facts(machine: Machine) -> dict[str, Any]:
     """What `ambrose check` tells about a machine, SI units: mass properties, bending frequencies,
-    open-loop poles, sizes.
+    open-loop poles, sizes. Raises InvalidInput where a point has no model, NumericalFailure where
+    numbers are too far apart, and names an entry that is implausible as its probable cause.
     """
+    try:
+        return _facts(machine)
+    except AmbroseError as error:
+        doubt = None if isinstance(machine, AxialMachine) else next(entry_doubts(machine), None)
+        if doubt is None:
+            raise
+        raise type(error)(f"{error}; probably for this reason: {doubt}") from error
+
+
+@named_failure("the model of the machine")
+def _facts(machine: Machine) -> dict[str, Any]:
     if isinstance(machine, AxialMachine):
         return axial_facts(machine)
     rotor = finite_element_rotor(machine)

@@ -1,0 +1,242 @@
+"""Entries of a machine file that hardly any machine has: most often a number without its unit, or
+with another program's sign. Each a sentence with cause and remedy, for `ambrose check`.
+
+All limits below are assumed; each lies well outside of what is built, and well inside of what the
+mistake that it looks for makes of usual values.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+from ambrose.core.checks import InvalidInput
+from ambrose.machine.attachment import attached
+from ambrose.machine.machine import Machine
+from ambrose.machine.seals import Seal
+from ambrose.model.assemble import seal_coefficients
+from ambrose.model.effects.load import Load
+from ambrose.model.effects.stage import Stage
+
+_HERTZ = 2 * math.pi  # rad/s per Hz
+_RPM = 30 / math.pi  # rpm per rad/s
+# of bending modes: steel shafts have 0.001 to 0.005, with shrunk-on laminations up to 0.02; "0.3"
+# for 0.3 % is far above
+_DAMPING = 0.05
+# [H] of a coil: 1 to 500 mH are wound; millihenries written as henries are above
+_INDUCTANCE = 10.0
+# [N/m] of contacts in a touchdown bearing: 1e7 to 1e9; at 1e5 a load of 100 N sinks a millimetre,
+# more than any gap; "150" for 150 N/um is far below
+_CONTACT = 1e5
+# [Pa] across a seal: fans have 1 kPa and more; bar written as pascals are below up to 1000 bar
+_PRESSURE = 1e3
+# times the reference pressure to which coefficients are drawn in proportion
+_BEYOND = 5.0
+# [W] that an impeller of _IMPELLER [m] takes at least, others by the square of the diameter: a
+# blower of that size in air takes kilowatts, and kilowatts written as watts are a thousandth
+_POWER, _IMPELLER = 1e3, 0.1
+# between a stage's rated speed and the machine's: about the root of 9.55 rpm per rad/s, half way to
+# a mistaken unit
+_SPEEDS = 3.0
+# times what all bearings reach together: shocks may pass their static capacity, not by this
+_LOAD = 10.0
+# [rad/s] and times the slowest rigid mode, below both of which a stated corner is doubted:
+# amplifiers and sensors are sold from 0.5 kHz on, and ten times keeps a first-order lag at the mode
+# below 6 degrees. Kilohertz read as rad/s are a sixth.
+_CORNER, _ABOVE = 500 * _HERTZ, 10.0
+
+
+def entry_doubts(machine: Machine) -> Iterator[str]:
+    """What is implausible in shaft, amplifier, touchdown bearings, sensors, seals and stages."""
+    yield from _damping(machine)
+    yield from _mass_diameter(machine)
+    yield from coil_doubt("[amplifier]", machine.amplifier.inductance)
+    yield from _contacts(machine)
+    yield from _sensors(machine)
+    yield from _pressures(machine)
+    for seal in machine.seals:
+        yield from _drives_backward(machine, seal)
+    for _, part in attached(machine):
+        if isinstance(part, Stage):
+            yield from _stage(machine, part)
+
+
+def load_doubts(machine: Machine, capacity: float) -> Iterator[str]:
+    """Loads [N] far beyond what all bearings reach together, ``capacity`` [N]."""
+    for _, part in attached(machine):
+        if isinstance(part, Load) and part.force > _LOAD * capacity > 0:
+            yield (
+                f"load {part.name}, {part.force:,.6g} N, is {part.force / capacity:,.3g} times "
+                f"what all bearings reach together, {capacity:,.4g} N; check its unit"
+            )
+
+
+def corner_doubts(machine: Machine, slowest: float) -> Iterator[str]:
+    """Corners of amplifier and sensors too low for the slowest mode [rad/s] of the held rotor, in
+    which it moves as a rigid body. Those of ``natural_frequency`` come from an identification
+    and are left alone.
+    """
+    corners = {"the amplifier": machine.amplifier.bandwidth}
+    corners |= {f"the sensor of bearing {item.bearing}": item.bandwidth for item in machine.sensors}
+    for name, corner in corners.items():
+        if corner is not None and corner < min(_CORNER, _ABOVE * slowest):
+            yield (
+                f"bandwidth of {name} means {corner / _HERTZ:.4g} Hz, less than {_ABOVE:g} times "
+                f"the {slowest / _HERTZ:.3g} Hz at which the rotor moves as a rigid body; a bare "
+                f'number is in rad/s: write "{corner:g} Hz" if that is meant'
+            )
+
+
+def coil_doubt(where: str, inductance: float | None) -> Iterator[str]:
+    if inductance is not None and inductance > _INDUCTANCE:
+        yield (
+            f"{where}: inductance is {inductance:,.4g} H, where coils have 1 to 500 mH; write the "
+            f'unit, such as "{inductance:g} mH"'
+        )
+
+
+def _damping(machine: Machine) -> Iterator[str]:
+    stated = {"modal_damping": machine.modal_damping}
+    stated |= {
+        f"damping of bending mode {mode.number}": mode.damping
+        for mode in machine.bending_modes
+        if mode.damping is not None
+    }
+    for name, ratio in stated.items():
+        if ratio > _DAMPING:
+            yield (
+                f"{name} is {100 * ratio:,.4g} %, where shafts have 0.1 to 2 %; write per cent as "
+                f'"{ratio:g} %"'
+            )
+
+
+def _mass_diameter(machine: Machine) -> Iterator[str]:
+    for number, section in enumerate(machine.shaft, 1):
+        mass, outer = (min(section.diameters(0.0)[k], section.diameters(1.0)[k]) for k in (2, 0))
+        if mass < outer * (1 - 1e-9):
+            label = f' "{section.label}"' if section.label else ""
+            yield (
+                f"mass_diameter of [[shaft]] {number}{label}, {1e3 * mass:,.4g} mm, is below its "
+                f"outer_diameter, {1e3 * outer:,.4g} mm: laminations add mass and take none away; "
+                "check its unit"
+            )
+
+
+def _contacts(machine: Machine) -> Iterator[str]:
+    for bearing in machine.bearings:
+        table = bearing.touchdown
+        if table is None:
+            continue
+        stated = {"stiffness of its touchdown bearing": table.stiffness}
+        if table.race is not None:
+            stated["element_stiffness of its touchdown bearing"] = table.race.element_stiffness
+        if table.mount is not None:
+            stated["stop_stiffness of its touchdown bearing"] = table.mount.stop_stiffness
+        for name, value in stated.items():
+            if value < _CONTACT:
+                yield (
+                    f"bearing {bearing.name}: {name} is {value:,.4g} N/m, where 1e7 to 1e9 N/m are "
+                    f'usual; write the unit, such as "{value:g} N/um"'
+                )
+
+
+def _sensors(machine: Machine) -> Iterator[str]:
+    """Sensors beside another bearing; of a bearing with several, where together they measure."""
+    places = {bearing.name: bearing.position for bearing in machine.bearings}
+    for name, own in places.items():
+        pairs = [pair for pair in machine.sensor_pairs if pair.bearing == name]
+        weight = sum(pair.weight for pair in pairs)
+        if not weight:
+            continue
+        at = sum(pair.weight * pair.position for pair in pairs) / weight
+        other = min(places, key=lambda item: abs(places[item] - at))
+        if abs(places[other] - at) < abs(own - at):
+            yield (
+                f"the sensor of bearing {name}, at {1e3 * at:,.4g} mm, is nearer to bearing "
+                f"{other}, at {1e3 * places[other]:,.4g} mm, than to its own, at {1e3 * own:,.4g} "
+                "mm: that loop measures the wrong end; correct its position or its bearing"
+            )
+
+
+def _pressure(value: float) -> str:
+    return f"{value / 1e5:,.4g} bar" if value >= _PRESSURE else f"{value:,.4g} Pa"
+
+
+def _pressures(machine: Machine) -> Iterator[str]:
+    """Pressures in the wrong unit, and beyond those at which coefficients hold."""
+    bare = 'a bare number is in pascals: write "{:g} bar" if that is meant'
+    for point in machine.operation.envelope:
+        if 0 < point.seal_pressure < _PRESSURE:
+            yield (
+                f'operating point "{point.label}" has {_pressure(point.seal_pressure)} across its '
+                f"seals; {bare.format(point.seal_pressure)}"
+            )
+    for seal in machine.seals:
+        reference = seal.reference_pressure
+        if reference is None:
+            continue
+        if reference < _PRESSURE:
+            yield (
+                f"reference_pressure of seal {seal.name} is {_pressure(reference)}; "
+                f"{bare.format(reference)}"
+            )
+            continue
+        point = max(machine.operation.envelope, key=lambda item: item.seal_pressure)
+        if point.seal_pressure > _BEYOND * reference:
+            yield (
+                f'operating point "{point.label}" has {_pressure(point.seal_pressure)} across seal '
+                f"{seal.name}, {point.seal_pressure / reference:.3g} times its reference_pressure, "
+                f"{_pressure(reference)}: its coefficients hardly hold so far away; correct one of "
+                "the two"
+            )
+
+
+def _drives_backward(machine: Machine, seal: Seal) -> Iterator[str]:
+    """A stated k that brakes forward whirl; a geometry's follows from its preswirl."""
+    key = f"seal.{seal.name}.k"
+    if seal.geometry is not None or key in dict(machine.assumed):
+        return
+    found = [(k, label) for k, label in _cross_stiffness(machine, seal) if k < 0]
+    if found:
+        k, label = found[0]
+        yield (
+            f'k of seal {seal.name} is {k / 1e6:,.4g} N/um at operating point "{label}", which '
+            "brakes forward whirl, as swirl against the rotation alone does; correct its sign "
+            f'(k > 0 drives forward whirl), or say in [machine.assumed] under "{key}" why it is so'
+        )
+
+
+def _cross_stiffness(machine: Machine, seal: Seal) -> Iterator[tuple[float, str]]:
+    for point in machine.operation.envelope:
+        if point.seal_pressure > 0:
+            try:
+                yield seal_coefficients(seal, point).k, point.label
+            except InvalidInput:  # outside its table, which is said elsewhere
+                continue
+
+
+def _stage(machine: Machine, stage: Stage) -> Iterator[str]:
+    speeds: Sequence[float] = sorted(
+        speed
+        for speed in (
+            machine.operation.speed_range[1],
+            *(point.speed for point in machine.operation.envelope),
+        )
+        if speed > 0
+    )
+    if not speeds:
+        return
+    least = _POWER * min(1.0, (stage.diameter / _IMPELLER) ** 2)
+    if stage.power < least:
+        yield (
+            f"stage {stage.name} of {1e3 * stage.diameter:,.4g} mm in diameter takes "
+            f"{stage.power:,.4g} W, where {least:,.0f} W and more are usual; a bare number is "
+            f'in watts: write "{stage.power:g} kW" if that is meant'
+        )
+    if not speeds[0] / _SPEEDS <= stage.speed <= _SPEEDS * speeds[-1]:
+        span = " to ".join(dict.fromkeys(f"{x * _RPM:,.6g}" for x in (speeds[0], speeds[-1])))
+        yield (
+            f"stage {stage.name} is rated at {stage.speed * _RPM:,.6g} rpm, where the machine "
+            f"turns at {span} rpm; a bare number is in rad/s: write "
+            f'"{stage.speed:g} rpm" if that is meant'
+        )
