@@ -360,6 +360,21 @@ def test_the_check_of_the_radial_axes_looks_along_the_shaft(tmp_path):
     assert "operating point 'rated': [[thrust_bearing]] T reaches 441" in line
 
 
+def test_henries_for_millihenries_of_the_thrust_bearing_are_doubted():
+    from ambrose.chain.check_axial import along_doubts
+
+    given = machine({})
+
+    def with_coil(inductance):
+        (part,) = given.effects
+        part = replace(part, amplifier_bandwidth=9e3, max_voltage=300.0, inductance=inductance)
+        return replace(given, effects=(part,))
+
+    assert along_doubts(with_coil(0.05)) == along_doubts(given) == []
+    (line,) = along_doubts(with_coil(43.0))
+    assert "[thrust_bearing]: inductance is 43 H" in line and 'such as "43 mH"' in line
+
+
 def test_coefficients_are_said_with_their_point():
     """At the design point under its thrust, not "at rest"."""
     from ambrose.chain.facts_in_words import rows_of
