@@ -14,6 +14,7 @@ from click.testing import CliRunner
 import ambrose as amb
 from ambrose.chain import plants
 from ambrose.chain.check import critical_speeds, shares
+from ambrose.chain.facts_in_words import rows_of
 from ambrose.chain.plants import facts
 from ambrose.cli import main
 from ambrose.core.checks import NumericalFailure
@@ -23,6 +24,7 @@ from ambrose.machine.file.toml import read_machine_text
 from ambrose.machine.rotor_model import BendingMode, Material
 from ambrose.machine.touchdown import Touchdown, TouchdownRace
 from ambrose.machine.units import DIMENSIONS, read_quantity
+from ambrose.model.effects.clearance import Clearance
 from ambrose.model.effects.load import Load
 from ambrose.model.effects.stage import Stage
 from coarse import coarse
@@ -145,16 +147,16 @@ CASES = {
         r"sensor of bearing A is across a node of the first bending mode \(550",
     ),
     "weak": (
-        lambda m: bearings(m, max_force=300.0),
-        r"A reaches 300 N and carries 338.2 N of the weight: .* cannot be lifted",
+        lambda m: bearings(m, max_force=200.0),
+        r"A reaches 200 N per axis and carries 239.2 N of the weight on one: .* cannot be lifted",
     ),
     "scarce": (
-        lambda m: bearings(m, max_force=400.0),
-        r"bearing A reaches 400 N and carries 338.2 N .*three times the load",
+        lambda m: bearings(m, max_force=300.0),
+        r"bearing A reaches 300 N per axis and carries 239.2 N .*three times the load",
     ),
     "unit of force": (
         lambda m: replace(bearings(m, max_force=7.5), gravity_direction=None),
-        r"bearing A reaches 7.5 N .* if the rotor lies: check the units",
+        r"bearing A reaches 7.5 N per axis .* if the rotor lies: check the units",
     ),
     "gain": (
         lambda m: replace(m, controller=replace(m.controller, gain=(4000.0,))),
@@ -345,6 +347,36 @@ def test_what_is_missing_is_noted_but_no_doubt(rig):
     assert {"no [requirements]", "no [weights]", "no reference controller"} <= {
         line.split(":")[0] for line in known["remarks"]
     }
+
+
+def test_a_force_of_one_axis_is_held_against_what_that_axis_carries(rig):
+    """Magnets at 45 degrees share the weight: what they reach per axis stood beside all of it."""
+    known = facts(rig)
+    (item, _) = known["bearings"]
+    assert item["weight_of_axis"] == pytest.approx(item["weight"] / math.sqrt(2))
+    ((_, said), *_) = [row for row in rows_of(known) if row[0] == "bearing A"]
+    assert "N per axis for 338.2 N of the weight, at most 239.2 N on an axis" in said
+    assert doubts(bearings(rig, max_force=400.0)) == []
+    (item, _) = facts(replace(rig, gravity_direction=None))["bearings"]
+    assert item["weight_of_axis"] is None
+
+
+def test_a_touchdown_gap_given_in_diameter_is_told_from_radial_clearances(rig):
+    """0.4 mm of a gap of 0.5 mm: the clearances were blamed, and the first of all bearings."""
+    places = {"left": 0.25, "right": 0.6, "end": 0.65}
+    parts = tuple(Clearance(name, at, 5e-4) for name, at in places.items())
+    wide = replace(bearings(rig, touchdown_gap=4e-4), effects=parts)
+    first, second = doubts(wide)
+    for line, name, near in ((first, "AB", ("left",)), (second, "BA", ("right", "end"))):
+        assert line.startswith(f"touchdown_gap of bearing {name[0]}, 0.4 mm of an air gap of 0.5")
+        assert line.endswith(
+            f'write "0.2 mm" where it is a diametral one, and so at bearing {name[1]}'
+        )
+        assert [other for other in places if f"{other} (0.5 mm)" in line] == list(near)
+    assert doubts(replace(bearings(rig, touchdown_gap=2.5e-4), effects=parts)) == []
+    (line,) = doubts(replace(rig, effects=(Clearance("end", 0.65, 2.5e-4),)))
+    assert line.startswith("the diametral clearance of end, 0.25 mm, is below that of touchdown ")
+    assert "bearing B, 0.5 mm, twice its touchdown_gap" in line and "not the radial one" in line
 
 
 def test_loads_of_two_bearings_follow_the_lever_and_of_three_sum_up():

@@ -54,6 +54,7 @@ _LENGTH = (0.02, 12.0)  # [m] of a rotor; outside, a unit is probably wrong
 _DIAMETER = (1e-3, 2.0)  # [m] of a shaft; outside, a unit is probably wrong
 _DENSITY, _MODULUS = (1e3, 2e4), (1e10, 7e11)  # [kg/m3], [Pa] of shafts
 _FRICTION = 0.8  # of dry metals in vacuum
+_LANDING = 0.6  # of the air gap, up to which touchdown gaps are usual (half); assumed
 _RATIO = (0.3, 3.0)  # k_s gap / (k_i bias): 1 for magnets without iron
 _NODE = 0.05  # of a mode's largest deflection
 _SHORT = 3.0  # diameters of length that one bearing may hold
@@ -68,8 +69,10 @@ _POINTS = 8  # at most, at which the reference controller is looked at
 @dataclass(frozen=True, slots=True)
 class Capacity:
     """What a bearing has, SI: force_per_current and negative_stiffness (the weaker, the larger
-    axis), largest force (of the file, else k_i times the smaller of largest and bias current), what
-    it carries of the rotor's weight, and the larger static current that this takes.
+    axis), largest force of an axis (of the file, else k_i times the smaller of largest and bias
+    current), what it carries of the rotor's weight on both axes and on the one that carries more,
+    and the larger static current that this takes. Where no weight counts, load is its share if the
+    rotor lies, and axis_load None.
     """
 
     name: str
@@ -77,6 +80,7 @@ class Capacity:
     negative_stiffness: float
     force: float
     load: float
+    axis_load: float | None
     current: float
 
 
@@ -161,7 +165,8 @@ def _plane(shapes: np.ndarray) -> np.ndarray:
 
 
 def capacities(machine: Machine, properties: MassProperties) -> list[Capacity]:
-    loads = np.linalg.norm(static_sag(machine)[1], axis=1)
+    weight = static_sag(machine)[1]
+    loads = np.linalg.norm(weight, axis=1)
     if machine.gravity_direction is None:
         loads = shares(
             properties.mass * STANDARD_GRAVITY,
@@ -183,6 +188,7 @@ def capacities(machine: Machine, properties: MassProperties) -> list[Capacity]:
                 float(k_s[number].max()),
                 force,
                 float(loads[number]),
+                None if machine.gravity_direction is None else float(np.abs(weight[number]).max()),
                 float(np.abs(magnets[number].currents).max()),
             )
         )
@@ -226,6 +232,7 @@ def insight(plant: Plant) -> dict[str, Any]:
                 "k_s": b.negative_stiffness,
                 "max_force": b.force,
                 "weight": b.load,
+                "weight_of_axis": b.axis_load,
                 "static_current": b.current,
             }
             for b in bearings
@@ -308,17 +315,45 @@ def _sizes(machine: Machine, properties: MassProperties) -> Iterator[str]:
 
 
 def clearance_doubts(machine: Machine) -> Iterator[str]:
-    """Clearances that the rotor uses up before it lands: a radial one given for the diametral."""
-    gaps = {b.name: 2 * b.touchdown_gap for b in machine.bearings if b.touchdown_gap}
-    if not gaps:
-        return
-    name, diametral = min(gaps.items(), key=lambda item: item[1])
-    for _, part in attached(machine):
-        if isinstance(part, Clearance) and part.diametral < diametral:
+    """Clearances that the rotor uses up before it lands in the touchdown bearing nearest to them: a
+    radial one given for the diametral, or a diametral touchdown_gap for the radial.
+    """
+    landing = [bearing for bearing in machine.bearings if bearing.touchdown_gap]
+    parts = [part for _, part in attached(machine) if isinstance(part, Clearance)]
+    for bearing in landing:
+        beside = [
+            part
+            for part in parts
+            if min(landing, key=lambda item: abs(item.position - part.position)) is bearing
+        ]
+        gap = bearing.touchdown_gap or 0.0
+        tight = [part for part in beside if part.diametral < 2 * gap]
+        if not tight:
+            continue
+        # half of it would leave room, and it takes more of the air gap than is usual
+        halved = all(part.diametral >= gap for part in tight)
+        if halved and bearing.gap is not None and gap > _LANDING * bearing.gap:
+            alike = [
+                item.name
+                for item in landing
+                if item is not bearing and (item.touchdown_gap, item.gap) == (gap, bearing.gap)
+            ]
+            also = f", and so at bearing {', '.join(alike)}" if alike else ""
+            each = ", ".join(f"{part.name} ({1e3 * part.diametral:,.4g} mm)" for part in tight)
+            yield (
+                f"touchdown_gap of bearing {bearing.name}, {1e3 * gap:,.4g} mm of an air gap of "
+                f"{1e3 * bearing.gap:,.4g} mm, leaves {2e3 * gap:,.4g} mm in diameter, more than "
+                f"the clearances beside it, {each}: the rotor would rub there before it lands; "
+                f'touchdown_gap is radial, write "{500 * gap:.4g} mm" where it is a diametral one'
+                f"{also}"
+            )
+            continue
+        for part in tight:
             yield (
                 f"the diametral clearance of {part.name}, {1e3 * part.diametral:,.4g} mm, is below "
-                f"that of touchdown bearing {name}, {1e3 * diametral:,.4g} mm: the rotor would rub "
-                "there before it lands; give the diametral clearance, not the radial one"
+                f"that of touchdown bearing {bearing.name}, {2e3 * gap:,.4g} mm, twice its "
+                "touchdown_gap: the rotor would rub there before it lands; give the diametral "
+                "clearance, not the radial one"
             )
 
 
@@ -385,20 +420,23 @@ def _forces(machine: Machine, bearings: list[Capacity]) -> Iterator[str]:
         for item in operating_magnets(machine, machine.operation.design.bias_current)
         if item.doubt
     )
-    lies = machine.gravity_direction is not None
     for item in bearings:
-        what = (
-            f"bearing {item.name} reaches {item.force:,.4g} N and carries {item.load:,.4g} N of "
-            "the weight"
-        )
-        if item.force <= item.load and lies:
+        what = f"bearing {item.name} reaches {item.force:,.4g} N per axis and carries "
+        load = item.axis_load
+        if load is None:
+            if item.force <= 0.2 * item.load:
+                yield (
+                    f"{what}{item.load:,.4g} N of the weight if the rotor lies: check the units of "
+                    "its coefficients and currents"
+                )
+            continue
+        what += f"{load:,.4g} N of the weight on one"
+        if item.force <= load:
             yield (
                 f"{what}: the rotor cannot be lifted; give a stronger magnet, a larger current or "
                 "another place"
             )
-        elif item.force <= 0.2 * item.load:
-            yield f"{what} if the rotor lies: check the units of its coefficients and currents"
-        elif lies and item.force < 1.5 * item.load:
+        elif item.force < 1.5 * load:
             yield (
                 f"{what}: less than half of that is left for unbalance; three times the load is "
                 "usual"

@@ -62,7 +62,9 @@ def _mesh(errors: list[float]) -> str:
 
 
 def _bearing(item: dict[str, Any]) -> tuple[str, str]:
-    force = f"{item['max_force']:.4g} N for {item['weight']:.4g} N of the weight"
+    force = f"{item['max_force']:.4g} N per axis for {item['weight']:.4g} N of the weight"
+    if item["weight_of_axis"] is not None:
+        force += f", at most {item['weight_of_axis']:.4g} N on an axis"
     if item["static_current"]:
         force += f", which takes {item['static_current']:.3g} A"
     return (
