@@ -152,3 +152,18 @@ def test_refusals_and_what_there_is_not():
         explore(machine, law("turbomolecular-pump"), parts=["poles"], reach={"speed": (10.0, 1.0)})
     with pytest.raises(InvalidInput, match="at least two"):
         pole_map(lambda value: None, "speed", "rad/s", [1.0], 1.0)
+
+
+def test_what_only_a_continuous_loop_holds_is_not_stable(tmp_path):
+    """The turboexpander's PID, of which nobody states a rate: lost at the one that others assume."""
+    name = "turboexpander"
+    call("synthesize", name, "--method", "pid", "-o", tmp_path / "pid.json")
+    words = ["map", name, "--controller", tmp_path / "pid.json", "--what", "poles"]
+    done = call(*words)
+    assert done.exit_code == 1 and "As it would run" in done.stdout
+    assert "10000 Hz and one sample late" in " ".join(done.stdout.split())
+    told = json.loads(call(*words, "--json").stdout)
+    assert not told["stable"] and all(item["stable"] for item in told["operating_points"])
+    assert len(told["lost_at_the_assumed_rate"]) == 6
+    fast = call(*words, "--rate-hz", 200_000, "--json")
+    assert fast.exit_code == 0 and json.loads(fast.stdout)["lost_at_the_assumed_rate"] == []

@@ -26,7 +26,7 @@ from ambrose.judge.family.responses import (
 )
 from ambrose.judge.plants import campbell_map, chosen_point
 from ambrose.judge.robust import stability
-from ambrose.judge.stability import Stability, judge_points
+from ambrose.judge.stability import Stability, judge_points, lost_as_assumed
 from ambrose.law.law import Law, LawAt, LawLike, law_of
 from ambrose.law.loop import closed_loop, match_controller, running_law
 from ambrose.law.scheduling import SPEED
@@ -57,8 +57,9 @@ class Exploration(Presented):
     """maps: poles over speed and pressure; campbell: curves over speed; pulses: responses to 100 N
     for 2 ms at ``port``, its nominal member first; unbalance: orbits over speed, nominal, worst
     found over the tolerances and an upper bound. standing: stability at the
-    operating points and along the speed range, as judged, whatever the parts. notes: how each was
-    computed; timing: of the loop, in words.
+    operating points and along the speed range, as judged, whatever the parts. assumed: where the
+    loop would be lost at the rate that rig and export assume, as nobody states one. notes: how each
+    was computed; timing: of the loop, in words.
     """
 
     machine: Machine
@@ -70,6 +71,7 @@ class Exploration(Presented):
     port: str = ""
     unbalance: BoxUnbalance | None = None
     standing: tuple[Stability, ...] = ()
+    assumed: tuple[Stability, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
@@ -82,6 +84,7 @@ class Exploration(Presented):
             for item in self.maps
         ]
         judged = bool(self.standing) and all(item.stable for item in self.standing)
+        judged &= not self.assumed
         members = self.pulses is None or bool(self.pulses.stable.all())
         return judged and all(within) and members
 
@@ -108,6 +111,9 @@ class Exploration(Presented):
             "operating_points": [
                 {"label": s.label, "stable": s.stable, "abscissa": s.abscissa}
                 for s in self.standing
+            ],
+            "lost_at_the_assumed_rate": [
+                {"label": s.label, "abscissa": s.abscissa} for s in self.assumed
             ],
             "notes": list(self.notes),
             "maps": [
@@ -194,11 +200,13 @@ def explore(
     plant = assemble(machine, at)
     notes: list[str] = []
     progress("stability at the operating points")
+    standing = judge_points(machine, law, timing, _between(machine, law, at))
     done = Exploration(
         machine,
         at,
         "continuous" if timing is None else str(timing),
-        standing=judge_points(machine, law, timing, _between(machine, law, at)),
+        standing=standing,
+        assumed=lost_as_assumed(machine, law, timing, standing),
     )
     if "poles" in parts:
         done = replace(

@@ -94,6 +94,23 @@ def judge_points(
     return tuple(judge_stability(plant, law, timing) for plant in plants if law.covers(plant))
 
 
+def lost_as_assumed(
+    machine: Machine, given: LawLike, timing: Timing | None, held: Sequence[Stability]
+) -> tuple[Stability, ...]:
+    """Where the loop would be unstable at the rate that others assume (``judge_assumed``), of the
+    operating points at which it is ``held`` as it was judged; none where a rate is known.
+    """
+    stable = {item.label for item in held if item.stable}
+    law = law_of(given)
+    found = []
+    for point in machine.operation.envelope if timing is None else ():
+        plant = assemble(machine, point)
+        judged = judge_assumed(plant, law, timing) if law.covers(plant) else None
+        if judged is not None and not judged.stable and judged.label in stable:
+            found.append(judged)
+    return tuple(found)
+
+
 def describe(results: Sequence[Stability]) -> str:
     """The stabilities in a sentence: where the loop holds, where it is lost."""
     if not results:

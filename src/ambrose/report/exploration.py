@@ -14,6 +14,7 @@ from ambrose.judge.exploration import Exploration
 from ambrose.judge.family.poles import PoleMap
 from ambrose.judge.family.responses import BoxUnbalance, PulseFamily
 from ambrose.judge.stability import Stability, describe
+from ambrose.law.timing import DEFAULT, STATE_RATE
 from ambrose.report import tables, theme, units
 from ambrose.report.figures.axes import drawn
 from ambrose.report.figures.curves import figure
@@ -99,6 +100,15 @@ def exploration_page(exploration: Exploration, *, date: str = "") -> Page:
     verdicts.insert(
         0, Verdict("Operating points", _all(exploration.standing), describe(exploration.standing))
     )
+    if exploration.assumed:
+        worst = max(exploration.assumed, key=lambda item: item.abscissa)
+        late = f"{DEFAULT.rate:g} Hz and one sample late, as virtual rig and export assume"
+        lost = (
+            f"unstable at {late}: {', '.join(item.label for item in exploration.assumed)} (at most "
+            f"{worst.abscissa:+.4g} 1/s); nobody states the rate and the continuous loop was "
+            f"judged; {STATE_RATE}"
+        )
+        verdicts.insert(1, Verdict("As it would run", False, lost))
     words = (
         "stable wherever it was examined"
         if exploration.stable

@@ -213,7 +213,8 @@ def _peaks(response: Response, lowest: float, highest: float) -> tuple[list[_Gro
                 seen.append((separation(peak, lowest, highest), name, case.name))
     seen.sort(key=lambda row: row[0].critical.speed)
     least = standard.SMALL_PEAK * standard.vibration_limit(highest / standard.RPM) / UM / 2
-    kept, small = [], []
+    kept: _Group = []
+    small: _Group = []
     for row in seen:
         peak = row[0].critical
         sharp = peak.known and not peak.damped
