@@ -15,6 +15,7 @@ from tests.annexes.rotordynamics.test_lateral import RPM, C, K, films, mass_of
 import ambrose as amb
 from ambrose.annexes.rotordynamics.comparison import _assign
 from ambrose.annexes.rotordynamics.page import lateral_page
+from ambrose.annexes.rotordynamics.standard import rpm
 from ambrose.annexes.rotordynamics.their_table import TheirRow, read_table
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
@@ -75,22 +76,23 @@ def test_closed_forms_lie_beside_ours(analysis, tmp_path):
 
 
 def test_a_row_without_a_partner_says_what_is_nearest_and_how_far_ours_goes(analysis, tmp_path):
-    """A stranger's own bending mode had no partner, and nothing said that ours end at trip."""
+    """A stranger's own bending mode had no partner, and nothing said how far ours are listed."""
     found = [(row.mode.frequency / RPM, row.mode.whirl > 0) for row in analysis.modes]
     first, last = min(found)[0], max(speed for speed, forward in found if forward)
     peak = max(item.critical.speed / RPM for item, _, _ in analysis.critical_speeds)
+    far = 2 * analysis.modes_to / RPM
     table = tmp_path / "theirs.csv"
     table.write_text(
         "kind,speed [rpm],whirl,label\n"
-        "mode,20000,forward,far\n"
+        f"mode,{far},forward,far\n"
         f"mode,{0.5 * first},,below\n"
         + 5 * f"mode,{first},forward,many\n"
         + "critical,9000,,beyond\n"
     )
     notes = {p.where: p.note for p in amb.compare(analysis, table).pairs if p.ours is None}
     assert notes["far"] == (
-        f"no mode of ours within 25 %, the nearest at {last:.5g} rpm (forward); ours are listed up "
-        f"to {1.25 * 6300:.5g} rpm"
+        f"no mode of ours within 25 %, the nearest at {rpm(last * RPM)} rpm (forward); ours are listed up "
+        f"to {rpm(analysis.modes_to)} rpm"
     )
     assert notes["below"] == f"no mode of ours within 25 %, the nearest at {first:.5g} rpm"
     assert (

@@ -17,6 +17,7 @@ from scipy.optimize import brentq
 import ambrose as amb
 from ambrose.annexes.rotordynamics.capacity import UNBALANCE, AxisCapacity
 from ambrose.annexes.rotordynamics.clearances import Reading
+from ambrose.annexes.rotordynamics.command import value_in_words
 from ambrose.annexes.rotordynamics.critical import Critical, criticals
 from ambrose.annexes.rotordynamics.figures import level_one_figure, response_figure
 from ambrose.annexes.rotordynamics.items import as_it_runs
@@ -27,6 +28,7 @@ from ambrose.annexes.rotordynamics.level_one import OVERDAMPED
 from ambrose.annexes.rotordynamics.level_two import shares
 from ambrose.annexes.rotordynamics.loop import shaft_loop
 from ambrose.annexes.rotordynamics.page import assumed_table, lateral_page, load_table
+from ambrose.annexes.rotordynamics.phase_budget import free_bending
 from ambrose.annexes.rotordynamics.placement import (
     UnbalanceCase,
     Weight,
@@ -261,6 +263,15 @@ def test_peaks_far_below_the_vibration_limit_are_one_row_of_information():
     assert [row.limit is None for row in rows_of_peaks(*sharp)] == [False, False]
 
 
+def test_a_row_in_the_terminal_keeps_sign_bound_and_unit():
+    def text(value, unit, bound=""):
+        return value_in_words(Item("x", "", "", "", "own", value, unit, bound=bound))
+
+    assert text(-30.51, "deg") == "-30.51 deg"
+    assert text(10.0, "-", ">") == "> 10"
+    assert (text(None, "-"), text(math.nan, "AF")) == ("-", "not known")
+
+
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_a_value_that_is_not_finite_passes_nothing(value):
     row = Item("x", "A thing", "", "", "own", value, "-", ">=", 1.0, True, "somewhere")
@@ -343,7 +354,7 @@ def test_a_rotor_that_cannot_ring_has_its_unbalance_placed_as_a_rigid_one():
     strong = 3e4  # 2 c = 6e4 N s/m, critical is 2 sqrt(2 k m) = 5e4 N s/m
     machine = films(damping=strong)
     result = amb.lateral(machine, trip=6300 * RPM)
-    assert result.modes == ()
+    assert all(row.mode.frequency > 1.25 * result.speeds[2] for row in result.modes)
     assert "placed by the rigid rotor's shapes" in " ".join(result.notes)
     m, k, c, response = mass_of(machine), 2 * K, 2 * strong, result.response
     parallel, tilting = response.cases
@@ -434,6 +445,34 @@ def heads(machine, items):
     """The verdict at the head of a page of these rows alone."""
     bare = Lateral(machine, "as given", "continuous", "", (1.0, 1.0, 1.0), lay_out(machine), items)
     return lateral_page(bare).result.text
+
+
+def test_modes_above_the_running_speed_are_listed_and_not_judged():
+    """ "Every lateral mode that can ring" ended at 1.25 times trip: the first bending mode of a
+    rotor that runs below it was nowhere.
+    """
+    result = amb.lateral(films(modulus=70), trip=6300 * RPM)
+    bending = free_bending(result.machine)
+    first, second = bending[:2]
+    assert first > 1.25 * 6300 * RPM
+    assert result.modes_to == pytest.approx(1.25 * second)
+    modes = [row.mode for row in result.modes]
+    assert sum(0.7 * first < mode.frequency < 1.3 * first for mode in modes) == 2
+    assert all(mode.frequency <= result.modes_to for mode in modes)
+    assert len({mode.pole for mode in modes}) == len(modes)
+    data = result.to_dict()
+    assert [row["judged"] for row in data["modes"]] == [
+        row["frequency_rad_per_s"] <= 6000 * RPM for row in data["modes"]
+    ]
+    (row,) = [item for item in result.items if item.name == "level_two.log_decrement.beyond"]
+    above = [mode for mode in modes if mode.frequency > 6000 * RPM]
+    assert row.value == min(mode.log_decrement for mode in above)
+    assert row.passed is None and row.limit is None
+    page = lateral_page(result)
+    (section,) = [part for part in page.sections if part.title == "Stability, Level II"]
+    assert f"{result.modes_to / (2 * np.pi):.4g} Hz" in section.text
+    limits = [row[4].text for row in section.tables[0].rows]
+    assert limits == ["≥ 0.1" if mode.frequency <= 6000 * RPM else "-" for mode in modes]
 
 
 def test_shares_add_up_to_the_log_decrement():

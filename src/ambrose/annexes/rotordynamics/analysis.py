@@ -15,7 +15,7 @@ from ambrose.annexes.rotordynamics.critical_map import critical_map
 from ambrose.annexes.rotordynamics.level_one import LevelOne, sweep
 from ambrose.annexes.rotordynamics.level_two import shares
 from ambrose.annexes.rotordynamics.loop import ShaftLoop, shaft_loop
-from ambrose.annexes.rotordynamics.phase_budget import phase_budgets
+from ambrose.annexes.rotordynamics.phase_budget import free_bending, phase_budgets
 from ambrose.annexes.rotordynamics.placement import (
     ShaftMode,
     UnbalanceCase,
@@ -126,14 +126,20 @@ def lateral(
     )
     unstable = _unstable_at(at_top, loop_at, law, timing, (lowest, highest, trip))
     progress("modes")
-    modes = shaft_modes(at_top, standard.MODES_TO * trip)
+    near, listed = standard.MODES_TO * trip, _listed_to(at_top, trip)
+    bare = replace(bare, modes_to=listed)
+    modes = shaft_modes(at_top, near)
     table = tuple(ModeRow(mode, shares(at_top, mode)) for mode in modes)
+    further = tuple(
+        ModeRow(mode, shares(at_top, mode)) for mode in shaft_modes(at_top, listed, near)
+    )
     if unstable is not None:
         items: tuple[Item, ...] = (rows.unstable(unstable), *rows.undamped(undamped))
-        return replace(bare, items=items, modes=table)
+        return replace(bare, items=items, modes=(*table, *further))
     if tolerances and machine.tolerances:
         progress("modes over the tolerances")
         table = least_decrements(at_top, table)
+    table = (*table, *further)
 
     forward = [mode for mode in modes if mode.forward]
     cases = _cases(layout, forward, chosen.speed)
@@ -200,6 +206,16 @@ def lateral(
         phase_budgets=budgets,
         critical_speeds=tuple(rows.critical_speeds(response, lowest, highest)),
     )
+
+
+def _listed_to(loop: ShaftLoop, trip: float) -> float:
+    """Up to where modes are listed [rad/s]: those that are judged or excited, and beyond them the
+    first two bending modes, as far as a sampled controller can have modes.
+    """
+    nyquist = math.inf if loop.law is None or loop.law.dt is None else math.pi / loop.law.dt
+    bending = free_bending(loop.plant.machine)[: standard.BENDING_LISTED]
+    beyond = [standard.BEYOND_BENDING * float(bending[-1])] if len(bending) else []
+    return max(standard.MODES_TO * trip, min(nyquist, *beyond, math.inf))
 
 
 def _timing_in_words(law: LawLike | None, timing: Timing | None) -> str:

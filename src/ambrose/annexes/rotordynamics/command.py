@@ -124,7 +124,7 @@ def lateral_command(
         rows = [
             (
                 item.title,
-                _value(item),
+                value_in_words(item),
                 "-" if item.limit is None else f"{item.relation} {item.limit:.4g}",
                 "-" if item.passed is None else "holds" if item.passed else "fails",
             )
@@ -186,7 +186,7 @@ def print_comparison(result: Comparison) -> None:
         say(f"{len(result.unpaired)} rows without a partner")
 
 
-def _value(item: Item) -> str:
+def value_in_words(item: Item) -> str:
     """A row's value with its unit, "-" without one."""
     from ambrose.annexes.rotordynamics.result import not_finite
 
@@ -194,7 +194,7 @@ def _value(item: Item) -> str:
         return "-"
     if not isfinite(item.value):
         return not_finite(item.value)
-    return f"{item.bound} {item.value:.4g} {item.unit}".strip(" -")
+    return f"{item.bound} {item.value:.4g} {item.unit}".lstrip().rstrip(" -")
 
 
 def _write(result: Any, path: Path) -> None:

@@ -225,7 +225,7 @@ def _beside_table(ours: Mapping[str, Any], table: Sequence[TheirRow]) -> list[Pa
             pairs += _critical_pairs(row, peak, said)
     rows = [row for row in table if row.kind == "mode"]
     modes = [(m["frequency_rad_per_s"], _whirl(m["whirl"])) for m in ours["modes"]]
-    top = MODES_TO * trip
+    top = float(ours.get("modes_up_to_rad_per_s", MODES_TO * trip))
     for row, k in zip(rows, _assign(rows, modes), strict=True):
         mode = None if k is None else ours["modes"][k]
         pairs += _mode_pairs(

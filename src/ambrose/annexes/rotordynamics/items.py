@@ -404,8 +404,9 @@ def level_two(table: Sequence[ModeRow], highest: float, controlled: bool) -> Ite
             None,
             "-",
             passed=True,
-            note="no lateral mode that can ring below the speed",
+            note="no oscillatory lateral mode up to the running speed",
         )
+        yield from _beyond(table, highest)
         return
     worst = min(counted, key=lambda row: row.mode.log_decrement)
     value = worst.mode.log_decrement
@@ -440,6 +441,26 @@ def level_two(table: Sequence[ModeRow], highest: float, controlled: bool) -> Ite
             value >= standard.LEAST_LOG_DECREMENT,
             f"mode at {standard.rpm(least.mode.frequency)} rpm: {least.member}; found, not proved",
         )
+    yield from _beyond(table, highest)
+
+
+def _beyond(table: Sequence[ModeRow], highest: float) -> Iterator[Item]:
+    """The least log decrement of the modes listed above the running speed, for information."""
+    above = [row.mode for row in table if row.mode.frequency > highest]
+    if not above:
+        return
+    worst = min(above, key=lambda mode: mode.log_decrement)
+    yield Item(
+        "level_two.log_decrement.beyond",
+        "Level II: least log decrement of the modes listed above the running speed",
+        standard.EDITION,
+        _LEVEL_TWO,
+        OWN,
+        worst.log_decrement,
+        "-",
+        note=f"mode at {standard.rpm(worst.frequency)} rpm ({worst.frequency / (2 * np.pi):.4g} "
+        "Hz), for information: the limit is for modes up to the running speed",
+    )
 
 
 def as_it_runs(

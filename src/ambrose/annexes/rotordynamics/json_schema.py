@@ -39,6 +39,7 @@ def lateral_schema() -> dict[str, Any]:
     mode = _table(
         frequency_rad_per_s=_NUMBER,
         log_decrement=_NUMBER,
+        judged={"type": "boolean", "description": "false: above the running speed"},
         whirl={**_NUMBER, "description": "1: forward circles, -1: backward ones"},
         shares={"type": "object", "additionalProperties": _NUMBER},
         least_over_tolerances_found=_MAYBE,
@@ -134,6 +135,7 @@ def lateral_schema() -> dict[str, Any]:
         mean_gas_density_kg_per_m3=_MAYBE,
         scale_factor=_table(capped=_NUMBER, uncapped=_ANY_NUMBER),
         items=_list(item),
+        modes_up_to_rad_per_s=_NUMBER,
         modes=_list(mode),
         clearances=_list(clearance),
         phase_budget=_list(budget),

@@ -54,9 +54,11 @@ _LEVEL_ONE = (
     "takes the damping of the forward modes. The border is judged on the loop as it runs."
 )
 _LEVEL_TWO = (
-    "Every lateral mode that can ring, with seals, stages and {acting}. The shares "
-    "add up to the log decrement: the mean power of each component in the mode, over the mode's "
-    "energy; negative ones destabilise."
+    "Oscillatory lateral modes (damping ratio up to 0.7) at operating point {point}, with seals, "
+    "stages and {acting}, up to {hertz} Hz ({top} rpm): 1.25 times the trip speed or, if higher, "
+    "1.25 times the second bending frequency of the free rotor. The limit applies up to the "
+    "running speed; modes above it are listed for information. Below each mode the largest "
+    "contributions to its log decrement: all contributions add up to it, negative ones destabilise."
 )
 _CAPACITY = (
     "Force (0-p) that an axis can add, by bias, largest current, force and the slew that the "
@@ -131,7 +133,12 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
         sections.append(Section("Stability, Level I", _LEVEL_ONE, (picture,)))
     if result.modes:
         acting = "the controller as it runs" if result.machine.bearings else "journal bearings"
-        two = _LEVEL_TWO.format(acting=acting)
+        two = _LEVEL_TWO.format(
+            acting=acting,
+            point=result.point,
+            hertz=f"{result.modes_to / (2 * np.pi):.4g}",
+            top=standard.rpm(result.modes_to),
+        )
         sections.append(Section("Stability, Level II", two, (), (modes_table(result),)))
     if result.rubs:
         sections.append(Section("Clearances", "", (), (clearance_table(result),)))
@@ -421,8 +428,9 @@ def _response_sections(result: Lateral) -> list[Section]:
 
 
 def modes_table(result: Lateral) -> Table:
-    """Frequency, log decrement, whirl and the largest shares of every mode."""
+    """Frequency, log decrement, whirl, limit and the largest shares of every mode."""
     sought = any(row.least is not None for row in result.modes)
+    highest, asked = result.speeds[1], standard.LEAST_LOG_DECREMENT
     rows: list[Row] = []
     for row in result.modes:
         mode = row.mode
@@ -434,7 +442,8 @@ def modes_table(result: Lateral) -> Table:
             (
                 Cell(f"{standard.rpm(mode.frequency)} rpm", detail=words),
                 way,
-                *numbers(f"{mode.log_decrement:.3g}"),
+                *numbers(f"{mode.frequency / (2 * np.pi):.4g}", f"{mode.log_decrement:.3g}"),
+                *numbers(_relation(">=") + f" {asked:g}" if mode.frequency <= highest else "-"),
                 *((Cell(least, "number", detail=row.member),) if sought else ()),
             )
         )
@@ -443,7 +452,9 @@ def modes_table(result: Lateral) -> Table:
         (
             "Mode",
             "Whirl",
+            "Frequency [Hz]",
             "Log decrement",
+            "Limit",
             *(("Least found over the tolerances",) if sought else ()),
         ),
         tuple(rows),

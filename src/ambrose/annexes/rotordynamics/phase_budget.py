@@ -65,7 +65,7 @@ def phase_budgets(loop: ShaftLoop, timing: Timing | None) -> tuple[PhaseBudget, 
     law, machine = loop.law, loop.plant.machine
     if law is None:
         return ()
-    omega = _bending(machine, None if law.dt is None else np.pi / law.dt)
+    omega = free_bending(machine, None if law.dt is None else np.pi / law.dt)
     if not len(omega):
         return ()
     rows: dict[str, np.ndarray] = {}
@@ -145,8 +145,8 @@ def _filters(machine: Machine, omega: np.ndarray) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _bending(machine: Machine, highest: float | None) -> np.ndarray:
-    """Free bending frequencies (m,) [rad/s] at rest, below half the sample rate."""
+def free_bending(machine: Machine, highest: float | None = None) -> np.ndarray:
+    """Bending frequencies (m,) [rad/s] of the free rotor at rest, below ``highest`` [rad/s]."""
     rotor = finite_element_rotor(machine)
     count = min(_MOST, bending_modes_of(rotor))
     frequencies = np.asarray(free_modes(rotor, count).frequencies)[4::2]

@@ -67,21 +67,21 @@ class ShaftMode:
         return np.asarray(z / z[np.argmax(np.abs(z))])
 
 
-def shaft_modes(loop: ShaftLoop, highest: float) -> tuple[ShaftMode, ...]:
-    """The lateral modes that can ring up to a frequency [rad/s], by frequency, each followed to
-    the root of the loop's characteristic matrix.
+def shaft_modes(loop: ShaftLoop, highest: float, above: float = 0.0) -> tuple[ShaftMode, ...]:
+    """The lateral modes that can ring up to a frequency [rad/s] (and above another), by frequency,
+    each followed to the root of the loop's characteristic matrix.
 
     Left out: overdamped poles (damping ratio above 0.7), those of controller, amplifiers and
     filters that hardly move the shaft, and what is met twice.
     """
     found: list[ShaftMode] = []
     for pole in loop.all_modes():
-        if not 0 < pole.imag <= highest or damping_ratio(np.array([pole]))[0] > OSCILLATORY:
+        if not above < pole.imag <= highest or damping_ratio(np.array([pole]))[0] > OSCILLATORY:
             continue
         # forward and backward circles: two modes of one pole, where nothing tells them apart
         for turn in (-1j, 1j):
             s, x = loop.mode_near(pole * (1 + 1e-6), turn=turn)
-            if abs(s - pole) > 0.02 * abs(pole) or not 0 < s.imag:
+            if abs(s - pole) > 0.02 * abs(pole) or not above < s.imag:
                 continue  # it fell into a neighbour, which is in the list itself
             mode = _mode(loop, s, x)
             if not any(_same(mode, other) for other in found):

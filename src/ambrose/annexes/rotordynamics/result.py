@@ -122,7 +122,8 @@ class Lateral(Presented):
     speeds: lowest and highest running speed and trip speed [rad/s]. items: the summary's rows.
     critical_speeds: the tightest reading of each, with its probe and the placement. response
     None: the loop is unstable, and only ``items`` and modes are there. density: mean gas density
-    [kg/m^3] that was given, None: none.
+    [kg/m^3] that was given, None: none. modes_to [rad/s]: up to where modes are listed; limits are
+    for those up to the highest running speed.
     """
 
     _FACTS: ClassVar = ("machine=machine_name", "passed", "failed")
@@ -145,6 +146,7 @@ class Lateral(Presented):
     phase_budgets: tuple[PhaseBudget, ...] = ()
     critical_map: CriticalMap | None = None
     density: float | None = None
+    modes_to: float = 0.0
 
     @property
     def machine_name(self) -> str:
@@ -174,10 +176,12 @@ class Lateral(Presented):
             "mean_gas_density_kg_per_m3": self.density,
             "scale_factor": {"capped": self.scale[0], "uncapped": _plain(self.scale[1])},
             "items": [item.to_dict() for item in self.items],
+            "modes_up_to_rad_per_s": self.modes_to,
             "modes": [
                 {
                     "frequency_rad_per_s": row.mode.frequency,
                     "log_decrement": row.mode.log_decrement,
+                    "judged": row.mode.frequency <= high,
                     "whirl": row.mode.whirl,
                     "shares": {s.component: s.log_decrement for s in row.shares},
                     "least_over_tolerances_found": row.least,

@@ -31,7 +31,10 @@ LEAST_LOG_DECREMENT = 0.1  # at Q_A (Level I) and with all parts (Level II)
 SWEEP = 10.0  # times Q_A: how far the cross-coupling is swept
 SCREEN_NEAR, SCREEN_FAR = 2.0, 10.0  # Q0/Q_A
 LEAST_ANTINODE = 0.1  # of the largest: smaller ones get no unbalance
-MODES_TO = 1.25  # times the trip speed: up to where modes are listed and excited
+MODES_TO = 1.25  # times the trip speed: up to where modes are judged or excited
+# beyond them modes are listed for information, to so many times the second bending frequency of the
+# free rotor: the first two bending modes in the loop, split by the gyroscopic effect
+BENDING_LISTED, BEYOND_BENDING = 2, 1.25
 OVERHANG = 0.5  # of the largest: from here an overhung antinode governs
 
 
