@@ -73,9 +73,7 @@ def check(
     if eigenmodes.poles.real.max() >= 0:
         return Checks(label, False, tuple(checks[:1]), tuple(curves), notes)
 
-    highest = max(SENSITIVITY_RANGE.limits[0].value, SPEED_RANGE_FACTOR * speed)
-    if controller.dt is not None:
-        highest = min(highest, np.pi / controller.dt)
+    highest = _sensitivity_range(speed, controller.dt)
     grid = _grid(eigenmodes.poles, omega, highest, controller.dt)
     tell("frequency response", 0.15)
     evaluator = loop_evaluator(plant, controller)
@@ -105,6 +103,33 @@ def check(
     _extend(checks, curves, pulse_checks(pulse_response(closed, plant), plant, requirements))
     tell("done", 1.0)
     return Checks(label, True, tuple(checks), tuple(curves), notes)
+
+
+@named_failure("the sensitivity")
+def check_sensitivity(plant: Plant, controller: LawLike) -> Checks:
+    """Poles and sensitivities of ``check`` alone, the same to the last digit: what is cheap enough
+    for every operating point. Raises InvalidInput for a controller of the wrong size.
+    """
+    requirements = plant.machine.requirements
+    controller = match_controller(controller, plant)
+    eigenmodes = modes(closed_loop(plant, controller), plant.ports)
+    speed = max(top_speed(plant.machine), plant.point.speed)
+    checks: list[Check] = pole_checks(eigenmodes, requirements, speed)
+    label = plant.point.label or f"{plant.point.speed / TWO_PI:.4g} Hz"
+    if eigenmodes.poles.real.max() >= 0:
+        return Checks(label, False, tuple(checks[:1]), ())
+    highest = _sensitivity_range(speed, controller.dt)
+    grid = _grid(eigenmodes.poles, None, highest, controller.dt)
+    evaluator = loop_evaluator(plant, controller)
+    within = (float(grid[0]), min(highest, float(grid[-1])))
+    found, _ = sensitivity_checks(evaluator(grid), evaluator, requirements, within)
+    return Checks(label, True, (*checks, *found), ())
+
+
+def _sensitivity_range(speed: float, dt: float | None) -> float:
+    """Up to where ISO 14839-3 evaluates the sensitivity [rad/s], within what a sampled law has."""
+    highest = max(SENSITIVITY_RANGE.limits[0].value, SPEED_RANGE_FACTOR * speed)
+    return highest if dt is None else min(highest, np.pi / dt)
 
 
 def _extend(

@@ -36,15 +36,20 @@ from ambrose.annexes.rotordynamics.placement import (
     shaft_modes,
     span_middle,
 )
+from ambrose.annexes.rotordynamics.points import Points, judge_sensitivity
+from ambrose.annexes.rotordynamics.points import rows as rows_of_points
 from ambrose.annexes.rotordynamics.response import respond
 from ambrose.annexes.rotordynamics.result import Item, Lateral
 from ambrose.annexes.rotordynamics.stations import lay_out, rigid_support_critical
 from ambrose.chain.check import clearance_doubts
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.judge.capacity import AxisLimits, Demand, together
+from ambrose.judge.nominal import check
 from ambrose.law.law import law_of
+from ambrose.law.loop import running_law
 from ambrose.law.timing import timing_of
 from ambrose.machine.file.toml import loads_machine
+from ambrose.model.assemble import assemble
 from ambrose.model.effects.clearance import Clearance
 from ambrose.model.effects.load import IMPULSE, SURGE
 from ambrose.registry import registered, resolve
@@ -473,6 +478,57 @@ def test_modes_above_the_running_speed_are_listed_and_not_judged():
     assert f"{result.modes_to / (2 * np.pi):.4g} Hz" in section.text
     limits = [row[4].text for row in section.tables[0].rows]
     assert limits == ["≥ 0.1" if mode.frequency <= 6000 * RPM else "-" for mode in modes]
+
+
+def test_sensitivity_is_judged_at_every_operating_point():
+    """ "All 26 judged rows hold" of a controller that verify fails at standstill: the page knew
+    one operating point and one axis at a time.
+    """
+    machine = coarse("turboexpander")
+    controller = amb.design(machine, "pid")
+    law = law_of(controller)
+    timing = timing_of(machine, law, 1e5, 1)
+    layout, top = lay_out(machine), max(machine.operation.envelope, key=lambda item: item.speed)
+    loop = shaft_loop(layout, top, law, timing)
+
+    def rows(limit=None):
+        asked = replace(machine, requirements=replace(machine.requirements, sensitivity_peak=limit))
+        found = judge_sensitivity(asked, loop, law, timing)
+        return {item.name: item for item in rows_of_points(found, asked)}, found
+
+    items, found = rows()
+    labels = [checks.label for checks in found.judged]
+    assert sorted(labels) == sorted(point.label for point in machine.operation.envelope)
+    # as verify has them: every check of every point
+    own = []
+    for point in machine.operation.envelope:
+        plant = assemble(machine, point)
+        checks = check(plant, running_law(law, plant, timing)).checks
+        own += [(item.value, item.name, point.label) for item in checks]
+    worst = max(row for row in own if row[1] == "sensitivity.output.max")
+    row = items["points.sensitivity_max"]
+    assert row.value == worst[0] and row.note.startswith(worst[2])
+    assert row.passed is None and row.limit is None  # the machine file asks nothing of it
+    axes = {f"sensitivity.output.{axis}" for axis in machine.axes}
+    assert items["iso.sensitivity"].value == max(row[0] for row in own if row[1] in axes)
+    assert items["iso.sensitivity"].limit == 3.0
+    assert items["points.stability"].passed
+    # a limit between the best and the worst point fails, and the worst is named
+    strict, _ = rows(0.99 * worst[0])
+    assert strict["points.sensitivity_max"].passed is False
+    assert worst[2] in strict["points.sensitivity_max"].note
+    assert strict["iso.sensitivity"].limit == min(3.0, 0.99 * worst[0])
+    loose, _ = rows(1.01 * worst[0])
+    assert loose["points.sensitivity_max"].passed
+    # an unknown value is the worst of all
+    broken = replace(found.judged[0].checks[-1], name="sensitivity.output.max", value=math.nan)
+    unknown = Points((replace(found.judged[0], checks=(broken,)), *found.judged[1:]))
+    (row,) = [i for i in rows_of_points(unknown, machine) if i.name == "points.sensitivity_max"]
+    assert math.isnan(row.value) and not row.passed
+    # a loop that is lost at every point has no sensitivity, and fails
+    late = judge_sensitivity(machine, loop, law, timing_of(machine, law, 1e4, 1))
+    (row,) = rows_of_points(late, machine)
+    assert row.name == "points.stability" and row.passed is False and row.value > 0
 
 
 def test_shares_add_up_to_the_log_decrement():

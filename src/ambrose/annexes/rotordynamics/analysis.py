@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from ambrose.annexes.rotordynamics import items as rows
-from ambrose.annexes.rotordynamics import standard
+from ambrose.annexes.rotordynamics import points, standard
 from ambrose.annexes.rotordynamics.capacity import capacities
 from ambrose.annexes.rotordynamics.circuit import circuit_change
 from ambrose.annexes.rotordynamics.clearances import largest_reading, rubs
@@ -170,6 +170,13 @@ def lateral(
         if machine.bearings and law is not None
         else ()
     )
+    everywhere: tuple[Item, ...] = ()
+    if machine.bearings and law is not None:
+        progress("sensitivity at every operating point")
+        everywhere = tuple(
+            points.rows(points.judge_sensitivity(machine, at_top, law, timing), machine)
+        )
+        notes = (*notes, points.REST)
     items = (
         *rows.undamped(undamped),
         *rows.unbalance(response, reading, (lowest, highest, trip), scale),
@@ -180,7 +187,7 @@ def lateral(
         *rows.capacity(capacity),
         *rows.phase(budgets),
         *rows.circuit(circuit_change(machine, chosen, law, timing, modes)),
-        *rows.iso(machine, at_top, response, highest, law, timing),
+        *everywhere,
         *rows.iso_vibration(machine, found, scale[0]),
         *rows.not_covered(machine),
     )

@@ -20,12 +20,10 @@ from ambrose.annexes.rotordynamics.loop import ShaftLoop
 from ambrose.annexes.rotordynamics.phase_budget import CONTROLLER, PhaseBudget
 from ambrose.annexes.rotordynamics.response import Response
 from ambrose.annexes.rotordynamics.result import OWN, RECALLED, Item, ModeRow, Rub
-from ambrose.judge.nominal import check
 from ambrose.judge.stability import judge_assumed
 from ambrose.law.law import LawLike
-from ambrose.law.loop import running_law
 from ambrose.law.timing import DEFAULT, STATE_RATE, Timing
-from ambrose.machine.criteria import SENSITIVITY, SENSITIVITY_RANGE, demand
+from ambrose.machine.criteria import demand
 from ambrose.machine.machine import Machine
 from ambrose.model.effects.load import IMPULSE, SURGE
 
@@ -594,38 +592,6 @@ def circuit(found: CircuitChange | None) -> Iterator[Item]:
         note=f"damping ratio {found.before:.3g} without back-EMF, {found.after:.3g} with it; "
         f"L {1e3 * found.inductance:.3g} mH {source}, L/R 30 ms assumed{more}",
     )
-
-
-def iso(
-    machine: Machine,
-    loop: ShaftLoop,
-    response: Response,
-    highest: float,
-    law: LawLike | None,
-    timing: Timing | None,
-) -> Iterator[Item]:
-    """ISO 14839 for magnetic bearings: sensitivity at the running speed, vibration in its zone."""
-    if law is None or not machine.bearings:
-        return
-    checks = check(loop.plant, running_law(law, loop.plant, timing))
-    axes = [f"sensitivity.output.{axis}" for axis in machine.axes]
-    found = [item for item in checks.checks if item.name in axes]
-    if found:
-        peak = max(found, key=lambda item: item.value)
-        yield Item(
-            "iso.sensitivity",
-            "Peak sensitivity at maximum continuous speed",
-            standard.ISO_3,
-            "zone A",
-            "checked",
-            peak.value,
-            "-",
-            "<=",
-            SENSITIVITY.limits[0].value,
-            peak.value <= SENSITIVITY.limits[0].value,
-            f"{peak.detail}; up to {SENSITIVITY_RANGE.limits[0].value / (2 * np.pi):.4g} Hz or "
-            "three times the speed",
-        )
 
 
 def iso_vibration(machine: Machine, found: Sequence[Rub], scale: float) -> Iterator[Item]:

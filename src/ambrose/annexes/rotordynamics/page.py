@@ -168,7 +168,7 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
             "Controller",
             f"{result.controller}; {result.timing}" if controlled else "none: journal bearings",
         ),
-        ("Operating point", result.point),
+        ("Operating point", f"{result.point}{_judged_elsewhere(result)}"),
         ("Speeds", running),
         ("Model", "finite-element rotor, all modes to 100 kHz; consistent mass"),
     )
@@ -200,6 +200,15 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
         date,
         result=Verdict("Result", not failed, words),
     )
+
+
+def _judged_elsewhere(result: Lateral) -> str:
+    """What is judged at the other operating points of the machine file."""
+    if len(result.machine.operation.envelope) < 2:
+        return ""
+    if not any(item.name.startswith("points.") for item in result.items):
+        return "; the others of the machine file are not judged here"
+    return "; at all others of the machine file stability and sensitivity alone"
 
 
 def rotor_table(result: Lateral) -> Table:
