@@ -59,7 +59,8 @@ def separation_check(
     )
     low, high = (speed / TWO_PI for speed in running)
     title = (
-        f"Amplification near the running speeds, {low:.4g} to {high:.4g} Hz, over the allowed one"
+        f"Amplification factor near the running speeds, {low:.4g} to {high:.4g} Hz, relative to "
+        "the allowed one"
     )
     wanted = demand("separation margin", requirements)
     return judge(
@@ -68,7 +69,7 @@ def separation_check(
         float(ratio.max(initial=0.0)),
         "-",
         wanted,
-        listed or "no critical speed",
+        listed or f"no peak has a factor of {LEAST_AMPLIFICATION:g}: no critical speed",
     )
 
 

@@ -172,9 +172,11 @@ def _curve(
     requirements: Requirements,
 ) -> Curve:
     limits: tuple[tuple[str, float], ...] = ()
+    wanted = demand(quantity.max_rule, requirements).limit
     if quantity.name.startswith("sensitivity"):
-        limits = zone_lines(SENSITIVITY, requirements.sensitivity_peak)
-    elif (wanted := demand(quantity.max_rule, requirements).limit) is not None:
+        # nothing is required of one that is not judged
+        limits = zone_lines(SENSITIVITY, None if wanted is None else requirements.sensitivity_peak)
+    elif wanted is not None:
         limits = (("required", wanted),)
     title = quantity.title[0].upper() + quantity.title[1:]
     labels = tuple("maximum singular value" if label == "max" else label for label in labels)

@@ -275,11 +275,11 @@ def _clearance(machine: Machine, worst: Peak, requirements: Requirements) -> lis
     return [
         judge(
             "unbalance.clearance",
-            "Worst-case unbalance orbit, 0-p, over clearance",
+            "Worst-case unbalance orbit, 0-p, relative to the clearance",
             worst.value / min(known),
             "-",
             demand("orbit over clearance", requirements),
-            f"{kind} {min(known):.4g} m, {_at(worst)}",
+            f"{kind} {1e6 * min(known):.4g} um, {_at(worst)}",
         )
     ]
 

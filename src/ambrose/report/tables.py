@@ -85,7 +85,9 @@ def _unit(check: Check) -> str:
     """The unit a check is shown from; the real part of a pole is a decay in 1/s, not a frequency in
     Hz.
     """
-    return "1/s" if check.unit == "rad/s" and "abscissa" in check.name else check.unit
+    # nothing but a growth is held below zero
+    growth = "abscissa" in check.name or check.limit == 0
+    return "1/s" if check.unit == "rad/s" and growth else check.unit
 
 
 def _value_and_limit(check: Check, *, level: bool = True) -> tuple[str, str]:

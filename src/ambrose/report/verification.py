@@ -109,7 +109,7 @@ def verification_page(
     sections = [_overview(machine, verifications), machine_section(machine, models)]
     if loops:
         text = (
-            "Every operating point keeps its colour and dash in all figures. Drag to zoom, "
+            "Every operating point keeps its colour in all figures. Drag to zoom, "
             "double-click to see everything. "
             "Peaks in the legends are read from the points drawn; the tables hold the refined ones."
         )
@@ -143,7 +143,8 @@ def page_of_verification(verification: Verification, machine: Machine, **options
         ("While parameters move", verification.moving),
     ):
         page = with_checks(page, title, checks) if checks else page
-    failed = ", ".join(verification.facts()["failed"])
+    titles = (check.title for _, checks in verification.labelled for check in checks.failed)
+    failed = "; ".join(units.prose(title) for title in dict.fromkeys(titles))
     words = "every check passed" if verification.passed else f"fails: {failed or 'stability'}"
     facts = (
         ("Loop judged", verification.timing),

@@ -151,7 +151,7 @@ def _glance(machine: Machine, candidates: Sequence[Candidate], points: Sequence[
 def _loops(candidates: Sequence[Candidate], points: Sequence[str]) -> Section:
     words = (
         "One panel per controller, all with the same axes. Every operating point keeps its colour "
-        "and dash in all figures."
+        "in all figures."
     )
     hint = (
         "Drag to zoom (all panels follow), double-click to see everything, click on a legend entry "
