@@ -298,7 +298,7 @@ def test_an_implausible_entry_is_named_where_the_model_fails(rig, monkeypatch):
         raise NumericalFailure("poles 20 and 21 cannot be parted; keep one more")
 
     monkeypatch.setattr(plants, "reduce_from", fails)
-    with pytest.raises(NumericalFailure, match=r"one more; probably .*: reference_pressure of"):
+    with pytest.raises(NumericalFailure, match=r"one more\n.*reference_pressure of"):
         facts(seal(rig, reference_pressure=2.04))
     with pytest.raises(NumericalFailure, match=r"one more$"):
         facts(rig)
@@ -336,6 +336,24 @@ def test_the_command_says_doubts_and_ends_with_one(tmp_path):
         and "note: no sample_time in [controller]" in sound.output
         and "implausible" not in sound.output
     )
+
+
+def test_every_point_outside_a_table_is_named_in_the_units_of_the_file(tmp_path):
+    """The first of them stood alone, without file and point, in pascals."""
+    text = read_machine_text("three-bearing-train")
+    stated = text[text.index('reference_pressure = "20 bar"') : text.index("[controller]")]
+    rows = '[seal.table]\npressure = ["5 bar", "15 bar"]\nk = ["0.2 N/um", "0.6 N/um"]\n\n'
+    path = tmp_path / "train.toml"
+    path.write_text(text.replace(stated, rows), encoding="utf-8")
+    shown = CliRunner().invoke(main, ["check", str(path)])
+    assert shown.exit_code == 2
+    said = " ".join(shown.output.split())
+    assert f"{path} has 3 problems:" in said
+    labels = [point.label for point in amb.load_machine(path).operation.points]
+    for label, pressure in zip(labels, ("20 bar", "0 bar", None, "0 bar"), strict=True):
+        named = f'operating point "{label}": the pressure of seal balance-piston is {pressure}, but'
+        assert (named in said) == (pressure is not None)
+    assert said.count("must be within its table, 5 to 15 bar; extend the table") == 3
 
 
 def test_what_is_missing_is_noted_but_no_doubt(rig):

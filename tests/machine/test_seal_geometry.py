@@ -99,11 +99,22 @@ def test_standstill_is_the_limit_of_slow_whirl():
 def test_a_flow_that_chokes_is_refused_with_what_it_can_follow():
     low = replace(PISTON, geometry=replace(PISTON.geometry, exit_pressure=2e5))
     words = (
-        r"\[\[seal\]\] piston, \[seal.geometry\]: the exit pressure of the seal is 200000 Pa, but "
+        r"\[\[seal\]\] piston, \[seal.geometry\]: the exit pressure of the seal is 2 bar, but "
         r"must be above .* chokes"
     )
     with pytest.raises(InvalidInput, match=words):
         coefficients(low, 66e5, frequency=900.0)
+
+
+def test_kelvin_that_are_degrees_celsius_are_named_where_the_flow_chokes():
+    """60 for 60 degC: cold, heavy air chokes, and the message spoke of choking alone."""
+    low = replace(PISTON.geometry, exit_pressure=2e5)
+    with pytest.raises(InvalidInput, match=r'60 K, .* write "60 degC".*as it stands.* chokes'):
+        coefficients(replace(PISTON, geometry=replace(low, temperature=60.0)), 66e5, frequency=9e2)
+    cold = replace(low, temperature=60.0, viscosity=5e-6)
+    with pytest.raises(InvalidInput) as caught:
+        coefficients(replace(PISTON, geometry=cold), 66e5, frequency=9e2)
+    assert "chokes" in str(caught.value) and "degC" not in str(caught.value)
 
 
 def test_a_drop_below_vacuum_is_refused():
@@ -112,7 +123,7 @@ def test_a_drop_below_vacuum_is_refused():
     )
     with pytest.raises(
         InvalidInput,
-        match=r"seal_pressure is 3.85e\+06 Pa, but must be below the inlet_pressure, 3e\+06 Pa",
+        match=r"seal_pressure is 38.5 bar, but must be below the inlet_pressure, 30 bar",
     ):
         coefficients(before, 38.5e5, frequency=900.0)
 

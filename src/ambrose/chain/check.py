@@ -540,7 +540,7 @@ def _not_held(machine: Machine) -> Iterator[str]:
         try:
             plant = assemble(machine, point)
         except InvalidInput as error:  # outside a seal's table, or of the measured bias currents
-            yield f"operating point {point.label} has no model: {error}"
+            yield f"no model: {error}"
             continue
         modes = min(bending_modes_of(plant.rotor_model), modes_judged(plant) + _MODES)
         if not judge_stability(free_mode_reduction(plant, modes), law, timing).stable:

@@ -8,13 +8,17 @@ mistake that it looks for makes of usual values.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
-from ambrose.core.checks import InvalidInput
+from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.machine.attachment import attached
+from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
 from ambrose.machine.seals import Seal
-from ambrose.model.assemble import seal_coefficients
+from ambrose.model.assemble import constant_coefficients, named_point, seal_coefficients
+from ambrose.model.effect import Effect
+from ambrose.model.effects.gas_seal import celsius_for_kelvin
 from ambrose.model.effects.load import Load
 from ambrose.model.effects.stage import Stage
 
@@ -55,10 +59,30 @@ def entry_doubts(machine: Machine) -> Iterator[str]:
     yield from _sensors(machine)
     yield from _pressures(machine)
     for seal in machine.seals:
+        if seal.geometry is not None and (cold := celsius_for_kelvin(seal.geometry)):
+            yield f"[[seal]] {seal.name}, [seal.geometry]: {cold}"
         yield from _drives_backward(machine, seal)
     for _, part in attached(machine):
         if isinstance(part, Stage):
             yield from _stage(machine, part)
+
+
+def without_coefficients(machine: Machine) -> Iterator[str]:
+    """Every seal and effect that has no coefficients at an operating point, with the reason."""
+    for point in machine.operation.envelope:
+        for seal in machine.seals:
+            yield from _refusal(point, partial(constant_coefficients, machine, seal, point))
+        for effect, part in attached(machine):
+            if isinstance(effect, Effect):
+                yield from _refusal(point, partial(effect.reaction, part, point))
+
+
+def _refusal(point: OperatingPoint, read: Callable[[], object]) -> Iterator[str]:
+    try:
+        with named_point(point):
+            read()
+    except AmbroseError as error:
+        yield str(error)
 
 
 def load_doubts(machine: Machine, capacity: float) -> Iterator[str]:

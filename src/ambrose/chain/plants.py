@@ -6,11 +6,12 @@ from typing import Any
 
 from ambrose.chain.check import insight
 from ambrose.chain.check_axial import along_doubts, axial_facts
-from ambrose.chain.check_entries import entry_doubts
+from ambrose.chain.check_entries import entry_doubts, without_coefficients
 from ambrose.core.checks import AmbroseError, named_failure
 from ambrose.core.statespace import poles
 from ambrose.machine.axial import AxialMachine
 from ambrose.machine.machine import Machine
+from ambrose.machine.messages import listed
 from ambrose.model.assemble import assemble
 from ambrose.model.effects.rotor import (
     finite_element_rotor,
@@ -19,18 +20,27 @@ from ambrose.model.effects.rotor import (
 from ambrose.model.reduce import reduce_from
 
 
-def facts(machine: Machine) -> dict[str, Any]:
+def facts(machine: Machine, file: str | None = None) -> dict[str, Any]:
     """What `ambrose check` tells about a machine, SI units: mass properties, bending frequencies,
-    open-loop poles, sizes. Raises InvalidInput where a point has no model, NumericalFailure where
-    numbers are too far apart, and names an entry that is implausible as its probable cause.
+    open-loop poles, sizes.
+
+    file: what a failure is named after; default: the machine. Raises InvalidInput where a point has
+    no model, NumericalFailure where numbers are too far apart, with every part without coefficients
+    at an operating point, and every entry that is implausible, its probable cause.
     """
     try:
         return _facts(machine)
     except AmbroseError as error:
-        doubt = None if isinstance(machine, AxialMachine) else next(entry_doubts(machine), None)
-        if doubt is None:
-            raise
-        raise type(error)(f"{error}; probably for this reason: {doubt}") from error
+        raise type(error)(listed(file or machine.name, _reasons(machine, str(error)))) from error
+
+
+def _reasons(machine: Machine, failure: str) -> list[str]:
+    """The failure, or all that are like it, and what may be its cause."""
+    if isinstance(machine, AxialMachine):
+        return [failure]
+    found = [*without_coefficients(machine)]
+    found = found if failure in found else [failure, *found]
+    return [*found, *(line for line in entry_doubts(machine) if line not in "".join(found))]
 
 
 @named_failure("the model of the machine")

@@ -57,7 +57,7 @@ def check(machine: str, as_json: bool) -> None:
     from ambrose.chain.facts_in_words import rows_of
     from ambrose.chain.plants import facts
 
-    known = facts(load(machine, magnets=False))
+    known = facts(load(machine, magnets=False), machine)
     if as_json:
         say_json(known)
     else:

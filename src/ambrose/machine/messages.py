@@ -4,6 +4,7 @@ was probably meant.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from unicodedata import category
@@ -78,6 +79,20 @@ def listed(name: str, problems: Sequence[str]) -> str:
 def complaint(where: str, key: str, value: object, requirement: str, remedy: str) -> str:
     """The one form of a complaint about a key of a table."""
     return f"{where}: {key} is {value}, but must be {requirement}; {remedy}"
+
+
+def as_written(value: float, quantity: str, unit: bool = True) -> str:
+    """A pressure [Pa], a speed or a frequency [rad/s] in the unit in which people write it: bar
+    (below 0.01 bar Pa), rpm, Hz.
+    """
+    if quantity == "pressure" and 0 < abs(value) < 1e3:
+        return f"{value:.6g} Pa" if unit else f"{value / 1e5:.6g}"
+    factor, name = {
+        "pressure": (1e-5, "bar"),
+        "speed": (30 / math.pi, "rpm"),
+        "frequency": (0.5 / math.pi, "Hz"),
+    }[quantity]
+    return f"{value * factor:.6g} {name}" if unit else f"{value * factor:.6g}"
 
 
 def number(value: float | None, unit: str) -> str:

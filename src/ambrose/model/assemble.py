@@ -12,12 +12,14 @@ from one plant to the next. Poles of the slow modes are good to 1e-8 rad/s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from ambrose.core.arguments import names_wrong_types
+from ambrose.core.checks import InvalidInput
 from ambrose.core.mechanical import SecondOrder, to_common_statespace
 from ambrose.core.statespace import StateSpace, connect, rename, static_gain
 from ambrose.machine.axial import AxialMachine
@@ -39,6 +41,17 @@ from ambrose.model.static_load import magnet_coefficients
 _RIGID_SCALE = 300.0  # [rad/s] of a rigid mode's velocity state: the pace of a levitated rotor
 
 
+@contextmanager
+def named_point(point: OperatingPoint) -> Iterator[None]:
+    """Around what reads coefficients at a point: a complaint names the point."""
+    try:
+        yield
+    except InvalidInput as error:
+        if not point.label:
+            raise
+        raise InvalidInput(f'operating point "{point.label}": {error}') from error
+
+
 @names_wrong_types
 def assemble(
     machine: Machine, point: OperatingPoint | str | None = None, *, every_mode: bool = False
@@ -51,14 +64,12 @@ def assemble(
     a bearing's measured bias currents.
     """
     point = machine.operation.nominal if point is None else operating_point(machine, point)
-    if isinstance(machine, AxialMachine):
-        return wire(machine, point, wiring.rotor_statespace(machine, point))
-    rotor = finite_element_rotor(machine)
-    return wire(
-        machine,
-        point,
-        attached_statespace(machine, point, rotor, 2 * rotor.n_nodes - 2 if every_mode else None),
-    )
+    with named_point(point):
+        if isinstance(machine, AxialMachine):
+            return wire(machine, point, wiring.rotor_statespace(machine, point))
+        rotor = finite_element_rotor(machine)
+        modes = 2 * rotor.n_nodes - 2 if every_mode else None
+        return wire(machine, point, attached_statespace(machine, point, rotor, modes))
 
 
 def attached_statespace(
@@ -143,12 +154,7 @@ def attached_rotor(
             mass += pair.T @ reaction.mass @ pair
     for annular in machine.seals:
         pair = np.array([rows[f"{annular.name}_x"], rows[f"{annular.name}_y"]])
-        constant = (
-            seal_model(machine, annular, point).static
-            if has_states(annular)
-            else seal_coefficients(annular, point)
-        )
-        k, d, m = seal.matrices(constant)
+        k, d, m = seal.matrices(constant_coefficients(machine, annular, point))
         stiffness += pair.T @ k @ pair
         damping += pair.T @ d @ pair
         mass += pair.T @ m @ pair
@@ -243,6 +249,15 @@ def seal_poles(machine: Machine, item: Seal) -> np.ndarray:
     something else from speed to speed.
     """
     return seal_rational.poles_of(item, machine.operation.nominal.speed)
+
+
+def constant_coefficients(
+    machine: Machine, item: Seal, point: OperatingPoint
+) -> seal.SealCoefficients:
+    """A seal's coefficients at the point; of one with states those beside the states."""
+    if has_states(item):
+        return seal_model(machine, item, point).static
+    return seal_coefficients(item, point)
 
 
 def seal_coefficients(item: Seal, point: OperatingPoint) -> seal.SealCoefficients:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ambrose.annexes.rotordynamics.loop import ShaftLoop
-from ambrose.model.assemble import seal_coefficients, seal_model
+from ambrose.model.assemble import constant_coefficients, seal_model
 from ambrose.model.effect import reactions
 from ambrose.model.effects import seal as seals
 from ambrose.model.effects import seal_rational
@@ -65,10 +65,7 @@ def forces_of_components(loop: ShaftLoop, s: complex, x: np.ndarray) -> Iterator
     for item in machine.seals:
         at = motion([f"{item.name}_x", f"{item.name}_y"])
         rational = seal_rational.has_states(item)
-        constant = (
-            seal_model(machine, item, point).static if rational else seal_coefficients(item, point)
-        )
-        stiff, damping, mass = seals.matrices(constant)
+        stiff, damping, mass = seals.matrices(constant_coefficients(machine, item, point))
         force = -(stiff + s * damping + s**2 * mass) @ at
         if rational and point.seal_pressure > 0:
             system = seal_rational.system(seal_model(machine, item, point), item.name)

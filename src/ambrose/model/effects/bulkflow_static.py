@@ -242,9 +242,10 @@ def _choked(walls: Walls, G: float, cells: int) -> Exception:
     flow = 2 * pi * walls.radius * G
     return invalid(
         "the exit pressure of the seal",
-        f"{walls.p_out:g} Pa",
-        f"above {lowest:.4g} Pa, where its flow chokes at {flow:.4g} kg/s",
-        "raise the exit pressure, or split the seal; a choked exit is not modelled",
+        f"{walls.p_out / 1e5:.6g} bar",
+        f"above {lowest / 1e5:.5g} bar, where its flow chokes at {flow:.4g} kg/s",
+        "raise the exit pressure, split the seal, or check its clearances, which are radial; a "
+        "choked exit is not modelled",
     )
 
 

@@ -13,6 +13,7 @@ from functools import lru_cache
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, NumericalFailure, invalid
+from ambrose.machine.messages import as_written
 from ambrose.machine.seals import GasSealGeometry, Seal
 from ambrose.model.effects.bulkflow import (
     BulkFlow,
@@ -29,6 +30,7 @@ LEAST_DROP = 0.05  # of the side whose pressure is given
 _CELLS = (100, 400)  # the second where the first is too coarse
 _SLOWEST = 1.0  # rad/s; the coefficients are even functions of the frequency, and flat there
 _SLACK = 1e-9  # of the highest frequency, rounding
+_COLD = 150.0  # [K], assumed: just above air's critical point, and 150 degC hardly leave a seal
 
 
 def gas_coefficients(
@@ -82,10 +84,23 @@ def gas_flow(
         return _flow(geometry, max(pressure, least), spin, used_frequencies), min(
             pressure / least, 1.0
         )
-    except InvalidInput as error:
-        raise InvalidInput(f"{where}: {error}") from error
-    except NumericalFailure as error:
-        raise NumericalFailure(f"{where}: {error}") from error
+    except (InvalidInput, NumericalFailure) as error:
+        cold = celsius_for_kelvin(geometry)
+        text = f"{cold} (as it stands, {error})" if cold else str(error)
+        raise type(error)(f"{where}: {text}") from error
+
+
+def celsius_for_kelvin(geometry: GasSealGeometry) -> str:
+    """What to say of a temperature that is probably one in degrees Celsius; "" else.
+
+    A gas with air's viscosity is none below air's critical temperature, 132 K.
+    """
+    if geometry.viscosity is not None or geometry.temperature >= _COLD:
+        return ""
+    return (
+        f"temperature is {geometry.temperature:g} K, which looks like degrees Celsius; write "
+        f'"{geometry.temperature:g} degC", or for a cold gas its viscosity'
+    )
 
 
 @lru_cache(maxsize=2048)
@@ -110,8 +125,8 @@ def described(
     if g.inlet_pressure is not None and pressure >= g.inlet_pressure:
         raise invalid(
             "the seal_pressure",
-            f"{pressure:g} Pa",
-            f"below the inlet_pressure, {g.inlet_pressure:g} Pa",
+            as_written(pressure, "pressure"),
+            f"below the inlet_pressure, {as_written(g.inlet_pressure, 'pressure')}",
             "lower it",
         )
     inlet, outlet = (

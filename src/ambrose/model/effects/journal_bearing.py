@@ -18,7 +18,7 @@ import numpy as np
 from ambrose.core.checks import invalid
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.kinds import Length, ListOf, Name
-from ambrose.machine.messages import complaint
+from ambrose.machine.messages import as_written, complaint
 from ambrose.machine.part import Part
 from ambrose.model.effect import Action, Effect, Reaction
 
@@ -61,8 +61,9 @@ def coefficients(bearing: JournalBearing, speed: float) -> tuple[np.ndarray, np.
         if not grid[0] - slack <= speed <= grid[-1] + slack:
             raise invalid(
                 f"the speed of journal bearing {bearing.name}",
-                f"{speed:g} rad/s",
-                f"within its table, {grid[0]:g} to {grid[-1]:g} rad/s",
+                as_written(speed, "speed"),
+                f"within its table, {as_written(grid[0], 'speed', False)} to "
+                f"{as_written(grid[-1], 'speed')}",
                 "extend the table or choose an operating point inside",
             )
 

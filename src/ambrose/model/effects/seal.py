@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import check_positive, invalid
+from ambrose.machine.messages import as_written
 from ambrose.machine.seals import Seal, SealTable
 from ambrose.model.effects.gas_seal import gas_coefficients
-
-_UNITS = {"pressure": "Pa", "speed": "rad/s", "frequency": "rad/s"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,8 +141,8 @@ def _inside(name: str, axis: str, grid: np.ndarray, value: float) -> float:
     if not grid[0] - slack <= value <= grid[-1] + slack:
         raise invalid(
             f"the {axis} of seal {name}",
-            f"{value:g} {_UNITS[axis]}",
-            f"within its table, {grid[0]:g} to {grid[-1]:g} {_UNITS[axis]}",
+            as_written(value, axis),
+            f"within its table, {as_written(grid[0], axis, False)} to {as_written(grid[-1], axis)}",
             "extend the table or choose an operating point inside",
         )
     return float(np.clip(value, grid[0], grid[-1]))
