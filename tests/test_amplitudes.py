@@ -126,6 +126,6 @@ HEADS = re.compile(r"\[(um|µm|mm|m|N|A|V|kN)( (0|p)[-\u2011]p)?\]")
 def test_column_heads_of_the_lateral_page_say_which(page):
     text = (SOURCE / "annexes" / "rotordynamics" / "page.py").read_text(encoding="utf-8")
     body = text[text.index(f"def {page}") :].split("\ndef ")[0]
-    words = ("Motion", "Force", "Current", "Voltage", "Left", "Other side")
+    words = ("Motion", "Scaled motion", "Force", "Current", "Voltage", "Available")
     heads = [head for head in re.findall(r'"([^"]*\[[^"]*\])"', body) if head.startswith(words)]
     assert heads and all(HEADS.search(head)[2] for head in heads)

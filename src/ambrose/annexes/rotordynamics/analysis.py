@@ -45,16 +45,16 @@ from ambrose.model.effects.stage import Stage, rated_cross_coupling
 TRIP = 1.05  # times the maximum continuous speed, where nothing is said
 _SLOWEST = 0.05  # of the trip speed: where response curves begin
 _RIGID = (
-    "No forward mode that can ring lies up to 1.25 times the trip speed: the unbalance is placed "
-    "by the rigid rotor's shapes, parallel and tilting (assumed)."
+    "No oscillatory forward mode lies below 1.25 times the trip speed: the unbalance is placed "
+    "by the shapes of the rigid rotor, parallel and conical (assumed)."
 )
 _WEIGHTLESS = (
     "No gravity_direction in the machine file: static offset and load capacity count no weight, "
-    "as of a rotor that stands upright; state it for one that lies."
+    "as for a vertical rotor; state it for a horizontal one."
 )
 _BARE_NOTE = (
     "Level I takes the rotor without seals and stages, as the standard does; a controller that "
-    "needs a seal's stiffness may not hold it."
+    "relies on the stiffness of a seal may not stabilise it."
 )
 
 
@@ -188,7 +188,7 @@ def lateral(
         *rows.phase(budgets),
         *rows.circuit(circuit_change(machine, chosen, law, timing, modes)),
         *everywhere,
-        *rows.iso_vibration(machine, found, scale[0]),
+        *rows.iso_vibration(machine, found, scale[0], (slowest, trip)),
         *rows.not_covered(machine),
     )
     if machine.bearings and machine.gravity_direction is None:

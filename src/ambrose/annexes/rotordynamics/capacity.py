@@ -85,11 +85,11 @@ class AxisCapacity:
         return next(rows, None)
 
 
-_LEFT = {  # by what limits
-    "bias current": "the bias current leaves",
-    "current": "the largest current leaves",
-    "force": "the largest force leaves",
-    "voltage": "the slew by the voltage leaves",
+_LIMITS = {  # in words
+    "bias current": "bias current",
+    "current": "maximum current",
+    "force": "maximum force",
+    "voltage": "slew rate at the amplifier voltage",
 }
 
 
@@ -97,10 +97,11 @@ def binding(margin: Margin) -> str:
     """Which load, at which frequency, what it takes and what the limit that binds leaves."""
     load, *steady = margin.demands
     own = f'load "{load.name}"' if load.kind != UNBALANCE else f"unbalance ({load.name})"
-    beside = "".join(f" on top of unbalance ({item.name})" for item in steady)
+    beside = "".join(f" beside unbalance ({item.name})" for item in steady)
     return (
-        f"{own} at {load.frequency / (2 * np.pi):.4g} Hz{beside} takes {margin.taken:.4g} of the "
-        f"{margin.able:.4g} {margin.unit} 0-p that {_LEFT[margin.limited_by]}"
+        f"{own} at {load.frequency / (2 * np.pi):.4g} Hz{beside}: demand {margin.taken:.4g} "
+        f"{margin.unit} 0-p, available {margin.able:.4g} {margin.unit} 0-p, limited by "
+        f"{_LIMITS[margin.limited_by]}"
     )
 
 

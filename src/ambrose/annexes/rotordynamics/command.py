@@ -86,7 +86,7 @@ def lateral_command(
     """Lateral analysis after API 617 and ISO 14839, clause by clause.
 
     Unbalance response with API's amounts placed for every mode, separation margins, vibration
-    limit, clearances from rest to trip, stability Level I and II with each component's share, and
+    limit, clearances up to trip, stability Level I and II with each component's share, and
     load capacity. Clauses are recalled, not read from the standards, and marked so. Exit status 1:
     a judged row fails.
     """

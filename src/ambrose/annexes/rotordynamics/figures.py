@@ -19,7 +19,7 @@ from ambrose.report import theme
 
 UM, MM = 1e6, 1e3  # um, mm per m
 _MARKERS = {UNBALANCE: "circle", PART: "circle-open", IMPULSE: "diamond", SURGE: "square"}
-_KINDS = {PART: "of it: seals, stages"}
+_KINDS = {PART: "part of it: seals, stages"}
 _SHADES = ("#d55e00", "#009e73", "#cc79a7", "#e69f00")
 _FAR = 3.0  # a limit this many times above the readings would press them to the ground
 _EVERY = 5  # of the fine grid: enough for the eye
@@ -68,7 +68,7 @@ def response_figure(
     lowest, top, trip = (speed / standard.RPM for speed in speeds)
     if limit > _FAR * highest:
         highest *= 1.15
-        words = f"vibration limit {limit:.3g} µm p-p, above"
+        words = f"vibration limit {limit:.3g} µm p-p (above the range shown)"
         theme.note(figure, _LOW, words, rpm[0], highest, "left", "bottom", colour=theme.LIMIT)
     else:
         highest = max(highest, limit)
@@ -288,7 +288,7 @@ def capacity_figure(axis: AxisCapacity) -> Any:
     """
     figure = theme.subplots(rows=1, cols=1)
     hertz = axis.omega / (2 * np.pi)
-    sides = (("side that carries", axis.force, "solid"), ("other side", axis.other, "dash"))
+    sides = (("along the static load", axis.force, "solid"), ("against it", axis.other, "dash"))
     for name, force, dash in sides:
         theme.scatter(
             figure,
@@ -307,10 +307,10 @@ def capacity_figure(axis: AxisCapacity) -> Any:
             _ONE,
             [hertz[0], hertz[-1]],
             [axis.static_force] * 2,
-            "what lasts",
+            "static load",
             shown=True,
             line={"color": theme.MUTED, "width": 1.4, "dash": "dot"},
-            hovertemplate="%{y:.4g} N<extra>what lasts</extra>",
+            hovertemplate="%{y:.4g} N<extra>static load</extra>",
         )
     for (kind, marker), colour in zip(_MARKERS.items(), _SHADES, strict=False):
         items = [item for item in axis.demands if item.kind == kind and item.current > 0]

@@ -33,6 +33,8 @@ _RESPONSE = "6.8.2, unbalance response"
 _CLEAR = "6.8.2, clearances"
 _STABILITY = "6.8.5 and 6.8.6, stability"
 _LEVEL_ONE, _LEVEL_TWO = "6.8.5, stability, Level I", "6.8.6, stability, Level II"
+ONE_SIDED = " (half-power point on one side only: bandwidth taken as twice that side)"
+_FOR = "unbalance for the "
 _SAME_SPEED = 0.03  # two probes' peaks nearer to each other than this are one critical speed
 
 
@@ -66,7 +68,7 @@ def undamped(found: CriticalMap) -> Iterator[Item]:
     first = found.rigid[0] / standard.RPM
     yield Item(
         "undamped",
-        "Undamped critical speeds where the bearings' stiffness meets them",
+        "Undamped critical speeds at the stiffness of the bearings",
         standard.EDITION,
         "6.8.2, undamped critical speeds",
         RECALLED,
@@ -89,10 +91,10 @@ def unbalance(
         peak = worst.critical
         rpm = peak.speed / standard.RPM
         if not peak.known:
-            yield _unknown_factor(k, worst, f'reading "{probe}", {case}')
+            yield _unknown_factor(k, worst, f'probe "{probe}", {_FOR}{case}')
             continue
         factor = f"AF {peak.amplification:.3g}"
-        flank = "" if peak.both_flanks else ", of one flank"
+        flank = "" if peak.both_flanks else ONE_SIDED
         if peak.damped:
             yield Item(
                 f"critical_speed.{k}",
@@ -105,7 +107,7 @@ def unbalance(
                 "<",
                 standard.CRITICALLY_DAMPED,
                 True,
-                f'{factor}{flank}, reading "{probe}", {case}; no margin is asked for',
+                f'{factor}{flank}, probe "{probe}", {_FOR}{case}; no separation margin is required',
             )
             continue
         yield Item(
@@ -119,7 +121,7 @@ def unbalance(
             ">=",
             worst.required,
             worst.passed,
-            f'{factor}{flank}, reading "{probe}", {case}',
+            f'{factor}{flank}, probe "{probe}", {_FOR}{case}',
         )
     yield from _small(response, limit / UM, (lowest, highest))
     yield Item(
@@ -144,7 +146,7 @@ def unbalance(
         RECALLED,
         scale[0],
         "-",
-        note=f"uncapped {scale[1]:.4g}; capped at {standard.LARGEST_SCALE:g}, 1 at least",
+        note=f"uncapped {scale[1]:.4g}; kept between 1 and {standard.LARGEST_SCALE:g}",
     )
 
 
@@ -159,9 +161,9 @@ def _unknown_factor(k: int, worst: Separation, where: str) -> Item:
         RECALLED,
         2 * UM * peak.amplitude,
         "um p-p",
-        note=f"{where}; the response falls to 0.707 of this peak on neither side, so that it has "
-        f"no half-power band: not judged. Separation margin {worst.margin:.3g} %; the most that "
-        f"is asked of any amplification factor is {worst.required:.3g} %",
+        note=f"{where}; the response falls to 0.707 of this peak on neither side, so that there "
+        f"is no half-power bandwidth: not judged. Separation margin {worst.margin:.3g} %; the most "
+        f"that any amplification factor can require is {worst.required:.3g} %",
     )
 
 
@@ -180,9 +182,9 @@ def _small(response: Response, limit: float, running: tuple[float, float]) -> It
         OWN,
         2 * UM * largest,
         "um p-p",
-        note=f"at {speeds} rpm, the largest stated; with an amplification factor below "
-        f"{standard.CRITICALLY_DAMPED:g} or none that could be read: too small for a critical "
-        f"speed (limit {UM * limit:.3g} um p-p), not judged",
+        note=f"at {speeds} rpm; the value is the largest of them. Amplification factor below "
+        f"{standard.CRITICALLY_DAMPED:g} or not known; too small to count as critical speeds "
+        f"(vibration limit {UM * limit:.3g} um p-p): not judged",
     )
 
 
@@ -249,16 +251,24 @@ def _tightness(row: tuple[Separation, str, str]) -> tuple[int, float]:
     return (1, -peak.amplification) if peak.damped else (0, item.margin - item.required)
 
 
+_CLEARANCES = {
+    "touchdown": "the touchdown bearings",
+    "seal": "the seals",
+    "clearance": "the close clearances",
+    "magnet": "the magnets",
+}
+
+
 def clearances(found: Sequence[Rub], response: Response) -> Iterator[Item]:
     """The tightest clearance of each kind."""
-    for kind in ("touchdown", "seal", "clearance", "magnet"):
+    for kind, plural in _CLEARANCES.items():
         of_kind = [rub for rub in found if rub.kind == kind]
         if not of_kind:
             continue
         worst = max(of_kind, key=lambda rub: rub.share / (rub.allowed / rub.diametral))
         yield Item(
             f"clearance.{kind}",
-            f"Motion over diametral clearance, tightest {kind}: {worst.name}",
+            f"Motion relative to diametral clearance, least margin of {plural}: {worst.name}",
             standard.EDITION,
             _CLEAR,
             RECALLED,
@@ -309,13 +319,17 @@ def level_one(one: LevelOne | None, density: float | None = None) -> Iterator[It
             note="not done, see the notes",
         )
         return
-    where = "overhung impellers" if len(one.stations) > 1 else "one place"
-    rings = "" if math.isnan(one.least) else f", {standard.rpm(one.least)} rpm mode"
-    crossing = "" if math.isnan(one.crossing) else f"; {standard.rpm(one.crossing)} rpm mode"
+    where = "the overhung impellers" if len(one.stations) > 1 else "one station"
+    rings = "" if math.isnan(one.least) else f": mode at {standard.rpm(one.least)} rpm"
+    crossing = (
+        ""
+        if math.isnan(one.crossing)
+        else f"; unstable beyond: mode at {standard.rpm(one.crossing)} rpm"
+    )
     if one.anticipated is None:
         yield Item(
             "level_one.border",
-            "Level I: border Q0 of cross-coupling at mid-span",
+            "Level I: cross-coupling at the stability threshold, Q0",
             standard.EDITION,
             _LEVEL_ONE,
             RECALLED,
@@ -339,14 +353,14 @@ def level_one(one: LevelOne | None, density: float | None = None) -> Iterator[It
         ">=",
         standard.LEAST_LOG_DECREMENT,
         one.at_anticipated >= standard.LEAST_LOG_DECREMENT,
-        f"Q_A {one.anticipated:.4g} N/m at {where}; least of all forward modes that ring{rings}",
+        f"Q_A {one.anticipated:.4g} N/m at {where}; least of all oscillatory forward modes{rings}",
     )
     met = math.isfinite(one.border)
     ratio = (one.border if met else one.end) / one.anticipated
     reasons = one.screening.reasons if one.screening is not None else ()
     yield Item(
         "level_one.border",
-        "Level I: border over anticipated cross-coupling, Q0/Q_A",
+        "Level I: threshold cross-coupling relative to the anticipated one, Q0/Q_A",
         standard.EDITION,
         _LEVEL_ONE,
         RECALLED,
@@ -356,7 +370,11 @@ def level_one(one: LevelOne | None, density: float | None = None) -> Iterator[It
         standard.SCREEN_NEAR,
         ratio >= standard.SCREEN_NEAR,
         (f"Q0 {one.border:.4g} N/m{crossing}; " if met else f"{level_one_beyond(one)}; ")
-        + ("Level I is enough" if not reasons else "Level II is asked for: " + "; ".join(reasons)),
+        + (
+            "Level I is sufficient"
+            if not reasons
+            else "Level II is required: " + "; ".join(reasons)
+        ),
         bound="" if met else ">",
     )
     yield from _screening(one, density)
@@ -366,7 +384,7 @@ def _screening(one: LevelOne, density: float | None) -> Iterator[Item]:
     """Critical speed ratio beside the border of region B at the gas density, for information."""
     if one.speed_ratio is None:
         return
-    used = f"asked where {standard.SCREEN_NEAR:g} <= Q0/Q_A < {standard.SCREEN_FAR:g}"
+    used = f"it counts where {standard.SCREEN_NEAR:g} <= Q0/Q_A < {standard.SCREEN_FAR:g}"
     if density is None:
         title = "Level I: critical speed ratio, mean gas density not given"
         note = f"region B is assumed; {used}; give the density with --density"
@@ -383,7 +401,8 @@ def _screening(one: LevelOne, density: float | None) -> Iterator[Item]:
         RECALLED,
         one.speed_ratio,
         "-",
-        note=f"{note}; maximum continuous speed over the first critical speed on rigid supports",
+        note=f"{note}; maximum continuous speed divided by the first critical speed on rigid "
+        "supports",
     )
 
 
@@ -428,9 +447,9 @@ def level_two(table: Sequence[ModeRow], highest: float, controlled: bool) -> Ite
         value = float(least.least or 0.0)
         yield Item(
             "level_two.log_decrement.tolerances",
-            "Level II: least log decrement found over the tolerances",
+            "Level II: least log decrement found within the tolerances",
             "Ambrose",
-            "search over ends and steepest corners",
+            "search: both ends of each tolerance, then the steepest corner",
             OWN,
             value,
             "-",
@@ -506,9 +525,9 @@ def capacity(found: Sequence[AxisCapacity]) -> Iterator[Item]:
     if not found:
         return
     kinds = (
-        ("unbalance", UNBALANCE, "Load capacity over what unbalance takes"),
-        ("impulse", IMPULSE, "Load capacity over an impulse on top of unbalance at trip"),
-        ("surge", SURGE, "Load capacity over a surge on top of unbalance at trip"),
+        ("unbalance", UNBALANCE, "Load capacity divided by the demand of unbalance"),
+        ("impulse", IMPULSE, "Load capacity divided by the demand of an impulse and unbalance"),
+        ("surge", SURGE, "Load capacity divided by the demand of a surge and unbalance"),
     )
     for name, kind, title in kinds:
         rows = [(margin, axis) for axis in found if (margin := axis.least(kind)) is not None]
@@ -533,7 +552,7 @@ def capacity(found: Sequence[AxisCapacity]) -> Iterator[Item]:
     limits = held.limits
     yield Item(
         "capacity.static",
-        "Control current that holds what lasts, over the least of bias and largest current",
+        "Static control current divided by the smaller of bias and maximum current",
         standard.EDITION,
         "annex E, load capacity",
         OWN,
@@ -559,7 +578,7 @@ def phase(budgets: Sequence[PhaseBudget]) -> Iterator[Item]:
     words = ", ".join(f"{name} {np.degrees(value):.3g}" for value, name in shares)
     yield Item(
         "phase.first_bending",
-        f"Phase of all but the controller at the first bending mode, "
+        f"Phase of the signal chain without the controller at the first bending mode, "
         f"{worst.frequencies[0] / (2 * np.pi):.4g} Hz",
         "Ambrose",
         "signal chain",
@@ -582,7 +601,7 @@ def circuit(found: CircuitChange | None) -> Iterator[Item]:
     )
     yield Item(
         "circuit.damping",
-        f"Change of damping with the amplifier as a circuit, mode at "
+        f"Change in damping with the amplifier modelled as a circuit, mode at "
         f"{standard.rpm(found.frequency)} rpm",
         "Ambrose",
         "electronics",
@@ -594,8 +613,12 @@ def circuit(found: CircuitChange | None) -> Iterator[Item]:
     )
 
 
-def iso_vibration(machine: Machine, found: Sequence[Rub], scale: float) -> Iterator[Item]:
-    """ISO 14839-2: the orbit at a magnetic bearing and its static offset, over the clearance."""
+def iso_vibration(
+    machine: Machine, found: Sequence[Rub], scale: float, speeds: tuple[float, float]
+) -> Iterator[Item]:
+    """ISO 14839-2: the orbit at a magnetic bearing and its static offset, divided by the clearance;
+    speeds [rad/s]: the first and the last of the response.
+    """
     rows = [rub for rub in found if rub.kind == "touchdown"]
     if not rows:
         return
@@ -605,7 +628,7 @@ def iso_vibration(machine: Machine, found: Sequence[Rub], scale: float) -> Itera
     limit = demand("orbit over clearance", machine.requirements).limit
     yield Item(
         "iso.vibration",
-        "Orbit 0-p with static offset over the touchdown clearance, from rest to trip",
+        "Orbit 0-p with static offset relative to touchdown clearance, " + speeds_in_words(*speeds),
         standard.ISO_2,
         "zone A",
         RECALLED,

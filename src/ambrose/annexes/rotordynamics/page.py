@@ -32,26 +32,27 @@ from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, Verdict
 _BASIS = (
     "Basis: recalled - the standard's text was not at hand; formula and limit are those of open "
     "code and tutorials that quote it. Checked - a source at hand quotes the limit. Own - no "
-    "clause: what is added here. p-p: peak to peak; 0-p: zero to peak."
+    "clause of the standard, added here. p-p: peak to peak; 0-p: zero to peak."
 )
 _SUMMARY = (
-    "In the order of a data sheet. A row without a limit is for information; what is not covered "
-    "says so."
+    "In the order of a data sheet. Rows without a limit are for information; what is not covered "
+    "is listed as such."
 )
 _RESPONSE = (
     "Probe readings, peak to peak, with twice the residual unbalance placed for the mode named, "
-    "and by how much their phase lags, in the direction of spin, behind a key phasor that passes "
-    "where the first unbalance does. "
-    "The rotor is assembled anew at every speed; between the {count} computed speeds amplitudes "
-    "are interpolated (a spline through half of them misses the others by {error} of the largest)."
+    "and their phase lag in the direction of rotation, relative to a keyphasor at the angle of the "
+    "first unbalance. Computed at {count} speeds from {first} to {last} rpm, with speed-dependent "
+    "coefficients at each, and interpolated by a spline (interpolation error, estimated from every "
+    "second speed: {error} of the largest amplitude)."
 )
 _PLACED = (
-    "The bent shaft of each forward mode at maximum continuous speed, in the plane that turns with "
-    "it, and the unbalance that excites it."
+    "Shape of each forward mode at maximum continuous speed, in the rotating plane of largest "
+    "deflection, and the unbalance that excites it."
 )
 _LEVEL_ONE = (
-    "Without seals and stages, cross-coupled stiffness at mid-span (or at the overhung impellers) "
-    "takes the damping of the forward modes. The border is judged on the loop as it runs."
+    "Rotor without seals and stages. Cross-coupled stiffness Q, applied at mid-span (or at the "
+    "overhung impellers), reduces the damping of the forward modes; Q0 is the value at the "
+    "stability threshold of the loop with the controller as it runs."
 )
 _LEVEL_TWO = (
     "Oscillatory lateral modes (damping ratio up to 0.7) at operating point {point}, with seals, "
@@ -61,34 +62,36 @@ _LEVEL_TWO = (
     "contributions to its log decrement: all contributions add up to it, negative ones destabilise."
 )
 _CAPACITY = (
-    "Force (0-p) that an axis can add, by bias, largest current, force and the slew that the "
-    "voltage leaves: on the side of the bias that carries what lasts (weight, seals where "
-    "the rotor hangs, lasting loads), and on the other. Points: what unbalance, impulse "
-    "and surge take in the loop as it runs. The margin is the least of all, a load counted on "
-    "top of unbalance at trip."
+    "Dynamic force amplitude (0-p) available on a control axis, limited by bias current, maximum "
+    "current, maximum force and the slew rate at the amplifier voltage: in the direction of the "
+    "static load (weight, static force of the seals, sustained loads) and against it. Markers: "
+    "demand of unbalance, impulses and surges in the closed loop. The margin is the smallest ratio "
+    "of available to demanded; impulses and surges count in addition to unbalance at trip."
 )
 _DEMANDS = (
-    "Force: control current times k_i. An impulse is drawn at the sine with its largest current "
-    "and slope. Seals and stages: their force at trip by a lever, part of what unbalance takes. "
-    "Voltage: (R + j w L) i + j w k_u q of a coil (- where the file has no inductance)."
+    "Force: control current times k_i. An impulse is plotted at the frequency of the sine with the "
+    "same peak current and peak slew rate. Seals and stages: their forces at trip, transferred to "
+    "the bearings by static equilibrium; they are part of the unbalance demand. Voltage of a coil: "
+    "(R + j w L) i + j w k_u q (- where the file has no inductance)."
 )
 _LASTS = (
-    "Seals push where the rotor hangs off their centres, as long as they are under pressure: what "
-    "lasts is the larger sum, with their push or without it."
+    "The static sag of the rotor from the seal centres gives the seals a static force while they "
+    "are pressurised. The static load is the larger of the sums with this force and without it."
 )
 _PHASE = (
-    "From the shaft's displacement to the current that makes force, element after element, at the "
-    "free rotor's bending modes at rest. Negative: late. What the controller adds is its lead."
+    "Phase from shaft displacement to the coil current, element by element, at the bending "
+    "frequencies of the free rotor at rest. Negative values are phase lag; positive values of the "
+    "controller are phase lead."
 )
 _UNDAMPED = (
-    "The rotor alone, without seals, stages and damping, on equal springs at its bearings: where "
-    "it whirls forward as fast as it spins. Over it the stiffness of the bearings at that speed: "
-    "{of}. Where lines meet, the rotor would have a critical speed with all supports as stiff as "
-    "this one; what damping makes of it is in the unbalance response."
+    "Undamped forward synchronous critical speeds of the rotor alone (no seals, stages or damping) "
+    "on equal springs at all bearings. Overlaid is the stiffness of the bearings at each speed: "
+    "{of}. An intersection is the critical speed that the rotor would have with this stiffness at "
+    "every bearing; the effect of damping is in the unbalance response."
 )
 _OF_MAGNETS = (
-    "of a magnet the modulus of force over displacement, with sensor, controller as it runs, "
-    "amplifier and negative stiffness, of an axis that moves alone"
+    "of a magnet the modulus of the dynamic stiffness (force divided by displacement) of one axis, "
+    "with sensor, controller as it runs, amplifier and negative stiffness"
 )
 _OF_FILMS = "of a film K_xx and K_yy of its table"
 _MAPPED = "Undamped critical speeds"
@@ -108,8 +111,8 @@ _SECTIONS = {  # where a row's figure stands, by the first word of its name
 _MICRO = re.compile(r"\bum\b")
 _HYPHEN, _SPACE = "\u2011", "\u00a0"  # where no line ends
 _BESIDE = (
-    "Critical speeds and modes are paired so that all pairs together lie as near as they can. "
-    "Amplitudes compare where both sides have the same unbalance."
+    "Critical speeds and modes are paired so that the sum of all deviations is least. Amplitudes "
+    "are comparable only where both analyses have the same unbalance."
 )
 
 
@@ -126,7 +129,7 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
         sections += _response_sections(result)
     if result.level_one is not None:
         picture = Figure(
-            "Log decrement over cross-coupling",
+            "Log decrement versus cross-coupled stiffness",
             figures.level_one_figure(result.level_one),
             _at_the_border(result.level_one),
         )
@@ -145,7 +148,7 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
     if result.capacities:
         worst = min(result.capacities, key=lambda axis: axis.margin)
         picture = Figure(
-            f"Capacity of axis {worst.axis}, the one with the least margin",
+            f"Load capacity of axis {worst.axis}, which has the least margin",
             figures.capacity_figure(worst),
         )
         own = load_table(result.machine)
@@ -235,7 +238,7 @@ def rotor_table(result: Lateral) -> Table:
         )
         for journal in layout.journals
     ]
-    note = "Of a bearing: its static share of the mass, of the rotor lying horizontally."
+    note = "Bearings: static share of the rotor's mass, for a horizontal rotor."
     return Table("Rotor", ("Quantity", "Value"), tuple(rows), note)
 
 
@@ -243,7 +246,7 @@ def phase_table(budget: PhaseBudget) -> Table:
     """Phases of every element at every bending mode [deg]."""
     heads = tuple(f"{w / (2 * np.pi):.5g} Hz [deg]" for w in budget.frequencies)
     named = [*zip(budget.elements, budget.phases, strict=True)]
-    named += [("all but the controller", budget.cost), ("sum", budget.total)]
+    named += [("total without controller", budget.cost), ("total", budget.total)]
     rows: tuple[Row, ...] = tuple(
         (name, *numbers(*(f"{np.degrees(value):.2f}" for value in row))) for name, row in named
     )
@@ -254,15 +257,16 @@ def phase_table(budget: PhaseBudget) -> Table:
 
 def _at_the_border(one: LevelOne) -> str:
     """What happens at Q0, and what the red line is."""
-    asked = f"Red: the least log decrement asked for, {standard.LEAST_LOG_DECREMENT:g}."
+    asked = f"Red line: required log decrement, {standard.LEAST_LOG_DECREMENT:g}."
     if not np.isfinite(one.border):
-        return f"{level_one_beyond(one)}. {asked}"
+        words = level_one_beyond(one)
+        return f"{words[0].upper()}{words[1:]}. {asked}"
     mode = f"the mode at {standard.rpm(one.crossing)} rpm"
-    other = "" if one.binding is not None else ", none of the forward modes drawn,"
+    other = "" if one.binding is not None else ", none of the forward modes shown,"
     late = any(branch.late for branch in one.branches)
-    since = " It is no forward mode without Q." if late else ""
+    since = " At Q = 0 it is not an oscillatory forward mode." if late else ""
     q = f"{1e-6 * one.border:.4g} N/µm ({units.number(one.border)} N/m)"
-    return f"At Q0, {q}, {mode}{other} loses its damping.{since} {asked}"
+    return f"At Q0, {q}, {mode}{other} becomes unstable.{since} {asked}"
 
 
 def comparison_table(comparison: Comparison) -> Table:
@@ -394,20 +398,26 @@ def _map_section(found: CriticalMap, speeds: tuple[float, float, float]) -> Sect
         ("rigid supports", *numbers(f"{number}", f"{standard.rpm(speed)}", "-"))
         for number, speed in enumerate(found.rigid, 1)
     )
-    columns = ("Supports as", "Critical speed", "At [rpm]", "Stiffness [N/µm]")
-    return Section(_MAPPED, text, (picture,), (Table("Where they meet", columns, rows),))
+    columns = ("Supports", "Critical speed", "Speed [rpm]", "Stiffness [N/µm]")
+    return Section(_MAPPED, text, (picture,), (Table("Intersections", columns, rows),))
 
 
 def _response_sections(result: Lateral) -> list[Section]:
     response = result.response
     assert response is not None
     limit = standard.vibration_limit(result.speeds[1] / standard.RPM)
-    text = _RESPONSE.format(count=len(response.speeds), error=f"{100 * response.widest:.2g} %")
+    text = _RESPONSE.format(
+        count=len(response.speeds),
+        first=standard.rpm(float(response.speeds[0])),
+        last=standard.rpm(float(response.speeds[-1])),
+        error=f"{100 * response.widest:.2g} %",
+    )
     pictures = tuple(
         Figure(
             f"{_FOR}{case.name}",
             figures.response_figure(response, result.speeds, k, limit, result.critical_speeds),
-            f"{case.why[0].upper()}{case.why[1:]}. Rings: critical speeds found in this placement.",
+            f"{case.why[0].upper()}{case.why[1:]}. "
+            "Circles: critical speeds found with this unbalance.",
         )
         for k, case in enumerate(response.cases)
     )
@@ -427,7 +437,7 @@ def _response_sections(result: Lateral) -> list[Section]:
     )
     table = Table(
         "Unbalance, twice the residual amount",
-        ("Placed for", "Position", "Amount", "Angle", "Of the load"),
+        ("Placed for", "Position", "Amount", "Angle", "Static load"),
         rows,
     )
     return [
@@ -457,14 +467,14 @@ def modes_table(result: Lateral) -> Table:
             )
         )
     return Table(
-        "Modes, with the largest shares of their log decrement",
+        "Modes, with the largest contributions to their log decrement",
         (
             "Mode",
             "Whirl",
             "Frequency [Hz]",
             "Log decrement",
             "Limit",
-            *(("Least found over the tolerances",) if sought else ()),
+            *(("Least found within the tolerances",) if sought else ()),
         ),
         tuple(rows),
     )
@@ -487,24 +497,29 @@ def clearance_table(result: Lateral) -> Table:
         for rub in result.rubs
     )
     columns = (
-        "Place",
+        "Location",
         "Diametral clearance [µm]",
-        _whole("Motion, scaled [um p-p]"),
+        _whole("Scaled motion [um p-p]"),
         "Static offset [µm]",
-        "At [rpm]",
-        "Taken [%]",
+        "Speed [rpm]",
+        "Of the clearance [%]",
         "Verdict",
     )
     capped, uncapped = result.scale
     note = (
-        f"Scale factor {capped:.3g} (uncapped {_number(uncapped)}); 75 % of the clearance may "
-        "be taken, unless the machine file says otherwise."
+        f"Scale factor {capped:.3g} (uncapped {_number(uncapped)}); permitted for motion and "
+        "static offset of both sides: 75 % of the diametral clearance, unless the machine file "
+        "says otherwise."
     )
-    return Table("Motion at the close clearances, from rest to trip", columns, rows, note)
+    title = "Motion at the close clearances"
+    if result.response is not None:
+        ends = result.response.speeds[[0, -1]]
+        title += f", {speeds_in_words(*map(float, ends))}"
+    return Table(title, columns, rows, note)
 
 
 def capacity_table(result: Lateral) -> Table:
-    """What lasts, what is left and the least margin of every axis."""
+    """Static load, capacity on both sides and the least margin of every axis."""
     rows: list[Row] = []
     for axis in result.capacities:
         parts = ", ".join(f"{name} {force:.4g} N" for name, force in axis.static)
@@ -523,15 +538,20 @@ def capacity_table(result: Lateral) -> Table:
         )
     columns = (
         "Axis",
-        "What lasts [N]",
-        "Its current [A]",
-        _whole("Left where it adds [N 0-p]"),
-        _whole("Other side [N 0-p]"),
+        "Static load [N]",
+        "Static current [A]",
+        _whole("Available along it [N 0-p]"),
+        _whole("Available against it [N 0-p]"),
         "Least margin [-]",
         "Verdict",
     )
     seals = any(name == SEALS for axis in result.capacities for name, _ in axis.static)
-    return Table("What each axis carries", columns, tuple(rows), _LASTS if seals else "")
+    return Table(
+        "Static load and capacity of each control axis",
+        columns,
+        tuple(rows),
+        _LASTS if seals else "",
+    )
 
 
 def load_table(machine: Machine) -> tuple[Table, ...]:
@@ -540,12 +560,12 @@ def load_table(machine: Machine) -> tuple[Table, ...]:
     for part in machine.effects:
         if not isinstance(part, Load):
             continue
-        time = "lasting"
+        time = "sustained"
         if part.duration is not None:
-            time = f"half a sine of {units.quantity(part.duration, 's')}"
+            time = f"half-sine of {units.quantity(part.duration, 's')}"
         elif part.frequency is not None:
             time = f"sine of {part.frequency / (2 * np.pi):.4g} Hz"
-        way = "worst" if part.direction is None else f"{np.degrees(part.direction):.4g} deg"
+        way = "worst case" if part.direction is None else f"{np.degrees(part.direction):.4g} deg"
         values = (f"{1e3 * part.position:.5g}", f"{part.force:.4g}", time, way)
         rows.append((part.name, part.kind, *numbers(*values)))
     reason = dict(machine.assumed).get("load", "")
@@ -555,10 +575,12 @@ def load_table(machine: Machine) -> tuple[Table, ...]:
         "Kind",
         "Position [mm]",
         _whole("Force [N 0-p]"),
-        "Over time",
+        "Time history",
         "Direction",
     )
-    return (Table("Loads of the machine file", columns, tuple(rows), note),) if rows else ()
+    return (
+        (Table("Loads specified in the machine file", columns, tuple(rows), note),) if rows else ()
+    )
 
 
 def assumed_table(machine: Machine) -> tuple[Table, ...]:
@@ -591,9 +613,9 @@ def demand_table(axis: AxisCapacity) -> Table:
         _whole("Force [N 0-p]"),
         _whole("Current [A 0-p]"),
         _whole("Voltage [V 0-p]"),
-        "Margin alone [-]",
+        "Margin without other loads [-]",
     )
-    return Table(f"What the loads take of axis {axis.axis}", columns, rows, _DEMANDS)
+    return Table(f"Demand on axis {axis.axis} by load", columns, rows, _DEMANDS)
 
 
 def _mark(passed: bool) -> str:

@@ -184,7 +184,7 @@ def place_rigid(layout: Layout, speed: float) -> tuple[UnbalanceCase, ...]:
     return tuple(
         case
         for name, line in shapes.items()
-        for case in _placed(layout, line, name, f"{name}, no mode rings", speed)
+        for case in _placed(layout, line, name, f"{name}, no oscillatory mode", speed)
     )
 
 
@@ -202,14 +202,14 @@ def _placed(
         outer = [
             (k, _mass_outboard(layout, right=bool(layout.overhang_right[k]))) for k in overhung
         ]
-        sets.append(("", "overhung antinode: mass outboard of the bearing", outer))
+        sets.append(("", "overhung antinode: amount for the mass outboard of the bearing", outer))
     if len(inside) == 1:
         whole = sum(journal.weight for journal in layout.journals)
-        why = "one antinode between the bearings: all journals' load"
+        why = "one antinode between the bearings: amount for the static load of all journals"
         sets.append((", between bearings" if overhung else "", why, [(inside[0], whole)]))
     elif inside:
         each = [(k, _nearest_load(layout, k)) for k in inside]
-        why = "antinodes between the bearings: load of the nearest journal"
+        why = "antinodes between the bearings: amounts for the static load of the nearest journal"
         sets.append((", between bearings" if overhung else "", why, each))
     return tuple(
         UnbalanceCase(
