@@ -247,6 +247,10 @@ CASES = {
         lambda m: stage(power=200.0),
         r'wheel of 300 mm in diameter takes 200 W, where 1,000 W and more .*write "200 kW"',
     ),
+    "width": (
+        lambda m: stage(width=0.0016),
+        r"wheel is 1.6 mm wide and 300 mm in diameter, .*check the unit of its width",
+    ),
     "rated speed": (
         lambda m: stage(speed=12000.0),
         r"wheel is rated at 114,592 rpm, where the machine turns at 6,000 to 12,000 rpm; "
@@ -283,6 +287,7 @@ SOUND = {
     ),
     "fan": lambda m: seal(pressure(m, 2e3), reference_pressure=2e3),
     "small wheel": lambda m: stage(power=300.0, diameter=0.04, width=0.003),
+    "narrow wheel": lambda m: stage(width=0.003),
     "slow stage": lambda m: stage(speed=200 * math.pi),
     "shock": lambda m: replace(
         m, effects=(*m.effects, Load("shock", 0.4, kind="static", force=5e3))

@@ -39,6 +39,9 @@ _BEYOND = 5.0
 # [W] that an impeller of _IMPELLER [m] takes at least, others by the square of the diameter: a
 # blower of that size in air takes kilowatts, and kilowatts written as watts are a thousandth
 _POWER, _IMPELLER = 1e3, 0.1
+# of its diameter, that a stage is wide at least: impellers for the smallest flow have 0.01, usual
+# ones and blades 0.02 to 0.2; centimetres written as millimetres are a tenth
+_NARROW = 0.006
 # between a stage's rated speed and the machine's: about the root of 9.55 rpm per rad/s, half way to
 # a mistaken unit
 _SPEEDS = 3.0
@@ -256,6 +259,12 @@ def _stage(machine: Machine, stage: Stage) -> Iterator[str]:
             f"stage {stage.name} of {1e3 * stage.diameter:,.4g} mm in diameter takes "
             f"{stage.power:,.4g} W, where {least:,.0f} W and more are usual; a bare number is "
             f'in watts: write "{stage.power:g} kW" if that is meant'
+        )
+    if stage.width < _NARROW * stage.diameter:
+        yield (
+            f"stage {stage.name} is {1e3 * stage.width:,.3g} mm wide and "
+            f"{1e3 * stage.diameter:,.4g} mm in diameter, where a hundredth of that and more is "
+            "usual; check the unit of its width"
         )
     if not speeds[0] / _SPEEDS <= stage.speed <= _SPEEDS * speeds[-1]:
         span = " to ".join(dict.fromkeys(f"{x * _RPM:,.6g}" for x in (speeds[0], speeds[-1])))
