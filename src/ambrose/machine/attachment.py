@@ -59,8 +59,10 @@ class Attachment:
     may carry a tolerance: name -> (dimension, the components that can be named alone). most: how
     many entries a machine may have. on_stator: whether what it acts against moves with a support
     or a casing mode that names it; otherwise it acts against the ground. carries: whether it
-    carries the rotor as a radial bearing does, so that a machine may do without magnets. reach: of
-    its mark in the drawing of the rotor, above the shaft [pixels]. axis(machine): the machine of
+    carries the rotor as a radial bearing does, so that a machine may do without magnets. symbol,
+    reach: its mark in the drawing of the rotor, a "spring" for what carries or restrains the shaft,
+    else "probe", "clearance", "load", "stage" or "mark", and how far it reaches above the shaft
+    [pixels]. axis(machine): the machine of
     an axis of its own that the effect holds; None: it holds none.
     """
 
@@ -72,6 +74,7 @@ class Attachment:
     most: int = _MOST
     on_stator: bool = False
     carries: bool = False
+    symbol: str = "spring"
     reach: float = 26.0
     axis: Callable[[Any], Any] | None = None
 

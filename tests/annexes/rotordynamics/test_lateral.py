@@ -424,6 +424,34 @@ def test_readings_far_below_the_limit_keep_their_shape_and_the_limit_is_told():
         assert any(f"AF {separation.critical.amplification:.3g}" in word for word in words)
 
 
+def test_words_at_near_critical_speeds_stand_above_each_other():
+    """Speed and factor of two peaks overprinted each other."""
+    result = amb.lateral(films(), trip=6300 * RPM)
+    (row, probe, name), *_ = result.critical_speeds
+    beside = replace(row, critical=replace(row.critical, speed=1.05 * row.critical.speed))
+    far = replace(row, critical=replace(row.critical, speed=row.critical.speed / 4))
+    found = [(item, probe, name) for item in (far, row, beside, row)]
+    case = next(k for k, c in enumerate(result.response.cases) if c.name == name)
+    figure = response_figure(result.response, result.speeds, case, 1.0, found)
+    shifts = [note.yshift for note in figure.layout.annotations if "AF" in note.text]
+    assert shifts == [5, 5, 19, 33]
+
+
+def test_the_phase_axis_has_few_steps_however_many_turns_it_lags():
+    result = amb.lateral(films(), trip=6300 * RPM)
+    response = SimpleNamespace(
+        fine=result.response.fine,
+        cases=result.response.cases,
+        layout=result.response.layout,
+        all_readings=result.response.all_readings,
+        read=result.response.read,
+        phase_lag=lambda item, case: 8 * result.response.phase_lag(item, case),
+    )
+    for one, dtick in ((result.response, 90), (response, 360)):
+        figure = response_figure(one, result.speeds, 0, 1.0)
+        assert figure.layout.yaxis.dtick == dtick
+
+
 def test_a_controller_without_a_rate_fails_where_a_rate_would_lose_it():
     """All 14 rows of the turboexpander held for a law that no program runs: at 10 kHz and one
     sample late its loop is unstable, and the page's head said that all rows hold.

@@ -23,6 +23,8 @@ _KINDS = {PART: "part of it: seals, stages"}
 _SHADES = ("#d55e00", "#009e73", "#cc79a7", "#e69f00")
 _FAR = 3.0  # a limit this many times above the readings would press them to the ground
 _EVERY = 5  # of the fine grid: enough for the eye
+# [px], of a narrow page: plot of the response, a letter and a line of its words
+_WIDE, _HIGH, _LETTER, _LINE = 600.0, 200.0, 6.5, 14.0
 _ONE = {"row": 1, "col": 1}
 _TOP, _LOW = _ONE, {"row": 2, "col": 1}
 
@@ -74,7 +76,8 @@ def response_figure(
         highest = max(highest, limit)
         theme.guide(figure, _LOW, [rpm[0], rpm[-1]], [limit, limit], color=theme.LIMIT, width=1.4)
         theme.note(figure, _LOW, "vibration limit", rpm[0], limit, "left", "bottom")
-    _peaks(figure, [item for item in found if item[2] == response.cases[case].name])
+    own = [item for item in found if item[2] == response.cases[case].name]
+    _peaks(figure, own, float(rpm[-1] - rpm[0]), highest)
     marks = {lowest: "lowest", top: "highest running"}
     marks[trip] = "highest running, trip" if trip == top else "trip"
     for speed, word in marks.items():
@@ -86,13 +89,21 @@ def response_figure(
     theme.dress(figure, 360, legend=True, lines=1)
     figure.update_xaxes(range=[float(rpm[0]), float(rpm[-1])])
     figure.update_xaxes(title_text="Speed [rpm]", **_LOW)
-    figure.update_yaxes(title_text="Lag [°]", dtick=90, **_TOP)
+    # four steps or so: readings that lag by several turns crowd a step of 90 degrees
+    steps = (max(lags) - min(lags)) / 4
+    dtick = next((step for step in (90, 180, 360, 720) if step >= steps), 1440)
+    figure.update_yaxes(title_text="Lag [°]", dtick=dtick, **_TOP)
     figure.update_yaxes(title_text="Reading [µm p-p]", rangemode="tozero", **_LOW)
     return figure
 
 
-def _peaks(figure: Any, found: Sequence[tuple[Separation, str, str]]) -> None:
-    """A ring at every critical speed, with its speed and amplification factor."""
+def _peaks(
+    figure: Any, found: Sequence[tuple[Separation, str, str]], width: float, height: float
+) -> None:
+    """A ring at every critical speed, with its speed and amplification factor; words that would
+    overprint stand above each other. width [rpm], height [um]: of the plot.
+    """
+    placed: list[tuple[float, float, float]] = []  # middle, foot and half the width [px]
     for item, name, _ in found:
         peak = item.critical
         x, y = peak.speed / standard.RPM, 2 * UM * peak.amplitude
@@ -106,7 +117,15 @@ def _peaks(figure: Any, found: Sequence[tuple[Separation, str, str]]) -> None:
             marker={"size": 9, "color": theme.INK, "symbol": "circle-open"},
             hovertemplate=f"{theme.plain(name)}: %{{y:.3g}} µm p-p<extra></extra>",
         )
-        theme.note(figure, _LOW, f"{x:.5g} rpm{factor}", x, y, "center", "bottom", yshift=5)
+        words = f"{x:.5g} rpm{factor}"
+        half, shift = _LETTER * len(words) / 2, 5.0
+        middle, foot = _WIDE * x / width, _HIGH * y / height
+        for other, ground, reach in sorted(placed, key=lambda row: row[1]):
+            apart = abs(middle - other) - half - reach
+            if apart < 0 and abs(foot + shift - ground) < _LINE:
+                shift = ground + _LINE - foot
+        placed.append((middle, foot + shift, half))
+        theme.note(figure, _LOW, words, x, y, "center", "bottom", yshift=round(shift))
 
 
 def critical_map_figure(found: CriticalMap, speeds: tuple[float, float, float]) -> Any:

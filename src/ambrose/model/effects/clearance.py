@@ -53,6 +53,7 @@ CLEARANCE = Effect(
     part=Clearance,
     findings=_findings,
     most=100,
-    reach=34.0,
+    symbol="clearance",
+    reach=10.0,
     reaction=no_reaction,
 )

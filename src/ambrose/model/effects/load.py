@@ -60,6 +60,7 @@ LOAD = Effect(
     part=Load,
     findings=_findings,
     most=20,
+    symbol="load",
     reach=34.0,
     reaction=no_reaction,
 )

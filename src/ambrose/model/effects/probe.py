@@ -35,4 +35,6 @@ def no_reaction(part: Part, point: OperatingPoint) -> Reaction:
     return Reaction(np.zeros((2, 2)), np.zeros((2, 2)))
 
 
-PROBE = Effect(table="probe", part=Probe, most=MOST, reach=34.0, reaction=no_reaction)
+PROBE = Effect(
+    table="probe", part=Probe, most=MOST, symbol="probe", reach=17.0, reaction=no_reaction
+)

@@ -45,13 +45,14 @@ _SEES = {"bearing": "square", "sensor": "circle-open", "seal": "diamond"}  # on 
 @dataclass(frozen=True, slots=True)
 class Station:
     """A named place on the rotor [mm]: what, where, and how far its symbol reaches from the centre
-    line.
+    line; symbol: of a registered effect.
     """
 
     kind: str
     name: str
     position: float
     reach: float
+    symbol: str = ""
 
 
 def machine_drawing(machine: Machine, bending_modes: int = 2) -> Any:
@@ -169,6 +170,20 @@ def _radius_at(machine: Machine, position: float) -> float:
     return max(at, default=0.0)
 
 
+def _surface(machine: Machine, position: float) -> float:
+    """The outermost radius [mm] of the rotor at an axial position [mm]: shaft, or disc of known
+    size.
+    """
+    radius = _radius_at(machine, position)
+    for disc in machine.discs:
+        size = equivalent_cylinder(disc)
+        if size is not None and abs(disc.position * 1e3 - position) <= max(
+            size[1] * 500, machine.length * 2.5
+        ):
+            radius = max(radius, size[0] * 1e3)
+    return radius
+
+
 def _stations(machine: Machine, pixel: float) -> list[Station]:
     """All named places, bearings first; the reach of the symbols is chosen on the page, not on the
     machine.
@@ -176,14 +191,20 @@ def _stations(machine: Machine, pixel: float) -> list[Station]:
     known = [("bearing", b.name, b.position, 30.0) for b in machine.bearings]
     known += [("sensor", s.bearing, s.position, 17.0) for s in machine.sensors]
     known += [("seal", s.name, s.position, 18.0) for s in machine.seals]
-    known += [
-        (effect.table, station.name, station.position, effect.reach)
-        for effect, part in attached(machine)
-        for station in effect.stations(part)
-    ]
     stations = [
         Station(k, n, p * 1e3, _radius_at(machine, p * 1e3) + 4 * pixel + r * pixel)
         for k, n, p, r in known
+    ]
+    stations += [
+        Station(
+            effect.table,
+            station.name,
+            station.position * 1e3,
+            _surface(machine, station.position * 1e3) + (4 + effect.reach) * pixel,
+            effect.symbol,
+        )
+        for effect, part in attached(machine)
+        for station in effect.stations(part)
     ]
     for disc in machine.discs:
         size = equivalent_cylinder(disc)
@@ -248,13 +269,10 @@ def _symbol(figure: Any, machine: Machine, station: Station, pixel: float, room:
             reach,
         ]
         outlines = [(list(x + teeth), [float(v) for v in levels])]
-    elif station.kind not in _KINDS:  # a registered effect: a spring to ground, below only
-        turns = np.linspace(-gap, -reach, 9)
-        side = np.array([0, 0, 5, -5, 5, -5, 5, 0, 0]) * pixel
-        theme.guide(figure, {}, list(x + side), list(turns), color=colour, width=1.3)
-        theme.guide(
-            figure, {}, [x - 9 * pixel, x + 9 * pixel], [-reach, -reach], color=colour, width=2.5
-        )
+    elif station.kind not in _KINDS:  # a registered effect: below only
+        near = _surface(machine, x) + 3 * pixel
+        for xs, ys, width in _effect_symbol(station.symbol, x, near, reach, pixel):
+            theme.guide(figure, {}, list(xs), list(ys), color=colour, width=width)
         return
     elif reach > _radius_at(machine, x) + pixel and not _has_size(
         machine, station.name
@@ -270,6 +288,42 @@ def _symbol(figure: Any, machine: Machine, station: Station, pixel: float, room:
     for xs, ys in outlines:
         for sign in (1, -1):
             theme.scatter(figure, {}, xs, [sign * y for y in ys], **look)
+
+
+def _effect_symbol(
+    symbol: str, x: float, gap: float, reach: float, pixel: float
+) -> list[tuple[Any, Any, float]]:
+    """Lines (x, y, width) of a registered effect's symbol below the rotor, from gap to reach [mm];
+    a spring to the ground alone carries or restrains the shaft.
+    """
+    if symbol == "probe":  # the outline of a sensor
+        a = 5 * pixel
+        sides = [x, x - a, x - a, x + a, x + a, x]
+        return [(sides, [-gap, -gap - a, -reach, -reach, -gap - a, -gap], 1.3)]
+    if symbol == "clearance":  # the edge of the part that stands still
+        a = 7 * pixel
+        hatch = [
+            ([x + k * pixel, x + (k - 4) * pixel], [-gap - pixel, -gap - 6 * pixel], 0.9)
+            for k in (-3, 2, 7)
+        ]
+        return [([x - a, x + a], [-gap, -gap], 2.5), *hatch]
+    if symbol == "load":  # an arrow at the shaft
+        a = 4 * pixel
+        head = ([x - a, x, x + a], [-gap - 2 * a, -gap, -gap - 2 * a], 1.6)
+        return [([x, x], [-gap, -reach], 1.6), head]
+    if symbol == "stage":  # a circle that turns: it drives whirl
+        turn, radius = np.linspace(-0.35 * np.pi, 1.35 * np.pi, 25), (reach - gap) / 2
+        xs, ys = x + radius * np.cos(turn), -gap - radius + radius * np.sin(turn)
+        a = 4 * pixel
+        head = ([xs[-1] - a, xs[-1], xs[-1] - a], [ys[-1] - a, ys[-1], ys[-1] + a], 1.3)
+        return [(xs, ys, 1.3), head]
+    if symbol == "mark":
+        a = (reach - gap) / 2
+        ys = [-gap, -gap, -reach, -reach, -gap]
+        return [([x - a, x + a, x + a, x - a, x - a], ys, 1.3)]
+    turns = np.linspace(-gap, -reach, 9)
+    side = np.array([0, 0, 5, -5, 5, -5, 5, 0, 0]) * pixel
+    return [(x + side, turns, 1.3), ([x - 9 * pixel, x + 9 * pixel], [-reach, -reach], 2.5)]
 
 
 def _has_size(machine: Machine, name: str) -> bool:
