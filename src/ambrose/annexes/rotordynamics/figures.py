@@ -24,7 +24,8 @@ _SHADES = ("#d55e00", "#009e73", "#cc79a7", "#e69f00")
 _FAR = 3.0  # a limit this many times above the readings would press them to the ground
 _EVERY = 5  # of the fine grid: enough for the eye
 # [px], of a narrow page: plot of the response, a letter and a line of its words
-_WIDE, _HIGH, _LETTER, _LINE = 600.0, 200.0, 6.5, 14.0
+_WIDE, _HIGH = 600.0, 200.0
+_LETTER, _LINE = 6.5, 14.0
 _ONE = {"row": 1, "col": 1}
 _TOP, _LOW = _ONE, {"row": 2, "col": 1}
 

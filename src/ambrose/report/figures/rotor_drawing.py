@@ -319,8 +319,8 @@ def _effect_symbol(
         return [(xs, ys, 1.3), head]
     if symbol == "mark":
         a = (reach - gap) / 2
-        ys = [-gap, -gap, -reach, -reach, -gap]
-        return [([x - a, x + a, x + a, x - a, x - a], ys, 1.3)]
+        square = [-gap, -gap, -reach, -reach, -gap]
+        return [([x - a, x + a, x + a, x - a, x - a], square, 1.3)]
     turns = np.linspace(-gap, -reach, 9)
     side = np.array([0, 0, 5, -5, 5, -5, 5, 0, 0]) * pixel
     return [(x + side, turns, 1.3), ([x - 9 * pixel, x + 9 * pixel], [-reach, -reach], 2.5)]
