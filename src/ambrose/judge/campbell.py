@@ -80,9 +80,8 @@ def campbell(
 
 def _ringing(plant: Plant, controller: LawLike | None) -> Modes:
     """Every oscillating mode of the plant or of its closed loop."""
-    eigenmodes = modes(
-        plant.system if controller is None else closed_loop(plant, controller), plant.ports
-    )
+    loop = plant.system if controller is None else closed_loop(plant, controller)
+    eigenmodes = modes(loop, plant.ports, plant.system)
     return eigenmodes[eigenmodes.poles.imag > 0]
 
 

@@ -270,10 +270,10 @@ def _maps(
         if span[1] <= span[0] or (over not in reach and reach):
             continue
 
-        def loop_at(value: float, over: str = over) -> StateSpace:
+        def loop_at(value: float, over: str = over) -> tuple[StateSpace, StateSpace]:
             key = "speed" if over == "speed" else "seal_pressure"
             plant = assemble(machine, replace(at, label="", **{key: value}))
-            return closed_loop(plant, running_law(law, plant, timing))
+            return closed_loop(plant, running_law(law, plant, timing)), plant.system
 
         progress(f"poles over {over}")
         values, last = np.linspace(*span, _VALUES), ""

@@ -65,7 +65,7 @@ def glance(plant: Plant, given: LawLike, timing: Timing | None) -> Glance:
     if law.dt is not None:
         highest = min(highest, np.pi / law.dt)
     closed = closed_loop(plant, law)
-    poles = modes(closed, plant.ports).poles
+    poles = modes(closed, plant.ports, plant.system).poles
     response = loop_evaluator(plant, law)(frequency_grid(poles, _LOWEST, highest, _PER_DECADE))
     curve = sensitivity_curve(response, requirements)
     largest = replace(curve, y=curve.y.max(axis=0)[None], labels=(LARGEST,))

@@ -64,7 +64,7 @@ def check(
     controller = match_controller(controller, plant)
     tell("closed-loop poles", 0.0)
     closed = closed_loop(plant, controller)
-    eigenmodes = modes(closed, plant.ports)
+    eigenmodes = modes(closed, plant.ports, plant.system)
     speed = max(top_speed(plant.machine), plant.point.speed)
     checks: list[Check] = pole_checks(eigenmodes, requirements, speed)
     curves: list[Curve] = [pole_curve(eigenmodes)]

@@ -15,10 +15,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg as sla
 
+from ambrose.core.aliasing import continuous_poles
 from ambrose.core.checks import named_failure
-from ambrose.core.statespace import StateSpace, balance, index_of
+from ambrose.core.statespace import StateSpace, index_of
 from ambrose.judge.checks import Check, Curve
 from ambrose.judge.criteria import information, judge
 from ambrose.machine.criteria import SENSITIVITY_RANGE, TWO_PI, Demand, demand
@@ -36,6 +36,7 @@ _ROUNDING = 1e-9  # relative, so that the mode that sets a limit lies within it
 # |Im|/|pole| up to which a pole is real: rounding splits a double real pole by about the root of
 # 1e-16
 _REAL = 1e-7
+_KILO = 9999.5  # Hz: from here four digits do not reach the unit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,26 +93,27 @@ def direction(whirl: float) -> str:
 
 
 @named_failure("the modes of the loop")
-def modes(system: StateSpace, ports: tuple[str, ...]) -> Modes:
-    """Eigenvalues of the system and the displacement shapes at its outputs q_<port>; sampled poles
-    are mapped by ln(z)/dt.
+def modes(
+    system: StateSpace, ports: tuple[str, ...], plant: StateSpace | None = None
+) -> Modes:
+    """Eigenvalues of the system and the displacement shapes at its outputs q_<port>.
+
+    plant: the continuous system that a sampled loop was closed around (``law.loop.closed_loop``):
+    sampled poles are mapped by ln(z)/dt, those of the plant's modes above half the sample rate on
+    the branch of their true frequency (core/aliasing.py); None: all within half the sample rate.
 
     Whirl: with X, Y a port pair's complex amplitudes, (|X + jY|^2 - |X - jY|^2) / (sum of both),
     summed over the pairs; spin is positive from the first direction to the second.
     """
-    # x = diag(t) x_s: the same eigenvalues, eigenvectors t times those of the balanced matrix
-    A, t = balance(system.A)
-    values, vectors = sla.eig(A)
-
-    # s = ln(z)/dt; a pole at z = 0 (a delay) is put at the smallest number, far left
-    if system.dt is not None:
-        values = np.log(np.where(values == 0, np.finfo(float).tiny, values)) / system.dt
+    values, vectors = continuous_poles(
+        system.A, system.dt, None if plant is None else plant.A
+    )
     real = np.abs(values.imag) <= _REAL * np.abs(values)
     values = np.where(real, values.real, values)
     keep = values.imag >= 0
     values, vectors = values[keep], vectors[:, keep]
     order = np.lexsort((values.imag, np.abs(values)))
-    values, vectors = values[order], vectors[:, order] * t[:, None]
+    values, vectors = values[order], vectors[:, order]
     shapes = system.C[index_of([f"q_{port}" for port in ports], system.outputs, "output")] @ vectors
     return Modes(values, whirl_measure(shapes, ports), shapes, ports)
 
@@ -212,7 +214,9 @@ def describe(eigenmodes: Modes, k: int) -> str:
 
 
 def _place(eigenmodes: Modes, k: int) -> str:
-    return f"{eigenmodes.frequency[k] / TWO_PI:.4g} Hz {direction(eigenmodes.whirl[k])}"
+    hertz = eigenmodes.frequency[k] / TWO_PI
+    place = f"{hertz:.4g} Hz" if hertz < _KILO else f"{hertz / 1e3:.4g} kHz"
+    return f"{place} {direction(eigenmodes.whirl[k])}"
 
 
 def _stability_detail(eigenmodes: Modes, worst: int) -> str:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ambrose.core.aliasing import continuous_poles
 from ambrose.core.checks import AmbroseError
 from ambrose.core.frequency import frequency_response
 from ambrose.core.scheduled import ScheduledSystem
@@ -279,8 +280,6 @@ def why_unstable(
 def _rightmost(plant: Plant, law: StateSpace) -> tuple[float, float]:
     """Real part [rad/s] and frequency [Hz] of the rightmost pole of the loop."""
     loop = closed_loop(plant, law)
-    values = np.linalg.eigvals(loop.A).astype(complex)
-    if loop.dt is not None:
-        values = np.log(np.where(values == 0, np.finfo(float).tiny, values)) / loop.dt
+    values = continuous_poles(loop.A, loop.dt, plant.system.A)[0]
     worst = values[np.argmax(values.real)]
     return float(worst.real), float(abs(worst.imag) / _TWO_PI)

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.linalg import lu_factor, lu_solve
 
 from ambrose.annexes.rotordynamics.stations import Layout
+from ambrose.core.aliasing import continuous_poles
 from ambrose.core.checks import NumericalFailure
 from ambrose.core.statespace import StateSpace
 from ambrose.law.law import LawLike, law_of
@@ -140,9 +141,7 @@ class ShaftLoop:
         else:
             system = replace_system(self.plant.system, self.A)
             loop = closed_loop(replace(self.plant, system=system), self.law)
-            values = np.linalg.eigvals(loop.A)
-            if loop.dt is not None:
-                values = np.log(np.where(values == 0, np.finfo(float).tiny, values)) / loop.dt
+            values = continuous_poles(loop.A, loop.dt, system.A)[0]
         kept = values[values.imag >= 0]
         return kept[np.argsort(np.abs(kept))]
 

@@ -1,7 +1,8 @@
 """Poles of a closed loop while one thing changes: speed, pressure, or a parameter over its
 tolerance; where stability ends.
 
-Poles of a sampled loop are shown as those of the continuous one that it samples, log(z)/dt. At each
+Poles of a sampled loop are shown as those of the continuous one that it samples, log(z)/dt, and
+modes of the plant above half the sample rate at their true frequency (core/aliasing.py). At each
 value the plant is assembled anew. The ends of stability between two values are found by bisection;
 what comes and goes between them is not seen.
 """
@@ -14,13 +15,16 @@ from itertools import pairwise
 
 import numpy as np
 
+from ambrose.core.aliasing import continuous_poles
 from ambrose.core.checks import invalid
 from ambrose.core.presentation import Presented
-from ambrose.core.statespace import StateSpace, poles
+from ambrose.core.statespace import StateSpace, spectral_abscissa
 from ambrose.judge.rotor_modes import damping_ratio
 
-_DEEP = 1e-12  # moduli of z below are delays, at no finite s
+_DEEP = float(np.log(1e-12))  # ln|z| below which a pole is a delay, at no finite s
 _BISECTIONS = 12  # a 4096th of the distance between two values
+
+LoopAt = Callable[[float], tuple[StateSpace, StateSpace]]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -46,21 +50,22 @@ class PoleMap(Presented):
 
 
 def pole_map(
-    loop_at: Callable[[float], StateSpace],
+    loop_at: LoopAt,
     over: str,
     unit: str,
     values: Sequence[float],
     highest: float,
 ) -> PoleMap:
-    """The poles of ``loop_at(value)`` over ascending values, at least two. highest [rad/s]: modulus
-    of the poles kept. Raises InvalidInput.
+    """The poles of ``loop_at(value)`` over ascending values, at least two. loop_at: the loop and
+    the continuous plant that it was closed around, whose states are the loop's first; highest
+    [rad/s]: modulus of the poles kept. Raises InvalidInput.
     """
     x = np.asarray(values, dtype=float)
     if x.ndim != 1 or len(x) < 2 or (np.diff(x) <= 0).any():
         raise invalid(
             f"the values of {over}", f"{x.size} values", "at least two, ascending", "give a range"
         )
-    poles = [_continuous(loop_at(float(value))) for value in x]
+    poles = [_continuous(*loop_at(float(value))) for value in x]
     kept = tuple(p[(p.imag >= 0) & (np.abs(p) <= highest)] for p in poles)
     abscissa = np.array([float(p.real.max()) for p in poles])
     rings = [p[p.imag > 1e-6 * np.abs(p)] for p in kept]
@@ -75,17 +80,16 @@ def pole_map(
     return PoleMap(over, unit, x, kept, abscissa, damping, ends)
 
 
-def _continuous(system: StateSpace) -> np.ndarray:
-    p = poles(system).astype(complex)
-    return p if system.dt is None else np.asarray(np.log(p[np.abs(p) > _DEEP]) / system.dt)
+def _continuous(loop: StateSpace, plant: StateSpace) -> np.ndarray:
+    p = continuous_poles(loop.A, loop.dt, plant.A)[0].astype(complex)
+    p = p if loop.dt is None else p[p.real > _DEEP / loop.dt]
+    return p[np.lexsort((p.imag, p.real, np.abs(p)))]
 
 
-def _end(
-    loop_at: Callable[[float], StateSpace], low: float, high: float, stable_below: bool
-) -> float:
+def _end(loop_at: LoopAt, low: float, high: float, stable_below: bool) -> float:
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        if (_continuous(loop_at(middle)).real.max() < 0) == stable_below:
+        if (spectral_abscissa(loop_at(middle)[0]) < 0) == stable_below:
             low = middle
         else:
             high = middle

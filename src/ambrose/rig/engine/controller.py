@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from ambrose.core.aliasing import continuous_poles
 from ambrose.core.checks import check_positive, invalid, same_clock
 from ambrose.core.sampling import c2d, delayed
 from ambrose.core.statespace import StateSpace
@@ -195,6 +196,4 @@ def closed_loop_poles(
     else:
         loop[:n, : n + m] += Bd @ out
         loop = loop[: n + m, : n + m]
-    # s = ln(z)/dt; a pole at zero far to the left
-    values = np.linalg.eigvals(loop)
-    return np.log(np.where(np.abs(values) < 1e-12, 1e-12, values).astype(complex)) / dt
+    return continuous_poles(loop, dt, A)[0]
