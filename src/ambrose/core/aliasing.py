@@ -14,12 +14,18 @@ z of the loop, w v = 1. The participation of the plant's mode i in the pole is
 which no scaling and no choice of states changes; over the plant's modes and the controller's
 states the participations of a pole add up to 1 (Perez-Arriaga, Verghese & Schweppe 1982).
 
-The rule: where the plant's modes above half the sample rate take more part in a pole than all else
-together, Re sum p_i > 1/2, that is |sum p_i| > |1 - sum p_i|, the motion is theirs, and the pole
-is s = log(z)/T + 2 pi j k/T on the branch of that one of them that takes the largest part. All
-other poles stay on the first branch. So does every pole that the loop has made as much its own as
-the plant's: nothing is hidden, and no pole leaves its place for a frequency it does not share. The
-real part ln|z|/T, which decides stability, is the same on every branch.
+They are also the derivatives dz/d e^{lambda_i T}. The rule:
+
+- Where the modes above half the sample rate take more part in a pole than all else together, Re
+  sum p_i > 1/2, that is |sum p_i| > |1 - sum p_i|, it belongs to that one of them, lambda_i, which
+  takes the largest part. Its own place is s = log(z)/T + 2 pi j k/T on the branch of lambda_i.
+- A pole that the loop has not moved from there by more than half of the mode's own decay, |s -
+  lambda_i| <= |Re lambda_i|/2, is read there: it is the plant's mode, as damped as without control.
+- One that the loop has moved by more stays within half the sample rate, where the controller sees
+  it and answers: what the loop does to it is judged, not hidden. Unless it is unstable: then it
+  is read at its own place again, for a verdict should name the mode that is lost.
+
+The real part ln|z|/T, which decides stability, is the same on every branch.
 """
 
 from __future__ import annotations
@@ -33,35 +39,54 @@ from ambrose.core.statespace import balance
 
 # |z| below which a pole is overdamped wherever it is read: -ln 0.001 is 2.2 times pi
 _DEEP = 1e-3
-_HALF = 0.5  # of a pole: see the rule above
+_HALF = 0.5  # of a pole, and of a mode's decay: see the rule above
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FastModes:
     """A plant's modes above half the sample rate, as parts of the state of a loop around it.
 
-    poles (h,) [rad/s] of the continuous plant, both of every pair; right (n, h) and left (h, n):
-    their eigenvectors in the loop's first n states, left @ right = I.
+    dt [s]: the sample time; poles (h,) [rad/s] of the continuous plant, both of every pair; right
+    (n, h) and left (h, n): their eigenvectors in the loop's first n states, left @ right = I.
     """
 
+    dt: float
     poles: np.ndarray
     right: np.ndarray
     left: np.ndarray
 
-    def participation(self, vectors: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """p (k, h) of every mode in every pole of a loop with the right eigenvectors ``vectors``
-        (N, k) and the left ones ``rows`` (k, N), rows @ vectors = I.
-        """
-        n = len(self.right)
-        return np.asarray((rows[:, :n] @ self.right) * (self.left @ vectors[:n]).T)
+    def read(
+        self, values: np.ndarray, vectors: np.ndarray, rows: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Which poles are read at these modes' frequencies (k,), and all where they are read (k,)
+        [rad/s], by the rule of this file's head.
 
-    def own(self, vectors: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Which poles are these modes' (k,), by the rule of this file's head."""
-        return np.asarray(self.participation(vectors, rows).sum(axis=1).real > _HALF)
+        values (k,): log(z)/dt of poles of a loop; vectors (N, k) and rows (k, N): their right and
+        left eigenvectors, rows @ vectors = I.
+        """
+        # participations (k, h)
+        n = len(self.right)
+        part = (rows[:, :n] @ self.right) * (self.left @ vectors[:n]).T
+        theirs = self.poles[np.abs(part).argmax(axis=1)]
+
+        # s = log(z)/T + 2 pi j k/T with the k that comes nearest to the mode
+        turns = np.rint((theirs.imag - values.imag) * self.dt / (2 * np.pi))
+        s = values + 2j * np.pi * turns / self.dt
+        kept = np.abs(s - theirs) <= _HALF * np.abs(theirs.real)
+        own = (part.sum(axis=1).real > _HALF) & (kept | (s.real >= 0))
+
+        # a pole on the real axis stands for e^{j 2 pi k/T} and for its conjugate alike
+        s = np.where((values.imag == 0) & (s.imag < 0), s.conj(), s)
+        return own, np.where(own, s, values)
 
     def scaled(self, t: np.ndarray) -> FastModes:
         """The same for states x_s with x = diag(t) x_s, t (n,)."""
-        return FastModes(self.poles, self.right / t[:, None], self.left * t)
+        return FastModes(self.dt, self.poles, self.right / t[:, None], self.left * t)
+
+    def behind(self, count: int) -> FastModes:
+        """The same in a loop that has ``count`` other states before the plant's."""
+        right = np.pad(self.right, ((count, 0), (0, 0)))
+        return FastModes(self.dt, self.poles, right, np.pad(self.left, ((0, 0), (count, 0))))
 
 
 def fast_modes(A: np.ndarray, dt: float) -> FastModes | None:
@@ -78,7 +103,7 @@ def fast_modes(A: np.ndarray, dt: float) -> FastModes | None:
 
     # left @ right is diagonal but for modes that coincide, as those of two planes alike
     left = _divided(left @ right, left)
-    return FastModes(values[fast], right * t[:, None], left / t)
+    return FastModes(dt, values[fast], right * t[:, None], left / t)
 
 
 def continuous_poles(
@@ -96,31 +121,22 @@ def continuous_poles(
     if dt is None or fast is None:
         values, vectors = sla.eig(A)
         if dt is not None:
-            values = _logarithm(values, dt)
+            values = logarithm(values, dt)
         return values, vectors * t[:, None]
     z, left, vectors = sla.eig(A, left=True)
-    values = _logarithm(z, dt)
+    values = logarithm(z, dt)
 
     # Rows of the left eigenvectors, left @ vectors = I; those of delays, which hardly divide, are
     # left out: they are read alike on every branch.
     shallow = np.flatnonzero(np.abs(z) > _DEEP)
     right, rows = vectors[:, shallow], left[:, shallow].conj().T
     rows = _divided(rows @ right, rows)
-    part = fast.scaled(t[: len(fast.right)]).participation(right, rows)
-    own = part.sum(axis=1).real > _HALF
-    nearest = fast.poles[np.abs(part[own]).argmax(axis=1)]
-
-    # s = log(z)/T + 2 pi j k/T with the k that comes nearest to the plant's mode
-    turns = np.rint((nearest.imag - values[shallow[own]].imag) * dt / (2 * np.pi))
-    moved = values[shallow[own]] + 2j * np.pi * turns / dt
-
-    # A pole on the real axis stands for e^{j 2 pi k/T} and for its conjugate alike.
-    single = z[shallow[own]].imag == 0
-    values[shallow[own]] = np.where(single & (moved.imag < 0), moved.conj(), moved)
+    _, values[shallow] = fast.scaled(t[: len(fast.right)]).read(values[shallow], right, rows)
     return values, vectors * t[:, None]
 
 
-def _logarithm(z: np.ndarray, dt: float) -> np.ndarray:
+def logarithm(z: np.ndarray, dt: float) -> np.ndarray:
+    """log(z)/dt [rad/s] within half the sample rate; z = 0 (a delay) far to the left."""
     return np.asarray(np.log(np.where(z == 0, np.finfo(float).tiny, z)) / dt)
 
 

@@ -93,9 +93,7 @@ def direction(whirl: float) -> str:
 
 
 @named_failure("the modes of the loop")
-def modes(
-    system: StateSpace, ports: tuple[str, ...], plant: StateSpace | None = None
-) -> Modes:
+def modes(system: StateSpace, ports: tuple[str, ...], plant: StateSpace | None = None) -> Modes:
     """Eigenvalues of the system and the displacement shapes at its outputs q_<port>.
 
     plant: the continuous system that a sampled loop was closed around (``law.loop.closed_loop``):
@@ -105,9 +103,7 @@ def modes(
     Whirl: with X, Y a port pair's complex amplitudes, (|X + jY|^2 - |X - jY|^2) / (sum of both),
     summed over the pairs; spin is positive from the first direction to the second.
     """
-    values, vectors = continuous_poles(
-        system.A, system.dt, None if plant is None else plant.A
-    )
+    values, vectors = continuous_poles(system.A, system.dt, None if plant is None else plant.A)
     real = np.abs(values.imag) <= _REAL * np.abs(values)
     values = np.where(real, values.real, values)
     keep = values.imag >= 0

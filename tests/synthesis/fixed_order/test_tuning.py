@@ -243,7 +243,8 @@ def test_modes_near_the_running_speeds_are_damped_as_the_separation_margin_asks(
     values = np.array(
         [[-20 + 270j, -50 + 320j, -100 + 1200j, -80 + 1500j, -20 + 240j, -150 + 1800j]] * 3
     )
-    ratio, slope = cost._damping(values, [0, 1, 2])
+    none = np.zeros(values.shape, bool)
+    ratio, slope = cost._damping(values, none, [0, 1, 2])
     assert (
         ratio[0, 1] == pytest.approx(0.2 * abs(values[0, 1]) / 50, rel=1e-9)
         and ratio[0, 2] > 2
@@ -253,7 +254,8 @@ def test_modes_near_the_running_speeds_are_damped_as_the_separation_margin_asks(
     assert (ratio[1] == ratio[0]).all() and ratio[2].max() < 0.35
     for step, part in ((1e-5, slope.real), (1e-5j, slope.imag)):
         found = (
-            cost._damping(values + step, [0, 1, 2])[0] - cost._damping(values - step, [0, 1, 2])[0]
+            cost._damping(values + step, none, [0, 1, 2])[0]
+            - cost._damping(values - step, none, [0, 1, 2])[0]
         ) / 2e-5
         assert found == pytest.approx(part, rel=1e-6, abs=1e-12)
 

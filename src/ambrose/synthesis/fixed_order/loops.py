@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ambrose.core.aliasing import FastModes, fast_modes
 from ambrose.core.frequency import SchurForm, evaluate, schur_form
 from ambrose.core.realisation.balancing import balance_system
 from ambrose.core.sampling import c2d, delayed, hold
@@ -28,7 +29,9 @@ class LoopModel:
     """A, B, C, D: currents u to displacements y in the variable w; form: u, f at the bearings -> y,
     q at the bearings, i.
 
-    magnet: k_i (a,) [N/A] and k_s (a,) [N/m]. speed [rad/s]: of the operating point.
+    magnet: k_i (a,) [N/A] and k_s (a,) [N/m]. speed [rad/s]: of the operating point. fast: the
+    plant's modes above half the sample rate in these states, right (N, h), left (h, N); None
+    without any.
     """
 
     label: str
@@ -40,6 +43,7 @@ class LoopModel:
     magnet: tuple[np.ndarray, np.ndarray]
     timing: Timing | None
     speed: float
+    fast: FastModes | None = None
 
     def response(self, omega: np.ndarray) -> np.ndarray:
         """u, f -> y, q, i at omega (w,) [rad/s]: (w, 3a, 2a), with hold and delay on u."""
@@ -58,8 +62,10 @@ def loop_model(plant: Plant, timing: Timing | None, label: str = "") -> LoopMode
     B = part.B
     C = part.C
     D = part.D
+    fast = None
     if timing is not None:
         T = timing.sample_time
+        fast = fast_modes(A, T)
 
         # z = (1 + w T/2) / (1 - w T/2) in C (zI - A)^-1 B + D, with E = (A + I)^-1:
         # A_w = 2/T E (A - I),  B_w = 2/sqrt(T) E B,  C_w = 2/sqrt(T) C E,  D_w = D - C E B.
@@ -67,7 +73,11 @@ def loop_model(plant: Plant, timing: Timing | None, label: str = "") -> LoopMode
         E = np.linalg.inv(late.A + np.eye(late.n_states))
         A, B = (2 / T) * E @ (late.A - np.eye(late.n_states)), E @ late.B * (2 / np.sqrt(T))
         C, D = late.C @ E * (2 / np.sqrt(T)), late.D - late.C @ E @ late.B
-    A, B, C, _ = balance_system(A, B, C)
+    A, B, C, t = balance_system(A, B, C)
+    if fast is not None:
+        # Tustin's map keeps the states but for a factor that they all share: the delay's come
+        # first, then the plant's, and the controller's whatever its own are.
+        fast = fast.behind(len(A) - len(fast.right)).scaled(t)
 
     # Responses come from the plant in s, at true frequencies; A to D above serve the poles.
     outer = select(
@@ -78,7 +88,7 @@ def loop_model(plant: Plant, timing: Timing | None, label: str = "") -> LoopMode
     form = schur_form(outer.A, outer.B, outer.C, outer.D, expand=True)
     magnet = magnet_coefficients(plant.machine, plant.point)
     return LoopModel(
-        label or plant.point.label, A, B, C, D, form, magnet, timing, plant.point.speed
+        label or plant.point.label, A, B, C, D, form, magnet, timing, plant.point.speed, fast
     )
 
 

@@ -7,7 +7,9 @@ all channels' slopes are added up in one matrix per frequency before the control
 is taken (the p-norm is smooth; Apkarian & Noll 2006 work with the subgradients of its limit). The
 settling of a pulse is a channel in time, y(t) = sum over frequencies of weights (t, w) times
 H = S_o G. Poles enter by their damping ratios, with derivatives from left and right eigenvectors;
-between two calls of ``narrow`` only those of models whose damping counts are computed.
+between two calls of ``narrow`` only those of models whose damping counts are computed. The poles
+of a plant's modes above half the sample rate (core/aliasing.py), which stand in w at frequencies
+that are not theirs, must be stable and have no damping ratio there.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ambrose.core.aliasing import FastModes, logarithm
 from ambrose.core.checks import memberwise
 from ambrose.core.frequency import frequency_response, largest_gain
 from ambrose.core.statespace import StateSpace
@@ -131,8 +134,8 @@ class Objective:
         all are computed, and less is left out.
         """
         theta = self.structure.theta(x)
-        poles = [_loops(theta, stack).poles() for _, stack in self._stacks]
-        if max(values.real.max() for values in poles) >= _STABLE:
+        poles = [_loops(theta, stack).read(self._fast(places)) for places, stack in self._stacks]
+        if max(values.real.max() for values, _ in poles) >= _STABLE:
             self._follow_all, self._followed = True, self._stacks
             self._masks = None
             return False
@@ -144,8 +147,8 @@ class Objective:
         loops = [channel.response(S, Q) for channel in channels]
         norms = [frobenius(T) for T in loops]
         damping = [
-            self._damping(values, places)[0]
-            for values, (places, _) in zip(poles, self._stacks, strict=True)
+            self._damping(*read, places)[0]
+            for read, (places, _) in zip(poles, self._stacks, strict=True)
         ]
         top = max(
             float(norm.max(initial=0.0)) / np.sqrt(T.shape[-1])
@@ -207,8 +210,11 @@ class Objective:
         # Poles on the axis or to the right of it: the frequency responses would mean nothing.
         theta = self.structure.theta(x)
         closed = [_loops(theta, stack) for _, stack in self._followed]
-        poles = [loops.poles() for loops in closed]
-        if max((values.real.max() for values in poles), default=-np.inf) >= _STABLE:
+        poles = [
+            loops.read(self._fast(places))
+            for loops, (places, _) in zip(closed, self._followed, strict=True)
+        ]
+        if max((values.real.max() for values, _ in poles), default=-np.inf) >= _STABLE:
             return np.inf, np.zeros(len(x))
         channels, settling = self._parts()
         if self._active is None:
@@ -234,8 +240,8 @@ class Objective:
 
         # The poles' ratios (0 where none is asked for).
         damping = [
-            self._damping(values, places)[0]
-            for values, (places, _) in zip(poles, self._followed, strict=True)
+            self._damping(*read, places)[0]
+            for read, (places, _) in zip(poles, self._followed, strict=True)
         ]
 
         # All ratios are taken over ``top``, for the powers to stay in range; |T|_F / sqrt(c) <=
@@ -362,8 +368,8 @@ class Objective:
             )
         theta = self.structure.theta(x)
         for members, stack in self._stacks:
-            values = _loops(theta, stack).poles()
-            ratio, _ = self._damping(values, members)
+            values, aliased = _loops(theta, stack).read(self._fast(members))
+            ratio, _ = self._damping(values, aliased, members)
             i, j = np.unravel_index(int(ratio.argmax()), ratio.shape)
             here = Ratio(
                 float(ratio[i, j]), self.models[members[i]].label, float(np.abs(values[i, j]))
@@ -406,8 +412,9 @@ class Objective:
             rows = np.flatnonzero((ratio / top).max(axis=1) ** power > _NOTHING)
             if not len(rows):
                 continue
-            part = loops.eigen(rows)
-            held, derivative = self._damping(part.values, [places[i] for i in rows])
+            counted = [places[i] for i in rows]
+            part = loops.eigen(rows, self._fast(counted))
+            held, derivative = self._damping(part.values, part.aliased, counted)
 
             # d (ratio / top)^p / p = (ratio / top)^p / ratio d ratio
             share = np.where(held > 0, (held / top) ** power, 0.0)
@@ -415,11 +422,17 @@ class Objective:
             slope += part.slope(weight * derivative)
         return slope
 
-    def _damping(self, values: np.ndarray, places: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    def _fast(self, places: Sequence[int]) -> list[FastModes | None]:
+        return [self.models[i].fast for i in places]
+
+    def _damping(
+        self, values: np.ndarray, aliased: np.ndarray, places: Sequence[int]
+    ) -> tuple[np.ndarray, np.ndarray]:
         """damping asked for over damping (m, n), 0 where none is asked for, and its derivative by
         real + j imaginary part.
 
-        values (m, n): the poles of the models at ``places``. Of those at a running speed the
+        values (m, n): the poles of the models at ``places``; aliased (m, n): those that are read at
+        another frequency than theirs, which are asked for none. Of models at a running speed the
         separation margin asks as well.
         """
         aims = self.aims
@@ -442,7 +455,7 @@ class Objective:
 
         # ratio = wanted / zeta, zeta = -Re lambda / |lambda|
         zeta = np.maximum(-values.real / size, 1e-9)
-        held = (np.abs(values.imag) > _RINGING * size) & (zeta < _WATCHED * wanted)
+        held = (np.abs(values.imag) > _RINGING * size) & (zeta < _WATCHED * wanted) & ~aliased
         ratio = np.where(held, wanted / zeta, 0.0)
 
         # d zeta / d Re = -1/|lambda| + Re^2/|lambda|^3,   d zeta / d Im = Re Im / |lambda|^3
@@ -473,11 +486,12 @@ class Objective:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _LoopPoles:
-    """values (m, n) of closed loops; left (m, n, a+k), right (m, a+k, n): d value = left_i dTheta
-    right_i.
+    """values (m, n) of closed loops; aliased (m, n): which are of the plant's modes above half the
+    sample rate; left (m, n, a+k), right (m, a+k, n): d value = left_i dTheta right_i.
     """
 
     values: np.ndarray
+    aliased: np.ndarray
     left: np.ndarray
     right: np.ndarray
 
@@ -508,12 +522,39 @@ class _Loops:
         """(m, N)."""
         return np.asarray(np.linalg.eigvals(self.A))
 
-    def eigen(self, rows: np.ndarray | slice = slice(None)) -> _LoopPoles:
-        """The poles with their slopes, of some of the models."""
+    def read(self, fast: Sequence[FastModes | None]) -> tuple[np.ndarray, np.ndarray]:
+        """The poles (m, N), and which of them are of the models' ``fast`` modes (m, N)."""
+        if all(modes is None for modes in fast):  # eigenvectors cost more than the poles alone
+            values = self.poles()
+            return values, np.zeros(values.shape, bool)
+        values, V = np.linalg.eig(self.A)
+        return values, _aliased(values, V, _inverse(V), fast)
+
+    def eigen(
+        self, rows: np.ndarray | slice = slice(None), fast: Sequence[FastModes | None] = ()
+    ) -> _LoopPoles:
+        """The poles with their slopes, of some of the models, and their ``fast`` modes."""
         # d lambda_i = w_i dA v_i with the rows w_i of V^-1; a pseudo-inverse where poles coincide
         values, V = np.linalg.eig(self.A[rows])
         W = _inverse(V)
-        return _LoopPoles(values, W @ self.into[rows], self.out[rows] @ V)
+        aliased = _aliased(values, V, W, fast)
+        return _LoopPoles(values, aliased, W @ self.into[rows], self.out[rows] @ V)
+
+
+def _aliased(
+    values: np.ndarray, V: np.ndarray, W: np.ndarray, fast: Sequence[FastModes | None]
+) -> np.ndarray:
+    """Which poles in w (m, N) are read at the fast modes of their models, with eigenvectors V (m,
+    N, N) and W = V^-1; none without ``fast``.
+    """
+    found = np.zeros(values.shape, bool)
+    for i, modes in enumerate(fast):
+        if modes is not None:
+            # z = (1 + w T/2)/(1 - w T/2)
+            half = values[i].astype(complex) * modes.dt / 2
+            poles = logarithm((1 + half) / (1 - half), modes.dt)
+            found[i] = modes.read(poles, V[i], W[i])[0]
+    return found
 
 
 def _loops(theta: np.ndarray, stack: list[np.ndarray]) -> _Loops:
