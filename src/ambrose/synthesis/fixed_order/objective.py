@@ -134,7 +134,7 @@ class Objective:
         all are computed, and less is left out.
         """
         theta = self.structure.theta(x)
-        poles = [_loops(theta, stack).read(self._fast(places)) for places, stack in self._stacks]
+        poles = self._read(theta)
         if max(values.real.max() for values, _ in poles) >= _STABLE:
             self._follow_all, self._followed = True, self._stacks
             self._masks = None
@@ -366,9 +366,8 @@ class Objective:
                 self.models[int(worst.argmax())].label,
                 float("nan"),
             )
-        theta = self.structure.theta(x)
-        for members, stack in self._stacks:
-            values, aliased = _loops(theta, stack).read(self._fast(members))
+        read = self._read(self.structure.theta(x))
+        for (values, aliased), (members, _) in zip(read, self._stacks, strict=True):
             ratio, _ = self._damping(values, aliased, members)
             i, j = np.unravel_index(int(ratio.argmax()), ratio.shape)
             here = Ratio(
@@ -421,6 +420,10 @@ class Objective:
             weight = np.where(share > _NOTHING, share / np.maximum(held, 1e-300), 0.0)
             slope += part.slope(weight * derivative)
         return slope
+
+    def _read(self, theta: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """``_Loops.read`` of every stack."""
+        return [_loops(theta, stack).read(self._fast(places)) for places, stack in self._stacks]
 
     def _fast(self, places: Sequence[int]) -> list[FastModes | None]:
         return [self.models[i].fast for i in places]
