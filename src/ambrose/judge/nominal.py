@@ -166,7 +166,7 @@ def _notes(plant: Plant, dt: float | None) -> tuple[str, ...]:
     if dt is not None:
         notes += (
             f"Sampled controller (dt = {dt:g} s): poles and time responses of the plant sampled "
-            "with a zero-order hold; "
+            "with a zero-order hold, its free modes above half the rate at their own frequency; "
             "frequency curves use the base band of the hold, so aliasing near the Nyquist "
             "frequency is not in them.",
         )

@@ -111,7 +111,8 @@ class SampledBox:
 
     def closed_loop_poles(self, delta: np.ndarray, plant: Plant | None = None) -> np.ndarray:
         """Poles [rad/s] of the sampled loop at a point (k,), ln(z)/T; of the full plant unless a
-        reduced one is given.
+        reduced one is given. Modes above half the rate stand at their aliases, where S_o of the
+        samples has them: no damping is read of these.
         """
         source = self.plant if plant is None else plant
         if source not in self.families:
