@@ -39,6 +39,7 @@ from ambrose.core.statespace import balance
 
 # |z| below which a pole is overdamped wherever it is read: -ln 0.001 is 2.2 times pi
 _DEEP = 1e-3
+_COINCIDE = 1e-6  # of the largest modulus: so near, left and right eigenvectors are not paired
 _HALF = 0.5  # of a pole, and of a mode's decay: see the rule above
 
 
@@ -99,10 +100,8 @@ def fast_modes(A: np.ndarray, dt: float) -> FastModes | None:
     fast = np.abs(values.imag) > np.pi / dt
     if not fast.any():
         return None
-    right, left = right[:, fast], left[:, fast].conj().T
-
-    # left @ right is diagonal but for modes that coincide, as those of two planes alike
-    left = _divided(left @ right, left)
+    right = right[:, fast]
+    left = _divided(values[fast], left[:, fast].conj().T, right)
     return FastModes(dt, values[fast], right * t[:, None], left / t)
 
 
@@ -129,8 +128,8 @@ def continuous_poles(
     # Rows of the left eigenvectors, left @ vectors = I; those of delays, which hardly divide, are
     # left out: they are read alike on every branch.
     shallow = np.flatnonzero(np.abs(z) > _DEEP)
-    right, rows = vectors[:, shallow], left[:, shallow].conj().T
-    rows = _divided(rows @ right, rows)
+    right = vectors[:, shallow]
+    rows = _divided(z[shallow], left[:, shallow].conj().T, right)
     _, values[shallow] = fast.scaled(t[: len(fast.right)]).read(values[shallow], right, rows)
     return values, vectors * t[:, None]
 
@@ -140,9 +139,17 @@ def logarithm(z: np.ndarray, dt: float) -> np.ndarray:
     return np.asarray(np.log(np.where(z == 0, np.finfo(float).tiny, z)) / dt)
 
 
-def _divided(matrix: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """matrix^-1 rows, by its pseudo-inverse where eigenvectors coincide."""
-    try:
-        return np.asarray(np.linalg.solve(matrix, rows))
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.pinv(matrix) @ rows)
+def _divided(values: np.ndarray, rows: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Left eigenvectors (k, N) divided so that rows @ right = I, right (N, k)."""
+    # rows @ right is diagonal but where eigenvalues coincide, as those of two planes alike
+    near = np.abs(values[:, None] - values) <= _COINCIDE * np.abs(values).max(initial=0.0)
+    alone = near.sum(axis=1) == 1
+    rows = rows.copy()
+    rows[alone] /= np.einsum("ki,ik->k", rows[alone], right[:, alone])[:, None]
+    if not alone.all():
+        groups = rows[~alone] @ right[:, ~alone]
+        try:
+            rows[~alone] = np.linalg.solve(groups, rows[~alone])
+        except np.linalg.LinAlgError:
+            rows[~alone] = np.linalg.pinv(groups) @ rows[~alone]
+    return rows

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -270,6 +271,7 @@ def _maps(
         if span[1] <= span[0] or (over not in reach and reach):
             continue
 
+        @cache  # asked for first whether there is a loop
         def loop_at(value: float, over: str = over) -> tuple[StateSpace, StateSpace]:
             key = "speed" if over == "speed" else "seal_pressure"
             plant = assemble(machine, replace(at, label="", **{key: value}))
