@@ -53,7 +53,7 @@ class Server:
 
     def address(self):
         """One that was not used yet."""
-        end = time.monotonic() + 30
+        end = time.monotonic() + 120  # the kernel may have to be compiled first
         while not self.addresses:
             assert time.monotonic() < end and self.process.poll() is None
             time.sleep(0.02)
@@ -114,14 +114,14 @@ def new_page(chromium, width=1400, **options):
     """A page of a browser of its own, which fails the test that leaves a mistake in its console."""
     context = chromium.new_context(viewport={"width": width, "height": 900}, **options)
     page = context.new_page()
-    page.set_default_timeout(60_000)
+    page.set_default_timeout(120_000)
     page.mistakes = []
     page.on("pageerror", lambda error: page.mistakes.append(str(error)))
     page.on("console", lambda said: said.type == "error" and page.mistakes.append(f"{said.text}"))
     return page
 
 
-def eventually(condition, seconds=60):
+def eventually(condition, seconds=180):
     """Until it is so."""
     end = time.monotonic() + seconds
     while not condition():
@@ -129,7 +129,7 @@ def eventually(condition, seconds=60):
         time.sleep(0.1)
 
 
-def until(page, expression, arg=None, seconds=60):
+def until(page, expression, arg=None, seconds=180):
     """Until a script says yes; asked again and again, for the page's own rules forbid more."""
     end = time.monotonic() + seconds
     while not page.evaluate(expression, arg):
@@ -686,7 +686,7 @@ def test_a_server_that_is_killed_comes_back_with_what_there_was(chromium, folder
     ]
     assert len(left) >= 2  # the desk and the job
     server.end(signal.SIGKILL)
-    end = time.monotonic() + 20
+    end = time.monotonic() + 60
     while any(map(alive, left)):
         assert time.monotonic() < end
         time.sleep(0.05)
