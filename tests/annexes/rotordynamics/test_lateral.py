@@ -19,7 +19,7 @@ from ambrose.annexes.rotordynamics.capacity import UNBALANCE, AxisCapacity
 from ambrose.annexes.rotordynamics.clearances import Reading
 from ambrose.annexes.rotordynamics.command import value_in_words
 from ambrose.annexes.rotordynamics.critical import Critical, criticals
-from ambrose.annexes.rotordynamics.figures import level_one_figure, response_figure
+from ambrose.annexes.rotordynamics.figures import level_one_figure, response_figure, shapes_figure
 from ambrose.annexes.rotordynamics.items import as_it_runs
 from ambrose.annexes.rotordynamics.items import capacity as rows_of_capacity
 from ambrose.annexes.rotordynamics.items import unbalance as rows_of_unbalance
@@ -508,6 +508,29 @@ def test_modes_above_the_running_speed_are_listed_and_not_judged():
     assert f"{result.modes_to / (2 * np.pi):.4g} Hz" in section.text
     limits = [row[4].text for row in section.tables[0].rows]
     assert limits == ["≥ 0.1" if mode.frequency <= 6000 * RPM else "-" for mode in modes]
+
+
+def test_damped_mode_shapes_are_drawn_for_every_mode_of_the_table():
+    result = amb.lateral(films(modulus=70), trip=6300 * RPM)
+    modes = [row.mode for row in result.modes]
+    figure = shapes_figure(result.layout, modes)
+    solid = [t for t in figure.data if t.line.dash == "solid" and t.line.width == 2]
+    assert len(solid) == len(modes)
+    for drawn, mode in zip(solid, modes, strict=True):
+        assert np.abs(drawn.y).max() == pytest.approx(1.0)
+        # on equal films a mode is a circle: of a backward one the forward part is nothing
+        z = mode.dominant_line()
+        np.testing.assert_allclose(drawn.y, z.real, atol=1e-6)
+        assert np.abs(z.imag).max() < 0.5
+    bending = modes[-1].dominant_line().real
+    assert np.count_nonzero(np.diff(np.sign(bending))) == 3  # second bending: three nodes
+    headings = [note.text for note in figure.layout.annotations if "log decrement" in note.text]
+    assert [mode.way in text for mode, text in zip(modes, headings, strict=True)] == [True] * len(
+        modes
+    )
+    page = lateral_page(result)
+    (section,) = [part for part in page.sections if part.title == "Stability, Level II"]
+    assert section.figures[0].title == "Damped mode shapes"
 
 
 def test_sensitivity_is_judged_at_every_operating_point():

@@ -12,6 +12,7 @@ from ambrose.annexes.rotordynamics.capacity import PART, UNBALANCE, AxisCapacity
 from ambrose.annexes.rotordynamics.critical import Separation
 from ambrose.annexes.rotordynamics.critical_map import CriticalMap, Support
 from ambrose.annexes.rotordynamics.level_one import OVERDAMPED, LevelOne
+from ambrose.annexes.rotordynamics.placement import ShaftMode
 from ambrose.annexes.rotordynamics.response import Response
 from ambrose.annexes.rotordynamics.stations import Layout
 from ambrose.model.effects.load import IMPULSE, SURGE
@@ -246,6 +247,41 @@ def placement_figure(layout: Layout, response: Response) -> Any:
     theme.dress(figure, 150 * len(shown), legend=False, lines=1)
     figure.update_yaxes(showticklabels=False, ticks="", range=[-1.6, 1.6])
     figure.update_xaxes(title_text="Position [mm]", row=len(shown), col=1)
+    return figure
+
+
+def shapes_figure(layout: Layout, modes: Sequence[ShaftMode]) -> Any:
+    """The shape of every damped mode along the shaft, with its frequency, whirl and log decrement;
+    journals as lines.
+    """
+    gap = 0.27 / len(modes)  # for a heading, of all panels together
+    figure = theme.subplots(rows=len(modes), cols=1, shared_xaxes=True, vertical_spacing=gap)
+    x = MM * layout.positions
+    for row, mode in enumerate(modes, 1):
+        place, line = {"row": row, "col": 1}, mode.dominant_line()
+        theme.guide(figure, place, [x[0], x[-1]], [0, 0], color=theme.MUTED, width=1)
+        for values, dash in ((line.imag, "dash"), (line.real, "solid")):
+            theme.scatter(
+                figure,
+                place,
+                np.float32(x),
+                np.float32(values),
+                line={"color": "#0072b2", "width": 2 if dash == "solid" else 1.3, "dash": dash},
+            )
+        for journal in layout.journals:
+            at = MM * journal.position
+            theme.guide(figure, place, [at, at], [-1, 1], color=theme.MUTED, width=1, dash="dot")
+            if row == 1:
+                below = np.interp(at, x, line.real) >= 0
+                edge, side = (-1, "bottom") if below else (1, "top")
+                words = theme.plain(journal.name)
+                theme.note(figure, place, words, at, edge, "left", side, xshift=3)
+        hertz = mode.frequency / (2 * np.pi)
+        heading = f"{standard.rpm(mode.frequency)} rpm ({hertz:.4g} Hz), {mode.way}"
+        theme.heading(figure, place, f"{heading}, log decrement {mode.log_decrement:.3g}")
+    theme.dress(figure, 110 * len(modes), legend=False, lines=1)
+    figure.update_yaxes(showticklabels=False, ticks="", range=[-1.3, 1.3])
+    figure.update_xaxes(title_text="Position [mm]", row=len(modes), col=1)
     return figure
 
 

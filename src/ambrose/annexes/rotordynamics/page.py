@@ -18,7 +18,6 @@ from ambrose.annexes.rotordynamics.critical_map import CriticalMap
 from ambrose.annexes.rotordynamics.items import level_one_beyond, speeds_in_words
 from ambrose.annexes.rotordynamics.level_one import LevelOne
 from ambrose.annexes.rotordynamics.phase_budget import PhaseBudget
-from ambrose.annexes.rotordynamics.placement import BACKWARD
 from ambrose.annexes.rotordynamics.result import Item, Lateral, not_finite
 from ambrose.core.presentation import with_unit
 from ambrose.machine.file.toml import machine_hash
@@ -142,7 +141,13 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
             hertz=f"{result.modes_to / (2 * np.pi):.4g}",
             top=standard.rpm(result.modes_to),
         )
-        sections.append(Section("Stability, Level II", two, (), (modes_table(result),)))
+        shapes = Figure(
+            "Damped mode shapes",
+            figures.shapes_figure(result.layout, [row.mode for row in result.modes]),
+            "Of each mode the forward or backward part, whichever is larger, scaled to its largest "
+            "deflection: solid in the plane of that deflection, dashed across it.",
+        )
+        sections.append(Section("Stability, Level II", two, (shapes,), (modes_table(result),)))
     if result.rubs:
         sections.append(Section("Clearances", "", (), (clearance_table(result),)))
     if result.capacities:
@@ -456,11 +461,10 @@ def modes_table(result: Lateral) -> Table:
         shares = sorted(row.shares, key=lambda share: -abs(share.log_decrement))[:4]
         words = ", ".join(f"{share.component} {share.log_decrement:+.3g}" for share in shares)
         least = "-" if row.least is None else f"{row.least:.3g}"
-        way = "forward" if mode.whirl > BACKWARD else "planar" if mode.forward else "backward"
         rows.append(
             (
                 Cell(f"{standard.rpm(mode.frequency)} rpm", detail=words),
-                way,
+                mode.way,
                 *numbers(f"{mode.frequency / (2 * np.pi):.4g}", f"{mode.log_decrement:.3g}"),
                 *numbers(_relation(">=") + f" {asked:g}" if mode.frequency <= highest else "-"),
                 *((Cell(least, "number", detail=row.member),) if sought else ()),
