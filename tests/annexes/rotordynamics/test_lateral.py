@@ -560,7 +560,7 @@ def test_sensitivity_is_judged_at_every_operating_point():
         own += [(item.value, item.name, point.label) for item in checks]
     worst = max(row for row in own if row[1] == "sensitivity.output.max")
     row = items["points.sensitivity_max"]
-    assert row.value == worst[0] and row.note.startswith(worst[2])
+    assert row.value == worst[0] and row.title.endswith(f"operating points: {worst[2]}")
     assert row.passed is None and row.limit is None  # the machine file asks nothing of it
     axes = {f"sensitivity.output.{axis}" for axis in machine.axes}
     assert items["iso.sensitivity"].value == max(row[0] for row in own if row[1] in axes)
@@ -569,7 +569,7 @@ def test_sensitivity_is_judged_at_every_operating_point():
     # a limit between the best and the worst point fails, and the worst is named
     strict, _ = rows(0.99 * worst[0])
     assert strict["points.sensitivity_max"].passed is False
-    assert worst[2] in strict["points.sensitivity_max"].note
+    assert worst[2] in strict["points.sensitivity_max"].title
     assert strict["iso.sensitivity"].limit == min(3.0, 0.99 * worst[0])
     loose, _ = rows(1.01 * worst[0])
     assert loose["points.sensitivity_max"].passed

@@ -63,7 +63,7 @@ def rows(points: Points, machine: Machine) -> Iterator[Item]:
     judged = points.judged
     if not judged:
         return
-    count = "at the operating point" if len(judged) == 1 else f"worst of {len(judged)} points"
+    several = f"worst of {len(judged)} operating points: " if len(judged) > 1 else "at "
     left = (
         f"; not covered by the controller: {', '.join(points.uncovered)}"
         if points.uncovered
@@ -90,10 +90,10 @@ def rows(points: Points, machine: Machine) -> Iterator[Item]:
         if limit is None and math.isfinite(most):
             limit = most
         axis = worst.name.rpartition(".")[2]
-        place = f", axis {axis}" if axis in machine.axes else ""
+        place = f"axis {axis}, " if axis in machine.axes else ""
         yield Item(
             name,
-            f"{title}, {count}",
+            f"{title}, {several}{where}",
             edition,
             clause,
             basis,
@@ -102,7 +102,7 @@ def rows(points: Points, machine: Machine) -> Iterator[Item]:
             worst.relation,
             limit,
             None if limit is None else _meets(worst.value, worst.relation, limit),
-            f"{where}{place}: {worst.detail}{_others(found, where)}{more}{left}",
+            f"{place}{worst.detail}{_others(found, where)}{more}{left}",
         )
 
     axes = tuple(f"sensitivity.output.{axis}" for axis in machine.axes)
@@ -157,4 +157,4 @@ def _others(found: list[tuple[Check, str]], worst: str) -> str:
         if label not in best or _severity(check) > _severity(best[label]):
             best[label] = check
     words = [f"{label} {check.value:.4g}" for label, check in best.items() if label != worst]
-    return f" ({', '.join(words)})" if words else ""
+    return f"; at the others {', '.join(words)}" if words else ""
