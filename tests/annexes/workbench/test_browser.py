@@ -287,6 +287,10 @@ def _follow(chromium, server, folder):
     if PICTURES:
         page.wait_for_timeout(60)
         page.screenshot(path=f"{PICTURES}/live.png")
+    # a person sees it come back before the next press
+    time_of = f"Number(/time\\s*([\\d.]+)/.exec({facts})?.[1])"
+    knocked = page.evaluate(time_of)
+    until(page, f"{time_of} > {knocked + 3} && !/touches/.test({facts})", seconds=300)
     page.locator("[name=pace]").select_option("fast")  # as the page does not: quicker
     press("Excite")
     record()

@@ -8,6 +8,8 @@ import pytest
 
 from ambrose import load_machine
 from ambrose.identification.data_quality.settling import left_out, settled
+from ambrose.identification.data_quality.signals import signal_findings
+from ambrose.identification.findings import Code
 from ambrose.record.record import Record
 
 RATE = 5000.0
@@ -128,3 +130,14 @@ def test_one_axis_or_the_controllers_output_is_enough():
     noise = np.random.default_rng(1).normal(0, 0.05, len(whole.time))
     commands = record(8.0, more={"u_A_zeta": lambda t: 0.5 * np.exp(-t / 0.1) + noise})
     assert settled(machine(), commands).start_time > 0.1
+
+
+@pytest.mark.parametrize(("at", "words"), [(0.1, "--between"), (6.0, "reduce the excitation")])
+def test_a_limit_reached_in_the_beginning_alone_has_its_own_remedy(at, words):
+    gap = machine().bearings[0].touchdown_gap
+    gap = min(gap) if isinstance(gap, tuple) else gap
+    whole = record(8.0, lambda t: 1.2 * gap * (np.abs(t - at) < 0.01))
+    (found, *_) = [
+        item for item in signal_findings(machine(), whole, 1, "e") if item.code == Code.TOUCHDOWN
+    ]
+    assert words in found.remedy

@@ -121,13 +121,22 @@ def run_scheduled(
     steps = ScheduledSteps(block, schedule, start, single)
     currents = np.empty((len(e), len(block.outputs)), steps.x.dtype)
     largest = np.abs(steps.x)
-    for k in range(len(e)):
-        currents[k] = steps.step(e[k])
-        status[k] |= LIMITED * steps.limited
-        largest = np.maximum(largest, np.abs(steps.x))
+    with _single_flags(single):
+        for k in range(len(e)):
+            currents[k] = steps.step(e[k])
+            status[k] |= LIMITED * steps.limited
+            largest = np.maximum(largest, np.abs(steps.x))
     return BlockRun(
         currents.astype(float), status, steps.x.astype(float), largest.astype(float), schedule
     )
+
+
+def _single_flags(single: bool) -> np.errstate:
+    """Products in single precision may raise the flag for an invalid value in lanes of a vector
+    register that hold no number of theirs: seen once, of laws without such a value. A real one is
+    a NaN among the currents.
+    """
+    return np.errstate(invalid="ignore" if single else "warn")
 
 
 class ScheduledSteps:
@@ -193,11 +202,12 @@ def run_supervised(
     twin = supervised_twin(block, np.float32 if single else np.float64)
     e = e.astype(twin.laws.limit.dtype)
     currents, schedule = np.empty((len(e), len(block.outputs))), np.empty(len(e))
-    for k, (value, *estimate) in enumerate(readings.tolist()):
-        twin.estimate = estimate[0], estimate[1]
-        twin.schedule(value)
-        currents[k] = twin.step(e[k])
-        status[k] |= supervised_bits(twin)
+    with _single_flags(single):
+        for k, (value, *estimate) in enumerate(readings.tolist()):
+            twin.estimate = estimate[0], estimate[1]
+            twin.schedule(value)
+            currents[k] = twin.step(e[k])
+            status[k] |= supervised_bits(twin)
         schedule[k] = twin.supervisor.value
     states = twin.states.astype(float)
     return BlockRun(currents, status, states, np.abs(states), schedule)

@@ -21,6 +21,7 @@ _STEPPED = 1e-3  # share of equal neighbours from which a signal comes in coarse
 _ROUNDING = 1e-9  # of a signal's size: less than this moves nothing
 _SERIOUS = 1e-3  # share of clipped or repeated samples from which a record is refused
 _AT_LIMIT = 0.999  # of the limit: a converter may stop a step short of it
+_BEGINNING = 0.3  # share of a record: a limit is reached in it alone before the rotor settled
 _STEADY = 0.05  # change of speed or pressure within a record, over its largest
 _MEASURED = ("y", "u", "i")
 
@@ -109,12 +110,19 @@ def _at_limit(machine: Machine, record: Record, name: str, where: str) -> list[F
     if limit is None or kind == "i":
         return []
     x = record[name]
-    count = int((np.abs(x) >= _AT_LIMIT * limit).sum())
+    at = np.flatnonzero(np.abs(x) >= _AT_LIMIT * limit)
+    count = len(at)
     if not count:
         return []
     unit = record.units[record.signals.index(name)]
     share = count / len(x)
     remedy = "reduce the excitation until no signal reaches its limit, and measure again"
+    if at[-1] < _BEGINNING * len(x):
+        remedy = (
+            f"all of them lie in the first {(at[-1] + 1) * record.dt:.3g} s, as of a lift-off or a "
+            "knock: record again once the rotor has settled, or take what follows that (identify "
+            "--between)"
+        )
     evidence = (
         f"{count} samples ({100 * share:.2g} %) reach the bearing's {what} of {limit:.4g} {unit}"
     )
