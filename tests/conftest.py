@@ -1,5 +1,5 @@
 """Everywhere in the tests: shapes stated in docstrings are checked, `tests/` (random_systems) and
-`benchmarks` are importable.
+`benchmarks` are importable, slow tests run where a change reaches them (``reach.py``).
 
 On CI Hypothesis repeats the same cases, so that a verdict depends on the commit alone; at a desk it
 looks for new ones.
@@ -12,12 +12,14 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
+import pytest
 from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parent))
 # the campaigns are commands and no part of the package
 sys.path.append(str(Path(__file__).parents[1]))
 
+import reach
 import shape_contract
 
 TESTS = Path(__file__).parent
@@ -29,6 +31,87 @@ shape_contract.install()
 settings.register_profile("ci", derandomize=True, deadline=None)
 settings.register_profile("desk", deadline=None)
 settings.load_profile("ci" if os.environ.get("CI") else "desk")
+CHANGED = pytest.StashKey[dict]()
+BEGIN = pytest.StashKey[float]()
+MEASURED = {}
+
+
+def pytest_addoption(parser):
+    parser.addoption("--all", action="store_true", help="slow tests, too, whatever differs")
+    parser.addoption("--quick", action="store_true", help="no slow test, whatever differs")
+    parser.addoption("--base", metavar="REVISION", help="what differs from this decides, not main")
+    parser.addoption("--renew-durations", action="store_true", help="write tests/durations.json")
+
+
+def pytest_configure(config):
+    """What differs from the main branch is asked of git once, and handed to the workers."""
+    if hasattr(config, "workerinput"):
+        config.stash[CHANGED] = config.workerinput["changed"]
+        return
+    files = None
+    if config.getoption("all") or os.environ.get("CI"):
+        why = "all tests: " + ("--all" if config.getoption("all") else "on CI")
+    elif config.getoption("quick"):
+        why = "quick tests only"
+    else:
+        try:
+            files = sorted(reach.changed_files(base=config.getoption("base")))
+            why = f"slow tests: those that reach one of {len(files)} files that differ from main"
+        except reach.Unknown as problem:
+            why = f"all tests: {problem}"
+    config.stash[CHANGED] = {"why": why, "files": files}
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_configure_node(node):
+    node.workerinput["changed"] = node.config.stash[CHANGED]
+
+
+def pytest_sessionstart(session):
+    """Which tests run, and why; a header is left out by -q."""
+    if printer := session.config.pluginmanager.get_plugin("terminalreporter"):
+        printer.write_line(session.config.stash[CHANGED]["why"])
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config, items):
+    """Folders and the whole tree are thinned out; a file or a test that is named runs."""
+    if all(Path(argument).is_dir() for argument in config.args):
+        files, quick = config.stash[CHANGED]["files"], config.getoption("quick")
+        items[:], left = reach.select(items, files, quick)
+        config.hook.pytest_deselected(items=left)
+
+
+def processor_time():
+    """Seconds of this process and of those that it waited for."""
+    return sum(os.times()[:4])
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    item.stash[BEGIN] = processor_time()
+    shape_contract.begin()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_teardown(item):
+    item.user_properties.append(("processor", processor_time() - item.stash[BEGIN]))
+
+
+def pytest_runtest_logreport(report):
+    if report.when == "teardown":
+        MEASURED[report.nodeid] = dict(report.user_properties).get("processor", 0)
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    """What was slowest, in processor time; the file of durations, where it was asked for."""
+    slowest = sorted(MEASURED.items(), key=lambda entry: -entry[1])[:10]
+    if os.environ.get("CI") and slowest:
+        terminalreporter.section("ten slowest, seconds of processor time")
+        for name, seconds in slowest:
+            terminalreporter.write_line(f"{seconds:6.1f} {name}")
+    if config.getoption("renew_durations"):
+        reach.write_durations(MEASURED)
 
 
 def pytest_ignore_collect(collection_path):

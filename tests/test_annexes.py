@@ -44,7 +44,6 @@ def look(source):
     return json.loads(done.stdout)
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize("annex", annexes())
 def test_the_rest_stands_without_it(annex, tmp_path):
     shutil.copytree(SOURCE, tmp_path / "ambrose", ignore=shutil.ignore_patterns("__pycache__"))

@@ -70,7 +70,6 @@ def test_an_unknown_module_is_refused(capsys):
     assert "no benchmark bench_nroms; there are bench_campaign" in capsys.readouterr().err
 
 
-@pytest.mark.campaign
 @pytest.mark.filterwarnings("default")  # of the peers
 @pytest.mark.parametrize("name", modules())
 def test_every_module_runs(name):
@@ -80,7 +79,6 @@ def test_every_module_runs(name):
         assert item["ours"] > 0 and {"name", "peer", "peer_name", "error"} <= set(item)
 
 
-@pytest.mark.campaign
 def test_no_member_of_a_box_lies_above_what_verify_says():
     """The attack of benchmarks/box_attack.py, with few members: corners, samples, exact peaks."""
     row = attack("turbomolecular-pump", members=40)
@@ -95,7 +93,6 @@ def test_the_circuit_of_the_amplifier_slows_the_unstable_pole(capsys):
     assert "| turboexpander | 5.33 |" in capsys.readouterr().out
 
 
-@pytest.mark.campaign
 @pytest.mark.skipif(
     not (shutil.which("arm-none-eabi-gcc") and shutil.which("qemu-system-arm")),
     reason="not here: arm-none-eabi-gcc or qemu-system-arm",

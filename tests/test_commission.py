@@ -33,8 +33,6 @@ from ambrose.report.study import commissioning_section
 from ambrose.rig.candidate import evaluate
 from ambrose.synthesis.pid import pid_synthesis
 
-pytestmark = pytest.mark.campaign  # minutes
-
 LABELS = ("nominal pressure", "zero pressure")
 
 

@@ -178,7 +178,6 @@ def sensible():
     }
 
 
-@pytest.mark.campaign
 def test_one_argument_hostile(sensible, tmp_path, monkeypatch):
     """Each argument of a call that is sensible otherwise, those with defaults, too; a caller's own
     callback may fail.

@@ -46,7 +46,6 @@ def test_the_interrupt_compiles_as_printed(tmp_path):
 
 
 @pytest.mark.skipif(not has_compiler(), reason="no C compiler here")
-@pytest.mark.campaign
 def test_software_in_the_loop_runs_as_printed(tmp_path, monkeypatch, capsys):
     """With an H-infinity controller; plants with one bending mode, where the page takes the full
     ones, are quicker.

@@ -57,7 +57,6 @@ def written(controllers, tmp_path_factory):
     )
 
 
-@pytest.mark.campaign
 def test_a_verified_controller_is_written(written):
     folder, done = written
     # written and verified, but the loop as it runs misses limits
@@ -82,7 +81,6 @@ def test_a_verified_controller_is_written(written):
 
 
 @pytest.mark.skipif(not driver.compilers(), reason="no C compiler")
-@pytest.mark.campaign
 def test_the_guides_example_compiles(written, tmp_path):
     shutil.copytree(written[0], tmp_path / "code")
     example = re.search(r"```c\n(.*?)```", GUIDE.read_text(), re.DOTALL)
@@ -92,7 +90,6 @@ def test_the_guides_example_compiles(written, tmp_path):
     )
 
 
-@pytest.mark.campaign
 def test_an_unverified_controller_needs_force(controllers, tmp_path):
     done = call(controllers["pid"], "--to", "c", "-o", tmp_path / "code")
     assert done.exit_code == 2
@@ -129,7 +126,6 @@ def test_an_unverified_controller_needs_force(controllers, tmp_path):
         pytest.param(
             ["--arithmetic", "fixed16", "--force"],
             "with words of 16 bits",
-            marks=pytest.mark.campaign,
         ),
         (["--machine", "absent.toml"], "absent.toml"),
     ],

@@ -32,8 +32,6 @@ from ambrose.rig.scenario import Scenario
 from ambrose.synthesis.design import design
 from coarse import coarse
 
-pytestmark = pytest.mark.campaign  # a design, and code to compile
-
 DT = 1e-4
 compiler = pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler here")
 

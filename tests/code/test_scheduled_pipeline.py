@@ -37,8 +37,6 @@ from ambrose.rig.scenario import load_scenario
 from ambrose.synthesis.design import design
 from schedule_driver import block_of, small_schedule
 
-pytestmark = pytest.mark.campaign  # minutes
-
 GUIDE = Path(__file__).parents[2] / "docs" / "integrator.md"
 DT = 1e-4
 TOP = 300.0  # rad/s

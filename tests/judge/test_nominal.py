@@ -239,7 +239,6 @@ def test_without_a_balancing_speed_a_note_says_what_is_missing(single_masses, pd
     assert "unbalance.orbit_0p" not in {check.name for check in found.checks}
 
 
-@pytest.mark.campaign
 def test_progress_rises_to_one(rig_plants, rig_controller):
     told = []
     nominal.check(

@@ -759,7 +759,6 @@ def test_data_are_plain_and_as_the_schema_has_them():
         jsonschema.validate(wrong, schema)
 
 
-@pytest.mark.campaign
 def test_a_study_leaves_the_analysis_of_a_rotor_that_turns(tmp_path):
     (place,) = [p for name, p in registered("study file").items() if name == "lateral analysis"]
     write = resolve(place)

@@ -37,7 +37,6 @@ def test_the_margin_goes_with_the_force_and_with_the_bias():
     assert capacity_margin(machine, controller, None) == (math.inf, "")
 
 
-@pytest.mark.campaign
 def test_a_size_that_cannot_carry_its_loads_fails_for_them():
     rig = amb.load_machine("seal-rig-k-only")
     point = rig.operation.nominal

@@ -26,7 +26,6 @@ from ambrose.annexes.workbench.screens import TITLES
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 pytestmark = [
-    pytest.mark.campaign,
     pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed"),
 ]
 MACHINE = Path(__file__).parents[3] / "benchmarks" / "snapshot_files" / "small-rig.toml"

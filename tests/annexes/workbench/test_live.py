@@ -285,7 +285,6 @@ def test_loopback_goes_by_two_names():
         assert names_of(listener) == [f"127.0.0.1:{port}", f"localhost:{port}"]
 
 
-@pytest.mark.campaign
 def test_a_pid_that_does_not_hold_the_rig_is_not_the_first_controller(tmp_path, monkeypatch):
     """The turboexpander's fell over in its first second; it is said where it is chosen."""
     made = Project(tmp_path)

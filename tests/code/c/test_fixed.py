@@ -25,8 +25,6 @@ from ambrose.model.assemble import assemble
 from ambrose.synthesis.design import design
 from example_blocks import gain_block, rig_block
 
-pytestmark = pytest.mark.campaign  # minutes
-
 METHODS = ("pid", "hinf", "mu")
 SAMPLES = 100_000
 ERROR, CURRENT = 0.5e-3, 4.0

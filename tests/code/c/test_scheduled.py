@@ -33,8 +33,6 @@ from schedule_driver import (
     two_states,
 )
 
-pytestmark = pytest.mark.campaign  # minutes
-
 SAMPLES = 100_000
 compiler = pytest.mark.skipif(not driver.compilers(), reason="no C compiler")
 

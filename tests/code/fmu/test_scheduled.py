@@ -24,8 +24,6 @@ from schedule_driver import (
     small_schedule,
 )
 
-pytestmark = pytest.mark.campaign  # code to compile
-
 compiler = pytest.mark.skipif(not driver.compilers(), reason="no C compiler")
 VERSIONS = ("2.0", "3.0")
 

@@ -18,7 +18,6 @@ from ambrose.law.synchronous_block import BlockLaw, SynchronousLaw
 from fmu_player import Player
 
 pytestmark = [
-    pytest.mark.campaign,
     pytest.mark.skipif(not driver.compilers(), reason="no C compiler"),
 ]
 COUNT, DT = 6000, 1e-4

@@ -39,7 +39,6 @@ from ambrose.rig.scenario import Scenario
 from ambrose.synthesis.pid import pid_synthesis
 
 run = partial(pipeline.identify, bending_modes=1)  # as the loops have that made the records
-pytestmark = pytest.mark.campaign  # minutes
 
 DT = 1e-4
 K = 12000

@@ -32,8 +32,6 @@ from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import SteppedSine
 from ambrose.rig.scenario import Scenario
 
-pytestmark = pytest.mark.campaign  # minutes
-
 HZ = 2 * np.pi
 DT = 1e-4
 NOMINAL = 2.04e5

@@ -309,7 +309,6 @@ def test_a_pressure_that_changes_is_told_from_end_to_end():
     assert " to " not in told[0] and told[1].startswith("2.04") and " to 4.08" in told[1]
 
 
-@pytest.mark.campaign
 def test_the_page_of_an_interrupted_measurement():
     record = whirling(kind="y", count=900)
     report = record_page(
@@ -324,7 +323,6 @@ def test_the_page_of_an_interrupted_measurement():
     assert [cell.text for cell in rows[1]][:2] == ["y A ζ", "µm"]
 
 
-@pytest.mark.campaign
 def test_a_record_too_short_or_still_has_a_page():
     for record in (whirling(20), replace(whirling(), values=np.zeros_like(whirling().values))):
         assert "Orbits" in render(record_page(record, MACHINE))

@@ -407,7 +407,6 @@ def test_a_slow_integrator_of_a_tuned_law_is_no_reason_to_search_anew():
     assert tuning._holding(job, law) is not law
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize("name", ["vertical-pump", "process-compressor"])
 def test_the_first_round_goes_down(name):
     """It ended after one step, at 8.3 and 43 times a limit."""
@@ -523,7 +522,6 @@ def test_planes_need_bearings_at_one_angle():
     assert axis_groups(MACHINE, "axis") == ((0,), (1,), (2,), (3,))
 
 
-@pytest.mark.campaign
 def test_what_is_said_of_it_is_what_verification_finds(tuned):
     """The ratios to the limits, by the checks of the full plants at every operating point, as the
     loop runs.
@@ -614,7 +612,6 @@ def test_a_wide_tolerance_among_narrow_ones_is_worst_in_between():
     assert peak(found["seal.center.k"]) > 2 * max(peak(-1.0), peak(1.0))
 
 
-@pytest.mark.campaign
 def test_ctrl_c_keeps_the_best(monkeypatch):
     monkeypatch.setattr(tuning, "_ITERATIONS", 5)
 
@@ -626,7 +623,6 @@ def test_ctrl_c_keeps_the_best(monkeypatch):
     assert found.stopped_early == "interrupted" and found.status == "verified"
 
 
-@pytest.mark.campaign
 def test_a_machine_that_nothing_holds_is_refused_with_a_remedy(monkeypatch):
     """Magnets whose negative stiffness is ten thousand times too large for their amplifiers."""
     monkeypatch.setattr(tuning, "_TRIES", 2)

@@ -57,8 +57,6 @@ from ambrose.synthesis.mu.scaling import (
 )
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 
-pytestmark = pytest.mark.campaign  # minutes
-
 OMEGA = np.geomspace(1e-3, 1e4, 90)
 
 

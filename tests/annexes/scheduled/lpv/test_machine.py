@@ -27,8 +27,6 @@ from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.methods.choice import methods
 from coarse import coarse
 
-pytestmark = pytest.mark.campaign  # minutes
-
 HZ = 2 * np.pi
 
 
