@@ -31,7 +31,8 @@ shape_contract.install()
 settings.register_profile("ci", derandomize=True, deadline=None)
 settings.register_profile("desk", deadline=None)
 settings.load_profile("ci" if os.environ.get("CI") else "desk")
-CHANGED = pytest.StashKey[dict]()
+LEFT = pytest.StashKey[list]()
+WHY = pytest.StashKey[str]()
 BEGIN = pytest.StashKey[float]()
 MEASURED = {}
 
@@ -44,42 +45,42 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
-    """What differs from the main branch is asked of git once, and handed to the workers."""
+    """What differs from the main branch is asked of git once, and the workers are told."""
     if hasattr(config, "workerinput"):
-        config.stash[CHANGED] = config.workerinput["changed"]
+        config.stash[LEFT] = config.workerinput["left"]
         return
-    files = None
-    if config.getoption("all") or os.environ.get("CI"):
-        why = "all tests: " + ("--all" if config.getoption("all") else "on CI")
-    elif config.getoption("quick"):
-        why = "quick tests only"
-    else:
+    left, why = [], "all tests: " + ("on CI" if os.environ.get("CI") else "--all")
+    if config.getoption("quick"):
+        left, why = reach.left_out([], quick=True), "quick tests only"
+    elif not (config.getoption("all") or os.environ.get("CI")):
         try:
-            files = sorted(reach.changed_files(base=config.getoption("base")))
-            why = f"slow tests: those that reach one of {len(files)} files that differ from main"
+            changed = reach.changed_files(base=config.getoption("base"))
+            left = reach.left_out(changed)
+            why = f"without {len(left)} slow tests that reach none of the {len(changed)} files "
+            why += "that differ from the main branch (make test-all runs them)"
         except reach.Unknown as problem:
             why = f"all tests: {problem}"
-    config.stash[CHANGED] = {"why": why, "files": files}
+    config.stash[LEFT], config.stash[WHY] = left, why
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_configure_node(node):
-    node.workerinput["changed"] = node.config.stash[CHANGED]
+    node.workerinput["left"] = node.config.stash[LEFT]
 
 
 def pytest_sessionstart(session):
     """Which tests run, and why; a header is left out by -q."""
     if printer := session.config.pluginmanager.get_plugin("terminalreporter"):
-        printer.write_line(session.config.stash[CHANGED]["why"])
+        printer.write_line(session.config.stash[WHY])
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config, items):
     """Folders and the whole tree are thinned out; a file or a test that is named runs."""
     if all(Path(argument).is_dir() for argument in config.args):
-        files, quick = config.stash[CHANGED]["files"], config.getoption("quick")
-        items[:], left = reach.select(items, files, quick)
-        config.hook.pytest_deselected(items=left)
+        left = set(config.stash[LEFT])
+        config.hook.pytest_deselected(items=[item for item in items if item.nodeid in left])
+        items[:] = reach.longest_first([item for item in items if item.nodeid not in left])
 
 
 def processor_time():

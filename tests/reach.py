@@ -230,21 +230,21 @@ def additions():
     return round(time.process_time() - begin, 2)
 
 
-def select(items, changed, quick=False):
-    """Tests to run, the longest files first, and tests to leave out.
+def left_out(changed, quick=False):
+    """The slow tests that are left out: of files that reach nothing that differs.
 
-    changed: the files that differ; None: slow tests run, whatever differs. quick: no slow one.
+    changed: the files that differ. quick: all slow ones, whatever differs.
     """
+    slow = [name for name, seconds in durations().items() if seconds > SLOW]
+    files = {ROOT / name.split("::")[0] for name in slow}
+    reaching = {f for f in files if not quick and changed and f.exists() and reached(f, changed)}
+    return [name for name in slow if ROOT / name.split("::")[0] not in reaching]
+
+
+def longest_first(items):
+    """The tests, whole files of them, in the order of how long the files take."""
     seconds = durations()
-    slow = {item.nodeid for item in items if seconds.get(item.nodeid, 0) > SLOW}
-    paths = {item.path for item in items if item.nodeid in slow}
-    if quick or changed is not None:
-        paths = {path for path in paths if quick or not reached(path, changed)}
-    else:
-        paths = set()
-    left = [item for item in items if item.nodeid in slow and item.path in paths]
-    kept = [item for item in items if not (item.nodeid in slow and item.path in paths)]
-    total = dict.fromkeys((item.path for item in kept), 0.0)
-    for item in kept:
+    total = dict.fromkeys((item.path for item in items), 0.0)
+    for item in items:
         total[item.path] += seconds.get(item.nodeid, 0.02)
-    return sorted(kept, key=lambda item: -total[item.path]), left
+    return sorted(items, key=lambda item: -total[item.path])
