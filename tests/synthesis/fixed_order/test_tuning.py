@@ -5,6 +5,7 @@ results that others judge.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -62,8 +63,13 @@ MACHINE = amb.load_machine(Path(__file__).parent / "flexible_compressor.toml")
 RUNS = Timing(5e-5, 1)
 START = pid_controller(first_settings(MACHINE), MACHINE)
 PLANTS = [assemble(MACHINE, point) for point in MACHINE.operation.points]
-SMALL = [reduce(plant, 2) for plant in PLANTS]
 GROUPS = axis_groups(MACHINE, "plane")
+
+
+@cache
+def small():
+    """Reduced plants: made where a test asks for them, not while tests are collected."""
+    return [reduce(plant, 2) for plant in PLANTS]
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +87,7 @@ def few_rounds():
 
 
 def objective(timing, x_noise=1e-3, reference=None):
-    models = [loop_model(plant, timing) for plant in SMALL]
+    models = [loop_model(plant, timing) for plant in small()]
     controller = with_states(START, 4, GROUPS)
     structure, x = structured(controller, GROUPS)
     x = x + x_noise * np.random.default_rng(0).normal(size=len(x))
@@ -456,8 +462,8 @@ def test_the_loop_in_w_is_the_sampled_loop():
     """
     cost, x = objective(RUNS)
     controller, T = cost.structure.controller(x), RUNS.sample_time
-    found = cost.poles(x)[: len(cost.poles(x)) // len(SMALL)]
-    plant = select(SMALL[0].system, SMALL[0].named("u"), SMALL[0].named("y"))
+    found = cost.poles(x)[: len(cost.poles(x)) // len(small())]
+    plant = select(small()[0].system, small()[0].named("u"), small()[0].named("y"))
     loop = series(delayed(c2d(controller, T, "tustin"), 1), c2d(plant, T))
     closed = feedback(loop, static_gain(np.eye(4), dt=T))
     z = (1 + found * T / 2) / (1 - found * T / 2)
@@ -571,10 +577,10 @@ def test_rounds_are_told_and_worst_members_join(tuned):
 
 def test_the_worst_member_is_that_of_the_perturbed_plants(tuned):
     aims = aims_of(MACHINE, START)
-    found = worst_member(SMALL[0], tuned.controller, RUNS, aims)
+    found = worst_member(small()[0], tuned.controller, RUNS, aims)
 
     def peak(delta):
-        model = loop_model(perturbed(SMALL[0], delta), RUNS)
+        model = loop_model(perturbed(small()[0], delta), RUNS)
         structure, x = structured(tuned.controller)
         return Objective(structure, [model], np.geomspace(20, 3e4, 300), aims).sensitivity(x).max()
 
@@ -583,7 +589,7 @@ def test_the_worst_member_is_that_of_the_perturbed_plants(tuned):
     assert found in corners
     assert peak(found) >= 0.99 * max(peak(corner) for corner in corners)
     # no seal at rest
-    assert worst_member(SMALL[2], tuned.controller, RUNS, aims).keys() == {
+    assert worst_member(small()[2], tuned.controller, RUNS, aims).keys() == {
         "bearing.DE.negative_stiffness"
     }
 
