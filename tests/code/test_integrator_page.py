@@ -3,7 +3,6 @@ runs as printed.
 """
 
 import re
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -13,7 +12,6 @@ import pytest
 from ambrose import load_machine
 from ambrose.code.block.fixed import build_block
 from ambrose.code.c.code import generate
-from ambrose.code.c.compiler import has_compiler
 from ambrose.code.sampled import deploy
 from ambrose.judge.controller_file import write_controller
 from ambrose.law.program import ControlProgram
@@ -21,6 +19,7 @@ from ambrose.model.assemble import assemble
 from ambrose.model.reduce import reduce
 from ambrose.synthesis.design import design
 from ambrose.synthesis.pid import pid_synthesis
+from needs import needs
 
 PAGE = (Path(__file__).parents[2] / "docs" / "integrator.md").read_text()
 FLAGS = ["-std=c99", "-Wall", "-Wextra", "-pedantic", "-Werror", "-fsyntax-only"]
@@ -32,7 +31,7 @@ def block(kind, word):
     )
 
 
-@pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler here")
+@needs("cc")
 def test_the_interrupt_compiles_as_printed(tmp_path):
     plant = assemble(load_machine("seal-rig"))
     deployment = deploy(pid_synthesis(plant), 1e-4, 1e-4, plants=[], force=True)
@@ -45,7 +44,7 @@ def test_the_interrupt_compiles_as_printed(tmp_path):
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.skipif(not has_compiler(), reason="no C compiler here")
+@needs("C compiler")
 def test_software_in_the_loop_runs_as_printed(tmp_path, monkeypatch, capsys):
     """With an H-infinity controller; plants with one bending mode, where the page takes the full
     ones, are quicker.

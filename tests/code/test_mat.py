@@ -24,9 +24,10 @@ from ambrose.core.sampling import c2d
 from ambrose.judge.controller_file import read_controller, write_controller
 from ambrose.judge.result import Certificate, Synthesis
 from example_blocks import CURRENT, DT, ERROR, rig_controller, small_controller
+from needs import needs
 
 GUIDE = Path(__file__).parents[2] / "docs" / "reference" / "targets.md"
-octave = pytest.mark.skipif(shutil.which("octave-cli") is None, reason="no Octave")
+octave = needs("octave-cli")
 
 
 @pytest.fixture(scope="module")

@@ -24,6 +24,7 @@ from ambrose.model.assemble import assemble
 from ambrose.synthesis.design import design
 from coarse import coarse
 from example_blocks import small_controller
+from needs import needs
 
 GUIDE = Path(__file__).parents[2] / "docs" / "integrator.md"
 
@@ -80,7 +81,7 @@ def test_a_verified_controller_is_written(written):
     assert "Forced" not in header
 
 
-@pytest.mark.skipif(not driver.compilers(), reason="no C compiler")
+@needs("gcc or clang")
 def test_the_guides_example_compiles(written, tmp_path):
     shutil.copytree(written[0], tmp_path / "code")
     example = re.search(r"```c\n(.*?)```", GUIDE.read_text(), re.DOTALL)

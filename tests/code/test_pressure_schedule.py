@@ -4,7 +4,6 @@ that is lost or errs.
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -31,9 +30,10 @@ from ambrose.rig.disturbances import PressureChange, PressureSensor, Pulse
 from ambrose.rig.scenario import Scenario
 from ambrose.synthesis.design import design
 from coarse import coarse
+from needs import needs
 
 DT = 1e-4
-compiler = pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler here")
+compiler = needs("cc")
 
 
 @pytest.fixture(scope="module")

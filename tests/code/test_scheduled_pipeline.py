@@ -4,7 +4,6 @@ and running the rig.
 
 import json
 import re
-import shutil
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -35,12 +34,13 @@ from ambrose.rig import virtual_rig
 from ambrose.rig.engine.controller import sample_time
 from ambrose.rig.scenario import load_scenario
 from ambrose.synthesis.design import design
+from needs import needs
 from schedule_driver import block_of, small_schedule
 
 GUIDE = Path(__file__).parents[2] / "docs" / "integrator.md"
 DT = 1e-4
 TOP = 300.0  # rad/s
-compiler = pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler here")
+compiler = needs("cc")
 
 
 def gains(K, speeds, factors):

@@ -15,9 +15,10 @@ from ambrose.code.block.run import FAULT, HELD, LIMITED, run_block
 from ambrose.code.structured_text import generate_structured_text, literal
 from ambrose.core.checks import InvalidInput
 from example_blocks import CURRENT, gain_block, rig_block, small_block, small_controller
+from needs import needs
 from st_machine import FunctionBlock, parsed
 
-matiec = pytest.mark.skipif(not st_compiled.AVAILABLE, reason=st_compiled.REASON)
+matiec = needs("iec2c", "gcc")
 
 
 def direct_block():
@@ -94,7 +95,7 @@ def test_compiled_by_matiec(make, tmp_path):
     assert st_compiled.selftest(block.name, tmp_path) == (96, 0, True)
 
 
-@pytest.mark.skipif(not st_compiled.STRUCPP_AVAILABLE, reason=st_compiled.STRUCPP_REASON)
+@needs("STruC++", "g++", "node")
 @pytest.mark.parametrize("make", [rig_block, direct_block])
 def test_compiled_by_strucpp(make, tmp_path):
     block = make()

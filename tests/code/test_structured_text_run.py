@@ -23,6 +23,7 @@ from ambrose.law.synchronous_block import (
     SynchronousLaw,
     key_phasor,
 )
+from needs import needs
 from schedule_driver import DT, ERROR, block_of, gain_schedule
 from st_machine import FunctionBlock, lean
 
@@ -156,7 +157,7 @@ def test_the_test_program_passes_and_can_fail(precision):
         assert fb.v["sample"] > 2000
 
 
-@pytest.mark.skipif(not st_compiled.AVAILABLE, reason=st_compiled.REASON)
+@needs("iec2c", "gcc")
 @pytest.mark.parametrize("precision", ["double", "float"])
 def test_compiled_by_matiec(precision, tmp_path):
     unit = unit_of()

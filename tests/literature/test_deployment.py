@@ -14,7 +14,6 @@ import pytest
 from ambrose import load_machine
 from ambrose.code.block.fixed import build_block
 from ambrose.code.c.compiled import CompiledBlock, read_law
-from ambrose.code.c.compiler import has_compiler
 from ambrose.code.pipeline import machine_limits
 from ambrose.code.sampled import deploy, unmet_limits
 from ambrose.core.sampling import c2d, delayed
@@ -30,11 +29,12 @@ from ambrose.synthesis.design import design
 from ambrose.synthesis.fixed_order.polish import polish_synthesis
 from ambrose.synthesis.order_selection import find_lowest_order, sampled_sensitivity
 from ambrose.synthesis.pid import pid_synthesis
+from needs import needs
 
 pytestmark = [
     pytest.mark.literature,
     pytest.mark.study,
-    pytest.mark.skipif(not has_compiler(), reason="no C compiler here"),
+    needs("C compiler"),
 ]
 SAMPLE = 1e-4
 RIG = load_machine("seal-rig-k-only")  # P5 section 4.1: over k +-100 %

@@ -1014,16 +1014,16 @@ def test_every_field_of_every_noun_has_a_key():
 
 
 def test_loading_is_fast():
-    """Below 60 ms for a file without less common units, after the first load has imported what it
-    needs.
+    """6 ms of a processor for a file without less common units, ten times as much on a slow one,
+    after the first load has imported what it needs.
     """
     plain = dumps_machine(load_machine("turboexpander"))
     loads_machine(plain)
     times = []
     for _ in range(5):
-        start = time.perf_counter()
+        start = time.process_time()
         loads_machine(plain)
-        times.append(time.perf_counter() - start)
+        times.append(time.process_time() - start)
     assert min(times) < 0.06
 
 

@@ -8,7 +8,6 @@ calls of ``os``.
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 import sys
 from collections import Counter
@@ -20,6 +19,7 @@ import pytest
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.atomic_write import INTERRUPTED, set_aside, write_files, write_text
 from ambrose.machine.claim import claimed
+from needs import lacking
 
 TESTS = Path(__file__).parents[1]
 HOLD = """
@@ -39,8 +39,10 @@ def rows(request, tmp_path_factory):
     """(kind, mode, operation, end, state) of every fault; of these kinds every third kill alone, in
     seconds.
     """
-    if not sys.platform.startswith("linux") or not shutil.which("cc"):
-        pytest.skip("system calls are intercepted on Linux, with a C compiler")
+    if not sys.platform.startswith("linux"):
+        pytest.skip("no Linux: system calls are intercepted there")
+    if lacking("cc"):
+        pytest.skip(lacking("cc"))
     folder = tmp_path_factory.mktemp("faults")
     library = folder / "faults.so"
     built = subprocess.run(
@@ -50,7 +52,7 @@ def rows(request, tmp_path_factory):
         check=False,
     )
     if built.returncode:
-        pytest.skip(f"not this C library: {built.stderr[:200]}")
+        pytest.skip(f"no C library that is known: {built.stderr[:200]}")
     done = subprocess.run(
         [sys.executable, TESTS / "fault_driver.py", folder, *request.param],
         env={**os.environ, "LD_PRELOAD": str(library)},

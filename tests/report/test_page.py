@@ -7,7 +7,6 @@ import gzip
 import json
 import os
 import re
-import shutil
 import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -25,8 +24,8 @@ from ambrose.report import page as document
 from ambrose.report import tables
 from ambrose.report.page import Cell, Figure, Page, Section, Subject, Table, Verdict
 from ambrose.report.verification import verification_page
+from needs import CHROMIUM, needs
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 VOID = {"meta", "link", "img", "br", "hr", "input", "col"}
 
 
@@ -207,7 +206,7 @@ def test_a_table_is_kept_on_one_page_where_it_fits_with_its_details(
     assert ("short" in kind.split()) is short
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+@needs("browser")
 def test_the_page_counts_as_loaded_when_its_figures_stand(source: str, tmp_path: Path) -> None:
     """A printer without a person, ``--print-to-pdf``, begins at the load: it had printed "Being
     drawn: wait before you print" in place of every figure.

@@ -12,13 +12,13 @@ from scipy.optimize import brentq
 
 import ambrose as amb
 from ambrose.code.block.run import run_block
-from ambrose.code.c.compiler import has_compiler
 from ambrose.code.compiled_axes import CompiledAxes
 from ambrose.core.checks import InvalidInput
 from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
 from ambrose.report.record import record_page
 from ambrose.rig.disturbances import Failure, Pulse, SpeedChange, Unbalance
 from ambrose.rig.scenario import Scenario
+from needs import needs
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "expander-five-axes.toml"
 LIFT = Scenario(
@@ -67,7 +67,7 @@ def test_each_part_moves_as_by_itself():
     assert len(section.figures) == 4  # between the stops, outputs, currents, forces
 
 
-@pytest.mark.skipif(not has_compiler(), reason="no C compiler")
+@needs("C compiler")
 def test_one_c_function_holds_all_axes(tmp_path):
     """Lift-off, run-up, surge, trip, landing; what it did in the loop is what the twins of both
     blocks do with the same readings.

@@ -16,6 +16,14 @@ _PATIENCE = 5.0  # times the limit: the guard by the clock on the wall
 REMEDY = "take fewer states, modes or points (in Python a function's time_limit gives it more)"
 
 
+def _computing() -> float:
+    return time.thread_time()
+
+
+def _wall() -> float:
+    return time.monotonic()
+
+
 @dataclass(frozen=True, slots=True)
 class TimeLimit:
     """``seconds`` of computing by the thread that made this object, and five times as many on the
@@ -26,8 +34,8 @@ class TimeLimit:
     """
 
     seconds: float
-    _computed: float = field(default_factory=time.thread_time)
-    _begun: float = field(default_factory=time.monotonic)
+    _computed: float = field(default_factory=_computing)
+    _begun: float = field(default_factory=_wall)
 
     def __post_init__(self) -> None:
         check_positive(self.seconds, "time_limit", "give seconds")
@@ -35,7 +43,7 @@ class TimeLimit:
     @property
     def elapsed(self) -> float:
         """Seconds on the wall since the start."""
-        return time.monotonic() - self._begun
+        return _wall() - self._begun
 
     @property
     def left(self) -> float:
@@ -43,14 +51,14 @@ class TimeLimit:
         the limit is reached.
         """
         return min(
-            self.seconds - (time.thread_time() - self._computed),
+            self.seconds - (_computing() - self._computed),
             _PATIENCE * self.seconds - self.elapsed,
         )
 
     @property
     def reached(self) -> str:
         """What to say when nothing is left."""
-        if time.thread_time() - self._computed < self.seconds:
+        if _computing() - self._computed < self.seconds:
             return (
                 f"{_PATIENCE:g} times the time limit of {self.seconds:g} s passed, on a busy "
                 f"machine; {REMEDY}"

@@ -11,7 +11,7 @@ import ambrose as amb
 from ambrose.annexes.scheduled.monitor_code import generate_monitor, write_monitor
 from ambrose.annexes.scheduled.seal_monitor.model import seal_model
 from ambrose.annexes.scheduled.seal_monitor.watch import SealMonitor
-from ambrose.code.c.compiler import build_library, find_compiler, has_compiler, load_library
+from ambrose.code.c.compiler import build_library, find_compiler, load_library
 from ambrose.core.checks import InvalidInput
 from ambrose.core.response import simulate
 from ambrose.core.sampling import c2d
@@ -20,6 +20,7 @@ from ambrose.law.loop import closed_loop, match_controller
 from ambrose.model.assemble import assemble
 from ambrose.model.reduce import free_mode_reduction
 from ambrose.synthesis.pid import pid_synthesis
+from needs import needs
 
 DT, LENGTH = 1e-4, 16_000
 
@@ -44,7 +45,7 @@ def case(name, speed):
     return model, signals[:m], signals[m:], e
 
 
-@pytest.mark.skipif(not has_compiler(), reason="no C compiler")
+@needs("C compiler")
 @pytest.mark.parametrize(
     ("name", "speed"), [("seal-rig", 0.0), ("seal-rig", 300.0), ("three-bearing-train", 900.0)]
 )

@@ -17,7 +17,6 @@ from ambrose.code.block.fixed import build_block
 from ambrose.code.block.scheduled import build_scheduled_block
 from ambrose.code.block.supervised import supervise, supervised_twin
 from ambrose.code.c.compiled import CompiledSchedule
-from ambrose.code.c.compiler import has_compiler
 from ambrose.code.pipeline import machine_limits
 from ambrose.code.sampled import deploy, deploy_scheduled
 from ambrose.core.checks import InvalidInput
@@ -30,6 +29,7 @@ from ambrose.rig.disturbances import Prbs, PressureSensor, Pulse
 from ambrose.rig.scenario import Scenario
 from ambrose.rig.trial import simulate_scenario
 from coarse import coarse
+from needs import needs
 
 RIG = coarse("seal-rig")
 PID = pid_controller(RIG.reference, RIG)
@@ -150,7 +150,7 @@ def test_on_the_rig_a_reading_that_is_off_is_trimmed_and_one_that_is_far_off_is_
 
 
 @pytest.mark.study
-@pytest.mark.skipif(not has_compiler(), reason="no C compiler")
+@needs("C compiler")
 def test_the_code_with_a_monitor_beside_it_is_its_twin_with_one():
     scenario = events(0.55, pressure_sensors=(PressureSensor(offset=0.15 * NOMINAL),))
     limits = machine_limits(RIG)

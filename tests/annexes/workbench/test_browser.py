@@ -17,6 +17,8 @@ from pathlib import Path
 
 import pytest
 
+from needs import needs
+
 pytest.importorskip("starlette", reason="the extra workbench is not installed")
 pytest.importorskip("playwright", reason="playwright is not installed")
 
@@ -26,7 +28,7 @@ from ambrose.annexes.workbench.screens import TITLES
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 pytestmark = [
-    pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed"),
+    needs("browser"),
 ]
 MACHINE = Path(__file__).parents[3] / "benchmarks" / "snapshot_files" / "small-rig.toml"
 # words of a user's, which no page may take for more

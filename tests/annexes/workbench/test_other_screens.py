@@ -2,12 +2,13 @@
 
 import json
 import os
-import shutil
 import tomllib
 import zipfile
 
 import numpy as np
 import pytest
+
+from needs import needs
 
 pytest.importorskip("starlette", reason="the extra workbench is not installed")
 
@@ -110,7 +111,7 @@ def test_an_identified_machine_is_written_back_and_the_old_one_kept(project):
     assert project.machine.read_text("utf-8") == new
 
 
-@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+@needs("cc")
 def test_code_is_tested_and_packed(project):
     folder = project.folder("code") / "c-double"
     folder.mkdir()

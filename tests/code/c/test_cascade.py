@@ -32,6 +32,7 @@ from ambrose.machine.controller import MODES, Channel, PidSettings, Section
 from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import Pulse
 from ambrose.rig.scenario import Scenario
+from needs import needs
 
 MACHINE = load_machine("seal-rig")
 HZ = 2 * np.pi
@@ -43,7 +44,7 @@ NOTCH = Section(
 )
 LAG = Section("lead-lag", zero_frequency=HZ * 900, pole_frequency=HZ * 300)
 LOW_PASS = Section("low-pass", frequency=HZ * 1500, damping=0.7)
-compiler = pytest.mark.skipif(not driver.compilers(), reason="no C compiler")
+compiler = needs("gcc or clang")
 
 
 def settings(coordinates="axes"):

@@ -2,7 +2,6 @@
 it.
 """
 
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -23,8 +22,9 @@ from ambrose.model.assemble import assemble
 from ambrose.rig import virtual_rig
 from ambrose.rig.scenario import load_scenario
 from ambrose.synthesis.pid import pid_synthesis
+from needs import needs
 
-pytestmark = pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler here")
+pytestmark = needs("cc")
 SAMPLE = 1e-4
 
 

@@ -24,11 +24,12 @@ from ambrose.core.sampling import c2d
 from ambrose.model.assemble import assemble
 from ambrose.synthesis.design import design
 from example_blocks import gain_block, rig_block
+from needs import needs
 
 METHODS = ("pid", "hinf", "mu")
 SAMPLES = 100_000
 ERROR, CURRENT = 0.5e-3, 4.0
-compiler = pytest.mark.skipif(not driver.compilers(), reason="no C compiler")
+compiler = needs("gcc or clang")
 
 
 @pytest.fixture(scope="module")
@@ -156,7 +157,7 @@ def test_compiles_clean_and_passes_its_own_vectors(arithmetic, name, tmp_path):
         assert "96 samples, 0 wrong" in done.stdout
 
 
-@pytest.mark.skipif("clang" not in driver.compilers(), reason="no clang")
+@needs("clang")
 @pytest.mark.parametrize("make", [rig_block, example.small_block, gain_block])
 @pytest.mark.parametrize("arithmetic", ["double", "float", "fixed32"])
 def test_every_warning_of_clang_but_two(make, arithmetic, tmp_path):

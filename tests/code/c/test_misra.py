@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +12,7 @@ import pytest
 from ambrose.code.c.code import generate
 from ambrose.code.c.run import generate_run
 from example_blocks import rig_block
+from needs import needs
 
 sys.path.append(str(Path(__file__).parent))
 from test_run import base_of, unit_of
@@ -54,10 +54,10 @@ def broken(files, folder):
     return set(re.findall(r"misra-c2012-(\d+\.\d+)", done.stderr))
 
 
-needs = pytest.mark.skipif(not shutil.which("cppcheck"), reason="not here: cppcheck")
+checked = needs("cppcheck")
 
 
-@needs
+@checked
 @pytest.mark.parametrize("law", LAWS)
 def test_no_required_rule_is_broken_but_those_with_a_reason(tmp_path, law):
     files = LAWS[law]()
@@ -71,7 +71,7 @@ def test_no_required_rule_is_broken_but_those_with_a_reason(tmp_path, law):
         assert re.search(rf"\b{rule}[\s,]", report)
 
 
-@needs
+@checked
 def test_a_broken_rule_is_found(tmp_path):
     files = LAWS["fixed"]()
     source = files["rig.c"].replace("u[o] = 0.0;", "if (o) u[o] = 0.0;", 1)

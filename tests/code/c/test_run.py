@@ -15,7 +15,7 @@ from ambrose.code.block.fixed import build_block
 from ambrose.code.block.run import run_block, run_scheduled, run_supervised
 from ambrose.code.block.supervised import supervise
 from ambrose.code.c.code import in_words
-from ambrose.code.c.compiler import find_compiler, has_compiler
+from ambrose.code.c.compiler import find_compiler
 from ambrose.code.c.run import CompiledRun, generate_run
 from ambrose.code.sampled import deploy
 from ambrose.code.synchronous import RunUnit, in_order, run_unit, run_unit_words
@@ -31,9 +31,10 @@ from ambrose.law.synchronous_block import (
 )
 from ambrose.machine.controller import Channel, PidSettings, Section
 from code_driver import sanitizers
+from needs import needs
 from schedule_driver import CURRENT, DT, ERROR, block_of, gain_schedule, pressure_schedule
 
-compiled = pytest.mark.skipif(not has_compiler(), reason="no C compiler")
+compiled = needs("C compiler")
 N = 3600
 KINDS = ("fixed", "cascade", "scheduled", "supervised")
 SOME = ["fixed", *(kind for kind in KINDS[1:])]

@@ -19,6 +19,7 @@ from ambrose.code.c.code import generate, write_code
 from ambrose.code.sampled import deploy
 from ambrose.core.checks import InvalidInput
 from ambrose.core.scheduled import ScheduledSystem
+from needs import needs
 from schedule_driver import (
     CURRENT,
     DT,
@@ -34,7 +35,7 @@ from schedule_driver import (
 )
 
 SAMPLES = 100_000
-compiler = pytest.mark.skipif(not driver.compilers(), reason="no C compiler")
+compiler = needs("gcc or clang")
 
 
 def adversarial(block, count, seed=0):
@@ -75,7 +76,7 @@ def test_double_agrees_with_python(make, rate, tmp_path):
         assert 0.01 < ((status & bit) > 0).mean() < 0.9
 
 
-@pytest.mark.skipif("clang" not in driver.compilers(), reason="no clang")
+@needs("clang")
 def test_clang_agrees_with_python(tmp_path):
     block = block_of(small_schedule(), rate_limit=5e4)
     e, valid, v = adversarial(block, SAMPLES // 10, seed=1)
@@ -168,7 +169,7 @@ def test_compiles_clean_and_passes_its_own_vectors(make, arithmetic, name, tmp_p
         assert "116 samples, 0 wrong" in done.stdout
 
 
-@pytest.mark.skipif("clang" not in driver.compilers(), reason="no clang")
+@needs("clang")
 @pytest.mark.parametrize(
     ("make", "arithmetic"),
     [

@@ -32,9 +32,10 @@ from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import PressureChange, PressureSensor, Pulse
 from ambrose.rig.scenario import Scenario
 from coarse import coarse
+from needs import needs
 from schedule_driver import CURRENT, DT, ERROR, block_of, gain_schedule, pressure_schedule
 
-compiler = pytest.mark.skipif(not driver.compilers(), reason="no C compiler")
+compiler = needs("gcc or clang")
 LOW, HIGH = 1e4, 6e4
 WATCH = Limits(
     LOW, HIGH, 2e3, rate=2e6, noise=300.0, stuck=0.004, band=4e3, dwell=0.003, fade=0.002

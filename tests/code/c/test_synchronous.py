@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ambrose.code.c.compiler import has_compiler
 from ambrose.code.c.synchronous import (
     CompiledSynchronous,
     generate_synchronous,
@@ -22,9 +21,10 @@ from ambrose.law.synchronous_block import (
     SynchronousLaw,
     key_phasor,
 )
+from needs import needs
 
 DT, N = 1e-4, 20000
-compiled = pytest.mark.skipif(not has_compiler(), reason="no C compiler")
+compiled = needs("C compiler")
 
 
 def law(currents=False, per_turn=False):

@@ -12,7 +12,6 @@ import pytest
 
 from ambrose.code.block.synchronous_twin import SynchronousTwin
 from ambrose.code.block.synchronous_words import ONE, to_words
-from ambrose.code.c.compiler import has_compiler
 from ambrose.code.c.synchronous_fixed import CompiledWords, generate_words, table_found
 from ambrose.core.checks import InvalidInput
 from ambrose.law.synchronous_block import (
@@ -23,11 +22,12 @@ from ambrose.law.synchronous_block import (
     SynchronousLaw,
     key_phasor,
 )
+from needs import needs
 
 sys.path.append(str(Path(__file__).parent))
 from test_synchronous import DT, law, record
 
-compiled = pytest.mark.skipif(not has_compiler(), reason="no C compiler")
+compiled = needs("C compiler")
 ERROR, CURRENT = np.full(4, 6e-4), np.full(4, 1.0)
 
 

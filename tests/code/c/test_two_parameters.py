@@ -23,6 +23,7 @@ from ambrose.core.checks import InvalidInput
 from ambrose.core.scheduled import ScheduledSystem
 from ambrose.law.scheduling import BOTH
 from ambrose.rig import virtual_rig
+from needs import needs
 from rig.test_two_parameters import TURNING, WEIGHTLESS, ZERO, apart, product
 from schedule_driver import (
     DT,
@@ -35,7 +36,7 @@ from schedule_driver import (
     small_schedule,
 )
 
-compiler = pytest.mark.skipif(not driver.compilers(), reason="no C compiler")
+compiler = needs("gcc or clang")
 
 
 def told_of(block, count, seed=0):

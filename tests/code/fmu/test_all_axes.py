@@ -13,14 +13,14 @@ from ambrose import StateSpace
 from ambrose.code.all_axes import AllAxes
 from ambrose.code.block.fixed import build_block
 from ambrose.code.block.run import run_block
-from ambrose.code.c.compiler import has_compiler
 from ambrose.code.fmu.description import axial_flags, references, variables
 from ambrose.code.sampled import deploy
 from fmu_player import Player
+from needs import needs
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "expander-five-axes.toml"
 COUNT = 400
-compiled = pytest.mark.skipif(not has_compiler(), reason="no C compiler")
+compiled = needs("C compiler")
 
 
 @pytest.fixture(scope="module")

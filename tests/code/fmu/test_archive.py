@@ -25,12 +25,13 @@ from ambrose.core.checks import InvalidInput
 from ambrose.machine.atomic_write import write_files
 from example_blocks import CURRENT, ERROR, gain_block, rig_block, small_block
 from fmu_player import Player
+from needs import needs
 
 VERSIONS = ("2.0", "3.0")
 HEADERS = Path(fmpy.__file__).parent / "c-code"  # the standard's own, as FMPy carries them
 _MODEL_EXCHANGE = """EnterEventMode CompletedIntegratorStep EnterContinuousTimeMode SetTime SetContinuousStates GetDerivatives
 GetEventIndicators GetContinuousStates GetNominalsOfContinuousStates NewDiscreteStates"""  # of 2.0; 3.0 wants every function
-compiler = pytest.mark.skipif(not driver.compilers(), reason="no C compiler")
+compiler = needs("gcc or clang")
 
 
 @pytest.fixture(scope="module")
@@ -346,7 +347,7 @@ def version_headers(request):
 
 
 @compiler
-@pytest.mark.skipif(shutil.which("make") is None, reason="no make")
+@needs("make")
 @pytest.mark.parametrize("version", VERSIONS)
 def test_fmpy_builds_the_sources_itself(version, tmp_path, monkeypatch):
     """An FMU of sources only: FMPy finds what to compile in the FMU, builds it with CMake, and runs

@@ -14,6 +14,7 @@ from ambrose.code.fmu.description import model_description
 from ambrose.code.sampled import deploy
 from ambrose.core.checks import InvalidInput
 from fmu_player import Player
+from needs import needs
 from schedule_driver import (
     CURRENT,
     DT,
@@ -24,7 +25,7 @@ from schedule_driver import (
     small_schedule,
 )
 
-compiler = pytest.mark.skipif(not driver.compilers(), reason="no C compiler")
+compiler = needs("gcc or clang")
 VERSIONS = ("2.0", "3.0")
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
 
-import code_driver as driver
 from ambrose import StateSpace
 from ambrose.code.all_axes import AllAxes
 from ambrose.code.block.fixed import build_block
@@ -16,9 +15,10 @@ from ambrose.code.sampled import deploy
 from ambrose.code.synchronous import RunUnit, run_unit
 from ambrose.law.synchronous_block import BlockLaw, SynchronousLaw
 from fmu_player import Player
+from needs import needs
 
 pytestmark = [
-    pytest.mark.skipif(not driver.compilers(), reason="no C compiler"),
+    needs("gcc or clang"),
 ]
 COUNT, DT = 6000, 1e-4
 

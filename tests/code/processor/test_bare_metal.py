@@ -5,7 +5,6 @@ sets is what the code gives here.
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 import sys
 import zlib
@@ -23,9 +22,10 @@ from ambrose.code.processor.unit import unit_of
 from ambrose.code.rendering import render
 from ambrose.code.targets import C
 from example_blocks import rig_block, small_block
+from needs import needs
 
 sys.path.append(str(Path(__file__).parent))
-from test_trial import LAWS, M7, needs
+from test_trial import LAWS, M7
 
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wfloat-equal", "-Wshadow", "-Werror")
 
@@ -162,7 +162,7 @@ def test_the_example_is_delivered_where_it_is_asked_for():
     assert more - plain == names
 
 
-@pytest.mark.skipif(not shutil.which("cc"), reason="not here: cc")
+@needs("cc")
 @pytest.mark.parametrize("law", LAWS)
 def test_the_part_that_knows_no_hardware_compiles_anywhere(tmp_path, law):
     block = LAWS[law]()

@@ -26,7 +26,9 @@ from ambrose.rig.scenario import load_scenario
 from example_blocks import small_block
 
 sys.path.append(str(Path(__file__).parent))
-from test_trial import BIG, M7, needs
+from test_trial import BIG, M7
+
+from needs import needs
 
 RIG = amb.load_machine("seal-rig")
 

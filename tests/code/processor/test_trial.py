@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -29,24 +28,11 @@ from ambrose.code.targets import C
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.controller_file import write_controller
 from example_blocks import rig_block, small_block, small_controller
+from needs import needs
 
 sys.path.append(str(Path(__file__).parents[1] / "c"))
 from test_run import base_of
 from test_run import unit_of as beside_of
-
-
-def missing(name):
-    """Why nothing can be tried on a processor here; "" where it can."""
-    processor = PROCESSORS[name]
-    needed = ("cc", processor.compiler, processor.emulator[0])
-    absent = [program for program in needed if not shutil.which(program)]
-    return f"not here: {', '.join(absent)}" if absent else ""
-
-
-def needs(*names):
-    reasons = [missing(name) for name in names if missing(name)]
-    return pytest.mark.skipif(bool(reasons), reason="; ".join(reasons))
-
 
 M7, BIG = "cortex-m7", "cortex-r5-big-endian"
 LAWS = {

@@ -327,7 +327,7 @@ def test_never_a_hang():
     """The hardest kinds in one call each, within seconds: many real blocks alone, and a large
     repeated block.
     """
-    start = time.perf_counter()
+    start = time.process_time()
     mu_bounds(random_matrix(10, 10, 8, 8), [RealBlock(f"d{i}") for i in range(8)])
     mu_bounds(random_matrix(11, 3, 8, 8), [RealBlock("d", 6), FullBlock("f", 2, 2)])
-    assert time.perf_counter() - start < 30
+    assert time.process_time() - start < 30

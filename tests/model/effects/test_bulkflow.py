@@ -509,13 +509,14 @@ def test_thesis_seal_behaves_as_hole_pattern_seals_do():
     assert cross_over[0] < cross_over[1]
 
 
-def test_fifteen_frequencies_take_well_under_a_second():
+def test_fifteen_frequencies_take_a_blink():
+    """Three hundredths of a second of a processor, which may be ten times as slow."""
     import time
 
     bulk_flow(SEAL, CONDITION, FREQUENCIES)
-    start = time.perf_counter()
+    start = time.process_time()
     bulk_flow(SEAL, CONDITION, FREQUENCIES)
-    assert time.perf_counter() - start < 1.0
+    assert time.process_time() - start < 0.3
 
 
 def test_table_feeds_a_seal():

@@ -17,13 +17,13 @@ from ambrose.annexes.site.balancing.synchronous import (
     unbalance_from_amplitudes,
 )
 from ambrose.cli import main
-from ambrose.code.c.compiler import has_compiler
 from ambrose.core.checks import InvalidInput
 from ambrose.law.pid import pid_controller
 from ambrose.law.synchronous import Condition, forward_patterns, synchronous_loop
 from ambrose.law.synchronous_block import BlockLaw, SynchronousBlock, SynchronousLaw
 from ambrose.machine.file.toml import load_machine
 from ambrose.machine.synchronous import Synchronous
+from needs import needs
 
 REST = Condition(0.0)
 TRUE = np.array([40e-6, 28e-6 * np.exp(1.0j)])
@@ -259,7 +259,7 @@ def test_tables_without_a_common_speed_are_no_change(loop, tmp_path):
         balanced(loop, now, then)
 
 
-@pytest.mark.skipif(not has_compiler(), reason="no C compiler")
+@needs("C compiler")
 def test_one_hold_on_the_rig_falls_by_30_db_and_tells_93_percent_of_the_unbalance():
     """Nonlinear rig with noise, C block, key phasor: 1x current by 30 dB, and what balancing
     leaves.
