@@ -7,6 +7,7 @@ looks for new ones.
 
 import os
 import re
+import shutil
 import sys
 from functools import cache
 from importlib.util import find_spec
@@ -28,6 +29,9 @@ IMPORT = re.compile(r"^(?:from|import) [^#\n]*(?:\([^)]*\))?", re.M)
 ANNEX = re.compile(r"ambrose\.annexes\.(\w+)")
 
 shape_contract.install()
+import compiled_once  # noqa: E402 - imports the package, which is looked at from here on
+
+compiled_once.install()
 settings.register_profile("ci", derandomize=True, deadline=None)
 settings.register_profile("desk", deadline=None)
 settings.load_profile("ci" if os.environ.get("CI") else "desk")
@@ -102,6 +106,11 @@ def pytest_runtest_teardown(item):
 def pytest_runtest_logreport(report):
     if report.when == "teardown":
         MEASURED[report.nodeid] = dict(report.user_properties).get("processor", 0)
+
+
+def pytest_unconfigure(config):
+    if not hasattr(config, "workerinput"):
+        shutil.rmtree(compiled_once.KEPT, ignore_errors=True)
 
 
 def pytest_terminal_summary(terminalreporter, config):
