@@ -65,6 +65,7 @@ def test_the_front_has_less_of_one_for_more_of_the_other():
     assert volumes == sorted(volumes) and losses == sorted(losses, reverse=True)
 
 
+@pytest.mark.study
 def test_the_least_gain_meets_all_with_less_than_a_plain_design():
     plain = amb.design(rig(), "tuned", rate=10_000, order=8)
     found = least(rig(), "gain", FAST)

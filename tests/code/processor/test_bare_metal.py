@@ -95,11 +95,11 @@ def currents(law, arithmetic, folder, rows=None):
 @pytest.mark.parametrize(
     ("law", "arithmetic"),
     [
-        ("fixed", "float"),
-        ("fixed", "fixed32"),
+        pytest.param("fixed", "float", marks=pytest.mark.study),
+        pytest.param("fixed", "fixed32", marks=pytest.mark.study),
         ("cascade", "double"),
         ("supervised", "float"),
-        ("synchronous", "double"),
+        pytest.param("synchronous", "double", marks=pytest.mark.study),
         ("synchronous", "fixed32"),
     ],
 )

@@ -256,6 +256,7 @@ def test_flat_tops_are_refused_and_plateaus_are_not(driven, row, words):
     assert not look(replace(read_axis(record), position=plateaus, drive=plateaus))
 
 
+@pytest.mark.study
 def test_intervals_hold_the_truth_in_95_of_100():
     """Of 40 records, with a margin of chance (three deviations of a share of 0.95)."""
     _, y, u, r = levitate(runs=40, n=6000, seed=1)

@@ -396,6 +396,7 @@ def test_proof_over_all_frequencies_holds_above_the_peak_only():
 # eight independent reals
 
 
+@pytest.mark.study
 def test_eight_reals_all_corners_stable():
     """The turboexpander, eight seal coefficients +-40 %."""
     machine = load_machine("turboexpander")
