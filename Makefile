@@ -46,7 +46,7 @@ lint: $(BIN)/.installed  ## ruff, the layer contract, the tests that read our ow
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest -m source
+	$(BIN)/python -m pytest -m source tests/test_house.py tests/docs
 	$(BIN)/mypy
 
 bench: $(BIN)/.installed  ## speed and accuracy beside the peers
