@@ -5,6 +5,8 @@ BIN    := $(VENV)/bin
 OUT    ?= out
 CONSTRAINTS ?= constraints.txt
 EXTRAS ?= dev
+# what differs from this decides which slow tests `make test` runs; without it, the main branch
+BASE ?=
 # Matrices here have some hundred rows: BLAS threads cost more than they bring.
 export OPENBLAS_NUM_THREADS ?= 1
 # Where an environment forbids it, every process would compile 500 files anew: a quarter of its start.
@@ -25,13 +27,13 @@ $(BIN)/.installed: pyproject.toml $(CONSTRAINTS)
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):[^#]*##  *\(.*\)/\1: \2/p' $(MAKEFILE_LIST) | awk -F ': ' '{ printf "make %-12s%s\n", $$1, substr($$0, length($$1) + 3) }'
-	@echo 'Variables: PYTHON=python3.12, VENV=.venv, OUT=out'
+	@echo 'Variables: PYTHON=python3.12, VENV=.venv, OUT=out, BASE=main (of make test)'
 
 demo: $(BIN)/.installed  ## the main job, and what `make` does: machine file -> verdict -> report (a failed check is no error here)
 	$(BIN)/ambrose study seal-rig -o $(OUT)/seal-rig || test $$? -eq 1
 
 test: $(BIN)/.installed  ## the tests: quick ones, and slow ones that reach what differs from the main branch (all on CI)
-	$(PYTEST)
+	$(PYTEST) $(if $(BASE),--base $(BASE))
 
 test-all: $(BIN)/.installed  ## all tests, whatever differs: about ten minutes on two processors
 	$(PYTEST) --all

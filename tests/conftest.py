@@ -74,7 +74,8 @@ def pytest_configure_node(node):
 
 def pytest_sessionstart(session):
     """Which tests run, and why; a header is left out by -q."""
-    if printer := session.config.pluginmanager.get_plugin("terminalreporter"):
+    printer = session.config.pluginmanager.get_plugin("terminalreporter")
+    if printer and WHY in session.config.stash:  # no worker has it
         printer.write_line(session.config.stash[WHY])
 
 
