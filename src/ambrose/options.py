@@ -209,7 +209,11 @@ def ends(value: Any, name: str) -> None:
     """Refuse what is no range: two numbers, the lower first. Raises InvalidInput."""
     from ambrose.core.checks import check_positive, invalid
 
-    if isinstance(value, str) or len(value) != 2:
+    try:
+        low, high = (float(end) for end in value if not isinstance(end, str))
+    except (TypeError, ValueError):
+        low = high = None
+    if low is None or isinstance(value, str) or len(value) != 2:
         raise invalid(name, repr(value), "two numbers", "give the lowest and the highest")
     low, high = value
     if not 0 <= low < high < float("inf"):
