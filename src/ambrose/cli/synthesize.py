@@ -150,10 +150,13 @@ def synthesize(
             "add --method tuned --structure pid",
         )
     claim(controller_file=output, machine_file=machine_file)
+    # a peak names the point it is of: the worst one, which verify finds, is another
+    where = ""
     with progress_shown(as_json) as progress:
         if base is None:
             progress("assembling the plant")
             plant = plant_at(description, point)
+            where = f" at {plant.point.label or 'the design point'}"
             progress(f"designing ({method})")
             result = design(plant, chosen, progress=progress)
             if result.method == "hinf" and point is None and result.lost:
@@ -220,7 +223,10 @@ def synthesize(
         numbers = _numbers(certificate)
         if method != "pid":  # which minimises nothing
             numbers = {"gamma": result.gamma, **numbers}
-        rows += [(name.replace("_", " "), shown(value)) for name, value in numbers.items()]
+        rows += [
+            (name.replace("_", " ") + (where if name.endswith("_peak") else ""), shown(value))
+            for name, value in numbers.items()
+        ]
         rows += [
             (f"abscissa, {label}", shown(value)) for label, value in certificate["envelope"].items()
         ]
