@@ -210,12 +210,12 @@ def ends(value: Any, name: str) -> None:
     from ambrose.core.checks import check_positive, invalid
 
     try:
+        if isinstance(value, str):
+            raise TypeError
         low, high = (float(end) for end in value if not isinstance(end, str))
-    except (TypeError, ValueError):
-        low = high = None
-    if low is None or isinstance(value, str) or len(value) != 2:
-        raise invalid(name, repr(value), "two numbers", "give the lowest and the highest")
-    low, high = value
+    except (TypeError, ValueError) as error:
+        remedy = "give the lowest and the highest"
+        raise invalid(name, repr(value), "two numbers", remedy) from error
     if not 0 <= low < high < float("inf"):
         swapped = 0 <= high < low
         raise invalid(

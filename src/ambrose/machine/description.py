@@ -224,7 +224,7 @@ class OperatingPoint(Part):
                     "units are for machine files",
                 )
             optional = value is None and name in ("bias_current", "whirl_frequency")
-            if not optional and (not isinstance(value, Real) or isinstance(value, bool)):
+            if not optional and (isinstance(value, bool) or not isinstance(value, Real)):
                 raise invalid(
                     f"{name} of an operating point",
                     type(value).__name__,
