@@ -138,3 +138,19 @@ def test_a_range_names_the_unit_that_was_meant():
         "[[bearing]] A, [bearing.touchdown.race]: element_stiffness is 150 N/m, where 0.1 N/um to "
         '1e4 N/um is usual; write "150 N/um" if that is meant'
     )
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('corner = "12 kHz"', "corner = 0"),
+        ('power = "40 kW"', "power = 1e15"),
+        ("turns = 36", "turns = 1e300"),
+        ("gap_scale = 0.98", "gap_scale = 1e-300"),
+        ('zero_frequency = "550 Hz"', "zero_frequency = 1e-300"),
+        ('temperature = "20 degC"', "temperature = 1e300"),
+    ],
+)
+def test_numbers_that_ended_check_in_a_traceback_are_refused(old, new):
+    with pytest.raises(InvalidInput, match=r"; (correct|give|leave)"):
+        loads_machine(SMALL.replace(old, new))

@@ -386,7 +386,7 @@ def _content(text: str) -> Any:
             "reduce the controller's order",
         )
     try:
-        return parse_json(text, _AGAIN)
+        return parse_json(text, _AGAIN, sys.float_info.max)
     except InvalidInput:
         if re.search(r"^\[\[?[a-z_.]+\]", text, re.MULTILINE):
             given = "a machine file, or another in TOML"

@@ -30,15 +30,15 @@ _TYPES: Mapping[str, tuple[type, ...]] = {
 }
 
 
-def parse_json(text: str | bytes, again: str) -> Any:
-    """The content of a JSON text. again: how to make it anew, for the refusals. Raises
-    InvalidInput, which names no file.
+def parse_json(text: str | bytes, again: str, largest: float = LARGEST_NUMBER) -> Any:
+    """The content of a JSON text. again: how to make it anew, for the refusals; largest: size of a
+    number. Raises InvalidInput, which names no file.
     """
 
     def number(digits: str) -> float:
         value = float(digits)
-        if not abs(value) <= LARGEST_NUMBER:
-            most = f"finite, at most {LARGEST_NUMBER:g} in size"
+        if not abs(value) <= largest:
+            most = f"finite, at most {largest:g} in size"
             raise invalid("a number", digits, most, again)
         return value
 
@@ -60,7 +60,7 @@ def parse_json(text: str | bytes, again: str) -> Any:
 
     content = text.decode("utf-8", "replace") if isinstance(text, bytes) else text
     if _depth(content) > JSON_DEPTH:
-        raise InvalidInput(f"is not JSON that is nested at most {JSON_DEPTH} times; {again}")
+        raise InvalidInput(f"is JSON that is nested more than {JSON_DEPTH} times; {again}")
     try:
         return json.loads(
             content,
