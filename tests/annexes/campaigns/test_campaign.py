@@ -430,6 +430,11 @@ def test_what_no_case_can_use_is_refused_before_any_is_computed(
         b'{"key": "a", "failure": "", "values": [1]}\n',
         b'{"key": "a", "failure": "", "values": {"x": [1]}}\n',
         b'{"key": "a", "failure": "", "values": {"x": 1' + b"0" * 400 + b"}}\n",
+        b'{"key": "a", "failure": "", "values": {"sensitivity.output.max": "large"}}\n',
+        b'{"key": "a", "failure": "", "values": {"stable": "yes"}}\n',
+        b'{"key": "a", "failure": "", "values": {"outcome": 3}}\n',
+        b'{"key": "a", "failure": "", "values": {"x": NaN}}\n',
+        b'{"key": "a", "failure": "", "values": {"x": 1e999}}\n',
     ],
 )
 def test_a_foreign_file_of_rows_is_refused_and_kept(tmp_path, content):

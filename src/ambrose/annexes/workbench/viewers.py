@@ -8,7 +8,6 @@ length. With the last page the rig stands still; it goes on from there when a pa
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -21,6 +20,7 @@ from ambrose.annexes.workbench.live import SAMPLES, LiveSession, packed, startin
 from ambrose.annexes.workbench.project import Project
 from ambrose.core.checks import AmbroseError
 from ambrose.core.presentation import json_text
+from ambrose.machine.json_text import parse_json
 
 FRAMES = 40.0  # a second
 THREAD = "live-rig"
@@ -126,7 +126,7 @@ class LiveRoom:
             try:
                 if len(text) > _LONGEST:
                     raise ValueError
-                message = json.loads(text)
+                message = parse_json(text, "reload the page")
             except (ValueError, RecursionError):
                 await viewer.tell(refused="that is no message of this page; reload it")
                 continue
