@@ -189,7 +189,9 @@ def test_a_force_law_is_one_of_currents(driven, tmp_path):
     for header in ("u [V]", "u"):
         path = table(tmp_path / "v.txt", time, 1e-6 * y, u, r, ("t [s]", "y [um]", header, "r"))
         for how in (stated, {"hanging": True}):
-            with pytest.raises(InvalidInput, match="force law is one of currents, and the drive is"):
+            with pytest.raises(
+                InvalidInput, match="force law is one of currents, and the drive is"
+            ):
                 amb.identify_generic(path, **how)
 
 
