@@ -194,10 +194,15 @@ def _stating(machine: Machine, extra: float, outputs: Sequence[SimulatedOutput])
     samples = f", {extra / outputs[0].record.dt:.2g} samples" if outputs else ""
     return (
         "suspect an anti-alias or sensor filter first (one of second order at "
-        f"{corner:.3g} Hz has these {1e6 * extra:.3g} us): state it as the bandwidth of every "
-        f'[[sensor]], "{sensor:.3g} Hz", and identify again; else a longer delay of computing or '
+        f"{_hertz(corner)} has these {1e6 * extra:.3g} us): state it as the bandwidth of every "
+        f'[[sensor]], "{_hertz(sensor)}", and identify again; else a longer delay of computing or '
         f"hold{samples} (--unknown delay), or another amplifier or current loop"
     )
+
+
+def _hertz(value: float) -> str:
+    """Three significant digits of a frequency [Hz]."""
+    return f"{value / 1e3:.3g} kHz" if value >= 1e3 else f"{value:.3g} Hz"
 
 
 def _sizes(machine: Machine, result: ParameterEstimate) -> list[Finding]:

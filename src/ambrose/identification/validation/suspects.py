@@ -226,7 +226,7 @@ def chosen_modes(
             break
         count = further
     # the last few may hold some that explain nothing
-    return min(range(max(count - _FURTHER + 1, fewest), count + 1), key=cost)
+    return min(range(max(count - max(_FURTHER - 1, 0), fewest), count + 1), key=cost)
 
 
 def _structures(
