@@ -161,20 +161,21 @@ def identify_loop(
             magnets, records, experiment, result = without_magnets(
                 machine, records, controller, experiment, result
             )
-        if result.converged and more_modes:
+        while result.converged and more_modes:
             count = chosen_modes(machine, records, controller, result, options)
-            if count > options.bending_modes:
-                progress(f"identifying again with {count} bending modes, which the records tell")
-                options = replace(options, bending_modes=count)
-                setup["bending_modes"] = count
-                experiment = build_experiment(machine, measured, controller, unknown, options)
-                begin = dict(zip(result.paths, result.values.tolist(), strict=True))
-                result = replace(closed_loop.fit(experiment, begin), start=result.start)
-                magnets, records = None, measured
-                if result.converged and options.period is None:
-                    magnets, records, experiment, result = without_magnets(
-                        machine, records, controller, experiment, result
-                    )
+            if count <= options.bending_modes:
+                break
+            progress(f"identifying again with {count} bending modes, which the records tell")
+            options = replace(options, bending_modes=count)
+            setup["bending_modes"] = count
+            experiment = build_experiment(machine, measured, controller, unknown, options)
+            begin = dict(zip(result.paths, result.values.tolist(), strict=True))
+            result = replace(closed_loop.fit(experiment, begin), start=result.start)
+            magnets, records = None, measured
+            if result.converged and options.period is None:
+                magnets, records, experiment, result = without_magnets(
+                    machine, records, controller, experiment, result
+                )
         if result.converged and options.period is not None:
             result = with_magnets_unsure(machine, records, controller, experiment, result)
     else:

@@ -116,10 +116,19 @@ def test_what_is_not_checked_is_said_and_another_sampling_is_named():
 
 @pytest.mark.parametrize("modes", [3, 8])
 def test_as_many_bending_modes_are_modelled_as_the_record_tells(modes):
+    """With more than the usual three the values are several times nearer to the truth."""
     given, pid = machine()
-    done = amb.identify(given, run(modes=modes, noise=2e-11), pid)
-    assert done.bending_modes == modes
-    assert done.passed and max(map(abs, of_values(done))) < 3
-    assert any(f"{modes} bending modes" in item for item in done.remarks) == (modes > 3)
-    asked = amb.identify(given, run(modes=modes, noise=2e-11), pid, bending_modes=3)
-    assert asked.bending_modes == 3
+    record = run(modes=modes, noise=2e-10)
+    done = amb.identify(given, record, pid)
+    assert done.passed
+    assert any("bending modes per plane" in item for item in done.remarks) == (modes > 3)
+    if modes == 3:
+        assert done.bending_modes == 3 and max(map(abs, of_values(done))) < 3
+        return
+    asked = amb.identify(given, record, pid, bending_modes=3)
+    assert asked.bending_modes == 3 and done.bending_modes >= 6
+
+    def off(found):
+        return max(abs(row.value / row.start - 1) for row in found.parameters[:8])
+
+    assert off(done) < off(asked) / 3

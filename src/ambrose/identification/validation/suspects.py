@@ -206,27 +206,30 @@ def chosen_modes(
     options: FitOptions,
 ) -> int:
     """How many bending modes per plane the records tell: those of ``options``, and a few more as
-    long as they explain a part of what is left (_TELLS).
+    long as they explain a part of what is left (_TELLS) and move a value (_SEEN).
     """
     options = replace(options, period=None)
     fewest, most = options.bending_modes, bending_modes_of_mesh(machine)
-    costs: dict[int, float] = {}
+    trials: dict[int, _Trial] = {}
 
-    def cost(count: int) -> float:
-        if count not in costs:
+    def tried(count: int) -> _Trial:
+        if count not in trials:
             how = replace(options, bending_modes=count)
-            tried = _trial(machine, records, controller, result, how)
-            costs[count] = np.inf if tried is None else np.nan_to_num(tried.cost, nan=np.inf)
-        return costs[count]
+            found = _trial(machine, records, controller, result, how)
+            nothing = _Trial(np.zeros(len(result.paths)), np.inf)
+            trials[count] = nothing if found is None or np.isnan(found.cost) else found
+        return trials[count]
 
     count = fewest
     while count < most:
-        further = min(count + _FURTHER, most)
-        if not cost(further) < (1 - _TELLS) * cost(count):
+        now, further = tried(count), tried(min(count + _FURTHER, most))
+        moved = np.abs(further.step - now.step) > _SEEN * result.standard_deviations
+        if not further.cost < (1 - _TELLS) * now.cost or not moved.any():
             break
-        count = further
+        count = min(count + _FURTHER, most)
     # the last few may hold some that explain nothing
-    return min(range(max(count - max(_FURTHER - 1, 0), fewest), count + 1), key=cost)
+    first = max(count - max(_FURTHER - 1, 0), fewest)
+    return min(range(first, count + 1), key=lambda count: tried(count).cost)
 
 
 def _structures(
