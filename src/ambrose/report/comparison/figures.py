@@ -11,6 +11,7 @@ import numpy as np
 
 from ambrose.core.frequency import frequency_response
 from ambrose.judge.checks import Checks, Curve
+from ambrose.judge.sensitivity import ALL_AXES
 from ambrose.machine.machine import Machine
 from ambrose.report import theme, units
 from ambrose.report.comparison.envelope import NOT_EVALUATED
@@ -391,9 +392,12 @@ def _curve(checks: Checks | None, name: str) -> Curve | None:
 
 
 def _line(curve: Curve, label: str) -> Curve:
-    """One line of the curve alone."""
+    """One line of the curve alone, with the limits that judge it: zones are of axes."""
     i = curve.labels.index(label)
-    return replace(curve, y=curve.y[i : i + 1], labels=(label,))
+    limits = curve.limits
+    if label == ALL_AXES:
+        limits = tuple(limit for limit in limits if not limit[0].startswith("zone"))
+    return replace(curve, y=curve.y[i : i + 1], labels=(label,), limits=limits)
 
 
 def _with(words: str, hidden: str) -> str:
