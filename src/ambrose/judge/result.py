@@ -209,6 +209,11 @@ class Synthesis(Presented, Law):
         content["provenance"] |= {"date": "", "digest": None}
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
+    @property
+    def named(self) -> str:
+        """Its method and digest."""
+        return f"{self.method}, SHA-256 {self.digest}"
+
     def to_control(self) -> Any:
         """The controller as a python-control system."""
         return self.controller.to_control()

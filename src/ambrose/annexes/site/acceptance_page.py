@@ -105,9 +105,7 @@ def _sections(loop: MeasuredLoop, requirement: float | None, several: bool) -> l
         Figure(f"Open loop{where}", nyquist(names, loop.omega, loop.loops, opened, told), _OPEN),
         Figure(
             f"Closed loop{where}",
-            panels(
-                names, loop.omega, T, T - loop.half, T + loop.half, closed, [()] * len(names), told
-            ),
+            panels(names, loop.omega, T, T - loop.half, T + loop.half, closed, none, told),
             _CLOSED,
         ),
     )

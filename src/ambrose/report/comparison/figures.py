@@ -269,7 +269,7 @@ def _time_figure(
     first = responses[0][3]
     axes = tuple(dict.fromkeys(label for *_, curve in responses for label in curve.labels))
     labels = [*points, *(point for _, point, _, _ in responses)]
-    calm = tuple((point, curve) for _, point, trace, curve in responses if _is_calm(trace))
+    calm = tuple((point, curve) for _, point, trace, curve in responses if trace.passed)
     span = _lively(calm)
     rows = []
     for block in wrapped(candidates):
@@ -283,9 +283,7 @@ def _time_figure(
                 lines = tuple(
                     (point, _drawable(curve, axis, trace, span)) for _, point, trace, curve in mine
                 )
-                notes = [
-                    (point, _ending(trace)) for _, point, trace, _ in mine if not _is_calm(trace)
-                ]
+                notes = [(point, _ending(trace)) for _, point, trace, _ in mine if not trace.passed]
                 notes += [
                     (point, f"{point}: {NOT_EVALUATED}")
                     for point in points
@@ -321,7 +319,7 @@ def _drawable(curve: Curve, axis: str, trace: Trace, span: tuple[float, float] |
     """
     i = curve.labels.index(axis)
     row = curve.y[i : i + 1]
-    if not _is_calm(trace):
+    if not trace.passed:
         both = np.vstack([_growth(curve.x, row[0]), -_growth(curve.x, -row[0])])
         keep = np.unique(np.linspace(0, row.shape[1] - 1, _OUTLINE).astype(int))
         return replace(curve, x=curve.x[keep], y=both[:, keep], labels=(axis, axis))
@@ -345,10 +343,6 @@ def _growth(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     tops = np.flatnonzero(~rises & np.append(True, rises[:-1]))
     at = np.unique(np.r_[0, int(rises.argmax()), tops, len(x) - 1])  # flat before the first
     return np.interp(x, x[at], highest[at])
-
-
-def _is_calm(trace: Trace) -> bool:
-    return trace.stable and trace.outcome == "completed"
 
 
 def _ending(trace: Trace) -> str:
