@@ -150,6 +150,7 @@ def documented():
 
 def test_every_check_stands_in_a_table_and_every_table_row_exists(rig, rig_controller):
     wanted = Requirements(control_gain=1e5, roll_off=2e4, running_speeds=(200.0, 600.0))
+    wanted = replace(wanted, damping_above=1e-4)
     coil = replace(rig.amplifier, max_voltage=100.0, inductance=0.02)
     operation = Operation((OperatingPoint(speed=300.0),), (0.0, 600.0))
     machine = replace(rig, operation=operation, requirements=wanted, amplifier=coil)

@@ -176,6 +176,7 @@ RULES: dict[str, Rule] = {
         Rule("maximum singular value of a sensitivity", "sensitivity_peak"),
         Rule("compliance", "compliance_peak"),
         Rule("log decrement", "log_decrement", LOG_DECREMENT, ">="),
+        Rule("damping above the top speed", "damping_above", relation=">="),
         Rule("unbalance orbit", "unbalance_orbit"),
         Rule("orbit over clearance", None, CLEARANCE),
         Rule("settling time", "settling_time"),

@@ -595,6 +595,7 @@ def _result(
     ratios["sensitivity"] = max(ratios["sensitivity"], exact, key=lambda ratio: ratio.value)
     final = _in_words(_Round(best.law, ratios))
     job.say(f"certificate, on all reduced models and the full plants: {final}")
+    guards = {name: words for name, words in job.aims.guards.items() if name in ratios}
     certificate = Certificate(
         all(item.stable for item in found),
         max(item.spectral_abscissa for item in found),
@@ -602,14 +603,13 @@ def _result(
         fastest_pole(controller),
         {"bending_modes": float(job.small[0].bending_modes or 0)}
         | {f"ratio_{name}": r.value for name, r in ratios.items()}
-        | {f"guard_{name}": ratios[name].value for name in job.aims.guards},
+        | {f"guard_{name}": ratios[name].value for name in guards},
         f"{machine.name}, full plant at {len(found)} operating points",
     )
     binding = max(ratios, key=lambda name: ratios[name].value)
     at = ratios[binding]
     where = f" at {at.frequency / (2 * np.pi):.4g} Hz" if np.isfinite(at.frequency) else ""
     notes = [f"{binding} binds: {at.value:.3f} of its limit at {at.label}{where}"]
-    guards = job.aims.guards
     missed = [
         f"{name} ({ratio.value:.3f})"
         for name, ratio in ratios.items()
