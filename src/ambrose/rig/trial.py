@@ -60,7 +60,9 @@ def _naming_laws(run: Callable[..., Trace]) -> Callable[..., Trace]:
     """The function, its trace with what controlled."""
 
     @wraps(run)
-    def named(machine: Any, controller: LawLike, scenario: Any, **options: Any) -> Trace:
+    def named(
+        machine: Machine | Plant, controller: LawLike, scenario: str | Scenario, **options: Any
+    ) -> Trace:
         given = {"Controller": controller} | {
             f"{name.capitalize()} controller": options.get(name)
             for name in ("second", "fallback", "axial")
