@@ -28,6 +28,8 @@ from ambrose.terminal import (
 
 METHODS = methods()
 _METHOD_OPTION = "--method"
+# of the controller, or of the loop as it runs
+_OF_ALL = ("fastest_pole", "bending_modes", "ratio_", "guard_", "direct_gain_mismatch")
 _APART = 1.5  # times: continuous and sampled peaks that differ by more are explained
 
 
@@ -299,7 +301,7 @@ def _numbers(certificate: dict[str, Any]) -> dict[str, Any]:
     others = numbers | {name: value for name, value in margins.items() if name not in as_run}
     of_full_plant = {"full_spectral_abscissa", "full_sensitivity_peak"}
     return leading | {
-        name if name == "fastest_pole" else f"continuous {name}": value
+        name if name.startswith(_OF_ALL) else f"continuous {name}": value
         for name, value in others.items()
         if name not in of_full_plant
     }

@@ -379,6 +379,9 @@ class Requirements(Part):
     gain_margin: Annotated[Ratio | None, "smallest gain margin, as a factor"] = None
     phase_margin: Annotated[Angle | None, "smallest phase margin"] = None
     log_decrement: Annotated[Ratio | None, "smallest logarithmic decrement"] = None
+    damping_above: Annotated[
+        Ratio | None, "smallest damping ratio of modes above the top speed"
+    ] = None
     max_current: Annotated[Current | None, "largest control current"] = None
     control_gain: Annotated[
         float | None,

@@ -28,6 +28,7 @@ from ambrose.core.statespace import (
 )
 from ambrose.judge import nominal
 from ambrose.judge.certificate import fastest_pole
+from ambrose.judge.result import Synthesis
 from ambrose.judge.sampled_box import sampled_box
 from ambrose.law.loop import match_controller
 from ambrose.law.pid import first_settings, pid_controller
@@ -110,6 +111,7 @@ def test_the_gradient_is_that_of_finite_differences(timing):
         "voltage",
         "settling",
         "damping",
+        "damping_above",
         "match",
     }
     direction = np.random.default_rng(1).normal(size=len(x))
@@ -385,6 +387,54 @@ def test_a_descent_from_far_above_its_end_is_kept():
     assert tuning._judged(job, low, job.models).worst > 30
     law, _ = tuning._descended(job, low, 120)
     assert tuning._judged(job, law, job.models).worst < 2
+
+
+def worse(law, share):
+    """A law that holds less well: less of its gain."""
+    return StateSpace(law.A, law.B, share * law.C, share * law.D, law.inputs, law.outputs)
+
+
+def test_what_is_tuned_is_never_worse_than_its_start(monkeypatch):
+    """process-compressor with the guard of the gain off: 4.485, with 3.575 at the start."""
+    job, (law, *_) = begun(START)
+    law = tuning._first_holding(job, (law,))
+
+    def astray(job, law, structure, powers, rounds, history):
+        rounds.append(tuning._judged(job, worse(law, 0.8), job.models))
+
+    monkeypatch.setattr(tuning, "_improve", astray)
+    monkeypatch.setattr(tuning, "_result", lambda job, best, *more: best)
+    job.most_states, job.full = None, job.small
+    found = tuning.tuned(job, law, "free")
+    start, away = (tuning._judged(job, item, job.models) for item in (law, worse(law, 0.8)))
+    assert start.worst < away.worst
+    assert found.law is law
+    assert found.worst == pytest.approx(start.worst)
+    # guards stand by themselves among the ratios
+    assert set(job.aims.guards) == {"gain", "damping_above"} <= set(start.ratios)
+
+
+@pytest.mark.parametrize("gammas", [(3.0, 2.0), (2.0, 3.0), (2.0, None), (3.0, 0.9)])
+def test_more_freedom_never_gives_less(monkeypatch, gammas):
+    """More gain than the guard allows: what the guard's gain leads to is tried as well."""
+    relaxed = replace(MACHINE.requirements, control_gain=1e9)
+    machine = replace(MACHINE, requirements=relaxed)
+    plants = [assemble(machine, point) for point in machine.operation.envelope][:1]
+    asked = []
+
+    def searched(job, law, structure, **more):
+        asked.append(job.aims.gain)
+        gamma = gammas[0] if len(asked) == 1 else gammas[1]
+        if gamma is None:
+            raise NumericalFailure("nothing")
+        return Synthesis(START, "tuned", gamma)
+
+    monkeypatch.setattr(tuning, "tuned", searched)
+    found = tune_controller(plants, START, RUNS, bending_modes=0)
+    assert found.gamma == min(gamma for gamma in gammas if gamma is not None)
+    assert asked[0] == 1e9
+    assert asked[1] < 1e9  # the guard's, from which the last goes on
+    assert asked[2:] in ([1e9], [])
 
 
 def test_the_grid_takes_in_what_is_missed_between_its_points():

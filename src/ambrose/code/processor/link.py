@@ -62,10 +62,15 @@ class Link:
             bufsize=0,
         )
         self._program = program
-        if self._asked() != _HELLO:
+        try:
+            if self._asked() != _HELLO:
+                raise InvalidInput(
+                    f"the program on {processor.name} does not answer in its byte order"
+                )
+            self.memory = self._asked()
+        except BaseException:
             self.close()
-            raise InvalidInput(f"the program on {processor.name} does not answer in its byte order")
-        self.memory = self._asked()
+            raise
 
     def __enter__(self) -> Link:
         return self
