@@ -154,12 +154,12 @@ class Lateral(Presented):
 
     @property
     def passed(self) -> bool:
-        """Whether no judged row fails."""
-        return not self.failed
+        """Whether every row with a limit was judged, and none fails."""
+        return not self.failed and not any(item.unjudged for item in self.items)
 
     @property
     def failed(self) -> tuple[str, ...]:
-        """Names of the rows that fail."""
+        """Names of the rows that fail, or could not be done."""
         return tuple(item.name for item in self.items if item.passed is False)
 
     def to_dict(self) -> Mapping[str, Any]:  # type: ignore[override]
