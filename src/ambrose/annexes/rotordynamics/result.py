@@ -50,6 +50,8 @@ class Item:
     bound: str = ""
 
     def __post_init__(self) -> None:
+        if self.passed is not None:  # of NumPy's numbers it is no False that "is False" sees
+            object.__setattr__(self, "passed", bool(self.passed))
         if self.passed and self.value is not None and not np.isfinite(self.value):
             object.__setattr__(self, "passed", None)
             said = "; ".join(text for text in (self.note, "value not known, not judged") if text)
