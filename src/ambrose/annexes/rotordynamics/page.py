@@ -207,7 +207,7 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
         (),
         facts,
         date,
-        result=Verdict("Result", not failed, words),
+        result=Verdict("Result", result.passed, words),
     )
 
 
