@@ -104,8 +104,8 @@ def with_resonators(
     # c = sum of Re w: the blocks' columns side by side, e = C x + D c
     every = np.hstack([real_part] * len(blocks))
     rows = [np.hstack([loop.A, loop.B @ every])]
-    for k, (T, frequency, gain, leak) in enumerate(blocks):
-        T = check_shape(T, "T", "(n, m)", n=n, m=len(loop.outputs))
+    for k, (matrix, frequency, gain, leak) in enumerate(blocks):
+        T = check_shape(matrix, "T", "(n, m)", n=n, m=len(loop.outputs))
         turn = frequency * loop.dt
         # exp(j W Ts) acts on (Re w, Im w) as a rotation
         rotation = np.kron([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]], np.eye(n))

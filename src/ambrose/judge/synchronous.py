@@ -15,9 +15,9 @@ orbit, current and force.
 | synchronous.sensitivity.box | the same at corners of the tolerances | - |
 
 The margin concerns small gains: Herm(T S) > 0 (core/interval_proof.py) for a loop that is stable
-without the block, which the other tables judge. A finite eps, and the sensitivity, are searched over the
-speeds of the band and refined (judge/synchronous_speeds.py), with exact poles where it is worst (a
-block that moves once a turn: by its multipliers over one). Unbalance is the residual one
+without the block, which the other tables judge. A finite eps, and the sensitivity, are searched
+over the speeds of the band and refined (judge/synchronous_speeds.py), with exact poles at the worst
+(a block that moves once a turn: by its multipliers over one). Unbalance is the residual one
 of the balance grade in the bearing planes, the worst case over how forward forces share it.
 """
 
@@ -93,9 +93,7 @@ class BlockLoop:
         """The block at a speed [rad/s]."""
         block = self.block
         drive = self.running.at(speed)
-        return resonator(
-            self.loop, block.mode, drive, speed, block.gain, block.leak, block.update
-        )
+        return resonator(self.loop, block.mode, drive, speed, block.gain, block.leak, block.update)
 
     def on(self, speed: float) -> tuple[Resonator, ...]:
         """The block at a speed [rad/s], then those of other harmonics that are on there, too."""
@@ -164,8 +162,7 @@ def block_loops(
         running = running_table(table, here, block.mode)
         items.append(BlockLoop(here, block, table, at, running))
     return tuple(
-        replace(item, others=tuple(other for other in items if other is not item))
-        for item in items
+        replace(item, others=tuple(other for other in items if other is not item)) for item in items
     )
 
 
@@ -578,9 +575,7 @@ def _sensitivity_check(item: BlockLoop, found: Survey, corners: int = 0) -> Chec
 def _sensitivity_curve(found: Survey, limit: float | None) -> Curve:
     """What it is over the band without and with the block, at every speed that was looked at."""
     speeds = np.array([one.speed for one in found.looks])
-    peaks = np.array(
-        [[one.alone for one in found.looks], [one.sensitivity for one in found.looks]]
-    )
+    peaks = np.array([[one.alone for one in found.looks], [one.sensitivity for one in found.looks]])
     return Curve(
         "synchronous.sensitivity",
         "Sensitivity of an axis with the block on",

@@ -17,7 +17,7 @@ its images about other multiples of the turning are in the exact multipliers alo
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -205,9 +205,7 @@ def _difference(
     return np.asarray(np.eye(M.shape[2]) - _transfer(blocks, z, dt) @ M)
 
 
-def sensitivity(
-    frozen: FrozenLoop, blocks: Sequence[Resonator], omega: np.ndarray
-) -> np.ndarray:
+def sensitivity(frozen: FrozenLoop, blocks: Sequence[Resonator], omega: np.ndarray) -> np.ndarray:
     """S (w, a, a) at omega (w,) [rad/s], from a disturbance of the measured displacements to what
     the controller sees, with the blocks on (none: without).
     """
@@ -228,9 +226,7 @@ def sensitivity(
 
 def _axes(frozen: FrozenLoop, blocks: Sequence[Resonator], omega: np.ndarray) -> np.ndarray:
     """The largest modulus of an axis' own sensitivity (w,), other loops closed (ISO 14839-3)."""
-    return np.asarray(
-        np.abs(np.einsum("waa->wa", sensitivity(frozen, blocks, omega))).max(axis=1)
-    )
+    return np.asarray(np.abs(np.einsum("waa->wa", sensitivity(frozen, blocks, omega))).max(axis=1))
 
 
 def sensitivity_peak(
@@ -241,23 +237,17 @@ def sensitivity_peak(
     T: np.ndarray | None,
     gain: float,
     leak: float = 0.0,
-    frozen_loop: FrozenLoop | None = None,
 ) -> tuple[float, float]:
     """The largest modulus of an axis' own sensitivity with a block on (T None: without), and its
     frequency [rad/s]; T (a, a) at the speed [rad/s], gain eps and leak [1/s].
     """
-    here = frozen_loop or frozen(loop, speed, condition)
+    here = frozen(loop, speed, condition)
     if T is None or gain == 0:
         k = int(np.argmax(here.S.max(axis=1)))
         return float(here.S[k].max()), float(here.omega[k])
-    D = T @ loop.weights(mode, speed, replace_delta(condition))
+    D = T @ loop.weights(mode, speed, replace(condition, delta=()))
     found = look(here, speed, (resonator(loop, mode, D, speed, gain, leak),))
     return found.sensitivity, found.frequency
-
-
-def replace_delta(condition: Condition) -> Condition:
-    """The condition without its tolerances: a block weighs its signals as it was designed."""
-    return Condition(condition.pressure)
 
 
 def resonator(

@@ -81,6 +81,27 @@ class Survey:
         return max(self.places, key=lambda item: item.look.sensitivity)
 
 
+def bad_parts(
+    found: Survey, band: tuple[float, float], bad: Callable[[Look], bool]
+) -> list[tuple[float, float, float]]:
+    """The parts (low, high, worst) of a band [rad/s] between good looks in which a look is bad."""
+    speeds = [one.speed for one in found.looks]
+    wrong = [bad(one) for one in found.looks]
+    parts: list[tuple[float, float, float]] = []
+    k = 0
+    while k < len(speeds):
+        end = k
+        while end + 1 < len(speeds) and wrong[end + 1] == wrong[k]:
+            end += 1
+        if wrong[k]:
+            low = speeds[k - 1] if k else band[0]
+            high = speeds[end + 1] if end + 1 < len(speeds) else band[1]
+            worst = max(found.looks[k : end + 1], key=_stability)
+            parts.append((low, high, worst.speed))
+        k = end + 1
+    return parts
+
+
 def bases(band: tuple[float, float], count: int = _BASES) -> np.ndarray:
     """The speeds [rad/s] of a band at which the plant is taken: the middles of as many parts."""
     return np.asarray(band[0] + (band[1] - band[0]) * (np.arange(count) + 0.5) / count)
@@ -118,7 +139,12 @@ def survey(
         known = drawn.get(one.speed)
         if known is None or one.sensitivity > known.sensitivity:
             drawn[one.speed] = one
-    slowest = min((one for one, _ in every), key=lambda one: one.convergence)
+    # a zero moves with the speed: the slowest ones with their own plant
+    slow = [
+        look(frozen(loop, one.speed, condition), one.speed, blocks(one.speed), zoom=False)
+        for one, condition in _worst(every, lambda one: -one.convergence, half)
+    ]
+    slowest = min(slow, key=lambda one: one.convergence)
     return Survey(tuple(places), tuple(drawn[w] for w in sorted(drawn)), slowest, len(every))
 
 
@@ -156,7 +182,10 @@ def _refined(
     """The worst near a look, with the plant of its own speed, and the exact poles there."""
     for width in _WIDTHS:
         here = frozen(loop, found.speed, condition)
-        low, high = max(band[0], found.speed - width * part), min(band[1], found.speed + width * part)
+        low, high = (
+            max(band[0], found.speed - width * part),
+            min(band[1], found.speed + width * part),
+        )
         even = np.append(np.linspace(low, high, _EVEN), found.speed)
         looks = [
             look(here, float(w), blocks(float(w)), zoom=False)
