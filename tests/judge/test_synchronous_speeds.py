@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from ambrose.core.checks import InvalidInput
 from ambrose.judge import synchronous
 from ambrose.judge.synchronous import block_loops
 from ambrose.law.pid import pid_controller
@@ -228,7 +229,7 @@ def test_an_antiresonance_between_the_speeds_of_a_table_is_found(tip):
     block = block_of("vibration-free", band, 0.1, table)
     (item,) = block_loops(machine, law, (block,))
     few = own_growths(machine, law, item, np.linspace(600, 800, 4))
-    fine = own_growths(machine, law, item, np.linspace(600, 800, 101))
+    fine = own_growths(machine, law, item, np.linspace(600, 800, 61))
     assert few.max() < 0
     assert fine.max() > 10
     found = item.survey(item.conditions)
@@ -243,19 +244,26 @@ def test_an_antiresonance_between_the_speeds_of_a_table_is_found(tip):
     assert sensitivity.passed is False
 
 
-def test_a_design_leaves_the_antiresonances_out_and_says_why(tip):
+def test_a_band_of_antiresonances_is_refused_with_cause_and_remedy(tip):
+    cause = "antiresonance at the sensors at 67.*use current-free there, or no block"
+    with pytest.raises(InvalidInput, match=cause):
+        design_synchronous(*tip, "vibration-free", band=(667.0, 688.0))
+
+
+@pytest.mark.campaign
+def test_a_design_leaves_the_antiresonances_out_and_passes(tip):
     machine, law = tip
-    design = design_synchronous(machine, law, "vibration-free", band=(640.0, 760.0))
-    assert any(
-        "antiresonance at the sensors" in item.reason and "current-free" in item.reason
-        for item in design.forbidden
-    )
+    design = design_synchronous(machine, law, "vibration-free", band=(400.0, 1000.0))
+    assert sum("antiresonance at the sensors" in item.reason for item in design.forbidden) == 2
+    assert len(design.blocks) >= 2
     for item in block_loops(machine, law, design.blocks):
         speeds = np.linspace(*item.block.band, 41)
         assert own_growths(machine, law, item, speeds).max() < 0
-        for size in (-1.0, 1.0):
-            corner = Condition(0.0, (("bearing.A.negative_stiffness", size),))
+        for corner in item.corners():
             assert own_growths(machine, law, item, speeds, corner).max() < 0
+        found = item.survey(item.conditions)
+        assert synchronous._gain_check(item, found).passed
+        assert synchronous._time_check(item, found, None).passed
 
 
 def test_a_block_that_never_settles_fails(tip):
@@ -305,7 +313,8 @@ def greens_and_reds(seed):
     return bool(green), bool(red), bool(green_box), bool(red_box)
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.campaign
+@pytest.mark.parametrize("seed", range(4, 16))
 def test_no_random_rotor_is_green_where_a_fine_grid_is_not(seed):
     green, red, green_box, red_box = greens_and_reds(seed)
     assert not (green and red)
@@ -319,5 +328,5 @@ def test_two_hundred_random_rotors():
     print(f"green {green.sum()}, red {red.sum()}; box {green_box.sum()}, {red_box.sum()}")
     assert not (green & red).any()
     assert not (green_box & red_box).any()
-    assert red.sum() > 20
-    assert green.sum() > 20
+    assert red.sum() > 5
+    assert green.sum() > 50

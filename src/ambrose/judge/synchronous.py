@@ -48,7 +48,7 @@ from ambrose.judge.synchronous_bands import (
     worst_signal,
 )
 from ambrose.judge.synchronous_sensitivity import Resonator, growth, resonator
-from ambrose.judge.synchronous_speeds import Survey, bases, survey
+from ambrose.judge.synchronous_speeds import MINUTE, SETTLED, Survey, bases, survey
 from ambrose.law.law import LawLike
 from ambrose.law.synchronous import (
     Condition,
@@ -69,8 +69,6 @@ from ambrose.model.uncertainty import tolerances_around
 Progress = Callable[[str], None]
 _SPEEDS = 61  # at which curves are drawn
 _LINES = "without the block", "block converged"
-_SETTLED = 3.0  # time constants in which a block has to settle: 95 %
-_MINUTE = 60.0  # s, for a run-up through the band where none is known
 _GRID = 49  # speeds between which borders of stability are looked for
 _NOTHING = 1e-15  # A, N, m: below it a signal is called zero
 _VANISHED = 1e-6  # of the signal without the block, -120 dB: below it nothing is left but rounding
@@ -408,9 +406,9 @@ def _time_check(item: BlockLoop, found: Survey, speed_rate: float | None) -> Che
     slowest = found.slowest
     rate = item.block.leak + item.block.gain / 2 * slowest.convergence
     time = 1 / rate if rate > 0 else np.inf
-    run_up = _MINUTE if speed_rate is None else (high - low) / speed_rate
+    run_up = MINUTE if speed_rate is None else (high - low) / speed_rate
     through = "a minute" if speed_rate is None else f"{run_up:.3g} s"
-    wanted = Demand(run_up / _SETTLED, "<=", f"settled to 95 % in a run-up of {through}")
+    wanted = Demand(run_up / SETTLED, "<=", f"settled to 95 % in a run-up of {through}")
     title = f"Converges within (time constant of the slowest direction), {found.count} speeds"
     samples = time / item.loop.timing.sample_time
     detail = f"at {slowest.speed:.5g} rad/s, {samples:.3g} samples"

@@ -32,6 +32,8 @@ from ambrose.judge.synchronous_sensitivity import (
 )
 from ambrose.law.synchronous import Condition, SynchronousLoop
 
+SETTLED = 3.0  # time constants in which a block has to settle: 95 %
+MINUTE = 60.0  # s, for a run-up through the band where none is known
 _BASES = 5  # speeds of a band at which the plant is taken
 _FEWER = 2  # with tolerances
 _EVEN = 7  # speeds around each of them, evenly
@@ -39,6 +41,7 @@ _EVEN = 7  # speeds around each of them, evenly
 _AROUND = np.array([-8.0, -2.5, -0.8, -0.25, 0.0, 0.25, 0.8, 2.5, 8.0])
 _LIGHT = 0.15  # damping ratio below which a pole is a narrow one
 _WORST = 2  # candidates of either kind that are refined
+_DOUBTED = 40  # looks that are repeated, about
 _WIDTHS = 1 / 4, 1 / 32  # of a base's share of the band: what a refinement looks at
 
 Blocks = Callable[[float], tuple[Resonator, ...]]
@@ -114,9 +117,11 @@ def survey(
     blocks: Blocks,
     conditions: Sequence[Condition],
     members: bool = False,
+    doubt: Callable[[Look], bool] = lambda one: one.unstable > 0,
 ) -> Survey:
     """The worst speeds of a band [rad/s] over conditions. knots: speeds of the table; blocks: those
-    that are on at a speed; members: the conditions are corners of tolerances, at fewer plants.
+    that are on at a speed; members: the conditions are corners of tolerances, at fewer plants;
+    doubt: looks that are repeated with the plant of their own speed.
     """
     every: list[tuple[Look, Condition]] = []
     count = _FEWER if members else _BASES
@@ -129,6 +134,13 @@ def survey(
             even = np.linspace(max(band[0], base - half), min(band[1], base + half), _EVEN)
             for w in _grid(here, low, high, even, knots, blocks):
                 every.append((look(here, float(w), blocks(float(w)), zoom=False), condition))
+
+    # a plant of another speed may call what is stable unstable: asked again, and no worse than so
+    doubted = [i for i, (one, _) in enumerate(every) if doubt(one)]
+    for i in doubted[:: max(1, len(doubted) // _DOUBTED)]:
+        one, condition = every[i]
+        own = frozen(loop, one.speed, condition)
+        every[i] = look(own, one.speed, blocks(one.speed), zoom=False), condition
 
     places: list[Found] = []
     for kind in (_stability, _sensitivity):

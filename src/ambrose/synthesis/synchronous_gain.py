@@ -18,7 +18,7 @@ from ambrose.judge.synchronous_sensitivity import (
     resonator,
     sensitivity_peak,
 )
-from ambrose.judge.synchronous_speeds import bad_parts, survey, zeros
+from ambrose.judge.synchronous_speeds import MINUTE, SETTLED, bad_parts, survey, zeros
 from ambrose.law.synchronous import Condition, SynchronousLoop
 from ambrose.law.synchronous_table import BlockTable, running_table
 from ambrose.machine.criteria import demand
@@ -87,7 +87,7 @@ def clear_parts(
     members: bool = False,
 ) -> tuple[list[tuple[float, float]], list[Forbidden]]:
     """The parts of a band in which a block with eps ``gain`` [1/s] is stable and keeps clear of
-    instability by ``_CLEAR`` (members: at corners of tolerances is stable, and keeps the
+    instability by ``_CLEAR`` (members: at corners of tolerances is stable, settles and keeps the
     sensitivity), and those left out. narrow [rad/s]: a part that is narrower is left out, too.
 
     Near a transmission zero of what the block reads, T = R^-1 grows without bound and turns its
@@ -100,7 +100,9 @@ def clear_parts(
 
     def bad(one: Look) -> bool:
         if members:
-            return one.unstable > 0 or one.sensitivity > max(limit, _MORE * one.alone)
+            # slower than the judge asks of a block: made small for the sensitivity's sake
+            slow = gain / 2 * one.convergence < SETTLED / MINUTE
+            return one.unstable > 0 or slow or one.sensitivity > max(limit, _MORE * one.alone)
         return one.unstable > 0 or one.nearness > _CLEAR
 
     for _ in range(_PASSES):
@@ -108,7 +110,8 @@ def clear_parts(
         for low, high in trying:
             if high - low < narrow:
                 continue
-            found = survey(loop, (low, high), table.speeds.tolist(), blocks, at, members)
+            knots = table.speeds.tolist()
+            found = survey(loop, (low, high), knots, blocks, at, members, bad)
             parts = bad_parts(found, (low, high), bad)
             place = found.least_stable
             if not parts and not place.stable:
@@ -163,8 +166,8 @@ def _too_near(
         )
     else:
         reason = (
-            "the loop is unstable or too near to instability with the block; give a longer time "
-            "constant, or use another mode there"
+            "the loop is too near to instability with the block, too sensitive or too slow; give "
+            "another time constant, or use another mode there"
         )
     limit = orbit_limit(loop.machine, worst)
     return Forbidden(low, high, worst, np.nan, np.nan, limit, where, reason=reason)
