@@ -233,8 +233,8 @@ def _grid(
             if low <= frequency / multiple <= high:
                 for width in {max(damping, 1e-6 * frequency), block.gain}:
                     speeds += list((frequency + width * _AROUND) / multiple)
-    speeds = np.unique(np.array(speeds))
-    return np.asarray(speeds[(speeds >= low) & (speeds <= high)])
+    every = np.unique(np.array(speeds))
+    return np.asarray(every[(every >= low) & (every <= high)])
 
 
 def zeros(here: FrozenLoop, block: Resonator, low: float, high: float) -> list[float]:
