@@ -250,7 +250,7 @@ def test_a_band_of_antiresonances_is_refused_with_cause_and_remedy(tip):
         design_synchronous(*tip, "vibration-free", band=(667.0, 688.0))
 
 
-@pytest.mark.campaign
+@pytest.mark.study
 def test_a_design_leaves_the_antiresonances_out_and_passes(tip):
     machine, law = tip
     design = design_synchronous(machine, law, "vibration-free", band=(400.0, 1000.0))
@@ -313,8 +313,7 @@ def greens_and_reds(seed):
     return bool(green), bool(red), bool(green_box), bool(red_box)
 
 
-@pytest.mark.campaign
-@pytest.mark.parametrize("seed", range(4, 16))
+@pytest.mark.parametrize("seed", [10, 11])  # a green one and a red one
 def test_no_random_rotor_is_green_where_a_fine_grid_is_not(seed):
     green, red, green_box, red_box = greens_and_reds(seed)
     assert not (green and red)
