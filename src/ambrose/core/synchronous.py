@@ -15,7 +15,7 @@ each eigenvalue of T R with a positive real part is a direction that converges.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,25 +88,34 @@ def with_resonator(
     matrix is -R). T (n, m) complex; frequency W [rad/s], gain eps [1/s], leak [1/s]. States: the
     loop's, then Re w, Im w. Raises InvalidInput for a continuous loop or a T of another size.
     """
+    return with_resonators(loop, [(T, frequency, gain, leak)])
+
+
+def with_resonators(
+    loop: StateSpace, blocks: Sequence[tuple[np.ndarray, float, float, float]]
+) -> np.ndarray:
+    """The state matrix of a sampled loop with several blocks on at once: (T, frequency, gain, leak)
+    of each, as ``with_resonator`` takes them. States: the loop's, then Re w, Im w of each block.
+    """
     if loop.dt is None:
         raise invalid("the loop", "continuous", "sampled", "sample it (core.sampling.c2d)")
     n = len(loop.inputs)
-    T = check_shape(T, "T", "(n, m)", n=n, m=len(loop.outputs))
-    turn = frequency * loop.dt
-    # exp(j W Ts) acts on (Re w, Im w) as a rotation
-    rotation = np.kron([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]], np.eye(n))
-
-    # w[k+1] = rotation ((1 - leak Ts) w + eps Ts T e), e = C x + D Re w: T e is complex, e real
-    keep = np.eye(2 * n) * (1 - leak * loop.dt)
-    # w + eps Ts T e with e = C x + D Re w
-    drive = gain * loop.dt * np.vstack([T.real, T.imag])
     real_part = np.hstack([np.eye(n), np.zeros((n, n))])
-    keep = keep + drive @ loop.D @ real_part
+    # c = sum of Re w: the blocks' columns side by side, e = C x + D c
+    every = np.hstack([real_part] * len(blocks))
+    rows = [np.hstack([loop.A, loop.B @ every])]
+    for k, (matrix, frequency, gain, leak) in enumerate(blocks):
+        T = check_shape(matrix, "T", "(n, m)", n=n, m=len(loop.outputs))
+        turn = frequency * loop.dt
+        # exp(j W Ts) acts on (Re w, Im w) as a rotation
+        rotation = np.kron([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]], np.eye(n))
 
-    # states (x, Re w, Im w): x[k+1] = A x + B Re w, and w[k+1] as above
-    return np.block(
-        [[loop.A, loop.B @ real_part], [rotation @ drive @ loop.C, rotation @ keep]],
-    )
+        # w[k+1] = rotation ((1 - leak Ts) w + eps Ts T e), e = C x + D c: T e is complex, e real
+        drive = gain * loop.dt * np.vstack([T.real, T.imag])
+        keep = drive @ loop.D @ every
+        keep[:, 2 * n * k : 2 * n * (k + 1)] += np.eye(2 * n) * (1 - leak * loop.dt)
+        rows.append(rotation @ np.hstack([drive @ loop.C, keep]))
+    return np.vstack(rows)
 
 
 def slowest_pole(

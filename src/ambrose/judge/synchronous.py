@@ -5,16 +5,19 @@ orbit, current and force.
 |---|---|---|
 | synchronous.margin | angle by which all phases may be off, proved where it says so | deg |
 | synchronous.margin.box | the same over the tolerances, proved or found at members | deg |
-| synchronous.gain | eps over the largest one with stable exact poles, at a few speeds | - |
-| synchronous.time | slowest convergence over the band, 2/(eps Re lambda) | s |
+| synchronous.gain | eps over the largest one with stable exact poles, where that is smallest | - |
+| synchronous.gain.box | the same at corners of the tolerances | - |
+| synchronous.time | slowest convergence over the band, against a run-up through it | s |
 | synchronous.orbit_0p | worst-case orbit with the block converged, against the limit | m |
 | synchronous.current | largest 1x control current with it, over that without | dB |
 | synchronous.force | largest 1x magnetic force on the housing, the same | dB |
 | synchronous.sensitivity | peak of an axis' sensitivity with the block on (ISO 14839-3) | - |
+| synchronous.sensitivity.box | the same at corners of the tolerances | - |
 
 The margin concerns small gains: Herm(T S) > 0 (core/interval_proof.py) for a loop that is stable
-without the block, which the other tables judge. A finite eps is judged by exact poles at single
-speeds (a block that moves once a turn: by its multipliers over one). Unbalance is the residual one
+without the block, which the other tables judge. A finite eps, and the sensitivity, are searched
+over the speeds of the band and refined (judge/synchronous_speeds.py), with exact poles at the worst
+(a block that moves once a turn: by its multipliers over one). Unbalance is the residual one
 of the balance grade in the bearing planes, the worst case over how forward forces share it.
 """
 
@@ -27,12 +30,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ambrose.core.interval_proof import IntervalProof
-from ambrose.core.per_turn import largest_block_gain
-from ambrose.core.statespace import select, spectral_abscissa
+from ambrose.core.statespace import spectral_abscissa
 from ambrose.core.synchronous import (
     borders,
     convergence,
     convergence_angle,
+    largest_stable,
     sector_angle,
 )
 from ambrose.judge.checks import Check, Checks, Curve
@@ -44,13 +47,15 @@ from ambrose.judge.synchronous_bands import (
     worst_orbits,
     worst_signal,
 )
-from ambrose.judge.synchronous_sensitivity import sensitivity_peak
+from ambrose.judge.synchronous_sensitivity import Resonator, growth, resonator
+from ambrose.judge.synchronous_speeds import MINUTE, SETTLED, Survey, bases, survey
 from ambrose.law.law import LawLike
 from ambrose.law.synchronous import (
     Condition,
     Converged,
     SynchronousLoop,
     conditions,
+    extreme_conditions,
     synchronous_loop,
 )
 from ambrose.law.synchronous_pencils import loop_pencils, prove_interval
@@ -63,9 +68,7 @@ from ambrose.model.uncertainty import tolerances_around
 
 Progress = Callable[[str], None]
 _SPEEDS = 61  # at which curves are drawn
-_SENSITIVITIES = 7  # speeds of the sensitivity, ends and middle among them
 _LINES = "without the block", "block converged"
-_POLES = 4  # speeds at which exact poles are computed
 _GRID = 49  # speeds between which borders of stability are looked for
 _NOTHING = 1e-15  # A, N, m: below it a signal is called zero
 _VANISHED = 1e-6  # of the signal without the block, -120 dB: below it nothing is left but rounding
@@ -73,13 +76,41 @@ _VANISHED = 1e-6  # of the signal without the block, -120 dB: below it nothing i
 
 @dataclass(frozen=True, slots=True)
 class BlockLoop:
-    """A block of a machine in its loop: what the checks below are made of."""
+    """A block of a machine in its loop: what the checks below are made of. others: the blocks
+    beside it.
+    """
 
     loop: SynchronousLoop
     block: Synchronous
     table: BlockTable
     conditions: tuple[Condition, ...]
     running: BlockTable
+    others: tuple[BlockLoop, ...] = ()
+
+    def resonator(self, speed: float) -> Resonator:
+        """The block at a speed [rad/s]."""
+        block = self.block
+        drive = self.running.at(speed)
+        return resonator(self.loop, block.mode, drive, speed, block.gain, block.leak, block.update)
+
+    def on(self, speed: float) -> tuple[Resonator, ...]:
+        """The block at a speed [rad/s], then those of other harmonics that are on there, too."""
+        also = (o for o in self.others if o.block.band[0] <= speed <= o.block.band[1])
+        return self.resonator(speed), *(other.resonator(speed) for other in also)
+
+    def survey(self, conditions: Sequence[Condition], members: bool = False) -> Survey:
+        """The worst speeds of the band with all blocks on that are on there."""
+        knots = self.table.speeds.tolist()
+        return survey(self.loop, self.block.band, knots, self.on, conditions, members)
+
+    def corners(self) -> tuple[Condition, ...]:
+        """Corners of the tolerances at every pressure."""
+        middle = sum(self.block.band) / 2
+        return tuple(
+            corner
+            for condition in self.conditions
+            for corner in extreme_conditions(self.loop, condition, middle)
+        )
 
     def closed(self, speed: float, condition: Condition) -> np.ndarray:
         """D R (a, a): how the amplitudes converge, with D as it runs."""
@@ -128,31 +159,43 @@ def block_loops(
         here, table = replace(loop, harmonic=block.harmonic), block_table(block, machine)
         running = running_table(table, here, block.mode)
         items.append(BlockLoop(here, block, table, at, running))
-    return tuple(items)
+    return tuple(
+        replace(item, others=tuple(other for other in items if other is not item)) for item in items
+    )
 
 
 def check_block(
-    item: BlockLoop, progress: Progress = lambda text: None, *, members: int = 12, seed: int = 0
+    item: BlockLoop,
+    progress: Progress = lambda text: None,
+    *,
+    members: int = 12,
+    seed: int = 0,
+    speed_rate: float | None = None,
 ) -> Checks:
     """The checks and curves of this file's table for one block. members: random ones, where the box
-    is not proved.
+    is not proved; speed_rate [rad/s^2]: the fastest run-up (None: the band in a minute).
 
     Raises InvalidInput.
     """
     progress(f"judging the {item.label}")
-    low, high = item.block.band
     stable = all(
         spectral_abscissa(item.loop.sampled(float(w), condition)) < 0
-        for condition in item.conditions
-        for w in np.linspace(low, high, 3)
+        for condition in (*item.conditions, *item.corners())
+        for w in bases(item.block.band, 3)
     )
     if not stable:
         note = (
-            "The loop is unstable without the block somewhere in its band: nothing is judged of "
-            "the block."
+            "The loop is unstable without the block somewhere in its band or over its tolerances: "
+            "nothing is judged of the block."
         )
         return Checks(item.label, False, (), (), (note,))
-    checks = [*_margin_checks(item, progress, members, seed), *_gain_checks(item)]
+    progress(f"searching the speeds of the {item.label}")
+    nominal, corners = item.survey(item.conditions), item.corners()
+    box = item.survey(corners, members=True) if corners else None
+    checks = [*_margin_checks(item, progress, members, seed), _gain_check(item, nominal)]
+    if box is not None:
+        checks.append(_gain_check(item, box, len(corners)))
+    checks.append(_time_check(item, nominal, speed_rate))
     curves = [_margin_curve(item)]
     notes: tuple[str, ...] = ()
     if item.block.harmonic == 1 and residual_unbalance(item.loop.machine) is not None:
@@ -165,8 +208,11 @@ def check_block(
             "No orbit, current or force: they are known for the unbalance (1x) with a balancing "
             "speed alone.",
         )
-    sensitivity, over_speed = _sensitivity_check(item)
-    return Checks(item.label, True, (*checks, sensitivity), (*curves, over_speed), notes)
+    checks.append(_sensitivity_check(item, nominal))
+    if box is not None:
+        checks.append(_sensitivity_check(item, box, len(corners)))
+    over_speed = _sensitivity_curve(nominal, checks[-1].limit)
+    return Checks(item.label, True, tuple(checks), (*curves, over_speed), notes)
 
 
 def _margin_checks(item: BlockLoop, progress: Progress, members: int, seed: int) -> list[Check]:
@@ -315,50 +361,58 @@ def _refusal(item: BlockLoop, proof: IntervalProof, condition: Condition) -> str
     return f"{text}, and T = S^-1 everywhere (ambrose synthesize --synchronous {item.mode})"
 
 
-def _gain_checks(item: BlockLoop) -> list[Check]:
-    """eps against the exact poles, and the time in which the slowest direction settles."""
-    eps, leak = item.block.gain, item.block.leak
-    limit = np.inf
-    at = 0.0
-    slow = np.inf
-    slow_at = 0.0
-    for w in item.speeds(_POLES):
-        speed = float(w)
-        drive = item.running.at(speed)
-        for condition in item.conditions:
-            closed = select(item.loop.sampled(speed, condition), None, item.loop.reads(item.mode))
-            frequency = item.loop.harmonic * speed
-            highest = min(limit, max(8 * eps, 0.1 * frequency))
-            update = item.block.update
-            largest = largest_block_gain(
-                closed, drive, speed, item.loop.harmonic, update, highest, leak
-            )
-            if largest < limit:
-                limit, at = largest, speed
-            # for small gains a' = -(leak + eps/2 T R) a: the slowest direction
-            signals = item.loop.signals(item.mode, speed, condition)
-            rate = leak + eps / 2 * float(convergence(drive, signals))
-            if rate < slow:
-                slow, slow_at = rate, speed
-    time = 1 / slow if slow > 0 else np.inf
+def _searched(item: BlockLoop, found: Survey, corners: int) -> str:
+    """How far a search went, for a title."""
+    where = f" at {corners} corners of the tolerances" if corners else ""
+    return f"{found.count} speeds{where}, refined at the worst"
+
+
+def _gain_check(item: BlockLoop, found: Survey, corners: int = 0) -> Check:
+    """eps against the exact poles where they are nearest to instability."""
+    eps = item.block.gain
+    place = found.least_stable
+    speed = place.look.speed
+    system = item.loop.sampled(speed, place.condition)
+    own, *others = item.on(speed)
+
+    def stable(gain: float) -> bool:
+        return growth(system, (replace(own, gain=gain), *others)) < 0
+
+    if place.stable:
+        limit = largest_stable(stable, max(2 * eps, 0.1 * own.frequency), 0.05)
+    else:
+        limit = largest_stable(stable, eps, 0.05)
     ratio = eps / limit if limit > 0 else np.inf
-    where = (
-        f"at {at:.4g} rad/s: eps {eps:.4g} 1/s (time constant {item.block.time_constant:.4g} s), "
-        "stable up to at least "
+    detail = (
+        f"at {speed:.5g} rad/s, {place.condition.label}: eps {eps:.4g} 1/s (time constant "
+        f"{item.block.time_constant:.4g} s), outermost pole {place.growth:+.4g} 1/s, "
     )
-    return [
-        judge(
-            "synchronous.gain",
-            "Gain over the largest with stable exact poles",
-            ratio,
-            "-",
-            Demand(1.0, "<", "stability"),
-            f"{where}{limit:.4g} 1/s; at {_POLES} speeds and {_pressures(len(item.conditions))}",
-        ),
-        information(
-            "synchronous.time", "Slowest convergence", time, "s", f"at {slow_at:.4g} rad/s"
-        ),
-    ]
+    # one border is assumed by the bisection: an unstable pole decides by itself
+    if not place.stable:
+        ratio = max(ratio, 1.0)
+        detail += "unstable; make the time constant longer, or take that speed out of the band"
+    else:
+        detail += f"stable up to at least {limit:.4g} 1/s"
+    name = "synchronous.gain.box" if corners else "synchronous.gain"
+    title = f"Gain over the largest with stable exact poles, {_searched(item, found, corners)}"
+    return judge(name, title, ratio, "-", Demand(1.0, "<", "stability"), detail)
+
+
+def _time_check(item: BlockLoop, found: Survey, speed_rate: float | None) -> Check:
+    """The time in which the slowest direction settles, against a run-up through the band: for small
+    gains a' = -(leak + (eps/2) T R) a.
+    """
+    low, high = item.block.band
+    slowest = found.slowest
+    rate = item.block.leak + item.block.gain / 2 * slowest.convergence
+    time = 1 / rate if rate > 0 else np.inf
+    run_up = MINUTE if speed_rate is None else (high - low) / speed_rate
+    through = "a minute" if speed_rate is None else f"{run_up:.3g} s"
+    wanted = Demand(run_up / SETTLED, "<=", f"settled to 95 % in a run-up of {through}")
+    title = f"Converges within (time constant of the slowest direction), {found.count} speeds"
+    samples = time / item.loop.timing.sample_time
+    detail = f"at {slowest.speed:.5g} rad/s, {samples:.3g} samples"
+    return judge("synchronous.time", title, time, "s", wanted, detail)
 
 
 def _unbalance_checks(item: BlockLoop) -> tuple[list[Check], list[Curve]]:
@@ -497,32 +551,37 @@ def _margin_curve(item: BlockLoop) -> Curve:
     )
 
 
-def _sensitivity_check(item: BlockLoop) -> tuple[Check, Curve]:
-    """The largest sensitivity of an axis with the block on, and what it is over the band without
-    and with it.
-    """
-    eps, leak = item.block.gain, item.block.leak
-    speeds = item.speeds(_SENSITIVITIES)
-    peaks = np.zeros((2, len(speeds)))
-    worst, text = 0.0, ""
-    for k, w in enumerate(speeds):
-        speed = float(w)
-        T = item.table.at(speed)
-        for condition in item.conditions:
-            alone, _ = sensitivity_peak(item.loop, item.mode, speed, condition, None, 0.0)
-            peak, at = sensitivity_peak(item.loop, item.mode, speed, condition, T, eps, leak)
-            peaks[:, k] = np.maximum(peaks[:, k], (alone, peak))
-            if peak > worst:
-                worst = peak
-                text = (
-                    f"at {at / TWO_PI:.4g} Hz, {speed:.4g} rad/s, {condition.label}; {alone:.4g} "
-                    "without the block"
-                )
-    wanted = demand("sensitivity of an axis", item.loop.machine.requirements)
-    title = "Sensitivity of an axis with the block on"
-    check = judge("synchronous.sensitivity", title, worst, "-", wanted, text)
-    limits = () if check.limit is None else (("limit", check.limit),)
-    curve = Curve(
-        "synchronous.sensitivity", title, "speed", speeds, peaks, _LINES, "rad/s", "-", limits
+def _sensitivity_check(item: BlockLoop, found: Survey, corners: int = 0) -> Check:
+    """The largest sensitivity of an axis with the block on, over speed and frequency."""
+    place = found.most_sensitive
+    worst = place.look
+    # of an unstable loop no sensitivity is measured
+    unstable = next((other for other in found.places if not other.stable), None)
+    value = worst.sensitivity if unstable is None else np.inf
+    text = (
+        f"at {worst.frequency / TWO_PI:.4g} Hz, {worst.speed:.5g} rad/s, {place.condition.label}; "
+        f"{worst.alone:.4g} without the block"
     )
-    return check, curve
+    if unstable is not None:
+        text = f"unstable at {unstable.look.speed:.5g} rad/s, {unstable.condition.label}"
+    wanted = demand("sensitivity of an axis", item.loop.machine.requirements)
+    title = f"Sensitivity of an axis with the block on, {_searched(item, found, corners)}"
+    name = "synchronous.sensitivity.box" if corners else "synchronous.sensitivity"
+    return judge(name, title, value, "-", wanted, text)
+
+
+def _sensitivity_curve(found: Survey, limit: float | None) -> Curve:
+    """What it is over the band without and with the block, at every speed that was looked at."""
+    speeds = np.array([one.speed for one in found.looks])
+    peaks = np.array([[one.alone for one in found.looks], [one.sensitivity for one in found.looks]])
+    return Curve(
+        "synchronous.sensitivity",
+        "Sensitivity of an axis with the block on",
+        "speed",
+        speeds,
+        peaks,
+        _LINES,
+        "rad/s",
+        "-",
+        () if limit is None else (("limit", limit),),
+    )

@@ -1,96 +1,232 @@
-"""The sensitivity with a synchronous block on, as it is measured in operation (ISO 14839-3).
+"""A loop with synchronous blocks on, at one speed: its sensitivity as it is measured in operation
+(ISO 14839-3), how near to instability it is, and its exact poles.
 
-With the block's H(z) = (eps Ts/2) (D e^{j W Ts}/(z - e^{j W Ts}) + its conjugate) from what it
-reads to c, and the loop's M from c and M_d from the disturbance d at the sensors to that, e = S d +
-M_e c with M_e = -S, so that
+With M(z) from what the blocks add, c, to all signals s = (e, y, u), and d a disturbance at the
+sensors, s = M c + M_d d with M_d = -M + (0, 1, 0): d enters as -c does, and y is e + c. The blocks
+are c = Q(z) s, block j at the frequency W_j with the gain eps and D as it runs,
 
-    e = (S + M_e H (1 - M H)^-1 M_d) d
+    Q_j = (eps Ts/2) (D t/(z - k t) + its conjugate part),  t = exp(j W_j Ts),  k = 1 - leak Ts
 
-which has a zero at the speed for the mode current-free, and peaks beside it that grow with eps.
+so that e = (S + M_e (1 - Q M)^-1 Q M_d) d, S = -M_e. The poles of the whole are the zeros of
+det(1 - Q M): for a loop that is stable without the blocks, those outside the unit circle are
+counted by the phase of this determinant along it. A block that moves once a turn (of time t_n) has
+the factor of its mean and of its hold, and exp(j d t_n) in place of z/t, d the distance from W_j;
+its images about other multiples of the turning are in the exact multipliers alone.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
 import numpy as np
 
-from ambrose.core.frequency import transfer_matrix
+from ambrose.core.frequency import SchurForm, evaluate, schur_form
+from ambrose.core.per_turn import turn_map
+from ambrose.core.statespace import StateSpace, select
+from ambrose.core.synchronous import with_resonators
+from ambrose.judge.loop_response import frequency_grid
 from ambrose.law.synchronous import Condition, SynchronousLoop
 
-_FREQUENCIES = 400  # of the grid, from 3 rad/s
-_BESIDE = 1e-13  # from a pole of the block, in z
+_PER_DECADE = 40  # frequencies of the grid, beside those packed around poles
+_LOWEST = 3.0  # rad/s
+_OUTSIDE = 0.01  # of eps: the growth from which a pole counts as unstable in the count by phase
+_BESIDE = 36  # frequencies on either side of a block's own
+_NEAREST, _FARTHEST = 2e-3, 60.0  # of eps, of the block's bandwidth: how near, and how far
+_MATTERS = 0.02  # ||Q M||, below which a block changes nothing
+# of 1 - Q M between two frequencies, relative: above it a third is put between. Every eigenvalue
+# turns by less than 60 degrees then, so that no turn of the determinant is missed
+_STEP = 0.85
+_ROUNDS = 8  # of such
+_ZOOMS, _ZOOM = 3, 24  # rounds, and frequencies of each, around the largest sensitivity
 
 
-def sensitivity(
-    loop: SynchronousLoop,
-    mode: str,
-    speed: float,
-    condition: Condition,
-    T: np.ndarray | None,
-    gain: float,
-    omega: np.ndarray,
-    leak: float = 0.0,
+@dataclass(frozen=True, slots=True, eq=False)
+class Resonator:
+    """One block at one speed. drive D (a, 3 a) complex, of (e, y, u); frequency [rad/s]; gain eps,
+    leak [1/s]; turn [s]: of a block that moves once a turn (0: every sample).
+    """
+
+    drive: np.ndarray
+    frequency: float
+    gain: float
+    leak: float = 0.0
+    turn: float = 0.0
+
+    def transfer(self, z: np.ndarray, dt: float) -> np.ndarray:
+        """Q (w, a, 3 a) at the points z (w,)."""
+        ahead, behind = self._half(z, dt, self.frequency), self._half(z, dt, -self.frequency)
+        return np.asarray(
+            self.drive * ahead[:, None, None] + self.drive.conj() * behind[:, None, None]
+        )
+
+    def _half(self, z: np.ndarray, dt: float, frequency: float) -> np.ndarray:
+        """The scalar factor (w,) of D in Q, of the pole at one frequency."""
+        t = np.exp(1j * frequency * dt)
+        if not self.turn:
+            return np.asarray(self.gain * dt / 2 * t / (z - (1 - self.leak * dt) * t))
+        # d = ln(z/t)/(j Ts): the mean over a turn (e^{jdT} - 1)/(jdT), held (1 - e^{-jdT})/(jdT)
+        exponent = np.log(z / t) / dt * self.turn
+        mean, held = np.expm1(exponent) / exponent, -np.expm1(-exponent) / exponent
+        keep = 1 - self.leak * self.turn
+        return np.asarray(self.gain * self.turn / 2 * mean * held / (np.exp(exponent) - keep))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrozenLoop:
+    """A loop from c to (e, y, u), sampled, with its response made cheap: the plant of one speed,
+    while the blocks' frequency may be another one near it.
+
+    omega (w,) [rad/s]: a grid packed around its poles; M (w, 3 a, a) there, S (w, a): every axis'
+    sensitivity without a block; poles (n,) [rad/s], continuous.
+    """
+
+    system: StateSpace
+    form: SchurForm
+    poles: np.ndarray
+    omega: np.ndarray
+    M: np.ndarray
+    S: np.ndarray
+
+    def at(self, omega: np.ndarray, growth: float = 0.0) -> np.ndarray:
+        """M (w, 3 a, a) at exp((growth + j omega) Ts)."""
+        assert self.system.dt is not None
+        return evaluate(self.form, np.exp((growth + 1j * omega) * self.system.dt))
+
+
+def frozen(loop: SynchronousLoop, speed: float, condition: Condition) -> FrozenLoop:
+    """The loop of the plant at a speed [rad/s] and condition."""
+    system = loop.sampled(speed, condition)
+    assert system.dt is not None
+    form = schur_form(system.A, system.B, system.C, system.D, expand=True)
+    z = form.poles
+    poles = np.log(z[np.abs(z) > 1e-6]) / system.dt
+    omega = frequency_grid(poles, _LOWEST, 0.98 * np.pi / system.dt, _PER_DECADE)
+    M = evaluate(form, np.exp(1j * omega * system.dt))
+    n = len(loop.axes)
+    return FrozenLoop(system, form, poles, omega, M, np.abs(np.einsum("waa->wa", M[:, :n])))
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What a loop with its blocks on does at one speed [rad/s]. unstable: poles outside; nearness:
+    the largest singular value of (1 - Q M)^-1, infinite at the border of stability; sensitivity,
+    and its frequency [rad/s]: the largest one of an axis; alone: without a
+    block. convergence: the smallest real part of the eigenvalues of D R of the first block.
+    """
+
+    speed: float
+    unstable: int
+    nearness: float
+    sensitivity: float
+    frequency: float
+    alone: float
+    convergence: float
+
+
+def look(frozen: FrozenLoop, speed: float, blocks: Sequence[Resonator], zoom: bool = True) -> Look:
+    """A frozen loop with its blocks. zoom: whether the largest sensitivity is refined over the
+    frequency.
+    """
+    n = frozen.M.shape[2]
+    dt = frozen.system.dt
+    assert dt is not None
+    strength = sum(_bound(block, frozen.omega, frozen.M) for block in blocks)
+    base = frozen.S.max(axis=1)
+    kept = (strength > _MATTERS) | (base > 0.8 * base.max())
+
+    # beside every block's frequency, to 60 of its bandwidths eps ||D M||
+    centres = np.array([block.frequency for block in blocks])
+    here = frozen.at(centres)
+    spread = [
+        block.gain * max(1.0, float(np.linalg.norm(block.drive @ M, 2)))
+        for block, M in zip(blocks, here, strict=True)
+    ]
+    slowest = float(np.linalg.eigvals(-blocks[0].drive @ here[0]).real.min())
+    alone = float(base.max())
+    beside = [
+        c + sign * np.geomspace(_NEAREST * block.gain, _FARTHEST * w, _BESIDE)
+        for block, c, w in zip(blocks, centres, spread, strict=True)
+        for sign in (-1, 1)
+    ]
+    # from a standing pole to the highest frequency, so that no half turn is missed at the ends
+    ends = _LOWEST * np.array([0.0, 0.01, 0.05, 0.2, 0.5, 1.0])
+    omega = np.concatenate([ends, frozen.omega[kept], *beside, [np.pi / dt]])
+    omega = np.unique(omega[(omega >= 0) & (omega <= np.pi / dt)])
+
+    # the count of poles outside: half the turns of the phase, the other half is its conjugate
+    growth = _OUTSIDE * min(block.gain for block in blocks)
+    inner = _difference(frozen, blocks, omega, growth)
+    inverse = np.linalg.inv(inner)
+    for _ in range(_ROUNDS):
+        ratio = inner[1:] @ inverse[:-1] - np.eye(n)
+        wide = np.flatnonzero((np.abs(ratio) ** 2).sum(axis=(1, 2)) > _STEP**2)
+        if not len(wide):
+            break
+        more = (omega[wide] + omega[wide + 1]) / 2
+        order = np.argsort(np.concatenate([omega, more]), kind="stable")
+        omega = np.concatenate([omega, more])[order]
+        inner = np.concatenate([inner, _difference(frozen, blocks, more, growth)])[order]
+        inverse = np.linalg.inv(inner)
+    turned = float(np.angle(np.linalg.det(inner[1:] @ inverse[:-1])).sum())
+    nearness = float(np.sqrt((np.abs(inverse) ** 2).sum(axis=(1, 2)).max() / n))
+
+    sensitivities = _axes(frozen, blocks, omega)
+    k = int(np.argmax(sensitivities))
+    worst, at = float(sensitivities[k]), float(omega[k])
+    for _ in range(_ZOOMS if zoom else 0):
+        around = np.linspace(omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)], _ZOOM)
+        omega, sensitivities = around, _axes(frozen, blocks, around)
+        k = int(np.argmax(sensitivities))
+        if sensitivities[k] > worst:
+            worst, at = float(sensitivities[k]), float(omega[k])
+    return Look(speed, abs(round(turned / np.pi)), nearness, worst, at, alone, slowest)
+
+
+def _bound(block: Resonator, omega: np.ndarray, M: np.ndarray) -> np.ndarray:
+    """About ||Q M|| (w,) away from the block's frequency."""
+    near = 1 / np.maximum(np.abs(omega - block.frequency), 1e-9)
+    size = np.sqrt((np.abs(block.drive[None] @ M) ** 2).sum(axis=(1, 2)))
+    return np.asarray(block.gain / 2 * size * (near + 1 / (omega + block.frequency)))
+
+
+def _transfer(blocks: Sequence[Resonator], z: np.ndarray, dt: float) -> np.ndarray:
+    return np.asarray(sum(block.transfer(z, dt) for block in blocks))
+
+
+def _difference(
+    frozen: FrozenLoop, blocks: Sequence[Resonator], omega: np.ndarray, growth: float
 ) -> np.ndarray:
+    """1 - Q M (w, a, a) at exp((growth + j omega) Ts)."""
+    dt = frozen.system.dt
+    assert dt is not None
+    z = np.exp((growth + 1j * omega) * dt)
+    M = frozen.at(omega, growth)
+    return np.asarray(np.eye(M.shape[2]) - _transfer(blocks, z, dt) @ M)
+
+
+def sensitivity(frozen: FrozenLoop, blocks: Sequence[Resonator], omega: np.ndarray) -> np.ndarray:
     """S (w, a, a) at omega (w,) [rad/s], from a disturbance of the measured displacements to what
-    the controller sees.
-
-    T (a, a): of the block at the speed [rad/s] (None: without it); gain eps [1/s]; leak [1/s].
+    the controller sees, with the blocks on (none: without).
     """
-    # M: from c to (e, y, u), axes in a row; M_e = -S
-    sampled = loop.sampled(speed, condition)
-    dt, n = loop.timing.sample_time, len(loop.axes)
-    z = np.exp(1j * omega * dt)
-    # d enters y, hence e: as -c does, but for what is added to c's own path: y = g + d, e = g - c +
-    # d
-    M = transfer_matrix(sampled.A, sampled.B, sampled.C, sampled.D, z)
+    M = frozen.at(omega)
+    n = M.shape[2]
     S = -M[:, :n]
-
-    if T is None or gain == 0:
+    if not blocks:
         return np.asarray(S)
-
-    # M_read: from c to what the block reads
-    names = loop.reads(mode)
-    rows = [sampled.outputs.index(name) for name in names]
-    M_read = M[:, rows]
-
-    # d = -c for all that follows e; y itself is e + c, so that d reaches y by one more than -c does
-    M_d = -M_read.copy()
-    for i, name in enumerate(names):
-        if name.startswith("y_"):
-            M_d[:, i, loop.axes.index(name[2:])] += 1.0
-
-    # H = drive turn/(z - keep turn) + its conjugate: of c = Re(e^{j n theta} a) with
-    # a+ = keep a + eps Ts D e^{-j n theta} s, keep = 1 - leak Ts
-    drive = gain * dt / 2 * (T @ loop.weights(mode, speed, condition))
-    turn = np.exp(1j * loop.harmonic * speed * dt)
-    keep = 1 - leak * dt
-
-    # exactly at the speed the block's gain is infinite: a rounding error beside it stands for it
-    ahead, behind = (_apart(z - keep * pole) for pole in (turn, turn.conjugate()))
-    H = (
-        drive[None] * (turn / ahead)[:, None, None]
-        + drive.conj()[None] * (turn.conjugate() / behind)[:, None, None]
-    )
-
-    # s = M_read c + M_d d, c = H s:   s = (I - M_read H)^-1 M_d d,   e = S d + M_e H s
-    inner = np.linalg.solve(np.eye(len(rows)) - M_read @ H, M_d)
-    return np.asarray(S + M[:, :n] @ H @ inner)
+    dt = frozen.system.dt
+    assert dt is not None
+    # exactly at a block's frequency its gain is infinite: a rounding error beside it stands for it
+    Q = _transfer(blocks, np.exp(1j * omega * dt) * (1 + 1e-13), dt)
+    M_d = -M
+    M_d[:, n : 2 * n] += np.eye(n)
+    # e = (S + M_e (1 - Q M)^-1 Q M_d) d
+    return np.asarray(S + M[:, :n] @ np.linalg.solve(np.eye(n) - Q @ M, Q @ M_d))
 
 
-def _apart(distance: np.ndarray) -> np.ndarray:
-    """Complex distances (w,), none of them zero."""
-    return np.where(np.abs(distance) < _BESIDE, _BESIDE, distance)
-
-
-def frequencies(loop: SynchronousLoop, speed: float, gain: float) -> np.ndarray:
-    """Frequencies (w,) [rad/s] up to 2 kHz or three times the speed, packed beside the speed where
-    the block acts.
-    """
-    highest = min(max(12566.0, 3 * speed), 0.98 * np.pi / loop.timing.sample_time)
-    grid = np.geomspace(3.0, highest, _FREQUENCIES)
-    if gain:
-        beside, centre = gain * np.geomspace(0.05, 50, 40), loop.harmonic * speed
-        grid = np.concatenate([grid, centre + beside, centre - beside])
-    return np.unique(grid[(grid > 1.0) & (grid < highest)])
+def _axes(frozen: FrozenLoop, blocks: Sequence[Resonator], omega: np.ndarray) -> np.ndarray:
+    """The largest modulus of an axis' own sensitivity (w,), other loops closed (ISO 14839-3)."""
+    return np.asarray(np.abs(np.einsum("waa->wa", sensitivity(frozen, blocks, omega))).max(axis=1))
 
 
 def sensitivity_peak(
@@ -102,12 +238,47 @@ def sensitivity_peak(
     gain: float,
     leak: float = 0.0,
 ) -> tuple[float, float]:
-    """The largest modulus of an axis' own sensitivity, other loops closed (ISO 14839-3), and its
-    frequency [rad/s].
+    """The largest modulus of an axis' own sensitivity with a block on (T None: without), and its
+    frequency [rad/s]; T (a, a) at the speed [rad/s], gain eps and leak [1/s].
     """
-    omega = frequencies(loop, speed, gain)
-    S = np.abs(
-        np.einsum("waa->wa", sensitivity(loop, mode, speed, condition, T, gain, omega, leak))
-    )
-    k = int(np.argmax(S.max(axis=1)))
-    return float(S[k].max()), float(omega[k])
+    here = frozen(loop, speed, condition)
+    if T is None or gain == 0:
+        k = int(np.argmax(here.S.max(axis=1)))
+        return float(here.S[k].max()), float(here.omega[k])
+    D = T @ loop.weights(mode, speed, replace(condition, delta=()))
+    found = look(here, speed, (resonator(loop, mode, D, speed, gain, leak),))
+    return found.sensitivity, found.frequency
+
+
+def resonator(
+    loop: SynchronousLoop,
+    mode: str,
+    D: np.ndarray,
+    speed: float,
+    gain: float,
+    leak: float = 0.0,
+    update: str = "sample",
+) -> Resonator:
+    """A block of a mode at a speed [rad/s], with D (a, m) as it runs on what the mode reads."""
+    rows = [f"{kind}_{axis}" for kind in "eyu" for axis in loop.axes]
+    drive = np.zeros((len(D), len(rows)), complex)
+    drive[:, [rows.index(name) for name in loop.reads(mode)]] = D
+    turn = 2 * np.pi / speed if update == "turn" else 0.0
+    return Resonator(drive, loop.harmonic * speed, gain, leak, turn)
+
+
+def growth(system: StateSpace, blocks: Sequence[Resonator]) -> float:
+    """ln|z|/Ts [rad/s] of the outermost exact pole of a sampled loop from c to (e, y, u) with its
+    blocks; of a single block that moves once a turn of its multipliers over one.
+    """
+    assert system.dt is not None
+    (block, *others) = blocks
+    if block.turn and not others:
+        rows = np.flatnonzero(block.drive.any(axis=0))
+        reads = select(system, None, [system.outputs[i] for i in rows])
+        harmonic = round(block.frequency * block.turn / (2 * np.pi))
+        over = turn_map(reads, block.drive[:, rows], 2 * np.pi / block.turn, harmonic)
+        size = np.abs(over.multipliers(block.gain, block.leak)).max()
+        return float(np.log(max(size, 1e-300)) / over.time)
+    A = with_resonators(system, [(b.drive, b.frequency, b.gain, b.leak) for b in blocks])
+    return float(np.log(max(np.abs(np.linalg.eigvals(A)).max(), 1e-300)) / system.dt)

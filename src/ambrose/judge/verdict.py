@@ -97,7 +97,9 @@ def verify_controller(
             )
         )
     blocks = (
-        verify_synchronous(machine, law, rate, delay_samples, progress) if points is None else ()
+        verify_synchronous(machine, law, rate, delay_samples, progress, speed_rate)
+        if points is None
+        else ()
     )
     still = tuple(words for plant in within for words in not_varied(plant)) if tolerances else ()
     return Verification(
@@ -193,9 +195,10 @@ def verify_synchronous(
     rate: float | None = None,
     delay_samples: int | None = None,
     progress: Progress = lambda stage: None,
+    speed_rate: float | None = None,
 ) -> tuple[Checks, ...]:
     """The checks of every synchronous block: the controller file's, else the machine file's; none
-    for plants alone.
+    for plants alone. speed_rate [rad/s^2]: the fastest run-up.
 
     Raises InvalidInput for blocks that do not fit the machine, or a controller scheduled over
     speed.
@@ -207,7 +210,7 @@ def verify_synchronous(
     if not blocks:
         return ()
     items = block_loops(machine, law, blocks, rate, delay_samples)
-    return tuple(check_block(item, progress) for item in items)
+    return tuple(check_block(item, progress, speed_rate=speed_rate) for item in items)
 
 
 def verify_tolerances(

@@ -11,11 +11,13 @@ constant.
    is not as good.
 4. Herm(T S) > 0 is tried over every band that is left, between the speeds as well; the part in
    which it cannot be shown is left out, too, and named.
-5. The ends of a band at which the sensitivity with the block on passes its limit at any eps are
+5. Parts in which the loop with the block is unstable or nearly so at any speed, with eps a
+   twentieth of the lowest speed, are left out: near transmission zeros of what the block reads.
+   The ends of a band at which the sensitivity with the block on passes its limit at any eps are
    left out.
 6. eps, band by band: a third of what the exact sampled poles allow, no more than a twentieth of
    the lowest speed; T is made smaller over speed where the sensitivity with the block on would pass
-   its limit, and proved again.
+   its limit, and proved again. Parts that are unstable at corners of the tolerances are left out.
 """
 
 from __future__ import annotations
@@ -60,6 +62,7 @@ from ambrose.synthesis.synchronous_damping import damping_blocks
 from ambrose.synthesis.synchronous_gain import (
     SHARE,
     TURNS,
+    clear_parts,
     gain_limit,
     sensitive_gain,
     sensitive_table,
@@ -72,6 +75,9 @@ _LOWEST = 0.1  # of the top speed: where the band begins by default
 _CLEAR = 0.9  # of the orbit's limit, which a design keeps
 _EDGE = 10.0  # rad/s by which damping begins before it is needed: twice a block's hysteresis
 _NARROW = 0.02  # of the whole band: a part that is narrower is left out
+_SWITCHED = 12.0  # rad/s, the same: a block is switched on and off by 5 rad/s within its band
+_SHARES = 1.0, 1 / 4, 1 / 16  # of a twentieth of the lowest speed, tried for eps
+_LOST = 0.1  # of a band, beyond which the next one is tried
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -191,20 +197,28 @@ def design_synchronous(
             tables += [(where, table) for where in proved]
             angle = min(angle, shown) if proved else angle
     left_out.sort(key=lambda item: item.low)
-    if not tables:
-        why = "; ".join(str(item) for item in left_out)
-        raise InvalidInput(
-            f"no band is left in which {mode} may be on: {why}; choose another mode or band"
-        )
+    _check_left(tables, left_out, mode, "choose another mode or band")
+    progress("the speeds at which the loop is nearest to instability")
+    narrow = max((high - low) * _NARROW, _SWITCHED)
+    clear: list[tuple[tuple[float, float], BlockTable]] = []
+    most: dict[tuple[float, float], float] = {}
+    for where, table in tables:
+        for share in _SHARES if time_constant is None else (1.0,):
+            eps = share * (TURNS * where[0] if time_constant is None else 2 / time_constant)
+            parts, rest = clear_parts(loop, mode, where, table, at, eps, narrow, update)
+            # a smaller eps comes nearer to what it is kept clear of
+            if sum(item.high - item.low for item in rest) <= _LOST * (where[1] - where[0]):
+                break
+        clear += [(part, table) for part in parts]
+        most |= {part: eps for part in parts}
+        left_out += rest
+    tables = clear
+    _check_left(tables, left_out, mode, "choose another mode or band")
     progress("the sensitivity beside the speed")
     tables, trimmed = within_sensitivity(loop, mode, tables, at)
     left_out = sorted([*left_out, *trimmed], key=lambda item: item.low)
-    if not tables:
-        why = "; ".join(str(item) for item in left_out)
-        raise InvalidInput(
-            f"no band is left in which {mode} may be on: {why}; lower the sensitivity without a "
-            "block first, or choose another band"
-        )
+    remedy = "lower the sensitivity without a block first, or choose another band"
+    _check_left(tables, left_out, mode, remedy)
     progress("the largest eps")
     limits = [gain_limit(loop, mode, where, table, at, update) for where, table in tables]
     limit = min(limits)
@@ -218,9 +232,10 @@ def design_synchronous(
         sized = [(where, 2 / time_constant, table) for where, table in tables]
     else:
         for (where, table), own in zip(tables, limits, strict=True):
-            most = min(SHARE * own, TURNS * where[0])
-            best, smaller, words = sensitive_table(loop, mode, where, table, at, most)
-            narrow = (high - low) * _NARROW
+            middle = (where[0] + where[1]) / 2
+            cleared = (eps for (a, b), eps in most.items() if a <= middle <= b)
+            largest = min(SHARE * own, TURNS * where[0], *cleared)
+            best, smaller, words = sensitive_table(loop, mode, where, table, at, largest)
             shown, proved, _ = _provable(loop, mode, where, smaller, at, narrow)
             if len(proved) == 1 and proved[0] == where:
                 angle = min(angle, shown)
@@ -228,9 +243,20 @@ def design_synchronous(
                 sized.append((where, best, smaller))
             else:
                 # what a size that changes between two T turned is not proved: one size
-                small, note = sensitive_gain(loop, mode, [(where, table)], at, most)
+                small, note = sensitive_gain(loop, mode, [(where, table)], at, largest)
                 notes += note
                 sized.append((where, small, table))
+    progress("the same over the tolerances")
+    checked: list[tuple[tuple[float, float], float, BlockTable]] = []
+    for where, eps, table in sized if corners else []:
+        parts, rest = clear_parts(
+            loop, mode, where, table, corners, eps, narrow, update, members=True
+        )
+        checked += [(part, eps, table) for part in parts]
+        left_out += rest
+    sized = checked if corners else sized
+    left_out.sort(key=lambda item: item.low)
+    _check_left(sized, left_out, mode, "choose another mode or band")
     gain = min(eps for _, eps, _ in sized)
     blocks = tuple(
         block_of(mode, where, 2 / eps, table, update=update) for where, eps, table in sized
@@ -265,6 +291,13 @@ def design_synchronous(
         float(limit),
         tuple(notes),
     )
+
+
+def _check_left(left: Sequence[Any], left_out: Sequence[Forbidden], mode: str, remedy: str) -> None:
+    """Raises InvalidInput where no band is left."""
+    if not left:
+        why = "; ".join(str(item) for item in left_out)
+        raise InvalidInput(f"no band is left in which {mode} may be on: {why}; {remedy}")
 
 
 def check_base_loop(
