@@ -165,7 +165,8 @@ def _chain_lag(
     beside those that the file states is in this one number.
     """
     for k, lag, stated in chain_lags(machine, result):
-        path, value, start = result.paths[k], float(result.values[k]), float(result.start[k])
+        path = result.paths[k]
+        value, start = float(result.values[k]), float(result.start[k])
         beyond = abs(value - start) - COVERAGE * float(result.standard_deviations[k])
         told = _stated(machine, result, path, start)
         if 1 / _FAR_LAG < value / start < _FAR_LAG or beyond <= (told if np.isfinite(told) else 0):
