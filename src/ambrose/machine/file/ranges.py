@@ -156,7 +156,7 @@ def _joined(above: str, path: str) -> str:
 
 
 def _own(part: Any, path: str, where: str) -> Iterator[Entry]:
-    for name, key, dimension in _numeric(type(part)):
+    for name, key, dimension in _numeric(type(part)):  # type: ignore[arg-type]  # hashable
         value = getattr(part, name)
         if value is not None:
             yield Entry(where, f"{path}.{key}", dimension, _flat(value))
