@@ -12,18 +12,26 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from ambrose.machine.units import DIMENSIONS, canonical_unit, read_quantity, rewrite_quantity
+from ambrose.machine.units import (
+    DIMENSIONS,
+    canonical_unit,
+    in_si,
+    read_quantity,
+    rewrite_quantity,
+)
 from ambrose.record.record import si_values
 
 REGISTRY = pint.UnitRegistry()
 EVERYDAY = [(name, unit) for name, dimension in DIMENSIONS.items() for unit in dimension.units]
+RATES = {"angular rate", "frequency"}  # pint's hertz is 1/s, and its mil an angle
+OF_PINT = [(name, unit) for name, unit in EVERYDAY if name not in RATES and "mil" not in unit]
 PINT_SPELLING = {
     "N s/mm": "N*s/mm",
     "Ns/m": "N*s/m",
     "kNs/m": "kN*s/m",
     "Ns/mm": "N*s/mm",
     "°": "deg",
-    "krpm": "kilorpm",
+    **{f"{prefix}N{end}": f"{prefix}N*{end}" for prefix in ("", "m", "k") for end in ("m", "mm")},
 }
 
 
@@ -33,7 +41,7 @@ def spelled_for_pint(unit: str) -> str:
     return "".join(f"**{c}" if c.isdigit() else c for c in unit).replace(" ", "*")
 
 
-@pytest.mark.parametrize("name, unit", EVERYDAY)
+@pytest.mark.parametrize("name, unit", OF_PINT)
 def test_everyday_units_agree_with_pint(name, unit):
     ours = read_quantity(f"1 {unit}", DIMENSIONS[name])
     theirs = (
@@ -41,8 +49,68 @@ def test_everyday_units_agree_with_pint(name, unit):
         .to_base_units()
         .magnitude
     )
-    revolutions = "Hz" in unit and name == "angular rate"  # pint's hertz is 1/s
-    assert ours == pytest.approx(theirs * (2 * 3.141592653589793 if revolutions else 1), rel=1e-15)
+    assert ours == pytest.approx(theirs, rel=1e-15)
+
+
+TURN = 2 * math.pi  # rad
+# what a rate's unit counts [rad], and in how many seconds
+PER_SECOND = {"Hz": TURN, "cps": TURN, "rps": TURN, "r/s": TURN, "rev/s": TURN, "turn/s": TURN}
+PER_SECOND |= {"cycles/s": TURN, "rad/s": 1, "rad s^-1": 1, "rad/sec": 1, "deg/s": TURN / 360}
+PER_MINUTE = dict.fromkeys(
+    "rpm RPM cpm CPM r/min rev/min turn/min cycles/min 1/min min^-1 min-1 min⁻¹ U/min tr/min".split(),
+    TURN,
+) | {"rad/min": 1, "deg/min": TURN / 360}
+
+
+@pytest.mark.parametrize("unit", [*PER_SECOND, *PER_MINUTE])
+def test_a_rate_is_turns_or_radians_wherever_it_stands(unit):
+    """3000 min^-1 were 50 rad/s as a speed, 600000 rpm 62.8 kHz as a sample rate."""
+    radians = PER_SECOND[unit] if unit in PER_SECOND else PER_MINUTE[unit] / 60
+    speed, frequency = (DIMENSIONS[name] for name in ("angular rate", "frequency"))
+    assert read_quantity(f"3000 {unit}", speed) == pytest.approx(3000 * radians, rel=1e-14)
+    assert read_quantity(f"3000 {unit}", frequency) == pytest.approx(
+        3000 * radians / TURN, rel=1e-14
+    )
+    column = np.array([0.0, 3000.0])
+    assert in_si(column, unit, speed) == pytest.approx(column * radians, rel=1e-14)
+    assert si_values("speed_rotor", unit, column)[0] == pytest.approx(column * radians, rel=1e-14)
+
+
+@pytest.mark.parametrize("unit", ["s^-1", "1/s", "Bq", "count/min", "count/s", "baud", "dB/s"])
+@pytest.mark.parametrize("name", sorted(RATES))
+def test_a_rate_of_nothing_is_refused(unit, name):
+    with pytest.raises(ValueError, match=r"must be an? |cannot be read|is unknown"):
+        read_quantity(f"50 {unit}", DIMENSIONS[name])
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("5 N m/deg", "torque"),
+        ("5 N/m/rpm", "damping"),
+        ("5 N/(m Hz)", "damping"),
+        ("5 N s/m/rad", "damping"),
+        ("5 bar Hz", "pressure per time"),
+        ("5 mm rpm", "velocity"),
+        ("5 ohm/Hz", "inductance"),
+        ("5 mm percent", "length"),
+        ("5 kg m^2/turn", "moment of inertia"),
+    ],
+)
+def test_angles_and_rates_within_a_unit_are_refused(text, name):
+    """To pint they are the number 1, or 2 pi, or 1/60 of it."""
+    with pytest.raises(ValueError, match="an angle, a share or a rate in it"):
+        read_quantity(text, DIMENSIONS[name])
+
+
+def test_units_with_an_offset_are_shifted_in_columns_as_in_the_file():
+    """20 degC of a bearing were 5483 K."""
+    found, unit = si_values("T_bearing", "degC", np.array([20.0, -40.0]))
+    assert unit == "K" and found == pytest.approx([293.15, 233.15], rel=1e-15)
+    assert in_si(20.0, "°C", DIMENSIONS["temperature"]) == pytest.approx(293.15)
+    for unit in ("degF", "K/m", "kelvins", "mm"):
+        with pytest.raises(ValueError, match="; write one of K, degC"):
+            in_si(20.0, unit, DIMENSIONS["temperature"])
 
 
 @pytest.mark.parametrize(
@@ -78,6 +146,11 @@ def test_reading(text, name, value):
     [
         ("1 ft", "length", 0.3048),
         ("3 thou", "length", 3 * 0.0254e-3),
+        ("5 mil", "length", 5 * 0.0254e-3),
+        ("5 mils", "length", 5 * 0.0254e-3),
+        ("2 Nm", "torque", 2.0),
+        ("2 kNm", "torque", 2000.0),
+        ("2 Nmm", "torque", 2e-3),
         ("1 lbf/in", "stiffness", 4.4482216152605 / 0.0254),
         ("1 lbf s/in", "damping", 4.4482216152605 / 0.0254),
         ("30 psi", "pressure", 30 * 4.4482216152605 / 0.0254**2),
@@ -187,12 +260,15 @@ def test_not_finite(value):
 
 
 def test_dimensions_do_not_share_an_example_that_both_would_read():
-    """Each example is read by its own dimension; no closed dimension reads another one's."""
+    """Each example is read by its own dimension; no closed dimension reads another one's, but for
+    rates of turns and of radians.
+    """
     for name, dimension in DIMENSIONS.items():
         if dimension.example:
             assert read_quantity(dimension.example, dimension) > 0
         for other in DIMENSIONS.values():
-            if other.closed and other.name != name and dimension.example:
+            rates = {name, other.name} == RATES
+            if other.closed and other.name != name and dimension.example and not rates:
                 with pytest.raises(ValueError, match="write"):
                     read_quantity(dimension.example, other)
 
@@ -242,8 +318,8 @@ def test_a_unit_is_what_it_says_wherever_no_prefix_tells():
     """A channel of an unknown prefix is read by its unit: what two dimensions can read must mean
     the same in both, per cent above all (a byte is dimensionless to pint, and 8 bits).
     """
-    apart = {"Hz", "kHz", "MHz"}  # revolutions or samples: the prefix tells
-    for unit in {unit for _, unit in EVERYDAY} - apart:
+    # a rate is one of turns or of radians: told with the unit that it is stored in
+    for unit in {unit for name, unit in EVERYDAY if name not in RATES}:
         values = set()
         for dimension in DIMENSIONS.values():
             with contextlib.suppress(ValueError):

@@ -14,7 +14,7 @@ from decimal import Context, Decimal
 from fractions import Fraction
 from functools import lru_cache
 from tokenize import TokenError
-from typing import Any
+from typing import Any, TypeVar
 
 from ambrose.machine.messages import meant, shown
 
@@ -29,6 +29,7 @@ _LONGEST_UNIT = 40  # characters of its unit
 _PI = Fraction("3.14159265358979323846264338327950288419716939937511")
 _FLOAT_DIGITS = 17  # tell any two floats apart
 _MOST_DIGITS = 50  # of a number that is converted exactly, at most
+Values = TypeVar("Values", bound=Any)  # a number, or an array of them
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,9 +37,9 @@ class Dimension:
     """What a number measures: the SI unit it is stored in, an example as written in a file, and its
     everyday units.
 
-    ``units`` maps a unit to its factor to SI: a decimal number, followed by "pi" where pi is a
-    factor, or by "+" and what is added. A closed dimension takes these units only: ratio and angle
-    are both "dimensionless" to pint, which would mix them up.
+    ``units`` maps a unit to its factor to SI: a number, followed by "pi" or "/pi" where pi is a
+    factor, or by "+" and what is added. A closed dimension takes these units only: to pint ratio
+    and angle are both "dimensionless", a turn, a radian and a count per second the same rate.
     """
 
     name: str
@@ -74,9 +75,50 @@ def _dimension(
     )
 
 
+_LENGTHS = "m=1,cm=1e-2,mm=1e-3,um=1e-6,in=0.0254,mil=2.54e-5,mils=2.54e-5"  # a mil: 0.001 in
+_TORQUES = "N m=1,Nm=1,mN m=1e-3,mNm=1e-3,N mm=1e-3,Nmm=1e-3,kN m=1e3,kNm=1e3"
+
+# Rates as data sheets, rotor codes and spreadsheets write them: the turn, and the radian. A bare
+# 1/s or s^-1 is both, and neither: it is not among them.
+_TURNS = {  # turns per second
+    "Hz": "1",
+    "mHz": "1e-3",
+    "kHz": "1e3",
+    "MHz": "1e6",
+    **dict.fromkeys(("cps", "rps", "r/s", "rev/s", "turn/s", "cycles/s"), "1"),
+    **dict.fromkeys(("rpm", "cpm", "r/min", "rev/min", "turn/min", "1/min", "min-1"), "1/60"),
+    **dict.fromkeys(("RPM", "CPM", "cycles/min", "U/min", "tr/min"), "1/60"),
+    "krpm": "100/6",
+    "kcpm": "100/6",
+}
+_RADIANS = {  # radians per second
+    **dict.fromkeys(("rad/s", "rad s-1", "rad/sec"), "1"),
+    "mrad/s": "1e-3",
+    "krad/s": "1e3",
+    **dict.fromkeys(("rad/min", "rad/minute"), "1/60"),
+}
+_DEGREES = {"deg/s": "1/180", "°/s": "1/180", "deg/min": "1/10800"}
+
+
+def _of_rate(kinds: dict[str, str], factor: Fraction, pi: str) -> str:
+    """Entries of ``_dimension``: the units of a kind of rate, each times a factor and pi."""
+    return ",".join(f"{unit}={Fraction(own) * factor}{pi}" for unit, own in kinds.items())
+
+
+_ANGULAR = (  # first the unit that is stored
+    _of_rate(_RADIANS, Fraction(1), ""),
+    _of_rate(_TURNS, Fraction(2), " pi"),
+    _of_rate(_DEGREES, Fraction(1), " pi"),
+)
+_CYCLIC = (
+    _of_rate(_TURNS, Fraction(1), ""),
+    _of_rate(_RADIANS, Fraction(1, 2), " /pi"),
+    _of_rate(_DEGREES, Fraction(1, 2), ""),
+)
+
 DIMENSIONS: dict[str, Dimension] = dict(
     (
-        _dimension("length", "m", "0.5 mm", "m=1,cm=1e-2,mm=1e-3,um=1e-6,in=0.0254"),
+        _dimension("length", "m", "0.5 mm", _LENGTHS),
         _dimension("mass", "kg", "1.2 kg", "kg=1,g=1e-3"),
         _dimension(
             "moment of inertia",
@@ -89,13 +131,8 @@ DIMENSIONS: dict[str, Dimension] = dict(
         _dimension(
             "angle", "rad", "45 deg", "rad=1,mrad=1e-3,deg=1/180 pi,°=1/180 pi", closed=True
         ),
-        _dimension(
-            "angular rate",
-            "rad/s",
-            "31500 rpm",
-            "rad/s=1,rpm=1/30 pi,Hz=2 pi,kHz=2000 pi,deg/s=1/180 pi,krpm=100/3 pi",
-        ),
-        _dimension("frequency", "Hz", "15 kHz", "Hz=1,kHz=1e3,MHz=1e6"),
+        _dimension("angular rate", "rad/s", "31500 rpm", ",".join(_ANGULAR), closed=True),
+        _dimension("frequency", "Hz", "15 kHz", ",".join(_CYCLIC), closed=True),
         _dimension("time", "s", "0.2 ms", "s=1,ms=1e-3,us=1e-6"),
         _dimension("current", "A", "4.5 A", "A=1,mA=1e-3"),
         _dimension("voltage", "V", "150 V", "V=1,mV=1e-3,kV=1e3"),
@@ -103,7 +140,7 @@ DIMENSIONS: dict[str, Dimension] = dict(
         _dimension("resistance", "ohm", "1.2 ohm", "ohm=1,mohm=1e-3"),
         _dimension("magnetic flux density", "T", "1.6 T", "T=1,mT=1e-3"),
         _dimension("power", "W", "1.5 MW", "W=1,kW=1e3,MW=1e6"),
-        _dimension("torque", "N m", "0.5 N m", "N m=1,mN m=1e-3,kN m=1e3"),
+        _dimension("torque", "N m", "0.5 N m", _TORQUES),
         _dimension("energy", "J", "2 kJ", "J=1,kJ=1e3,MJ=1e6"),
         _dimension("force", "N", "7.5 kN", "N=1,kN=1e3"),
         _dimension("pressure", "Pa", "2.04 bar", "Pa=1,kPa=1e3,MPa=1e6,bar=1e5,mbar=1e2"),
@@ -166,7 +203,7 @@ def rewrite_quantity(old: str, value: float, dimension: Dimension) -> str:
     assert match is not None, "a quantity that was read"
     unit = old.strip()[match.end(1) :]
     factor, pi, offset = _conversion(canonical_unit(match[2]), dimension)
-    exact = (Fraction(value) - offset) / factor / (_PI if pi else 1)
+    exact = (Fraction(value) - offset) / factor / _PI**pi
     for digits in range(1, _MOST_DIGITS):
         context = Context(prec=digits)
         rounded = context.divide(Decimal(exact.numerator), Decimal(exact.denominator)).normalize(
@@ -188,6 +225,8 @@ def canonical_unit(text: str) -> str:
         ("^", ""),
         ("²", "2"),
         ("³", "3"),
+        ("⁻", "-"),
+        ("¹", "1"),
         ("*", " "),
         ("·", " "),
         ("μ", "u"),
@@ -221,8 +260,28 @@ def _read_text(text: str, dimension: Dimension) -> float:
         return _as_float(Fraction(digits) * factor + offset)
     # written by rewrite_quantity: round once, to the very number
     if len(re.sub(r"[eE].*|[^0-9]", "", digits)) > _FLOAT_DIGITS:
-        return _as_float(Fraction(digits) * factor * _PI)
-    return _as_float(Fraction(digits) * factor) * math.pi
+        return _as_float(Fraction(digits) * factor * _PI**pi)
+    return _as_float(Fraction(digits) * factor) * math.pi**pi
+
+
+def in_si(values: Values, unit: str, dimension: Dimension) -> Values:
+    """Numbers of a column in ``unit``, in SI: value times factor, plus offset ("degC"). ``unit`` as
+    in a file, "mm"; the SI unit itself changes nothing.
+
+    Raises ValueError whose text goes after the name of the unit: 'is "mph", but must be a unit of
+    length; ...'.
+    """
+    if unit == dimension.unit:
+        return values
+    try:
+        factor, pi, offset = _conversion(canonical_unit(unit), dimension)
+    except LookupError as error:
+        why = error.args[0] or f"must be a unit of {dimension.name}"
+        raise ValueError(
+            f'is "{unit}", but {why}; write one of {", ".join(list(dimension.units)[:8])}'
+        ) from None
+    scaled: Values = values * (float(factor) * math.pi**pi)
+    return scaled + float(offset) if offset else scaled
 
 
 def _starts_a_unit(text: str) -> bool:
@@ -253,16 +312,16 @@ def _foreign_digits(text: str) -> str:
     return ""
 
 
-def _conversion(unit: str, dimension: Dimension) -> tuple[Fraction, bool, Fraction]:
-    """The factor from a unit to SI, whether it is a multiple of pi, and what is added. Raises
+def _conversion(unit: str, dimension: Dimension) -> tuple[Fraction, int, Fraction]:
+    """The factor from a unit to SI, the power of pi in it, and what is added. Raises
     LookupError.
     """
     if unit not in dimension.units:
-        return Fraction(_factor_by_pint(unit, dimension.name)), False, Fraction(0)
+        return Fraction(_factor_by_pint(unit, dimension.name)), 0, Fraction(0)
     rational, _, rest = dimension.units[unit].partition(" ")
     return (
         Fraction(rational),
-        rest == "pi",
+        {"pi": 1, "/pi": -1}.get(rest, 0),
         Fraction(rest[1:]) if rest.startswith("+") else Fraction(0),
     )
 
@@ -305,13 +364,12 @@ def _factor_by_pint(unit: str, dimension_name: str) -> float:
     if dimension.closed or not source.is_compatible_with(canonical_for_pint(dimension.unit)):
         raise LookupError("")
     quantity = registry.Quantity(1.0, source)
-    factor = float(quantity.to(canonical_for_pint(dimension.unit)).magnitude)
-    # pint's hertz is 1/s, here it means revolutions per second
-    if dimension.name == "angular rate":
-        factor *= (2 * math.pi) ** sum(
-            power for name, power in quantity.unit_items() if name.endswith("hertz")
-        )
-    return factor
+    for name, _ in quantity.unit_items():
+        own = dict(registry.Unit(name).dimensionality)
+        # to pint a newton metre per degree is a torque, a bar times hertz a pressure per second
+        if not own or own == {"[time]": -1}:
+            raise LookupError(f"its unit has an angle, a share or a rate in it ({name})")
+    return float(quantity.to(canonical_for_pint(dimension.unit)).magnitude)
 
 
 def canonical_for_pint(unit: str) -> str:

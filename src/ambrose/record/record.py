@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -27,7 +28,7 @@ from ambrose.machine.limits import (
     TEXT,
 )
 from ambrose.machine.messages import quoted
-from ambrose.machine.units import DIMENSIONS, Dimension, read_quantity
+from ambrose.machine.units import DIMENSIONS, Dimension, in_si
 
 FORMAT, VERSION = "ambrose-record", 1
 _PREFIXES = {
@@ -329,11 +330,7 @@ def si_values(name: str, unit: str, values: np.ndarray) -> tuple[np.ndarray, str
     InvalidInput for a wrong unit.
     """
     dimension = _dimension(name, unit)
-    return (
-        (values, unit)
-        if unit == dimension.unit
-        else (values * read_quantity(f"1 {unit}", dimension), dimension.unit)
-    )
+    return in_si(values, unit, dimension), dimension.unit
 
 
 def _dimension(name: str, unit: str) -> Dimension:
@@ -346,16 +343,12 @@ def _dimension(name: str, unit: str) -> Dimension:
     candidates = (
         [DIMENSIONS[_PREFIXES[prefix]]] if prefix in _PREFIXES else list(DIMENSIONS.values())
     )
-    complaint = ""
     for dimension in candidates:
         if unit == dimension.unit:
             return dimension
     for dimension in candidates:
-        try:
-            read_quantity(f"1 {unit}", dimension)
-        except ValueError as error:
-            complaint = complaint or str(error)
-        else:
+        with suppress(ValueError):
+            in_si(1.0, unit, dimension)
             return dimension
     if prefix in _PREFIXES:
         what = candidates[0]

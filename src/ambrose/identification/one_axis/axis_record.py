@@ -16,7 +16,7 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_path, check_positive, invalid
 from ambrose.machine.ordinary_file import check_source
-from ambrose.machine.units import DIMENSIONS, read_quantity
+from ambrose.machine.units import DIMENSIONS, in_si
 from ambrose.record.files import read_record
 from ambrose.record.record import Record
 from ambrose.record.text_uff import text_table
@@ -206,7 +206,7 @@ def _in_si(what: str, values: np.ndarray, unit: str) -> np.ndarray:
     if not unit or what not in kinds:
         return values
     try:
-        return values * read_quantity(f"1 {unit}", DIMENSIONS[kinds[what]])
+        return in_si(values, unit, DIMENSIONS[kinds[what]])
     except ValueError as error:
         raise InvalidInput(f"the unit of the {what} {error}") from error
 
