@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.io
+import scipy.signal
 from click.testing import CliRunner
 
 import ambrose as amb
@@ -137,6 +138,40 @@ def test_channels_of_tilting_and_translating_are_taken(place, tmp_path):
         rtol=1e-9,
         atol=5e-5,  # 1e-10 of the gain, 4.6e5 A/m: channels that do not act on each other
     )
+
+
+@pytest.mark.parametrize("kind", ["csv", "json"])
+def test_sections_whose_feedback_has_the_other_sign_are_noticed(tmp_path, kind):
+    """y = b0 x + b1 x' + b2 x'' + a1 y' + a2 y'', as CMSIS-DSP has it."""
+    machine = amb.load_machine(RIG)
+    settings = replace(machine.reference, coordinates="axes", tilt_gain=1.0)
+    K = c2d(axes_controller(settings, machine.axes), DT, "tustin")
+    sections = {}
+    for n, axis in enumerate(machine.axes):
+        k = np.flatnonzero(K.B[:, n])  # its own states
+        one = scipy.signal.ss2zpk(
+            K.A[np.ix_(k, k)], K.B[k][:, [n]], K.C[[n]][:, k], K.D[[n]][:, [n]]
+        )
+        sections[axis] = scipy.signal.zpk2sos(*one)
+
+    def turned(rows, sign):
+        return [[*row[:4], *(sign * row[4:])] for row in rows]
+
+    for sign, status in ((1, 0), (-1, 1)):
+        path = tmp_path / f"dsp.{kind}"
+        if kind == "csv":
+            rows = [
+                f"{axis},{','.join(f'{value!r}' for value in map(float, row))},{1 / DT}"
+                for axis, own in sections.items()
+                for row in turned(own, sign)
+            ]
+            path.write_text("channel,b0,b1,b2,a0,a1,a2,rate_hz\n" + "\n".join(rows))
+        else:
+            channels = {axis: {"sos": turned(own, sign)} for axis, own in sections.items()}
+            path.write_text(json.dumps({"rate_hz": 1 / DT, "channels": channels}))
+        done = call("convert", "controller", path, "--machine", RIG, "-o", tmp_path / "k.json")
+        assert done.exit_code == status, done.output
+        assert ("turn the sign of a1 and a2 in the file" in done.output) == (sign < 0)
 
 
 def test_a_unit_that_nearly_holds_is_named(place):

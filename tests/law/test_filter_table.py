@@ -191,13 +191,50 @@ def test_what_is_no_filter_is_refused_in_a_sentence(name, tmp_path):
             "it lacks channel; its first line must name",
         ),
         ("channel, zeros, gain\nA_zeta,1,2\n", "it lacks poles; its first line must name"),
-        ("x, y\n1, 2\n", "it is no table of filters; its first line must name"),
+        ("x, y\n1, 2\n", "'x' is unknown; known: a, .*; its first line must name"),
+        ("channel, zeros, poles, gain, Q\nA,,-1,1,7\n", "'Q' is unknown"),
+        ("channel, zeros, poles, gain\nA,,-1,1,7\n", "line 2 has 5 cells, but the header names 4"),
+        ("channel; b; a; rate_hz\nx; 5.200 -9800,5; 1; 5\n", "commas .'-9800,5' .* points .'5.2"),
+        (
+            "channel; zeros; poles; gain\nx; ; 10.000; 900\nx; ; 5; 1.000\n",
+            '"10.000" in line 2 may be 10000',
+        ),
     ],
 )
 def test_a_table_names_the_columns_that_it_lacks(text, lacking, tmp_path):
     (tmp_path / "vendor.csv").write_text(text)
     with pytest.raises(InvalidInput, match=lacking):
         amb.read_controller(tmp_path / "vendor.csv")
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 3])
+@pytest.mark.parametrize(("p", "m"), [(1, 1), (1, 3), (3, 1), (2, 2)])
+def test_matrices_as_matlab_encodes_them_in_json(n, p, m, tmp_path):
+    """jsonencode drops the brackets of scalars, and does not tell a row from a column."""
+    rng = np.random.default_rng(n)
+    shapes = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
+    full = {key: rng.standard_normal(shape) for key, shape in shapes.items()}
+
+    def encoded(matrix):
+        return matrix.ravel().tolist() if 1 in matrix.shape else matrix.tolist()
+
+    short = {key: encoded(matrix) for key, matrix in full.items()}
+    short = {key: value[0] if len(value) == 1 else value for key, value in short.items()}
+    if n == 0:  # of no state, D alone says how many there are
+        short |= {"A": [], "B": [], "C": [], "D": full["D"].tolist()}
+    names = {"axes": list("abc"[:m]), "outputs": list("abc"[:p])}
+    (tmp_path / "k.json").write_text(json.dumps(short | names))
+    read = amb.read_controller(tmp_path / "k.json").controller
+    for key, matrix in full.items():
+        np.testing.assert_array_equal(getattr(read, key), matrix)
+
+
+def test_one_section_as_matlab_encodes_it_in_json(tmp_path):
+    item = {"sos": [1, 2, 3, 1, 0.5, 0.25]}
+    (tmp_path / "k.json").write_text(json.dumps({"rate_hz": RATE, "channels": {"A": item}}))
+    expected = digital(np.array([item["sos"]]))
+    found = direct(amb.read_controller(tmp_path / "k.json").controller)
+    np.testing.assert_allclose(found[0], expected, rtol=1e-9)
 
 
 def test_an_unstable_table_is_converted_with_a_warning(tmp_path):

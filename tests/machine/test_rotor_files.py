@@ -266,8 +266,9 @@ def test_a_spreadsheet_with_decimal_commas_becomes_a_rotor():
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "no stations"),
-        ("length [mm];od [mm]\n", "no stations"),
+        ("", "a row of names .* a table of stations"),
+        ("length [mm];od [mm]\n", "a row of names"),
+        ("time;torque\n1;2\n", "'time' is unknown; .* a table of stations"),
         ("length [mm];width\n1;2\n", "unknown"),
         ("length [mm];id [mm]\n1;2\n", '"od" is missing'),
         ("length;od [mm]\n100;40\n", "has no unit"),
@@ -279,6 +280,11 @@ def test_a_spreadsheet_with_decimal_commas_becomes_a_rotor():
         ("length [mm];od [mm]\n5;1;2\n", "3 cells"),
         ("length [mm];od [mm];od [mm]\n5;1;2\n", "twice"),
         ("length [mm];od [mm]\n0;1\n", "no row has a length"),
+        ("length [mm];od [mm];id [mm]\n5;1\n", "line 2 has 2 cells, but the header names 3"),
+        ("length [mm];od [mm]\n75,5;40\n1.225;40\n", "'75,5' in line 2. and points .'1.225'"),
+        ("length [mm];od [mm]\n75;40\n1.225;40\n", '"1.225" in line 3 may be 1225'),
+        ("length [mm]\tod [mm]\n75\t40\n1,225\t40\n", '"1,225" in line 3 may be 1225'),
+        ("length [mm];od [mm]\n1.225,5;40\n", "decimal commas"),
     ],
 )
 def test_tables_that_are_none_are_refused(text, words):

@@ -57,7 +57,8 @@ TURN = 2 * math.pi  # rad
 PER_SECOND = {"Hz": TURN, "cps": TURN, "rps": TURN, "r/s": TURN, "rev/s": TURN, "turn/s": TURN}
 PER_SECOND |= {"cycles/s": TURN, "rad/s": 1, "rad s^-1": 1, "rad/sec": 1, "deg/s": TURN / 360}
 PER_MINUTE = dict.fromkeys(
-    "rpm RPM cpm CPM r/min rev/min turn/min cycles/min 1/min min^-1 min-1 min⁻¹ U/min tr/min".split(),
+    ("rpm", "RPM", "cpm", "CPM", "r/min", "rev/min", "turn/min", "cycles/min", "1/min", "min^-1")
+    + ("min-1", "min⁻¹", "U/min", "tr/min"),
     TURN,
 ) | {"rad/min": 1, "deg/min": TURN / 360}
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from ambrose.terminal import AS_JSON, claim, load, progress_shown, say, say_json
+
+if TYPE_CHECKING:
+    from ambrose.judge.result import Synthesis
 
 # core/sampling.py, which is not imported for --help
 METHODS = ("tustin", "zoh", "backward-euler", "matched")
@@ -95,6 +98,7 @@ def write_imported(
     from ambrose.code.sampled import instability
     from ambrose.core.checks import InvalidInput
     from ambrose.judge.controller_file import read_controller, write_controller
+    from ambrose.law.filter_table import FEEDBACK
     from ambrose.synthesis.imported_controller import named_for, not_held, resampled
 
     known = None if machine is None else load(machine)
@@ -109,11 +113,17 @@ def write_imported(
         raise InvalidInput(
             "--prewarp-hz goes with --sampling tustin or matched; name it, or leave it out"
         )
+
+    def other() -> Synthesis:
+        assert known is not None
+        turned = read_controller(source, **stated, **{FEEDBACK: True})
+        return replace(turned, controller=named_for(known, turned.controller))
+
     wrong, lost = instability(law.controller), list[str]()
     if known is not None:
         law = replace(law, controller=named_for(known, law.controller))
         with progress_shown(as_json) as progress:
-            lost = not_held(known, law, progress)
+            lost = not_held(known, law, progress, other if law.controller.dt else None)
     write_controller(output, law, known)
     kind = (
         "continuous" if law.controller.dt is None else f"sampled at {1 / law.controller.dt:.6g} Hz"

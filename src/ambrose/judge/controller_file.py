@@ -40,10 +40,12 @@ from ambrose.judge.result import Certificate, Provenance, Status, Synthesis, syn
 from ambrose.law.filter_table import (
     DEFAULT_AXES,
     FACTS,
+    FEEDBACK,
     controller_of,
     csv_table,
     is_table,
     mat_table,
+    other_feedback,
 )
 from ambrose.law.law import LawLike
 from ambrose.law.scheduling import scheduling_named
@@ -325,9 +327,10 @@ def read_controller(path: str | os.PathLike[str], **stated: Any) -> Synthesis:
     is a controller that nothing is known of. stated: what such a table leaves open: rate_hz;
     delay_samples; input, "error" (r - y) or "displacement" (y, whose sign is turned); input_unit
     ("um"), output_unit ("mA"); axes, names for its channels in their order, and default_axes, where
-    it has none. Raises InvalidInput that names the file, the key, its value and the remedy.
+    it has none; other_feedback, whether a1 and a2 are of the other sign. Raises InvalidInput that
+    names the file, the key, its value and the remedy.
     """
-    if unknown := [key for key in stated if key not in (*FACTS, DEFAULT_AXES)]:
+    if unknown := [key for key in stated if key not in (*FACTS, DEFAULT_AXES, FEEDBACK)]:
         raise invalid(
             "what is stated of a controller",
             quoted(unknown[0]),
@@ -335,9 +338,10 @@ def read_controller(path: str | os.PathLike[str], **stated: Any) -> Synthesis:
             "correct its name",
         )
     suffix = Path(path).suffix.lower()
+    turned = bool(stated.pop(FEEDBACK, False))
     try:
         if suffix == ".mat":
-            return _imported(mat_table(tree_of(Path(path))), stated)
+            return _imported(mat_table(tree_of(Path(path))), stated, turned)
         text = read_text(path, "controller file", CONTROLLER_BYTES)
         content = csv_table(text) if suffix == ".csv" else _content(text)
         if (
@@ -345,7 +349,7 @@ def read_controller(path: str | os.PathLike[str], **stated: Any) -> Synthesis:
             and not {"format", "provenance"} & {*content}
             and is_table(content)
         ):
-            return _imported(content, stated)
+            return _imported(content, stated, turned)
         return _restated(_synthesis(_parse(content)), stated)
     except InvalidInput as error:
         raise InvalidInput(
@@ -353,8 +357,8 @@ def read_controller(path: str | os.PathLike[str], **stated: Any) -> Synthesis:
         ) from error
 
 
-def _imported(table: Mapping[str, Any], stated: Mapping[str, Any]) -> Synthesis:
-    system, delay = controller_of(table, **stated)
+def _imported(table: Mapping[str, Any], stated: Mapping[str, Any], turned: bool) -> Synthesis:
+    system, delay = controller_of(other_feedback(table) if turned else table, **stated)
     return Synthesis(
         system, provenance=Provenance(settings=None if delay is None else {"delay_samples": delay})
     )

@@ -10,8 +10,6 @@ is: a sampled controller, not an analog one that resembles it.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -22,14 +20,16 @@ from ambrose.core.realisation.balancing import balance_system
 from ambrose.core.statespace import StateSpace
 from ambrose.law.filters import chain, section_matrix
 from ambrose.machine.controller import Section
+from ambrose.machine.file.text_table import named_table
 from ambrose.machine.limits import DELAY_SAMPLES, SAMPLE_TIME, STATES
 from ambrose.machine.messages import quoted
-from ambrose.machine.units import DIMENSIONS, read_quantity
+from ambrose.machine.units import DIMENSIONS, in_si
 from ambrose.machine.validation.controller import section_problems
 
 SOS = ("b0", "b1", "b2", "a0", "a1", "a2")
 ZPK = ("zeros", "poles", "gain")
 DEFAULT_AXES = "default_axes"  # stated for a table that names none
+FEEDBACK = "other_feedback"  # stated where its a1 and a2 are of the other sign
 FACTS = (
     "rate_hz",
     "delay_samples",
@@ -60,7 +60,11 @@ _HEADER = (
     f'"channel", then {", ".join(SOS)} or b, a or {", ".join(ZPK)}, and "rate_hz" where it is '
     "digital"
 )
-_NO_TABLE = "it is no table of filters"
+_CSV_WORDS = ("channel", "label", "input", "input_unit", "output_unit")
+# columns of a CSV table, all by their own names
+_CSV: Mapping[str, tuple[str, ...]] = dict.fromkeys(
+    ("channel", *SOS, "b", "a", "num", "den", *ZPK, *FACTS[:-1], "label"), ()
+)
 # from the error of an axis to currents: Theta = [[D, C], [B, A]]
 _Channel = tuple[str, tuple[str, ...], np.ndarray]
 
@@ -69,33 +73,22 @@ def csv_table(text: str) -> dict[str, Any]:
     """A row for each section: channel, coefficients or zeros, poles and gain; facts have columns.
     Raises InvalidInput.
     """
-    first = text.lstrip("\ufeff").partition("\n")[0]
-    mark = next((mark for mark in ";\t" if mark in first), ",")
-    if mark == ";":
-        text = text.replace(",", ".")  # where a semicolon separates, a comma is the decimal mark
     try:
-        lines = io.StringIO(text.lstrip("\ufeff"))
-        rows = list(
-            csv.DictReader(lines, skipinitialspace=True, restkey="", restval="", delimiter=mark)
-        )
-    except csv.Error as error:
-        raise InvalidInput(
-            f"it is no table in CSV ({error}); its first line must name the columns {_HEADER}"
-        ) from None
-    columns = {str(name).strip() for name in (rows[0] if rows else {})}
+        table = named_table(text, _CSV, _CSV_WORDS, required=(), example=_HEADER, exact=True)
+    except InvalidInput as error:
+        raise InvalidInput(f"{error}; its first line must name the columns {_HEADER}") from None
+    columns = {column.kind for column in table.columns}
     kinds = (SOS, ("b", "a"), ("num", "den"), ZPK)
     kind = max(kinds, key=lambda names: len(columns & {*names}) / len(names))
     if missing := [name for name in ("channel", *kind) if name not in columns]:
-        lacks = (
-            f"it lacks {', '.join(missing)}"
-            if columns & {"channel", *SOS, "b", "a", "num", "den", *ZPK}
-            else _NO_TABLE
+        raise InvalidInput(
+            f"it lacks {', '.join(missing)}; its first line must name the columns {_HEADER}"
         )
-        raise InvalidInput(f"{lacks}; its first line must name the columns {_HEADER}")
     facts, channels = dict[str, set[str]](), dict[str, list[Any]]()
-    for number, row in enumerate(rows, 2):
+    for number, row in table.rows:
         cells = {
-            str(key).strip(): value.strip() for key, value in row.items() if isinstance(value, str)
+            column.kind: cell.replace(",", ".") if table.mark == "," else cell
+            for column, cell in row.items()
         }
         for key in FACTS[:-1]:
             facts.setdefault(key, set()).add(cells.get(key, ""))
@@ -112,7 +105,7 @@ def csv_table(text: str) -> dict[str, Any]:
             }
         if form is ZPK or cells.get("gain"):
             item["gain"] = cells.get("gain", "")
-        channels.setdefault(cells["channel"], []).append(item)
+        channels.setdefault(cells.get("channel", ""), []).append(item)
     for key, values in facts.items():
         if len(values) > 1:
             raise InvalidInput(
@@ -221,6 +214,17 @@ def controller_of(table: Mapping[str, Any], **stated: Any) -> tuple[StateSpace, 
     return system, facts.get("delay_samples")
 
 
+def other_feedback(table: Any, key: str = "") -> Any:
+    """The table with a1 and a2 of its sections of the other sign, as libraries for signal
+    processors write them: y = b0 x + ... + a1 y[k-1] + a2 y[k-2].
+    """
+    if isinstance(table, Mapping):
+        return {name: other_feedback(value, name) for name, value in table.items()}
+    if key == "sos" and _depth(table) == 1:
+        return [*table[:4], *(-_real(key, value) for value in table[4:])]
+    return [other_feedback(value, key) for value in table] if isinstance(table, list) else table
+
+
 def is_table(content: Mapping[str, Any]) -> bool:
     """Whether parsed JSON is such a table, or tries to be."""
     return bool({*_FORMS} & {*_named(content)})
@@ -283,14 +287,9 @@ def _fact(key: str, value: Any) -> Any:
     if key in ("input_unit", "output_unit"):
         dimension = DIMENSIONS["length" if key == "input_unit" else "current"]
         try:
-            return read_quantity(f"1 {value}", dimension)
+            return in_si(1.0, str(value), dimension)
         except ValueError as error:
-            raise invalid(
-                key,
-                quoted(value),
-                f"a unit of {dimension.name}",
-                f"choose {', '.join(dimension.units)}",
-            ) from error
+            raise InvalidInput(f"{key} {error}") from error
     number = _scalar(key, value)
     if key == "delay_samples":
         if not (0 <= number <= DELAY_SAMPLES and number.is_integer()):
@@ -457,16 +456,13 @@ def _rational(where: str, numerators: Sequence[Any], denominator: Any, falling: 
 
 def _matrices(table: Mapping[str, Any]) -> list[np.ndarray]:
     """A (n, n), B (n, m), C (p, n), D (p, m); D may be left out. Raises InvalidInput."""
-    matrices = {}
-    for key in "ABCD":
-        rows = [_listed(key, row) for row in _listed(key, table.get(key, []))]
-        if len({len(row) for row in rows}) > 1:
-            raise InvalidInput(
-                f"the rows of {key} have different lengths; give the matrix row by row"
-            )
-        numbers = [[_real(key, value) for value in row] for row in rows]
-        matrices[key] = np.array(numbers).reshape(len(rows), -1 if rows and rows[0] else 0)
-    A, B, C, D = (matrices[key] for key in "ABCD")
+    # jsonencode of MATLAB writes a scalar as 5, a row and a column alike as [1, 0]: of one state B
+    # is a row and C a column, of more the other way round; D is what B and C leave open
+    one_state = len(_flat(table.get("A", []))) == 1
+    B = _matrix("B", table.get("B", []), as_row=one_state)
+    C = _matrix("C", table.get("C", []), as_row=not one_state)
+    A = _matrix("A", table.get("A", []), as_row=True)
+    D = _matrix("D", table.get("D", []), as_row=len(C) == 1)
     p, m = (max(D.shape[0], C.shape[0]), max(D.shape[1], B.shape[1]))
     n = len(A)
     if "D" not in table:
@@ -483,6 +479,18 @@ def _matrices(table: Mapping[str, Any]) -> list[np.ndarray]:
     if n > STATES:
         raise InvalidInput(f"it has {n} states, but at most {STATES} are allowed; reduce its order")
     return [matrix.reshape(fitting[key]) for key, matrix in zip("ABCD", (A, B, C, D), strict=True)]
+
+
+def _matrix(key: str, values: Any, *, as_row: bool) -> np.ndarray:
+    """Rows of numbers; a single list is a row or a column. Raises InvalidInput."""
+    if _depth(values) < 2 and values != []:
+        flat = _flat(values)
+        values = [flat] if as_row else [[value] for value in flat]
+    rows = [_listed(key, row) for row in _listed(key, values)]
+    if len({len(row) for row in rows}) > 1:
+        raise InvalidInput(f"the rows of {key} have different lengths; give the matrix row by row")
+    numbers = [[_real(key, value) for value in row] for row in rows]
+    return np.array(numbers, dtype=float).reshape(len(rows), -1 if rows and rows[0] else 0)
 
 
 def _assembled(
@@ -514,8 +522,7 @@ def _assembled(
 def _zpk(where: str, item: Mapping[str, Any], gain: float) -> list[list[float]]:
     """Zeros, poles and gain as rows of six coefficients."""
     zeros, poles = (
-        np.array([_number(where, v) for v in _flat(_listed(where, item[key]))])
-        for key in ("zeros", "poles")
+        np.array([_number(where, v) for v in _flat(item[key])]) for key in ("zeros", "poles")
     )
     if len(zeros) > len(poles):
         raise InvalidInput(
@@ -534,8 +541,9 @@ def _zpk(where: str, item: Mapping[str, Any], gain: float) -> list[list[float]]:
 
 
 def _sections(where: str, rows: Any) -> Iterator[Section]:
-    """Sections of six coefficients each. Raises InvalidInput."""
-    for row in _listed(where, rows):
+    """Sections of six coefficients each, one of them also by itself. Raises InvalidInput."""
+    rows = _listed(where, rows)
+    for row in rows if _depth(rows) > 1 or not rows else [rows]:
         numbers = [_real(where, value) for value in _listed(where, row)]
         if len(numbers) != len(SOS):
             raise InvalidInput(

@@ -81,12 +81,13 @@ _TORQUES = "N m=1,Nm=1,mN m=1e-3,mNm=1e-3,N mm=1e-3,Nmm=1e-3,kN m=1e3,kNm=1e3"
 # Rates as data sheets, rotor codes and spreadsheets write them: the turn, and the radian. A bare
 # 1/s or s^-1 is both, and neither: it is not among them.
 _TURNS = {  # turns per second
+    "rpm": "1/60",
     "Hz": "1",
-    "mHz": "1e-3",
     "kHz": "1e3",
+    "mHz": "1e-3",
     "MHz": "1e6",
     **dict.fromkeys(("cps", "rps", "r/s", "rev/s", "turn/s", "cycles/s"), "1"),
-    **dict.fromkeys(("rpm", "cpm", "r/min", "rev/min", "turn/min", "1/min", "min-1"), "1/60"),
+    **dict.fromkeys(("cpm", "r/min", "rev/min", "turn/min", "1/min", "min-1"), "1/60"),
     **dict.fromkeys(("RPM", "CPM", "cycles/min", "U/min", "tr/min"), "1/60"),
     "krpm": "100/6",
     "kcpm": "100/6",
@@ -105,9 +106,9 @@ def _of_rate(kinds: dict[str, str], factor: Fraction, pi: str) -> str:
     return ",".join(f"{unit}={Fraction(own) * factor}{pi}" for unit, own in kinds.items())
 
 
-_ANGULAR = (  # first the unit that is stored
-    _of_rate(_RADIANS, Fraction(1), ""),
+_ANGULAR = (
     _of_rate(_TURNS, Fraction(2), " pi"),
+    _of_rate(_RADIANS, Fraction(1), ""),
     _of_rate(_DEGREES, Fraction(1), " pi"),
 )
 _CYCLIC = (
@@ -277,9 +278,8 @@ def in_si(values: Values, unit: str, dimension: Dimension) -> Values:
         factor, pi, offset = _conversion(canonical_unit(unit), dimension)
     except LookupError as error:
         why = error.args[0] or f"must be a unit of {dimension.name}"
-        raise ValueError(
-            f'is "{unit}", but {why}; write one of {", ".join(list(dimension.units)[:8])}'
-        ) from None
+        known = list(dict.fromkeys((dimension.unit, *dimension.units)))[:8]
+        raise ValueError(f'is "{unit}", but {why}; write one of {", ".join(known)}') from None
     scaled: Values = values * (float(factor) * math.pi**pi)
     return scaled + float(offset) if offset else scaled
 

@@ -117,12 +117,16 @@ def resampled(
 
 
 def not_held(
-    machine: Machine, law: Synthesis, progress: Callable[[str], None] = lambda stage: None
+    machine: Machine,
+    law: Synthesis,
+    progress: Callable[[str], None] = lambda stage: None,
+    other_feedback: Callable[[], Synthesis] | None = None,
 ) -> list[str]:
     """Where the loop, as it runs on the full plant, is unstable; with the sign and the unit that
     would hold it, in a sentence.
 
-    Empty: it is stable at every operating point. Raises InvalidInput.
+    other_feedback: the controller with a1 and a2 of the other sign. Empty: it is stable at every
+    operating point. Raises InvalidInput.
     """
     progress("closing the loop at every operating point")
     plants = [assemble(machine, point) for point in machine.operation.envelope]
@@ -131,10 +135,15 @@ def not_held(
         return []
     progress("trying other signs and units")
     others = [(sign, unit) for unit in _UNITS for sign in _SIGNS if (sign, unit) != (1.0, 1.0)]
+    points = ", ".join(f"{label} ({abscissa:+.4g} rad/s)" for label, abscissa in lost.items())
+    if other_feedback is not None and len(_lost(plants, other_feedback(), machine)) < len(lost):
+        return [
+            f"the loop is unstable at {points}, and not with a1 and a2 of the other sign, as "
+            "CMSIS-DSP and SigmaDSP write them; turn the sign of a1 and a2 in the file"
+        ]
     counts = {pair: _lost(plants, _scaled(law, pair[0] * pair[1]), machine) for pair in others}
     best = min(others, key=lambda pair: (len(counts[pair]), max(counts[pair].values(), default=0)))
     before, after = (max(of.values(), default=0.0) for of in (lost, counts[best]))
-    points = ", ".join(f"{label} ({abscissa:+.4g} rad/s)" for label, abscissa in lost.items())
     check = (
         "check the order of the axes, the rate and the delay"
         if len(lost) == len(plants)

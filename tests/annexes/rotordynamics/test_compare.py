@@ -48,11 +48,11 @@ def table_of(result):
     peak, amplitude, damped, decrement, at = closed_form(result)
     rows = [
         "kind;speed [Hz];amplitude [mil 0-p];damping ratio [%];whirl;case",
-        f"critical;{peak / (2 * math.pi):.10g};{amplitude / 25.4e-6:.10g};;".replace(".", ","),
+        f"critical;{peak / (2 * math.pi):.10g};{amplitude / 25.4e-6:.10g};;;".replace(".", ","),
         f"mode;{damped / (2 * math.pi)};;"
-        f"{100 * decrement / math.hypot(2 * math.pi, decrement)};forward",
-        f"response;{5000 / 60};{at / 25.4e-6};;;{result.response.cases[0].name}",
-        "mode;2;;;backward",
+        f"{100 * decrement / math.hypot(2 * math.pi, decrement)};forward;".replace(".", ","),
+        f"response;{5000 / 60};{at / 25.4e-6};;;".replace(".", ",") + result.response.cases[0].name,
+        "mode;2;;;backward;",
     ]
     return "# by hand\n" + "\n".join(rows) + "\n"
 
@@ -172,7 +172,7 @@ def test_before_and_after_on_one_page(analysis, tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("kind;speed [rpm]\n", "a row per result"),
+        ("kind;speed [rpm]\n", "a row for each entry"),
         ("kind;spead [rpm]\nmode;1\n", 'did you mean "speed"'),
         ("speed [rpm]\n5\n", '"kind" is missing'),
         ("kind;speed\nmode;5\n", "no unit"),
@@ -184,9 +184,16 @@ def test_before_and_after_on_one_page(analysis, tmp_path):
         ("kind;speed [rpm]\nmode;-5\n", "above 0"),
         ("kind;speed [rpm]\nresponse;5\n", "needs an amplitude"),
         ("kind;speed [rpm];zeta [-]\nmode;5;5\n", "below 1"),
-        ("kind;speed [rpm]\nmode;5;6\n", "check the separator"),
+        ("kind;speed [rpm]\nmode;5;6\n", "line 2 has 3 cells, but the header names 2 columns"),
         ("kind;speed [rpm];whirl\nmode;5;left\n", "planar"),
         ("kind;speed [rpm];log_decrement [s]\nmode;5;1\n", "must be"),
+        (
+            "kind;speed [rpm];zeta\nmode;5.230;0,05\n",
+            "decimal commas .'0,05' in line 2. and points",
+        ),
+        ("kind;speed [rpm]\nmode;980\nmode;5.230\n", '"5.230" in line 3 may be 5230'),
+        ("kind;speed [rpm];zeta\nmode;5\n", "line 2 has 2 cells, but the header names 3"),
+        ("kind;speed [1/s]\nmode;5\n", "speed is .1/s., but"),
     ],
 )
 def test_a_wrong_table_is_refused_in_one_sentence(text, words):
@@ -194,6 +201,22 @@ def test_a_wrong_table_is_refused_in_one_sentence(text, words):
         read_table(text, "theirs.csv")
     assert "theirs.csv" in str(error.value)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("unit", "radians"),
+    [
+        ("rpm", RPM),
+        ("cpm", RPM),
+        ("1/min", RPM),
+        ("min^-1", RPM),
+        ("cps", 60 * RPM),
+        ("Hz", 60 * RPM),
+    ],
+)
+def test_speeds_of_theirs_in_any_unit_of_turns(unit, radians):
+    (row,) = read_table(f"kind;speed [{unit}];amplitude [mils pk-pk]\ncritical;30;2\n", "t")
+    assert row.speed == pytest.approx(30 * radians) and row.amplitude == pytest.approx(50.8e-6)
 
 
 def test_what_is_no_analysis_is_refused(analysis, tmp_path):

@@ -5,25 +5,24 @@
 
 Every row is a piece of shaft; what stands in its disc and bearing columns stands at its left end,
 and a row of length 0 at the shaft's right end. Columns may be missing but for length and od, in any
-order; units stand in brackets behind the name.
+order; units stand in brackets behind the name (file/text_table.py).
 """
 
 from __future__ import annotations
 
-import csv
 import math
 import os
-import re
 from dataclasses import replace
 from pathlib import Path
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.file.ross import GIVE, merged, parse_ross, rotor_of_ross
+from ambrose.machine.file.text_table import Column, NamedTable, named_table
 from ambrose.machine.limits import NAME, TOML_BYTES
-from ambrose.machine.messages import one_line, suggestion
+from ambrose.machine.messages import one_line
 from ambrose.machine.ordinary_file import read_text
 from ambrose.machine.rotor_model import Disc, Material, RotorModel, ShaftSection
-from ambrose.machine.units import DIMENSIONS, read_quantity
+from ambrose.machine.units import DIMENSIONS
 
 _COLUMNS = {  # name -> (dimension, other names)
     "length": ("length", ("l",)),
@@ -39,87 +38,73 @@ _COLUMNS = {  # name -> (dimension, other names)
     "bearing": ("", ()),
     "label": ("", ("name", "tag")),
 }
+_NAMES = {kind: others for kind, (_, others) in _COLUMNS.items()}
+_WORDS = {kind for kind, (dimension, _) in _COLUMNS.items() if not dimension}
 _STEEL = Material()
 
 
 def rotor_of_stations(text: str, name: str) -> RotorModel:
     """The rotor in the text of a CSV file; ``name`` stands in messages. Raises InvalidInput."""
-    lines = [
-        line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")
-    ]
-    if len(lines) < 2:
-        raise InvalidInput(
-            f"{name}: it has no stations, a row of names (length [mm], od [mm], ...) and a row "
-            f"for each; {GIVE}"
+    try:
+        table = named_table(
+            text,
+            _NAMES,
+            _WORDS,
+            required=("length", "od"),
+            example="length [mm]; od [mm]; id [mm]; E [GPa]; rho [kg/m^3]; disc mass [kg]",
         )
-    mark = max(";\t,", key=lines[0].count)
-    header, *rows = csv.reader(lines, delimiter=mark)
-    if not any(_kind_of(cell)[0] for cell in header):
-        raise InvalidInput(
-            f"{name}: its first row names no column of a table of stations, such as length [mm]; "
-            f"{GIVE}"
-        )
-    columns = [_column(name, cell) for cell in header]
-    kinds = [kind for kind, _ in columns]
-    for kind in ("length", "od"):
-        if kind not in kinds:
-            raise InvalidInput(
-                f'{name}: the column "{kind}" is missing; its first row names the columns, such '
-                f'as "{kind} [mm]"'
-            )
-    if twice := next((kind for kind in kinds if kinds.count(kind) > 1), None):
-        raise InvalidInput(f'{name}: the column "{twice}" stands there twice; leave one out')
+        return _rotor(table)
+    except InvalidInput as error:
+        other = "" if "length" in text.lower() else f"; {GIVE}"  # any CSV file comes here
+        raise InvalidInput(f"{name}: {error}{other}") from None
+
+
+def _rotor(table: NamedTable) -> RotorModel:
     sections = list[ShaftSection]()
     discs = list[Disc]()
     bearings = list[float]()
     at = 0.0
-    for number, row in enumerate(rows, 2):
-        where = f"{name}, row {number}"
-        if len(row) > len(columns):
-            raise InvalidInput(
-                f"{where}: it has {len(row)} cells, but {len(columns)} columns are named; check "
-                "the separator"
-            )
-        cells = {
-            kind: (cell.strip(), unit)
-            for (kind, unit), cell in zip(columns, row, strict=False)
-            if cell.strip()
-        }
-        get = {kind: _read(where, kind, *cells[kind], mark) for kind in cells if _COLUMNS[kind][0]}
+    for line, row in table.rows:
+        words = {column.kind: cell for column, cell in row.items() if column.kind in _WORDS}
+        try:
+            get = {
+                column.kind: _read(table, column, cell)
+                for column, cell in row.items()
+                if column.kind not in _WORDS
+            }
+        except InvalidInput as error:
+            raise InvalidInput(f"line {line}: {error}") from None
         if get.get("disc mass"):
             label = f"disc{len(discs) + 1}"
             discs.append(
                 Disc(label, at, get["disc mass"], get.get("disc ip", 0.0), get.get("disc id", 0.0))
             )
-        if "bearing" in cells and cells["bearing"][0].lower() not in {"0", "no", "-"}:
+        if words.get("bearing", "no").lower() not in {"0", "no", "-"}:
             bearings.append(at)
         length = get.get("length", 0.0)
         if length == 0:
             continue
         if length < 0 or get.get("od", 0.0) <= 0:
             raise InvalidInput(
-                f"{where}: length and od must be positive; correct the row, or leave its length "
-                "out for the end"
+                f"line {line}: length and od must be positive; correct the row, or leave its "
+                "length out for the end"
             )
         material = Material(
             get.get("rho", _STEEL.density),
             get.get("e", _STEEL.youngs_modulus),
             get.get("nu", _STEEL.poisson_ratio),
         )
-        label = cells.get("label", ("", ""))[0]
         od, heavy = get["od"], get.get("mass diameter")
+        label = words.get("label", "")
         elements = min(max(math.ceil(length / od), 1), 20)
         sections.append(
             ShaftSection(at, length, od, get.get("id", 0.0), heavy, elements, material, label)
         )
         at += length
     if not sections:
-        raise InvalidInput(f"{name}: no row has a length; give a row per piece of shaft")
-    assumed = (
-        {}
-        if {"e", "rho"} & set(kinds)
-        else {"shaft.material": "steel, as the table names no material"}
-    )
+        raise InvalidInput("no row has a length; give a row per piece of shaft")
+    named = {"e", "rho"} & {column.kind for column in table.columns}
+    assumed = {} if named else {"shaft.material": "steel, as the table names no material"}
     return RotorModel(
         "rotor",
         tuple(merged(sections)),
@@ -130,46 +115,11 @@ def rotor_of_stations(text: str, name: str) -> RotorModel:
     )
 
 
-def _kind_of(cell: str) -> tuple[str, str, str]:
-    """What a column holds ("": unknown), its unit, and the word that stands there."""
-    match = re.fullmatch(r"\s*([^\[(]*?)\s*(?:[\[(](.*)[\])])?\s*", cell)
-    word = "" if match is None else match[1].lower()
-    kind = next(
-        (kind for kind, (_, others) in _COLUMNS.items() if word == kind or word in others), ""
-    )
-    return kind, (match[2] or "").strip() if match else "", word
-
-
-def _column(name: str, cell: str) -> tuple[str, str]:
-    kind, unit, word = _kind_of(cell)
-    if not kind:
-        raise InvalidInput(
-            f'{name}: the column "{cell.strip()}" is unknown; {suggestion(word, _COLUMNS)}'
-        )
-    return kind, unit
-
-
-def _read(where: str, kind: str, cell: str, unit: str, mark: str) -> float:
-    dimension = DIMENSIONS[_COLUMNS[kind][0]]
-    number = (
-        cell.replace(",", ".") if mark != "," and cell.count(",") == 1 and "." not in cell else cell
-    )
-    try:
-        value = float(number)
-    except ValueError:
-        raise InvalidInput(
-            f'{where}: {kind} is "{cell}", but must be a number; units stand in the first row, as '
-            f'"{kind} [mm]"'
-        ) from None
-    if not unit and value and dimension.unit != "-":
-        raise InvalidInput(
-            f'{where}: {kind} has no unit; name it in the first row, such as "{kind} '
-            f'[{dimension.example.split(" ", 1)[1]}]"'
-        )
-    try:
-        return read_quantity(f"{number} {unit}" if unit and value else value, dimension)
-    except ValueError as error:
-        raise InvalidInput(f"{where}: {kind} {error}") from None
+def _read(table: NamedTable, column: Column, cell: str) -> float:
+    number = table.number(column, cell)
+    dimension = _COLUMNS[column.kind][0]
+    example = DIMENSIONS[dimension].example.partition(" ")[2]
+    return column.si(number, dimension, example) if number else 0.0
 
 
 def read_rotor(path: str | os.PathLike[str]) -> RotorModel:
