@@ -85,10 +85,10 @@ def test_tables_of_vendors_are_read(tmp_path, kind, encoding):
     ("text", "words"),
     [
         ("t;x;i\n0;1;2\n1;2\n", "equally many columns"),
-        ("t;x;i\n" + "0;1;2\n" * 50 + "0;1\n" + "0;1;2\n" * 50, "no table of 3 numbers"),
+        ("t;x;i\n" + "0;1;2\n" * 50 + "0;1\n" + "0;1;2\n" * 50, "line 52 has 2 cells"),
         (
             "t;x;i\n" + "0;1;2\n" * 50 + "0;1;2;3\n" + "0;1;2\n" * 50,
-            "no table of 3 numbers|not 3 numbers",
+            "line 52 has 4 cells, but there are 3 columns",
         ),
         ("t;x;i\nnothing here\n", "are no numbers"),
         ("", "the file is empty"),

@@ -118,6 +118,7 @@ def _answer(path: Path, answer: Path, seconds: float) -> None:
                         len(values),
                         variable.unit,
                         variable.rate,
+                        variable.start,
                         variable.bad,
                     ]
                 )

@@ -18,6 +18,7 @@ from ambrose.machine.limits import CHECKED_FIRST, NAME, NOTES, NUMBERS, SIGNALS
 from ambrose.machine.messages import quoted
 from ambrose.record.attributes import RecordAttributes, read_attributes, record_of
 from ambrose.record.record import Record, si_values
+from ambrose.record.text_uff import number_block
 from ambrose.record.timing import uniform_rate
 
 _HEAD_LINE = 3 * NAME * SIGNALS  # characters
@@ -149,19 +150,8 @@ def _blocks(
     """
     first = 0
     while block := list(islice(lines, max(1, _BLOCK // len(columns)))):
-        try:
-            table = np.loadtxt(block, delimiter=",", comments=None, ndmin=2)
-        except ValueError as error:
-            raise ValueError(
-                f"{error}, counted from row {first}" if first else str(error)
-            ) from error
-        if table.shape[1] != len(columns):
-            raise invalid(
-                "the number of columns",
-                table.shape[1],
-                f"{len(columns)} as in the header",
-                "export it again",
-            )
+        where = range(first + 1, first + len(block) + 1)
+        table = number_block(block, ",", len(columns), where, empty=False, what="data row")
         if not np.isfinite(table).all():
             i, j = (int(index) for index in np.argwhere(~np.isfinite(table))[0])
             if j == 0:

@@ -5,6 +5,7 @@ read, never changed.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from ambrose.record.text_uff import Variable
 from ambrose.record.timing import uniform_rate
 
 _AGREE = 1e-3  # sample rates this close are the same one
+_SAME = 0.01  # of a sample: starts this close are the same, or whole samples apart
 
 
 def read_foreign(path: str | Path, columns: ColumnMap | Mapping[str, Any] | str | Path) -> Record:
@@ -56,8 +58,10 @@ def _record(path: Path, columns: ColumnMap) -> Record:
     with variables_of(path, [column.source for column in wanted]) as in_file:
         time = None if columns.time is None else in_file[-1]
         variables = in_file[: len(columns.columns)]
-        _check_lengths(columns, variables, time)
         rate, start = _timing(columns, variables, time)
+        variables, begin, shifted = _on_one_time(columns, variables, rate)
+        start = begin if start is None else start
+        _check_lengths(columns, variables, time)
         for column, variable in zip(columns.columns, variables, strict=True):
             _check_finite(column, variable, lambda sample: f" (t = {start + sample / rate:g} s)")
         values = np.empty((len(variables), len(variables[0].values)))
@@ -67,8 +71,48 @@ def _record(path: Path, columns: ColumnMap) -> Record:
             units.append(unit)
     values.flags.writeable = False
     names = tuple(column.name for column in columns.columns)
-    return Record(
-        columns.machine, rate, names, tuple(units), values, columns.point, start, columns.notes
+    notes = tuple({"shifted": shifted, **dict(columns.notes)}.items()) if shifted else columns.notes
+    return Record(columns.machine, rate, names, tuple(units), values, columns.point, start, notes)
+
+
+def _on_one_time(
+    columns: ColumnMap, variables: list[Variable], rate: float
+) -> tuple[list[Variable], float, str]:
+    """The samples that all channels have, the time of the first [s], and a note where channels were
+    cut: their files say when each begins. Raises InvalidInput where that is not whole samples
+    apart.
+    """
+    known = [
+        (variable.start, column.source)
+        for column, variable in zip(columns.columns, variables, strict=True)
+        if variable.start is not None
+    ]
+    if not known:
+        return variables, 0.0, ""
+    (first, early), (last, late) = min(known), max(known)
+    if (last - first) * rate <= _SAME:
+        return variables, last, ""
+    shifts = [(last - (last if v.start is None else v.start)) * rate for v in variables]
+    whole = [round(shift) for shift in shifts]
+    count = min(len(v.values) - cut for v, cut in zip(variables, whole, strict=True))
+    apart = max(abs(shift - cut) for shift, cut in zip(shifts, whole, strict=True)) > _SAME
+    if apart or count < 1 or columns.time is not None or len(known) < len(variables):
+        raise invalid(
+            "the start of the channels",
+            f"{first:.9g} s ({early}) and {last:.9g} s ({late})",
+            "the same, or whole samples apart in channels that share samples and need no [time]",
+            "resample them onto one time, or read each as a record of its own",
+        )
+    moved = []
+    for variable, cut in zip(variables, whole, strict=True):
+        values = variable.values[cut : cut + count]
+        finite = np.isfinite(values) if variable.bad is not None else np.ones(1, dtype=bool)
+        bad = None if finite.all() else int(np.argmin(finite))
+        moved.append(replace(variable, values=values, bad=bad))
+    return (
+        moved,
+        last,
+        f"{early} begins {max(whole)} samples before {late}: cut to their common time",
     )
 
 
@@ -119,12 +163,12 @@ def _converted(column: Column, variable: Variable) -> tuple[np.ndarray, str]:
 
 def _timing(
     columns: ColumnMap, variables: list[Variable], time: Variable | None
-) -> tuple[float, float]:
-    """Sample rate [Hz] and time of the first sample [s]; every source that states the rate must
-    agree.
+) -> tuple[float, float | None]:
+    """Sample rate [Hz], every source that states it must agree, and the first time of the column of
+    times [s].
     """
     stated: list[tuple[str, float]] = []
-    start = 0.0
+    start = None
     if columns.sample_rate_hz is not None:
         stated.append(("the column map", columns.sample_rate_hz))
     if columns.time is not None and time is not None:

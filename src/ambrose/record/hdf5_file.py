@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -91,7 +92,7 @@ def read_hdf5(path: Path, first: Callable[[], None] = lambda: None) -> Record:
         with path.open("rb") as raw:
             if raw.read(len(_CHECKED)) != _CHECKED:
                 first()
-        with h5py.File(path, "r") as file:
+        with opened(path) as file:
             group = (
                 own_member(file, "signals", "/signals")
                 if file.get("signals", getlink=True)
@@ -135,6 +136,27 @@ def read_hdf5(path: Path, first: Callable[[], None] = lambda: None) -> Record:
             "the attribute sample_rate_hz is missing; add the sampling frequency in Hz"
         )
     return record_of(attributes, units, values, attributes.sample_rate_hz, attributes.start_time_s)
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Any]:
+    """An HDF5 file for reading. Where its file system has no locks, without one. Raises
+    InvalidInput where another program writes it, and OSError.
+    """
+    import h5py
+
+    try:
+        file = h5py.File(path, "r")
+    except OSError as error:
+        if error.errno in (errno.EAGAIN, errno.EACCES) and "lock" in str(error):
+            raise InvalidInput(
+                "another program has it open for writing; close it there, and try again"
+            ) from error
+        if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS):
+            raise
+        file = h5py.File(path, "r", locking=False)
+    with file:
+        yield file
 
 
 def own_member(group: Any, name: str, place: str) -> Any:

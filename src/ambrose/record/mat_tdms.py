@@ -19,12 +19,21 @@ from typing import Any
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.limits import CONTROLLER_NUMBERS, FOREIGN_NUMBERS
+from ambrose.machine.limits import CONTROLLER_NUMBERS, FOREIGN_NUMBERS, TEXT
 from ambrose.machine.ordinary_file import check_source
-from ambrose.record.hdf5_file import own_member
+from ambrose.record.hdf5_file import check_packing, opened, own_member
 from ambrose.record.text_uff import Variable, text_table, universal, unknown
 
 _PART = re.compile(r"(?P<name>.*?)\s*\(\s*(?:(?P<row>\d+)\s*,\s*:|:\s*,\s*(?P<column>\d+))\s*\)")
+_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_NUMERIC = {
+    b"double",
+    b"single",
+    b"logical",
+    *(f"{sign}int{bits}".encode() for sign in ("", "u") for bits in (8, 16, 32, 64)),
+}
+_PACKING = ("scale_factor", "add_offset", "_FillValue", "missing_value")
+_NEVER = np.datetime64("1905-01-01")  # LabVIEW's time 0, in 1904, is of a channel without a start
 _TABLES, _UNIVERSAL = (".csv", ".txt", ".dat", ".asc"), (".uff", ".unv")
 
 
@@ -65,12 +74,11 @@ def read_tree(path: Path) -> dict[str, Any]:
 
     Raises InvalidInput for a file of version 7.3, and for too many numbers.
     """
-    import h5py
     import scipy.io
 
     check_source(path, "MAT-file")
     with _refused(path):
-        if h5py.is_hdf5(path):
+        if _is_hdf5(path):
             raise InvalidInput(
                 "it is of MATLAB's version 7.3; save it as an older one: save('name.mat', '-v7')"
             )
@@ -126,37 +134,47 @@ def _refused(path: Path) -> Iterator[None]:
         ) from error
 
 
+def _is_hdf5(path: Path) -> bool:
+    """By its signature, which may stand behind a block of 512, 1024 ... bytes; the library would
+    ask for a lock.
+    """
+    places = (0, *(2**n for n in range(9, 16)))
+    with path.open("rb") as file:
+        return any(file.seek(at) == at and file.read(8) == _SIGNATURE for at in places)
+
+
 @contextmanager
 def _matlab(path: Path) -> Iterator[Callable[[str], Variable]]:
-    import h5py
-
-    with path.open("rb") as file:
-        newer = file.read(10) == b"MATLAB 7.3"
-    if newer or h5py.is_hdf5(path):
-        with h5py.File(path, "r") as tree:
+    if _is_hdf5(path):
+        with opened(path) as tree:
             load = lru_cache(maxsize=1)(lambda plain: _from_tree(tree, plain, path))
-            yield lambda name: Variable(_part(name, load))
+            yield lambda name: _part(name, load)
     else:
         import scipy.io
 
         known = {name: math.prod(map(int, shape)) for name, shape, _ in scipy.io.whosmat(path)}
         load = lru_cache(maxsize=1)(lambda top: scipy.io.loadmat(path, variable_names=[top])[top])
-        yield lambda name: Variable(_part(name, lambda plain: _from_matlab5(load, known, plain)))
+        yield lambda name: _part(name, lambda plain: Variable(_from_matlab5(load, known, plain)))
 
 
 @contextmanager
 def _hdf5(path: Path) -> Iterator[Callable[[str], Variable]]:
-    import h5py
+    def load(tree: Any, plain: str) -> Variable:
+        found = _from_tree(tree, plain, path, "/")
+        return replace(found, values=found.values.T)
 
-    with h5py.File(path, "r") as tree:
-        load = lru_cache(maxsize=1)(lambda plain: _from_tree(tree, plain, path, "/").T)
-        yield lambda name: Variable(_part(name, load))
+    with opened(path) as tree:
+        kept = lru_cache(maxsize=1)(lambda plain: load(tree, plain))
+        yield lambda name: _part(name, kept)
 
 
-def _part(name: str, get: Callable[[str], np.ndarray]) -> np.ndarray:
-    """The numbers of a vector, or of one row or column of a matrix."""
+def _part(name: str, get: Callable[[str], Variable]) -> Variable:
+    """A vector, or one row or column of a matrix."""
     match = _PART.fullmatch(name)
-    array = get(match["name"] if match else name)
+    found = get(match["name"] if match else name)
+    array = found.values
+    if array.size == 0:
+        raise InvalidInput(f"the variable {name} is empty; save it with its samples")
     if array.ndim > 2 or array.dtype.kind not in "fiub":
         kind = (
             "complex numbers"
@@ -177,7 +195,7 @@ def _part(name: str, get: Callable[[str], np.ndarray]) -> np.ndarray:
                 f"the variable {name} is {size}, but one signal is needed; name a column, such as "
                 f"{name}(:,1)"
             )
-        return array.ravel()
+        return replace(found, values=array.ravel())
     axis = 0 if match["row"] else 1
     index = int(match["row"] or match["column"])
     if not 1 <= index <= array.shape[axis]:
@@ -185,7 +203,7 @@ def _part(name: str, get: Callable[[str], np.ndarray]) -> np.ndarray:
         raise InvalidInput(
             f"{name} does not exist, the variable has {array.shape[axis]} {what}; count from 1"
         )
-    return array.take(index - 1, axis=axis)
+    return replace(found, values=array.take(index - 1, axis=axis))
 
 
 def _from_matlab5(
@@ -213,10 +231,8 @@ def _check_count(name: str, count: int) -> None:
         )
 
 
-def _from_tree(tree: Any, name: str, path: Path, mark: str = ".") -> np.ndarray:
+def _from_tree(tree: Any, name: str, path: Path, mark: str = ".") -> Variable:
     import h5py
-
-    from ambrose.record.hdf5_file import check_packing
 
     node = tree
     keys = name.strip("/").split(mark)
@@ -231,14 +247,50 @@ def _from_tree(tree: Any, name: str, path: Path, mark: str = ".") -> np.ndarray:
         node = own_member(node, key, name)
     if not isinstance(node, h5py.Dataset):
         raise unknown(name, [f"{name}{mark}{member}" for member in node], "variable")
-    if node.attrs.get("MATLAB_class", b"") in {b"char", b"cell"}:
+    kind = node.attrs.get("MATLAB_class", b"double")
+    kind = kind.encode() if isinstance(kind, str) else kind
+    if kind not in _NUMERIC or "MATLAB_object_decode" in node.attrs:
         raise InvalidInput(
             f"the variable {name} holds no numbers, but must hold real ones in rows or columns; "
             "save its parts"
         )
+    if node.attrs.get("MATLAB_empty", 0):  # what is stored are its sizes
+        return Variable(np.empty(0))
     _check_count(name, node.size or 0)
     check_packing([node], path)
-    return np.asarray(node[()]).T  # MATLAB stores column by column
+    values = np.asarray(node[()]).T  # MATLAB stores column by column
+    unit = _said(node, "units", "") or _said(node, "unit", "")
+    return Variable(_unpacked(node, name, values), str(unit))
+
+
+def _said(node: Any, key: str, default: Any) -> Any:
+    """A short attribute of a dataset, a text or a number, or an array of one."""
+    if key not in node.attrs or node.attrs.get_id(key).get_storage_size() > TEXT:
+        return default
+    value = np.asarray(node.attrs[key]).ravel()
+    if value.size != 1:
+        return default
+    one = value[0]
+    return one.decode("utf-8", "replace") if isinstance(one, bytes) else one
+
+
+def _unpacked(node: Any, name: str, values: np.ndarray) -> np.ndarray:
+    """Numbers as the conventions of netCDF and CF pack them: value = scale_factor stored +
+    add_offset, and what stands for a missing one is none.
+    """
+    if not set(_PACKING) & set(node.attrs):
+        return values
+    stated = {key: _said(node, key, math.nan) for key in _PACKING if key in node.attrs}
+    if values.dtype.kind not in "fiu" or not all(
+        isinstance(value, (int, float, np.number)) for value in stated.values()
+    ):
+        raise InvalidInput(
+            f"the variable {name} states {', '.join(stated)} that are no single numbers; save it "
+            "unpacked"
+        )
+    missing = [values == stated[key] for key in ("_FillValue", "missing_value") if key in stated]
+    found = values * float(stated.get("scale_factor", 1.0)) + float(stated.get("add_offset", 0.0))
+    return np.where(np.any(missing, axis=0), np.nan, found) if missing else found
 
 
 @contextmanager
@@ -273,9 +325,13 @@ def _tdms(path: Path) -> Iterator[Callable[[str], Variable]]:
             return Variable(values, "s")
         if values.dtype.kind not in "fiub":
             raise InvalidInput(f"the channel {name} holds no real numbers; name another one")
-        step = channel.properties.get("wf_increment")
-        rate = 1 / float(step) if step else None
-        return Variable(values, str(channel.properties.get("unit_string", "") or ""), rate)
+        said = channel.properties
+        step, begun = said.get("wf_increment"), said.get("wf_start_time")
+        start = float(said.get("wf_start_offset") or 0.0) if step else None
+        if start is not None and begun is not None and begun > _NEVER:
+            start += float((begun - first) / np.timedelta64(1, "ns")) * 1e-9
+        unit = str(said.get("unit_string", "") or "")
+        return Variable(values, unit, 1 / float(step) if step else None, start)
 
     log_manager.console_handler.addFilter(note)
     try:
@@ -288,6 +344,10 @@ def _tdms(path: Path) -> Iterator[Callable[[str], Variable]]:
                 for group in file.groups()
                 for channel in group.channels()
             }
+            begins = [channel.properties.get("wf_start_time") for channel in channels.values()]
+            first = min(
+                (time for time in begins if time is not None and time > _NEVER), default=None
+            )
             yield find
     finally:
         log_manager.console_handler.removeFilter(note)

@@ -2,14 +2,14 @@
 (*.uff, *.unv), dataset 58.
 
 A table's separator, decimal mark and header lines are found by looking at its rows: from the first
-data row on every row has the same number of cells, and all of them are numbers. What cannot be told
-apart is refused, never guessed.
+data row on every row has the same number of cells, and all of them are numbers or empty. What
+cannot be told apart is refused, never guessed (machine/file/text_table.py).
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,24 +17,41 @@ from pathlib import Path
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
+from ambrose.machine.file.text_table import (
+    Cell,
+    decimal_mark,
+    heading,
+    refuse_counts,
+    refuse_two_marks,
+)
 from ambrose.machine.limits import FOREIGN_NUMBERS, NAME, SIGNALS
-from ambrose.machine.messages import suggestion
+from ambrose.machine.messages import quoted, suggestion
+from ambrose.machine.units import DIMENSIONS, in_si
 
 _LINE = 3 * NAME * SIGNALS  # characters
 _HEAD = 1000  # lines before the first row of numbers
 _SEPARATORS = ("\t", ";", ",", None)  # None: spaces
-_CELL = re.compile(r"\s*(.*?)\s*(?:[\[(]([^\[\]()]*)[\])])?\s*")
 _BLOCK = 20_000  # rows converted together
+_NAMES = re.compile(r"[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?")  # between spaces, "x [um]" as one
+# a mark that no digits are set apart by: other than three digits follow, or zeros stand before
+_DECIMALS = re.compile(r"[.,](?!\d{3}(?![\deEdD]))|(?<![1-9\d])0*[.,]|\d{4}[.,]")
+_ONE_NUMBER = re.compile(r"\s*[+-]?\d+,\d+\s*")
 # of dataset 58: kind of number, numbers a line, characters a number
 _REAL = {2: ("f4", 6, 13), 4: ("f8", 4, 20)}
+
+_ORDERS = {1: "<", 2: ">"}  # of its bytes
+_IEEE = 2
+_FLOATS = {1: "VAX", 3: "IBM"}
+_TIME = (0, 17)  # what its abscissa may be: not said, or time
+_SECONDS = dict.fromkeys(("none", "", "sec", "secs", "second", "seconds", "s"), "s")
 
 _SHOWN = 20  # names in a message
 
 
 @dataclass(frozen=True, slots=True)
 class Variable:
-    """One axis of numbers (k,) as they stand in the file; unit and sample rate [Hz] where the file
-    states them.
+    """One axis of numbers (k,) as the file means them, its own scale and offset counted; unit,
+    sample rate [Hz] and time of the first sample [s] where the file states them.
 
     bad: the first sample that is not finite.
     """
@@ -42,6 +59,7 @@ class Variable:
     values: np.ndarray
     unit: str = ""
     rate: float | None = None
+    start: float | None = None
     bad: int | None = None
 
 
@@ -52,21 +70,20 @@ Find = Callable[[str], Variable]
 def text_table(path: Path) -> Iterator[Find]:
     """By the name in the header, or by place: "column 2". Raises InvalidInput."""
     lines = _lines(path)
-    separator, comma, start, width = _form(lines)
-    names, units = _header(lines[:start], separator, width)
-    if (len(lines) - start) * width > 4 * FOREIGN_NUMBERS:
+    separator, start, width = _form(lines)
+    rows, where = lines[start:], [number for number, _ in lines[start:]]
+    if len(rows) * width > 4 * FOREIGN_NUMBERS:
         raise InvalidInput(f"it has more than {4 * FOREIGN_NUMBERS} numbers; export it in parts")
+    mark = "." if separator == "," else _mark(rows, separator)
     parts = []
-    for first in range(start, len(lines), _BLOCK):
-        rows = [_numbers(line, separator, comma) for line in lines[first : first + _BLOCK]]
-        try:
-            parts.append(np.loadtxt(rows, delimiter=separator, comments=None, ndmin=2))
-        except ValueError as error:
-            what = f"the rows from line {first + 1} on are no table of {width} numbers"
-            raise InvalidInput(f"{what} ({error}); export it anew") from None
-    if {part.shape[1] for part in parts} != {width}:
-        raise InvalidInput(f"its rows have not {width} numbers each; export it anew")
+    for first in range(0, len(rows), _BLOCK):
+        block = [line for _, line in rows[first : first + _BLOCK]]
+        if mark == ",":
+            block = [line.replace(",", ".") for line in block]
+        parts.append(number_block(block, separator, width, where[first:], empty=True))
     table = np.vstack(parts)
+    headings = _headings(lines[:start], separator, width, rows, table)
+    names = [name for name, _ in headings]
 
     def find(name: str) -> Variable:
         place = re.fullmatch(r"column (\d+)", name)
@@ -77,17 +94,62 @@ def text_table(path: Path) -> Iterator[Find]:
             )
         if name in names:
             index = names.index(name)
-        elif place and 1 <= int(place[1]) <= width:
+        elif place and 1 <= int(place[1]) <= len(names):
             index = int(place[1]) - 1
         else:
-            raise unknown(name, [*filter(None, names)] or [f"column 1 to column {width}"], "column")
-        return Variable(table[:, index], units[index])
+            places = [f"column 1 to column {len(names)}"]
+            raise unknown(name, [*filter(None, names)] or places, "column")
+        values, row = table[:, index], int(np.argmax(np.isnan(table[:, index])))
+        if np.isnan(values[row]) and not _cells(rows[row][1], separator)[index]:
+            raise InvalidInput(
+                f"the column {name!r} is empty in line {where[row]}; fill the cell, or leave out "
+                "the rows or the column"
+            )
+        return Variable(values, headings[index][1])
 
     yield find
 
 
-def _lines(path: Path) -> list[str]:
+def number_block(
+    rows: Sequence[str],
+    separator: str | None,
+    width: int,
+    where: Sequence[int],
+    *,
+    empty: bool,
+    what: str = "line",
+) -> np.ndarray:
+    """Rows of ``width`` numbers (n, width), with decimal points; where: the numbers of their
+    lines, or of ``what`` they are. empty: an empty cell is NaN, otherwise it is refused. Raises
+    InvalidInput with place and cell.
+    """
+    try:
+        table = np.loadtxt(rows, delimiter=separator, comments=None, ndmin=2)
+        if table.shape == (len(rows), width):
+            return table
+    except ValueError:
+        pass  # whose words are for programmers
+    numbers = np.full((len(rows), width), np.nan)
+    for row, (line, text) in enumerate(zip(where, rows, strict=False)):
+        cells = text.rstrip("\r\n").split(separator)
+        refuse_counts(line, len(cells), width, "there are", what)
+        for place, cell in enumerate(cells):
+            if not _is_number(cell.strip()) or not (empty or cell.strip()):
+                found = f"{quoted(cell.strip())} is no number" if cell.strip() else "it is empty"
+                raise InvalidInput(
+                    f"{what} {line}, column {place + 1}: {found}; give a number in every cell, and "
+                    "export the rest apart"
+                )
+            if cell.strip():
+                numbers[row, place] = float(cell)
+    return numbers
+
+
+def _lines(path: Path) -> list[Cell]:
+    """The lines that are not blank, with their numbers."""
     data = path.read_bytes()
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise InvalidInput('it is text in UTF-16 ("Unicode text"); save it as CSV in UTF-8')
     if b"\0" in data[:4096]:
         raise InvalidInput(
             "it is no text; export the record as a text table, or as a file of MATLAB or LabVIEW"
@@ -96,87 +158,117 @@ def _lines(path: Path) -> list[str]:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("cp1252", errors="replace")  # what spreadsheets write elsewhere
-    lines = [line for line in text.splitlines() if line.strip()]
-    if any(len(line) > _LINE for line in lines[:_HEAD]):
+    lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line.strip()]
+    if any(len(line) > _LINE for _, line in lines[:_HEAD]):
         raise InvalidInput(f"a line has more than {_LINE} characters; is it a record?")
     return lines
 
 
-def _form(lines: list[str]) -> tuple[str | None, bool, int, int]:
-    """Separator, whether commas are decimal, index of the first row of numbers, and how many
-    numbers a row has.
-    """
+def _form(lines: list[Cell]) -> tuple[str | None, int, int]:
+    """Separator, index of the first row of numbers, and how many cells a row has."""
     sample = lines[-20:] if len(lines) > 40 else lines[len(lines) // 2 :]
     for separator in _SEPARATORS:
-        for comma in (False, True) if separator != "," else (False,):
-            widths = {_width(line, separator, comma) for line in sample}
-            if len(widths) != 1 or 0 in widths or (separator is not None and widths == {1}):
-                continue
-            width = widths.pop()
-            for start, line in enumerate(lines[:_HEAD]):
-                if _width(line, separator, comma) == width:
-                    return separator, comma, start, width
+        widths = {_width(line, separator) for _, line in sample}
+        if len(widths) != 1 or 0 in widths or (separator is not None and widths == {1}):
+            continue
+        width = widths.pop()
+        for start, (_, line) in enumerate(lines[:_HEAD]):
+            following = lines[min(start + 1, len(lines) - 1)][1]
+            if _width(line, separator) == width == _width(following, separator):
+                return separator, start, width
     remedy = "export numbers in columns, separated by comma, semicolon, tab or spaces"
-    if not any(line.strip() for line in lines):
+    if not lines:
         raise InvalidInput(f"the file is empty; {remedy}")
     raise InvalidInput(
-        f"its last rows are no numbers in equally many columns (line {len(lines)}); {remedy}, and "
-        "copy all of it"
+        f"its last rows are no numbers in equally many columns (line {lines[-1][0]}); {remedy}, "
+        "and copy all of it"
     )
 
 
-def _numbers(line: str, separator: str | None, comma: bool) -> str:
-    """A row with decimal points, and without a separator at its end."""
-    line = line.strip("\r\n ")
-    line = line[:-1] if separator is not None and line.endswith(separator) else line
-    return line.replace(",", ".") if comma else line
-
-
-def _width(line: str, separator: str | None, comma: bool) -> int:
-    """How many numbers a row has; 0 where a cell is none."""
-    cells = line.rstrip("\r\n").split(separator)
-    if len(cells) > 1 and not cells[-1].strip():
-        cells.pop()  # a separator at the end
+def _is_number(cell: str) -> bool:
     try:
-        for cell in cells:
-            float(cell.replace(",", ".") if comma else cell)
+        float(cell or "0")
     except ValueError:
-        return 0
-    return len(cells)
+        return False
+    return True
 
 
-def _header(lines: list[str], separator: str | None, width: int) -> tuple[list[str], list[str]]:
-    """Names and units of the columns: the last line of so many cells, and one of units below it."""
-    rows = [_cells(line, separator) for line in lines]
-    full = [row for row in rows if len(row) == width and any(row)]
-    names, below = (full[-1], []) if full else ([""] * width, [])
-    if len(full) > 1 and len(rows) > 1 and rows[-1] is full[-1] and rows[-2] is full[-2]:
+def _width(line: str, separator: str | None) -> int:
+    """How many cells a row of numbers has, empty ones too; 0 where a cell is no number."""
+    cells = line.strip("\r\n").split(separator)
+    if separator != ",":
+        cells = [cell.replace(",", ".") for cell in cells]
+    kept = [cell.strip() for cell in cells]
+    return len(kept) if any(kept) and all(map(_is_number, kept)) else 0
+
+
+def _mark(rows: list[Cell], separator: str | None) -> str:
+    """The decimal mark of rows in which commas do not separate. Raises InvalidInput."""
+    refuse_two_marks(*(next((row for row in rows if mark in row[1]), None) for mark in ",."))
+    if all(_DECIMALS.search(line) is None for _, line in rows):
+        cells = ([(n, cell) for cell in _cells(line, separator)] for n, line in rows)
+        return decimal_mark([*zip(*cells, strict=False)])
+    return "," if any("," in line for _, line in rows) else "."
+
+
+def _headings(
+    lines: list[Cell],
+    separator: str | None,
+    width: int,
+    rows: list[Cell],
+    table: np.ndarray,
+) -> list[tuple[str, str]]:
+    """Names and units of the columns: the last line of so many cells, and one of units below it.
+    The last line before the numbers names them all, or none. Raises InvalidInput.
+    """
+    head = [_named(line, separator, width) for _, line in lines]
+    if width > 1 and np.isnan(table[:, -1]).all() and not (head and len(head[-1]) == width):
+        width -= 1  # a separator at the end of each row
+    head = [
+        row[:width] if len(row) == width + 1 and row[-1] in ("", "Comment") else row for row in head
+    ]
+    full = [row for row in head if len(row) == width and any(row)]
+    last = len(head[-1]) if head else 0
+    if last > 1 and lines[-1][1].lstrip()[0] not in "#%":
+        refuse_counts(rows[0][0], width, last)
+    if separator == ",":
+        _refuse_commas(rows, width, last)
+    names, below = (full[-1], [""] * width) if full else ([""] * width, [""] * width)
+    if len(full) > 1 and head[-1] is full[-1] and head[-2] is full[-2]:
         names, below = full[-2], full[-1]
-    matches = [_CELL.fullmatch(cell) for cell in names]
-    headings = [
-        (match[1] or "", match[2] or "") if match else (cell, "")
-        for match, cell in zip(matches, names, strict=True)
+    found = [heading(cell) for cell in names]
+    return [
+        (name, unit or other.strip("[]() "))
+        for (name, unit), other in zip(found, below, strict=True)
     ]
-    units = [cell.strip("[]() ") for cell in below] or [""] * width
-    return [name for name, _ in headings], [
-        unit or other for (_, unit), other in zip(headings, units, strict=True)
-    ]
+
+
+def _refuse_commas(rows: list[Cell], width: int, named: int) -> None:
+    """Raises InvalidInput where commas may as well be decimal marks."""
+    for line, text in rows[:20]:
+        if re.search(r"(?:^|,)\s*0\d+\s*(?:,|$)", text):
+            raise InvalidInput(
+                f"{quoted(text)} in line {line} may have decimal commas between separating ones; "
+                "export it with decimal points, or with semicolons"
+            )
+    if width == 2 and named != 2 and all(_ONE_NUMBER.fullmatch(text) for _, text in rows):
+        raise InvalidInput(
+            f"its rows may have 2 numbers, or 1 with a decimal comma ({quoted(rows[0][1])}), and "
+            f"its header names {named}; export it with decimal points, or name both columns"
+        )
+
+
+def _named(line: str, separator: str | None, width: int) -> list[str]:
+    """The cells of a line that may name columns; between spaces, "x [um]" is one."""
+    if separator is not None:
+        return _cells(line.strip().lstrip("#%"), separator)
+    text = line.strip().lstrip("#%").strip()
+    wide = re.split(r"\s{2,}", text)
+    return wide if len(wide) == width else _NAMES.findall(text)
 
 
 def _cells(line: str, separator: str | None) -> list[str]:
-    cells = [
-        cell.strip().strip('"').strip()
-        for cell in line.strip().lstrip("#%").strip("\r\n").split(separator)
-    ]
-    return cells[:-1] if len(cells) > 1 and not cells[-1] else cells
-
-
-@dataclass(frozen=True, slots=True)
-class _Set:
-    names: tuple[str, ...]
-    unit: str
-    rate: float | None
-    values: np.ndarray
+    return [cell.strip().strip('"').strip() for cell in line.strip("\r\n").split(separator)]
 
 
 @contextmanager
@@ -195,34 +287,40 @@ def universal(path: Path) -> Iterator[Find]:
 
     def find(name: str) -> Variable:
         place = re.fullmatch(r"set (\d+)", name)
-        chosen = [item for item in sets if name in item.names] or (
-            [sets[int(place[1]) - 1]] if place and 1 <= int(place[1]) <= len(sets) else []
+        chosen = [found for names, found in sets if name in names] or (
+            [sets[int(place[1]) - 1][1]] if place and 1 <= int(place[1]) <= len(sets) else []
         )
-        if len(chosen) != 1:
-            known = [item.names[0] for item in sets]
-            if len(chosen) > 1:
-                raise InvalidInput(
-                    f'{len(chosen)} datasets are called {name!r}; name one by its place, "set 1" '
-                    f'to "set {len(sets)}"'
-                )
-            raise unknown(name, known, "dataset")
-        return Variable(chosen[0].values, chosen[0].unit, chosen[0].rate)
+        if len(chosen) > 1:
+            raise InvalidInput(
+                f'{len(chosen)} datasets are called {name!r}; name one by its place, "set 1" '
+                f'to "set {len(sets)}"'
+            )
+        if not chosen:
+            raise unknown(name, [names[0] for names, _ in sets], "dataset")
+        return chosen[0]
 
     yield find
 
 
-def _sets(data: bytes) -> Iterator[_Set]:
+def _sets(data: bytes) -> Iterator[tuple[tuple[str, ...], Variable]]:
+    """Names and numbers of every dataset 58. Raises InvalidInput."""
+    begin = re.compile(rb"^ {4}-1[ \t]*\r?\n[ \t]*58(b?)([^\n]*)\n", re.MULTILINE)
     at = 0
-    while (
-        match := re.compile(rb"^ {4}-1[ \t]*\r?\n[ \t]*58(b?)([^\n]*)\n", re.MULTILINE).search(
-            data, at
-        )
-    ) is not None:
+    while (match := begin.search(data, at)) is not None:
         head, at = _take(data, match.end(), 11)
         if match[1]:
-            count = [int(word) for word in match[2].split()[:4]]
-            raw, at = data[at : at + count[3]], at + count[3]
-            yield _set(head, raw, "<" if count[0] == 1 else ">")
+            words = match[2].split()
+            if len(words) < 4 or not all(word.isdigit() for word in words[:4]):
+                raise InvalidInput("the first line of a dataset 58b cannot be read; export it anew")
+            order, floats, lines, size = (int(word) for word in words[:4])
+            if floats != _IEEE or lines != 11 or order not in _ORDERS:
+                raise InvalidInput(
+                    f"the dataset {head[0].strip()!r} holds {_FLOATS.get(floats, 'unknown')} "
+                    f"floats under {lines} lines of heading, but IEEE ones under 11 are read; "
+                    "export it as text, or with IEEE floats"
+                )
+            yield _set(head, data[at : at + size], _ORDERS[order])
+            at += size
         else:
             end = re.compile(rb"^ {4}-1[ \t]*\r?$", re.MULTILINE).search(data, at)
             if end is None:
@@ -237,20 +335,22 @@ def _take(data: bytes, at: int, count: int) -> tuple[list[str], int]:
         end = data.find(b"\n", at)
         if end < 0:
             raise InvalidInput("its last dataset is cut off; copy the whole file")
-        lines.append(data[at:end].decode("cp1252", errors="replace").rstrip("\r"))
+        try:
+            line = data[at:end].decode("utf-8")
+        except UnicodeDecodeError:
+            line = data[at:end].decode("cp1252", errors="replace")
+        lines.append(line.rstrip("\r"))
         at = end + 1
     return lines, at
 
 
-def _set(head: list[str], body: bytes, order: str) -> _Set:
+def _set(head: list[str], body: bytes, order: str) -> tuple[tuple[str, ...], Variable]:
     """A dataset: eleven lines of heading, then numbers as text, or as bytes of that order."""
     title = head[0].strip()
     try:
-        kind, (code, count, even) = (
-            int(head[5][:5]),
-            (int(head[6][i : i + 10]) for i in (0, 10, 20)),
-        )
-        step = float(head[6][43:56])
+        kind, abscissa = int(head[5][:5]), int(head[7][:10])
+        code, count, even = (int(head[6][i : i + 10]) for i in (0, 10, 20))
+        start, step = (float(head[6][i : i + 13]) for i in (30, 43))
         node, direction = int(head[5][41:51]), int(head[5][51:55])
     except (ValueError, IndexError):
         raise InvalidInput(
@@ -270,11 +370,29 @@ def _set(head: list[str], body: bytes, order: str) -> _Set:
         raise InvalidInput(
             f"the dataset {title!r} is not evenly spaced in time; export it with a constant step"
         )
+    unit, of_time = (head[line][46:67].strip() for line in (8, 7))
+    try:
+        if abscissa not in _TIME:
+            raise ValueError(f"is of type {abscissa}, but must be time; export it over time")
+        second = in_si(1.0, _SECONDS.get(of_time.lower(), of_time), DIMENSIONS["time"])
+    except ValueError as error:
+        raise InvalidInput(f"the abscissa of the dataset {title!r} {error}") from None
+    axis = "XYZ"[(abs(direction) - 1) % 3] if direction else ""
+    place = f"{node}:{'-' if direction < 0 else '+'}{axis}" if axis else str(node)
+    names = tuple(name for name in (title, place) if name and name != "NONE")
+    return names or (place,), Variable(
+        _values(title, body, order, code, count),
+        "" if unit == "NONE" else unit,
+        1 / (step * second),
+        start * second,
+    )
+
+
+def _values(title: str, body: bytes, order: str, code: int, count: int) -> np.ndarray:
     dtype, per_line, size = _REAL[code]
     if order:
-        values = np.frombuffer(
-            body[: len(body) // int(dtype[1]) * int(dtype[1])], f"{order}{dtype}"
-        ).astype(float)
+        whole = len(body) // int(dtype[1]) * int(dtype[1])
+        values = np.frombuffer(body[:whole], f"{order}{dtype}").astype(float)
     else:
         text = body.decode("ascii", errors="replace").replace("\r", "").split("\n")
         cells = [
@@ -288,16 +406,13 @@ def _set(head: list[str], body: bytes, order: str) -> _Set:
             raise InvalidInput(
                 f"the numbers of the dataset {title!r} cannot be read; export it again"
             ) from None
-    if len(values) != count:
+    filling = values[count:]  # zeros to the end of the last line, as some programs write them
+    if len(values) < count or filling.any() or len(filling) >= per_line or (order and len(filling)):
+        remedy = "copy the whole file" if len(values) < count else "export it anew"
         raise InvalidInput(
-            f"the dataset {title!r} states {count} numbers and holds {len(values)}; copy the "
-            "whole file"
+            f"the dataset {title!r} states {count} numbers and holds {len(values)}; {remedy}"
         )
-    axis = "XYZ"[(abs(direction) - 1) % 3] if direction else ""
-    place = f"{node}:{'-' if direction < 0 else '+'}{axis}" if axis else str(node)
-    unit = head[8][46:66].strip()
-    names = tuple(name for name in (title, place) if name and name != "NONE")
-    return _Set(names or (place,), "" if unit == "NONE" else unit, 1 / step, values)
+    return values[:count]
 
 
 def unknown(name: str, known: list[str], kind: str) -> InvalidInput:

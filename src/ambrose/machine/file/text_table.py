@@ -62,11 +62,13 @@ def refuse_two_marks(comma: Cell | None, point: Cell | None) -> None:
         )
 
 
-def refuse_counts(line: int, cells: int, columns: int, what: str = "the header names") -> None:
+def refuse_counts(
+    line: int, cells: int, columns: int, said: str = "the header names", what: str = "line"
+) -> None:
     """Raises InvalidInput where a row has another number of cells than there are columns."""
     if cells != columns:
         raise InvalidInput(
-            f"line {line} has {cells} cells, but {what} {columns} columns; give every column a "
+            f"{what} {line} has {cells} cells, but {said} {columns} columns; give every column a "
             "name, and every row a cell for each, an empty one where there is nothing"
         )
 
