@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,14 @@ from docs_build import DOCS
 import ambrose as amb
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
+from ambrose.core.response import simulate
+from ambrose.core.sampling import c2d
+from ambrose.core.statespace import select
 from ambrose.identification.findings import Code
+from ambrose.law.loop import closed_loop, match_controller
+from ambrose.model.assemble import assemble
+from ambrose.model.reduce import free_mode_reduction
+from ambrose.synthesis.pid import pid_synthesis
 from one_axis_loop import levitate
 
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
@@ -29,6 +37,105 @@ def record(kinds="yue", axes=AXES, speed=0.0, change=None, count=20_000):
     return amb.Record("seal-rig", 10e3, tuple(names), tuple(units), values, point)
 
 
+@pytest.fixture(scope="module")
+def loop():
+    """A record of the seal rig under its PID: the linear loop, excited and with noise."""
+    machine = amb.load_machine("seal-rig")
+    plant = free_mode_reduction(assemble(machine), 2)
+    K = match_controller(pid_synthesis(plant).controller, plant)
+    K = c2d(K, 1e-4, method="tustin")
+    names = [f"{kind}_{axis}" for kind in "yui" for axis in AXES]
+    system = select(closed_loop(plant, K), [f"e_{axis}" for axis in AXES], names)
+    rng = np.random.default_rng(5)
+    e = 0.05 * np.repeat(rng.choice([-1.0, 1.0], (4, 5000)), 4, axis=1)
+    values = np.vstack([simulate(system, e), e])
+    values[:4] += 2e-8 * rng.standard_normal(values[:4].shape)
+    names += [f"e_{axis}" for axis in AXES]
+    units = ["m" if name[0] == "y" else "A" for name in names]
+    point = replace(machine.operation.envelope[0], label="")
+    return machine, amb.Record("seal-rig", 1e4, tuple(names), tuple(units), values, point)
+
+
+def with_rows(record, change):
+    values = record.values.copy()
+    change(values)
+    return replace(record, values=values)
+
+
+def at(record, **point):
+    return replace(record, point=replace(record.point, **point))
+
+
+def stuck(values):
+    values[2, 7000:17000] = values[2, 7000]
+
+
+def hung(values):
+    values[0, -1500:] = 0.0
+
+
+def shuffled(values):
+    values[:4] = values[:4, np.random.default_rng(0).permutation(values.shape[1])]
+
+
+def swapped(values):
+    values[[0, 2]] = values[[2, 0]]
+
+
+def turned(values):
+    values[1] *= -1
+
+
+def of_u(values):
+    values[[4, 5]] = values[[5, 4]]
+
+
+def biased(values):
+    values[8:12] += 100.0
+
+
+MUTATIONS = {
+    "another machine": lambda r: replace(r, machine="turbomolecular-pump"),
+    "ten times the rate": lambda r: replace(r, sample_rate_hz=1e5),
+    "half the rate": lambda r: replace(r, sample_rate_hz=5e3),
+    "negative pressure": lambda r: at(r, seal_pressure=-2e5),
+    "pressure in another unit": lambda r: at(r, seal_pressure=2e9),
+    "100 A of bias": lambda r: at(r, bias_current=100.0),
+    "a bias in mA": lambda r: at(r, bias_current=2.5e-3),
+    "another speed": lambda r: at(r, speed=9e4),
+    "bias in the currents": lambda r: with_rows(r, biased),
+    "a sensor stuck for half of it": lambda r: with_rows(r, stuck),
+    "a sensor that hangs at the end": lambda r: with_rows(r, hung),
+    "shuffled displacements": lambda r: with_rows(r, shuffled),
+    "swapped displacements": lambda r: with_rows(r, swapped),
+    "a turned displacement": lambda r: with_rows(r, turned),
+    "swapped commands": lambda r: with_rows(r, of_u),
+}
+
+
+@pytest.mark.parametrize("name", [None, *MUTATIONS])
+@pytest.mark.parametrize("kinds", ["yuie", "yie"])
+def test_a_record_that_identify_would_refuse_is_refused_without_its_controller(loop, name, kinds):
+    machine, whole = loop
+    record = whole if name is None else MUTATIONS[name](whole)
+    if name == "swapped commands" and kinds == "yie":
+        return  # there are none
+    record = record.select([signal for signal in record.signals if signal[0] in kinds])
+    check = amb.check_record(record, machine)
+    errors = [str(finding) for finding in check.findings if finding.severity == "error"]
+    assert check.passed == (name is None) and bool(errors) == (name is not None), errors
+    assert "not checked" not in dict(check.contents)
+
+
+@pytest.mark.parametrize("name", ["another machine", "shuffled displacements", "100 A of bias"])
+def test_without_commands_and_currents_it_says_what_was_not_checked(loop, name):
+    machine, whole = loop
+    few = [signal for signal in whole.signals if signal[0] in "ye"]
+    check = amb.check_record(whole.select(few), machine)
+    assert check.passed and "against the plant" in dict(check.contents)["not checked"]
+    assert not amb.check_record(MUTATIONS[name](whole).select(few), machine).passed
+
+
 def usable(check):
     return {use.command for use in check.uses if use.usable}
 
@@ -42,8 +149,11 @@ def usable(check):
         ("u", 0.0, set()),
     ],
 )
-def test_what_a_record_is_good_for(kinds, speed, commands):
-    check = amb.check_record(record(kinds, speed=speed), "seal-rig")
+def test_what_a_record_is_good_for(kinds, speed, commands, loop):
+    _, whole = loop
+    driven = [name for name in whole.signals if name[0] in kinds]
+    given = whole.select(driven) if "e" in kinds else record(kinds, speed=speed)
+    check = amb.check_record(given, "seal-rig")
     assert usable(check) == commands and check.passed == bool(commands)
 
 

@@ -25,7 +25,10 @@ class Code(StrEnum):
     TOUCHDOWN = "touchdown"  # a displacement at the touchdown gap
     REPEATED_SAMPLES = "repeated-samples"  # all channels hold a value at once
     MOVING_POINT = "moving-operating-point"  # speed or pressure changes within the record
+    STUCK = "stuck-sensor"  # a displacement that stands still while others move
+    OPERATING_POINT = "operating-point"  # one that the machine cannot have
     # Records against controller and model (data_quality/diagnosis.py)
+    OTHER_MACHINE = "other-machine"
     DUPLICATE_RECORD = "duplicate-record"
     SAMPLE_RATE = "sample-rate"  # not the stated one
     MIXED_CHANNELS = "mixed-channels"  # swapped or inverted

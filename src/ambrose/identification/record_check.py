@@ -14,6 +14,7 @@ import numpy as np
 
 from ambrose.core.checks import InvalidInput, check_path
 from ambrose.core.presentation import Presented
+from ambrose.identification.data_quality.diagnosis import machine_findings
 from ambrose.identification.data_quality.one_axis import coarse_steps, dead_channels
 from ambrose.identification.data_quality.signals import flat_tops, signal_findings
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding
@@ -121,7 +122,7 @@ def check_record(
     generic = {"columns": columns, "travel": travel}
     return RecordCheck(
         name,
-        _contents(record),
+        (*_contents(record), *_not_checked(record, machine)),
         tuple(_findings(record, machine)),
         (
             *(_use(record, axes, row) for row in _MACHINE_USES),
@@ -204,6 +205,18 @@ def _contents(record: Record) -> tuple[tuple[str, str], ...]:
     return tuple(rows)
 
 
+def _not_checked(record: Record, machine: Machine | None) -> Iterator[tuple[str, str]]:
+    """What nothing in the record, or no machine, lets be seen."""
+    if machine is None:
+        yield "not checked", "whose it is, its limits, channels and sample rate: give the machine"
+    elif any(
+        all(f"{kind}_{axis}" not in record.signals for kind in kinds)
+        for kinds in ("e", "ui")
+        for axis in machine.axes
+    ):
+        yield "not checked", "channels and sample rate against the plant: record e_ and u_ or i_"
+
+
 def _range(values: np.ndarray, unit: str) -> str:
     return f"{values.min():.4g} to {values.max():.4g} {unit}, rms {values.std():.3g} about its mean"
 
@@ -229,7 +242,10 @@ def _findings(record: Record, machine: Machine | None) -> Iterator[Finding]:
                 f"it has {', '.join(machine.axes)}",
                 "rename the signals, or give the machine that was recorded",
             )
-        yield from signal_findings(machine, record, 1, excited="")
+        found = signal_findings(machine, record, 1, excited="")
+        yield from found
+        if not unknown and not any(item.severity == ERROR for item in found):
+            yield from machine_findings(machine, record)
     measured = {
         name: record[name] for name in record.signals if name.partition("_")[0] in _MEASURED
     }

@@ -176,6 +176,23 @@ class Expected:
     amplifier: np.ndarray
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenLoop:
+    """What holds whatever the controller is: y = G (u + e), and i = amplifier (u + e), both (w, a,
+    a).
+    """
+
+    G: np.ndarray
+    amplifier: np.ndarray
+
+
+def open_loop_responses(plant: Plant, dt: float, omega: np.ndarray) -> OpenLoop:
+    """Of the plant behind its hold every ``dt`` [s], at omega (w,) [rad/s]."""
+    y, u, i = ([f"{kind}_{axis}" for axis in plant.axes] for kind in "yui")
+    values = frequency_response(c2d(select(plant.system, u, [*y, *i]), dt), omega).values
+    return OpenLoop(values[:, : len(y)], values[:, len(y) :])
+
+
 def expected_responses(plant: Plant, law: StateSpace, omega: np.ndarray) -> Expected:
     """law: sampled, its computing delay included, signals err_<axis> and u_<axis>; omega (w,)
     [rad/s].
@@ -194,10 +211,10 @@ def expected_responses(plant: Plant, law: StateSpace, omega: np.ndarray) -> Expe
     )
 
 
-def shares(measured: Responses, expected: Expected, wiring: Wiring) -> dict[str, float]:
+def shares(measured: Responses, expected: Expected | OpenLoop, wiring: Wiring) -> dict[str, float]:
     """What part of the measured power each relation leaves unexplained under this wiring: "y" and
     "u" against the model, "K": u against the controller, "i" against the amplifier; the mean over
-    the axes.
+    the axes. Of an open loop, "y" against the plant's answer to the commands, or to the currents.
     """
     a = len(measured.mix)
     excited = wiring.matrix("e", a).T @ measured.mix
@@ -206,6 +223,15 @@ def shares(measured: Responses, expected: Expected, wiring: Wiring) -> dict[str,
         kind: values @ np.abs(wiring.matrix(kind, a)) for kind, values in measured.noise.items()
     }
     unexplained: dict[str, float] = {}
+    if isinstance(expected, OpenLoop):
+        if "u" in true:
+            command = true["u"] + excited
+        else:
+            command = np.linalg.solve(expected.amplifier, true["i"])
+        unexplained["y"] = _share(true["y"], expected.G @ command, noise["y"])
+        if {"u", "i"} <= set(true):
+            unexplained["i"] = _share(true["i"], expected.amplifier @ command, noise["i"])
+        return unexplained
     if "y" in true:
         unexplained["y"] = _share(true["y"], expected.y @ excited, noise["y"])
     if "u" in true:
@@ -262,7 +288,7 @@ def _simple(kind: str, count: int) -> Iterator[Wiring]:
 
 
 def ranked(
-    measured: Responses, expected: Expected, kinds: Sequence[str]
+    measured: Responses, expected: Expected | OpenLoop, kinds: Sequence[str]
 ) -> list[tuple[float, Wiring, dict[str, float]]]:
     """All wirings, the record as labelled among them, by rising score plus a little for every
     changed channel.

@@ -8,7 +8,7 @@ could be mixed up (data_quality/channels.py).
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -20,11 +20,14 @@ from ambrose.core.sampling import delayed
 from ambrose.core.statespace import StateSpace
 from ambrose.identification.data_quality.channels import (
     KINDS,
+    Expected,
+    OpenLoop,
     Responses,
     Wiring,
     compared_responses,
     expected_responses,
     measured_responses,
+    open_loop_responses,
     ranked,
     score,
     shares,
@@ -37,10 +40,14 @@ from ambrose.identification.data_quality.controller import (
     resolution_residual,
 )
 from ambrose.identification.data_quality.excitation_fit import DOUBTS, excitation_findings
-from ambrose.identification.data_quality.signals import signal_findings
+from ambrose.identification.data_quality.signals import point_findings, signal_findings
 from ambrose.identification.findings import ERROR, WARNING, Code, Finding, refuse
 from ambrose.identification.frf.phasors import Step, phasors
-from ambrose.identification.output_error.problem import as_records, deployed_controller
+from ambrose.identification.output_error.problem import (
+    as_records,
+    deployed_controller,
+    operating_points,
+)
 from ambrose.identification.parameters import plant_at, ratios
 from ambrose.identification.validation.operating_load import machine_at_load
 from ambrose.law.law import LawLike, law_of
@@ -115,10 +122,10 @@ def diagnose_records(
             except AmbroseError:  # which identify() explains with all it knows
                 continue
             measured = measured_responses(own, plant.axes)
+            loop = _loop_at(plant, controller, own[0].dt, delay)
+            rates = _RATES if law_of(controller).sample_time is None else ()
             mixed = (
-                []
-                if measured is None
-                else _wiring_findings(plant, controller, law, measured, own[0], delay)
+                [] if measured is None else _wiring_findings(plant, measured, own[0], loop, rates)
             )
             findings += [finding for finding in mixed if finding.severity == ERROR or not broken]
             if broken or any(finding.severity == ERROR for finding in mixed):
@@ -202,37 +209,82 @@ def _start_at(
     }
 
 
+def _loop_at(
+    plant: Plant, controller: LawLike, dt: float, delay: int
+) -> Callable[[np.ndarray, float], Expected]:
+    """The responses of the loop at omega (w,) [rad/s], sampled so many times as fast as stated."""
+
+    def expected(omega: np.ndarray, factor: float) -> Expected:
+        law = deployed_controller(plant, controller, dt / factor, delay)
+        return expected_responses(plant, law, omega * factor)
+
+    return expected
+
+
+def machine_findings(machine: Machine, record: Record) -> Iterator[Finding]:
+    """What shows without the controller that ran that this is no record of this machine: its name,
+    its operating point, currents that no amplifier gives; no trace of the excitation; channels or a
+    sample rate with which the plant answers its commands otherwise.
+    """
+    try:
+        operating_points(machine, [record])
+    except InvalidInput as refusal:
+        remedy = "give the machine's own record, or the file of the machine that was recorded"
+        yield Finding(Code.OTHER_MACHINE, ERROR, str(refusal), "", remedy)
+        return
+    yield from point_findings(machine, record)
+    try:
+        plant = plant_at(machine, record.point, {})
+    except AmbroseError as refusal:
+        yield Finding(Code.OPERATING_POINT, ERROR, str(refusal))
+        return
+    measured = measured_responses([record], plant.axes)
+    if measured is None or "y" not in measured.values:
+        return
+    if not {"u", "i"} & set(measured.values):
+        yield from _no_trace(measured)
+        return
+
+    def expected(omega: np.ndarray, factor: float) -> OpenLoop:
+        return open_loop_responses(plant, record.dt / factor, omega * factor)
+
+    yield from _wiring_findings(plant, measured, record, expected, _RATES)
+
+
 def _wiring_findings(
     plant: Plant,
-    controller: LawLike,
-    law: StateSpace,
     measured: Responses,
     record: Record,
-    delay: int,
+    expected_at: Callable[[np.ndarray, float], Expected | OpenLoop],
+    rates: Sequence[float],
 ) -> list[Finding]:
-    """Mixed-up channels, or another sample rate, or a response that is no response at all."""
+    """Mixed-up channels, or another sample rate, or a response that is no response at all.
+
+    expected_at: the responses at omega (w,) [rad/s], if the record was sampled so many times as
+    fast as it says; rates: these factors.
+    """
     untouched = _no_trace(measured)
     if untouched:
         return untouched
-    expected = expected_responses(plant, delayed(law, delay), measured.omega)
-    now = shares(measured, expected, Wiring())
+    now = shares(measured, expected_at(measured.omega, 1.0), Wiring())
     if all(share <= _SUSPECT[relation] for relation, share in now.items()):
         return []
     kinds = [kind for kind in KINDS if kind == "e" or kind in measured.values]
     few = _thinned(measured, 60)
-    expected = expected_responses(plant, delayed(law, delay), few.omega)
+    expected = expected_at(few.omega, 1.0)
     now = shares(few, expected, Wiring())
     rows = ranked(few, expected, kinds)
     best, here = rows[0], score(now)
-    rate = _other_rate(plant, controller, few, delay, record.sample_rate_hz)
-    if rate is not None and rate[0] < min(best[0], here - _BETTER) and _clear(now, rate[2]):
-        stated, true = record.sample_rate_hz, rate[1] * record.sample_rate_hz
+    tried = [(f, shares(few, expected_at(few.omega, f), Wiring())) for f in rates]
+    rate = min(tried, key=lambda row: score(row[1]), default=None)
+    if rate is not None and score(rate[1]) < min(best[0], here - _BETTER) and _clear(now, rate[1]):
+        stated, true = record.sample_rate_hz, rate[0] * record.sample_rate_hz
         what = (
             f"the records were not sampled at {stated:g} Hz, as they say, but at about {true:g} Hz"
         )
         evidence = (
             "left unexplained of the power: "
-            f"{_compared(now, rate[2], 'as stated', f'at {true:g} Hz')}"
+            f"{_compared(now, rate[1], 'as stated', f'at {true:g} Hz')}"
         )
         remedy = (
             "correct sample_rate_hz; a record that leaves samples out does not show the "
@@ -265,24 +317,6 @@ def _clear(now: Mapping[str, float], then: Mapping[str, float]) -> bool:
         then[relation] <= max(2 * share, _SUSPECT[relation]) for relation, share in now.items()
     )
     return then[worst] * _CLEARLY < now[worst] and kept
-
-
-def _other_rate(
-    plant: Plant, controller: LawLike, measured: Responses, delay: int, stated: float
-) -> tuple[float, float, dict[str, float]] | None:
-    """(score, true rate over the stated one, shares) of the rate that explains the responses best;
-    None for a sampled law.
-    """
-    if law_of(controller).sample_time is not None:
-        return None
-    rows = []
-    for factor in _RATES:
-        law = deployed_controller(plant, controller, 1 / (factor * stated), delay)
-        unexplained = shares(
-            measured, expected_responses(plant, law, measured.omega * factor), Wiring()
-        )
-        rows.append((score(unexplained), factor, unexplained))
-    return min(rows, key=lambda row: row[0])
 
 
 def _mixed_finding(

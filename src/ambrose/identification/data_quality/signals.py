@@ -22,6 +22,10 @@ _ROUNDING = 1e-9  # of a signal's size: less than this moves nothing
 _SERIOUS = 1e-3  # share of clipped or repeated samples from which a record is refused
 _AT_LIMIT = 0.999  # of the limit: a converter may stop a step short of it
 _BEGINNING = 0.3  # share of a record: a limit is reached in it alone before the rotor settled
+_HELD, _FEWEST_HELD = 0.05, 100  # share of a record, and samples, from which a sensor is stuck
+_TWICE = 2.0  # of what the machine file states: beyond it is another unit, or another machine
+_SURFACE = 800.0  # m/s, which no shaft of steel holds
+_NONE, _PASCALS = 0.02, 1e4  # of a pressure, and a pressure [Pa]: what an idle sensor may show
 _STEADY = 0.05  # change of speed or pressure within a record, over its largest
 _MEASURED = ("y", "u", "i")
 
@@ -48,6 +52,7 @@ def signal_findings(
     moving = [name for name in shown if np.ptp(record[name]) > 0]
     for name in moving:
         findings += _at_limit(machine, record, name, where) or _clipped(record, name, where)
+    findings += _stuck(record, [name for name in moving if name[0] == "y"], where)
     return [*findings, *_repeated(record, moving, where), *_moving_point(record, where)]
 
 
@@ -140,6 +145,72 @@ def _at_limit(machine: Machine, record: Record, name: str, where: str) -> list[F
             remedy,
         )
     ]
+
+
+def _stuck(record: Record, names: list[str], where: str) -> Iterator[Finding]:
+    """A displacement that keeps one value for a good part of the record, while another moves as
+    much as elsewhere: a sensor that hangs, or a cable that came off.
+    """
+    for name in names:
+        row = record[name]
+        edges = np.flatnonzero(np.diff(row, prepend=np.nan, append=np.nan) != 0)
+        longest = int(np.argmax(np.diff(edges)))
+        first, last = int(edges[longest]), int(edges[longest + 1])
+        if last - first < max(_HELD * len(row), _FEWEST_HELD):
+            continue
+        others = [other for other in names if other != name]
+        if any(np.std(record[o][first:last]) > 0.3 * np.std(record[o]) for o in others):
+            begin, end = record.time[first], record.time[last - 1]
+            what = f"{where}: {name} stands still from {begin:.5g} to {end:.5g} s"
+            evidence = f"{last - first} samples are {row[first]:g}, while other displacements move"
+            remedy = "mend the sensor or its cable, and record again"
+            yield Finding(Code.STUCK, ERROR, what, evidence, remedy)
+
+
+def point_findings(machine: Machine, record: Record) -> Iterator[Finding]:
+    """An operating point that the machine cannot have, and currents that no amplifier of it
+    gives.
+    """
+    point, envelope = record.point, machine.operation.envelope
+    remedy = "correct the record's operating point (its unit, its sign), or the machine file"
+
+    def of_point(name: str, value: float, unit: str, allowed: str) -> Finding:
+        what = f"{name} of the record's operating point is {value:.4g} {unit}"
+        return Finding(Code.OPERATING_POINT, ERROR, what, f"the machine has {allowed}", remedy)
+
+    radius = max((part.outer_diameter for part in getattr(machine, "shaft", ())), default=0.0) / 2
+    fastest = max((abs(other.speed) for other in envelope), default=0.0)
+    fastest = _TWICE * fastest or (_SURFACE / radius if radius else np.inf)
+    if abs(point.speed) > fastest:
+        yield of_point("the speed", point.speed, "rad/s", f"at most {fastest:.4g}")
+    biases = [b.bias_current for b in machine.axis_bearings if getattr(b, "bias_current", None)]
+    biases += [other.bias_current for other in envelope if other.bias_current]
+    if point.bias_current is not None and biases:
+        low, high = min(biases) / _TWICE, _TWICE * max(biases)
+        if not low <= point.bias_current <= high:
+            yield of_point(
+                "the bias current",
+                point.bias_current,
+                "A",
+                ", ".join(f"{b:g}" for b in set(biases)),
+            )
+    largest = max((abs(other.seal_pressure) for other in envelope), default=0.0)
+    own = {"the seal pressure": point.seal_pressure}
+    own |= {n: float(record[n].mean()) for n in record.signals if n.partition("_")[0] == "p"}
+    for name, value in own.items():
+        if value < -_NONE * max(largest, _PASCALS):
+            yield of_point(name, value, "Pa", "pressures across a seal of 0 and above")
+        if largest and value > 2 * _TWICE * largest:
+            yield of_point(name, value, "Pa", f"at most {largest:.4g}")
+    for axis, bearing in zip(machine.axes, machine.axis_bearings, strict=True):
+        name, limit = f"i_{axis}", bearing.max_current
+        if limit is None or name not in record.signals:
+            continue
+        share = float(np.mean(np.abs(record[name]) > _TWICE * limit))
+        if share > _SERIOUS:
+            evidence = f"{100 * share:.2g} % of its samples exceed twice the largest, {limit:g} A"
+            mend = "record the control current, without the bias, and check its scale"
+            yield Finding(Code.SATURATED, ERROR, f"{name} is no control current", evidence, mend)
 
 
 def check_point(record: Record, where: str) -> None:
