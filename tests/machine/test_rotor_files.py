@@ -2,6 +2,7 @@
 loads them.
 """
 
+import copy
 import json
 import tomllib
 from dataclasses import replace
@@ -171,6 +172,41 @@ def test_discs_and_bearings_go_to_ross_where_they_stand():
     # so near to another node that no element fits between: moved there, and said
     wheel = replace(machine.discs[0], position=0.08 + 5e-5)
     assert off_nodes(replace(machine, discs=(wheel,))) == {"impeller": pytest.approx(5e-5)}
+
+
+def test_nothing_is_unread_in_a_model_that_says_no_more():
+    assert rotor_of_ross(compressor(), "rotor").left_out == ("SealElement_Seal 1",)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda d: d["ShaftElement_5.0"].update(axial_force=-3e4), "axial_force = -30000.0"),
+        (lambda d: d["ShaftElement_5.0"].update(torque=5e3), "torque = 5000.0 (ShaftElement_5.0)"),
+        (lambda d: d["ShaftElement_5.0"].update(alpha=8.0, beta=1e-3), "beta = 0.001"),
+        (lambda d: d["ShaftElement_5.0"].update(gyroscopic=False), "gyroscopic = False"),
+        (lambda d: d["ShaftElement_5.0"].update(shear_effects=False), "shear_effects = False"),
+        (lambda d: d["ShaftElement_5.0"].update(rotary_inertia=False), "rotary_inertia = False"),
+        (lambda d: d["ShaftElement_5.0"].update(of_next_year=3), "of_next_year = 3"),
+        (lambda d: d["ShaftElement_5.0"]["material"].update(loss=0.1), "loss = 0.1"),
+        (lambda d: d["ShaftElement_5.0"]["material"].update(G_s=8e9), "G_s = 8e+09: Poisson's"),
+        (lambda d: d["parameters"].update(alpha=8.05), "alpha = 8.05 (the model)"),
+        (
+            lambda d: d["parameters"].update(modal_damping_ratio=[0.05]),
+            "modal_damping_ratio = [0.0",
+        ),
+        (lambda d: d["DiskElement_Disk 3"].update(bow=1e-3), "bow = 0.001 (DiskElement_Disk 3)"),
+        (
+            lambda d: d.update({"PointMass_p": {"n": 3, "mx": 5.0, "my": 9.0}}),
+            "my = 9.0 (PointMass",
+        ),
+    ],
+)
+def test_every_key_of_ross_that_is_not_read_is_named(change, words):
+    document = copy.deepcopy(compressor())
+    change(document)
+    model = rotor_of_ross(document, "rotor")
+    assert any(words in item for item in model.left_out) and words in model.assumed["rotor"]
 
 
 def test_conical_elements_and_two_stiff_layers_are_said():

@@ -2,6 +2,8 @@
 let in, nothing is changed.
 """
 
+import errno
+import os
 import sys
 from contextlib import nullcontext
 
@@ -14,8 +16,10 @@ from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import OperatingPoint
 from ambrose.record import foreign
 from ambrose.record.column_map import Column, ColumnMap, load_columns, read_columns
+from ambrose.record.files import read_record, write_record
 from ambrose.record.foreign import read_foreign
 from ambrose.record.mat_tdms import read_variables
+from ambrose.record.record import Record
 
 
 @pytest.fixture(autouse=True)
@@ -406,3 +410,68 @@ def test_without_the_package_for_tdms_the_remedy_is_named(tmp_path, monkeypatch)
     refused(
         path, map_for("tdms", tmp_path), r"npTDMS; install it with: pip install 'ambrose\[tdms\]'"
     )
+
+
+def of_hdf5(path, **attributes):
+    with h5py.File(path, "w") as file:
+        data = file.create_dataset("y", data=np.arange(-1, 40, dtype="i2"))
+        data.attrs.update(attributes)
+    return read_foreign(
+        path,
+        {
+            "machine": "m",
+            "sample_rate_hz": 1e3,
+            "point": {"speed": 0, "seal_pressure": 0},
+            "signal": [{"name": "y_A_zeta", "source": "y"}],
+        },
+    )
+
+
+def test_packed_numbers_of_hdf5_are_unpacked(tmp_path):
+    """The conventions of CF and netCDF: 0, 100, 200 um had been 5, 6, 7."""
+    path = tmp_path / "log.h5"
+    raw = np.arange(-1, 40)
+    found = of_hdf5(path, units="um", scale_factor=0.01, add_offset=5.0)
+    np.testing.assert_allclose(found.values[0], (5 + 0.01 * raw) * 1e-6, rtol=1e-12)
+    found = of_hdf5(path, units=b"mm", scale_factor=np.array([2.0]))
+    np.testing.assert_allclose(found.values[0], 2e-3 * raw, rtol=1e-12)
+    for more, words in (
+        ({"_FillValue": np.int16(-1)}, "y at sample 0"),
+        ({"missing_value": 7}, "y at sample 8"),
+        ({"scale_factor": np.arange(3.0)}, "must be finite|no single numbers"),
+        ({"scale_factor": "ten"}, "no single numbers"),
+        ({"MATLAB_empty": 1}, "y is empty"),
+        ({"MATLAB_class": b"string"}, "holds no numbers"),
+        ({"MATLAB_object_decode": 3}, "holds no numbers"),
+    ):
+        with pytest.raises(InvalidInput, match=words):
+            of_hdf5(path, units="um", **more)
+
+
+@pytest.mark.parametrize("kind", ["record", "foreign", "mat"])
+def test_a_lock_is_called_a_lock(tmp_path, kind, monkeypatch):
+    """Another program writes; or the file system has none, and the file is read all the same."""
+    path = tmp_path / ("log.mat" if kind == "mat" else "log.h5")
+    of_hdf5(tmp_path / "log.h5", units="um")
+    if kind == "mat":
+        (tmp_path / "log.h5").rename(path)
+    if kind == "record":
+        point = OperatingPoint()
+        write_record(Record("m", 1e3, ("y_A_zeta",), ("m",), np.ones((1, 41)), point), path)
+    read = read_record if kind == "record" else lambda path: list(read_variables(path, ["y"]))
+    real = h5py.File
+
+    def refused(number):
+        def opened(name, mode, locking=None, **more):
+            if locking is False:
+                return real(name, mode, locking=False, **more)
+            raise OSError(number, "unable to lock file, " + os.strerror(number))
+
+        return opened
+
+    monkeypatch.setattr(h5py, "File", refused(errno.EAGAIN))
+    with pytest.raises(InvalidInput, match="another program has it open for writing"):
+        read(path)
+    monkeypatch.setattr(h5py, "File", refused(errno.ENOLCK))
+    found = read(path)
+    assert (found.values.shape[1] if kind == "record" else len(found[0].values)) == 41

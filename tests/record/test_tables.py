@@ -97,6 +97,16 @@ def test_tables_of_vendors_are_read(tmp_path, kind, encoding):
         ("t [s];x;i [A]\n0;1;2\n1;2;3\n", "no unit"),
         ("t [s];x [um];i [A]\n0;1;2\n1;nan;3\n", "must be finite"),
         ("a\0b", "it is no text"),
+        ("t;x;i\n0,0;1,5;2\n1,0;1.5;3\n", "decimal commas .'0,0;1,5;2' in line 2. and points"),
+        ("t;x;i\n0;990;2\n1;1.000;3\n", '"1.000" in line 3 may be 1000, beside "990" in line 2'),
+        ("t\tx\ti\n0\t990\t2\n1\t1,000\t3\n", '"1,000" in line 3 may be 1000'),
+        ("t;spare;x;i\n0;1;2\n1;2;3\n", "line 2 has 3 cells, but the header names 4 columns"),
+        ("t  spare  x  i\n0  1  2\n1  2  3\n", "line 2 has 3 cells, but the header names 4"),
+        ("t,x\n0,000,0,25\n0,001,1,25\n", "line 2 has 4 cells, but the header names 2"),
+        ("t\n0,25\n1,25\n", "may have 2 numbers, or 1 with a decimal comma .'0,25'"),
+        ("0,000,0,25\n0,001,1,25\n", "may have decimal commas between separating ones"),
+        ("t;x;i\n" + "0;1;2\n" * 30 + "0;;2\n" + "0;1;2\n" * 30, "'x' is empty in line 32"),
+        ("t,x,i\n" + "0,1,2\n" * 30 + "0,1,?\n" + "0,1,2\n" * 30, "line 32, column 3: '.' is no"),
     ],
 )
 def test_tables_that_are_none_are_refused(tmp_path, text, words):
@@ -105,6 +115,37 @@ def test_tables_that_are_none_are_refused(tmp_path, text, words):
     with pytest.raises(InvalidInput, match=words) as error:
         read_foreign(path, columns("x", "i", "t"))
     assert "\n" not in str(error.value) and "; " in str(error.value)
+
+
+GAPS = {
+    "an empty column": ("t\tspare\tx\ti\n", "{t}\t\t{x}\t{i}\n", ("column 3", "column 4")),
+    "LabVIEW, no X column": (
+        "LabVIEW Measurement\nSeparator\tTab\n***End_of_Header***\nX_Value\tx\ti\tComment\n",
+        "\t{x}\t{i}\n",
+        ("column 2", "column 3"),
+    ),
+    "separators at the end": ("t;x;i\n", "{t};{x};{i};\n", ("column 2", "column 3")),
+    "a title": ("run 17 of 3 February\n", "{t};{x};{i}\n", ("column 2", "column 3")),
+    "names of two words": ("time s  gap x  coil i\n", "{t}  {x}  {i}\n", ("gap x", "coil i")),
+    "units between spaces": ("t [s] x [um] i [A]\n", "{t} {x} {i}\n", ("x", "i")),
+}
+
+
+@pytest.mark.parametrize("mark", ".,")
+@pytest.mark.parametrize("kind", GAPS)
+def test_cells_keep_their_places(tmp_path, kind, mark):
+    head, row, names = GAPS[kind]
+    path = tmp_path / "log.txt"
+    rows = [row.format(t=n / 8, x=10 + n / 8, i=200 + n / 8) for n in range(60)]
+    path.write_text(head + "".join(rows).replace(".", mark), encoding="utf-8")
+    record = read_foreign(path, columns(*names, unit="um", rate=8))
+    np.testing.assert_allclose(record.values[:, 1], [10.125e-6, 200.125], rtol=1e-12)
+
+
+def test_text_in_utf_16_is_sent_to_utf_8(tmp_path):
+    (tmp_path / "log.txt").write_text(VENDOR, encoding="utf-16")
+    with pytest.raises(InvalidInput, match=r"UTF-16 .* save it as CSV in UTF-8"):
+        read_foreign(tmp_path / "log.txt", columns("Weg A", "Strom A", "Zeit"))
 
 
 # Written by pyuff 2.5.8: time signals in double and in single precision, the second of another node
@@ -191,6 +232,12 @@ def test_universal_files_are_read(tmp_path, made, names):
         ("   1.5000", "   1.x000", "cannot be read"),
         ("y_A_zeta", "current", "2 datasets are called 'current'"),
         ("    58\n", "    55\n", "no dataset 58"),
+        ("        17    0    0    0 NONE", "        18    0    0    0 NONE", "is of type 18"),
+        (
+            "        17    0    0    0 NONE                 NONE",
+            "        17    0    0    0 Angle                deg ",
+            "is .deg., but must be",
+        ),
     ],
 )
 def test_universal_files_that_are_none_are_refused(tmp_path, old, new, words):
@@ -203,6 +250,62 @@ def test_universal_files_that_are_none_are_refused(tmp_path, old, new, words):
             columns("current", "current") if "called" in words else columns("y_A_zeta", "current"),
         )
     assert "\n" not in str(error.value) and "; " in str(error.value)
+
+
+@pytest.mark.parametrize(("unit", "rate"), [("ms", 1e4), ("us", 1e7), ("sec", 1e4), ("S", 1e4)])
+def test_the_time_of_a_universal_file_has_the_unit_of_its_heading(tmp_path, unit, rate):
+    path = tmp_path / "run.unv"
+    old = "        17    0    0    0 NONE                 NONE"
+    new = f"        17    0    0    0 Time                 {unit:<4}"
+    path.write_text(
+        UNIVERSAL.replace(old, new).replace("1.00000e-04", "1.00000e-01")
+    )  # of its unit
+    if unit in ("sec", "S"):
+        path.write_text(UNIVERSAL.replace(old, new))
+    found = read_foreign(path, columns("y_A_zeta", "current")).sample_rate_hz
+    assert found == pytest.approx(rate)
+
+
+@pytest.mark.parametrize(("floats", "words"), [(1, "VAX"), (3, "IBM"), (4, "unknown")])
+def test_floats_of_other_computers_are_named(tmp_path, floats, words):
+    path = tmp_path / "run.unv"
+    path.write_bytes(binary(UNIVERSAL).replace(b"58b     1     2", b"58b     1%6d" % floats))
+    with pytest.raises(InvalidInput, match=f"{words} floats"):
+        read_foreign(path, columns("y_A_zeta", "current"))
+
+
+def test_universal_files_in_utf_8_and_filled_to_a_whole_line(tmp_path):
+    path = tmp_path / "run.unv"
+    filled = "7.00000000000e+00   0.00000000000e+00\n"
+    text = UNIVERSAL.replace("y_A_zeta", "Fühler ä").replace("7.00000000000e+00\n", filled)
+    path.write_text(text, encoding="utf-8")
+    record = read_foreign(path, columns("Fühler ä", "current"))
+    np.testing.assert_allclose(record.values, NUMBERS, rtol=1e-6)
+    path.write_text(UNIVERSAL.replace("7.00000000000e+00\n", filled.replace("0.0", "0.5")))
+    with pytest.raises(InvalidInput, match="states 5 numbers and holds 6"):
+        read_foreign(path, columns("y_A_zeta", "current"))
+
+
+@pytest.mark.parametrize(("later", "start"), [("3.00000e-04", 3e-4), ("-2.0000e-04", 0.0)])
+def test_channels_that_begin_apart_come_onto_one_time(tmp_path, later, start):
+    head, _, tail = UNIVERSAL.rpartition("0.00000e+00  1.00000e-04")
+    path = tmp_path / "run.unv"
+    path.write_text(f"{head}{later:>11}  1.00000e-04{tail}")
+    record = read_foreign(path, columns("y_A_zeta", "current"))
+    cut = round(float(later) * 1e4)
+    first, second = NUMBERS
+    expected = [first[cut:], second[: 5 - cut]] if cut > 0 else [first[:3], second[2:]]
+    np.testing.assert_allclose(record.values, expected, rtol=1e-6)
+    assert record.start_time == pytest.approx(start) and "begins" in dict(record.notes)["shifted"]
+
+
+@pytest.mark.parametrize("later", ["1.50000e-04", "2.00000e+00"])
+def test_channels_that_share_no_samples_are_refused_with_both_starts(tmp_path, later):
+    head, _, tail = UNIVERSAL.rpartition("0.00000e+00  1.00000e-04")
+    path = tmp_path / "run.unv"
+    path.write_text(f"{head}{later}  1.00000e-04{tail}")
+    with pytest.raises(InvalidInput, match=r"0 s \(y_A_zeta\) and .* s \(current\)"):
+        read_foreign(path, columns("y_A_zeta", "current"))
 
 
 def test_a_cut_file_is_refused_wherever_it_is_cut(tmp_path):

@@ -3,7 +3,8 @@ loads it.
 
 A ROSS file holds a table per element, "Class_tag". Shaft elements at one node lie in layers: those
 without stiffness are laminations and sleeves, which a machine states by ``mass_diameter``. Bearings
-become places for magnets; seals, supports and forces are left out, and named.
+become places for magnets; seals, supports and forces are left out, and named, and so is every key
+that is not read and says something.
 """
 
 from __future__ import annotations
@@ -25,6 +26,10 @@ from ambrose.machine.rotor_model import Disc, Material, RotorModel, ShaftSection
 
 _SOFT = 1e-3  # of the stiffest material at a node: a layer below carries mass only
 _GRADED = 1e-9  # relative difference of two diameters or lengths that is rounding
+
+# keys of its elements that change no number, and the values of others that the machine has anyway
+_IDLE = ("tag", "name", "color", "scale_factor", "Poisson", "specific_heat", "thermal_conductivity")
+_NEUTRAL = {"gyroscopic": True, "shear_method_calc": "cowper"}
 
 _Row = Mapping[str, Any]
 
@@ -103,6 +108,10 @@ def rotor_of_ross(document: Mapping[str, Any], name: str) -> RotorModel:
         assumed["beam_theory"] = (
             "the shear coefficient is Cowper's here, Hutchinson's in the model of ROSS"
         )
+    unread = _unread(document, rows, theory)
+    if unread:
+        rest = f"; and {len(unread) - 8} more" if len(unread) > 8 else ""
+        assumed["rotor"] = f"not taken over from the model of ROSS: {'; '.join(unread[:8])}{rest}"
     if left:
         names = ", ".join(left[:8]) + (f" and {len(left) - 8} more" if len(left) > 8 else "")
         assumed["seal"] = f"the model of ROSS also holds {names}: left out"
@@ -121,7 +130,46 @@ def rotor_of_ross(document: Mapping[str, Any], name: str) -> RotorModel:
         theory,
         f"ROSS model (version {version})",
         assumed,
-        tuple(left),
+        (*left, *unread),
+    )
+
+
+def _unread(
+    document: Mapping[str, Any], rows: Sequence[tuple[str, _Row]], theory: str
+) -> tuple[str, ...]:
+    """What elements that are taken over say, and the machine does not: every key that is not read
+    and not neutral, with its value and where it stands first.
+    """
+    usual = {**_NEUTRAL, "shear_effects": theory == "timoshenko"}
+    usual["rotary_inertia"] = theory != "bernoulli-euler"
+    found: dict[tuple[str, str], list[str]] = {}
+
+    def note(where: str, row: _Row, known: Sequence[str]) -> None:
+        for key, value in row.items():
+            idle = key in known or key in _IDLE or isinstance(value, Mapping)
+            says = value != usual[key] if key in usual else value not in (0, None, "", [], {})
+            if says and not idle:
+                found.setdefault((key, str(value)[:60]), []).append(where)
+
+    parameters = document.get("parameters")
+    if isinstance(parameters, Mapping):
+        note("the model", parameters, ("rated_w", "min_w", "max_w"))
+    for name, row in rows:
+        kind = name.partition("_")[0]
+        if kind == "ShaftElement":
+            note(name, row, ("L", "idl", "odl", "idr", "odr", "n"))
+            material = row["material"]
+            note(name, material, ("rho", "E", "G_s"))
+            young, shear = float(material["E"]), float(material.get("G_s", 0.0))
+            if shear and not -0.99 <= young / (2 * shear) - 1 <= 0.49:
+                found.setdefault(("G_s", f"{shear:g}: Poisson's ratio is cut"), []).append(name)
+        elif kind.startswith(("Disk", "Gear", "PointMass")):
+            mass = row["m"] if row.get("m") is not None else row.get("mx")
+            alike = [key for key in ("mx", "my", "mz") if row.get(key) == mass]
+            note(name, row, ("n", "m", "mx", "Id", "Ip", *alike))
+    return tuple(
+        f"{key} = {value} ({places[0]}{f' and {len(places) - 1} more' if places[1:] else ''})"
+        for (key, value), places in found.items()
     )
 
 
