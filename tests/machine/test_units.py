@@ -60,7 +60,7 @@ PLATE = ("rpm", "RPM", "r/min", "rev/min", "turn/min", "1/min", "min^-1", "min-1
 PER_MINUTE = dict.fromkeys(
     (*PLATE, "cpm", "CPM", "cycles/min", "tr/min"),
     TURN,
-) | {"rad/min": 1, "deg/min": TURN / 360}
+) | {"rad/min": 1}
 
 
 @pytest.mark.parametrize("unit", [*PER_SECOND, *PER_MINUTE])

@@ -75,30 +75,25 @@ def _dimension(
     )
 
 
-_LENGTHS = "m=1,cm=1e-2,mm=1e-3,um=1e-6,in=0.0254,mil=2.54e-5,mils=2.54e-5"  # a mil: 0.001 in
-_TORQUES = "N m=1,Nm=1,mN m=1e-3,mNm=1e-3,N mm=1e-3,Nmm=1e-3,kN m=1e3,kNm=1e3"
+_LENGTHS = "m=1,cm=1e-2,mm=1e-3,um=1e-6,in=0.0254,mil=2.54e-5"  # a mil: 0.001 in
+_TORQUES = "N m=1,mN m=1e-3,N mm=1e-3,kN m=1e3"
 
 # Rates as data sheets, rotor codes and spreadsheets write them: the turn, and the radian. A bare
 # 1/s or s^-1 is both, and neither: it is not among them.
-_TURNS = {  # turns per second
-    "rpm": "1/60",
-    "Hz": "1",
-    "kHz": "1e3",
-    "mHz": "1e-3",
-    "MHz": "1e6",
-    **dict.fromkeys(("cps", "rps", "r/s", "rev/s", "turn/s", "cycles/s"), "1"),
-    **dict.fromkeys(("cpm", "r/min", "rev/min", "turn/min", "1/min", "min-1"), "1/60"),
-    **dict.fromkeys(("RPM", "CPM", "cycles/min", "U/min", "tr/min"), "1/60"),
-    "krpm": "100/6",
-    "kcpm": "100/6",
+_TURNS = {"rpm": "1/60", "krpm": "100/6", "Hz": "1", "kHz": "1e3", "MHz": "1e6"}
+_RADIANS = {"rad/s": "1", "rad/min": "1/60"}
+_DEGREES = {"deg/s": "1/180"}
+_SAME = {  # other spellings
+    **dict.fromkeys(("1/min", "min-1", "r/min", "rev/min", "turn/min", "U/min", "tr/min"), "rpm"),
+    **dict.fromkeys(("RPM", "cpm", "CPM", "cycles/min"), "rpm"),
+    **dict.fromkeys(("cps", "rps", "r/s", "rev/s", "turn/s", "cycles/s"), "Hz"),
+    **dict.fromkeys(("rad s-1", "rad/sec"), "rad/s"),
+    "rad/minute": "rad/min",
+    "°/s": "deg/s",
+    "mils": "mil",
+    **{f"{prefix}Nm": f"{prefix}N m" for prefix in ("", "m", "k")},
+    "Nmm": "N mm",
 }
-_RADIANS = {  # radians per second
-    **dict.fromkeys(("rad/s", "rad s-1", "rad/sec"), "1"),
-    "mrad/s": "1e-3",
-    "krad/s": "1e3",
-    **dict.fromkeys(("rad/min", "rad/minute"), "1/60"),
-}
-_DEGREES = {"deg/s": "1/180", "°/s": "1/180", "deg/min": "1/10800"}
 
 
 def _of_rate(kinds: dict[str, str], factor: Fraction, pi: str) -> str:
@@ -219,7 +214,7 @@ def rewrite_quantity(old: str, value: float, dimension: Dimension) -> str:
 def canonical_unit(text: str) -> str:
     """One spelling for "kg*m**2", "kg·m^2", "kg m²" and "kg m2": the last; micro is "u".
 
-    The sign of the ohm is "ohm".
+    The sign of the ohm is "ohm"; a turn a minute is "rpm", however it is written.
     """
     for old, new in (
         ("**", ""),
@@ -237,7 +232,8 @@ def canonical_unit(text: str) -> str:
         ("\u2126", "ohm"),
     ):
         text = text.replace(old, new)
-    return re.sub(r"\s*/\s*", "/", " ".join(text.split()))
+    text = re.sub(r"\s*/\s*", "/", " ".join(text.split()))
+    return _SAME.get(text, text)
 
 
 def _read_text(text: str, dimension: Dimension) -> float:
