@@ -153,8 +153,8 @@ def _matlab(path: Path) -> Iterator[Callable[[str], Variable]]:
         import scipy.io
 
         known = {name: math.prod(map(int, shape)) for name, shape, _ in scipy.io.whosmat(path)}
-        load = lru_cache(maxsize=1)(lambda top: scipy.io.loadmat(path, variable_names=[top])[top])
-        yield lambda name: _part(name, lambda plain: Variable(_from_matlab5(load, known, plain)))
+        top_of = lru_cache(maxsize=1)(lambda top: scipy.io.loadmat(path, variable_names=[top])[top])
+        yield lambda name: _part(name, lambda plain: Variable(_from_matlab5(top_of, known, plain)))
 
 
 @contextmanager
