@@ -56,9 +56,9 @@ TURN = 2 * math.pi  # rad
 # what a rate's unit counts [rad], and in how many seconds
 PER_SECOND = {"Hz": TURN, "cps": TURN, "rps": TURN, "r/s": TURN, "rev/s": TURN, "turn/s": TURN}
 PER_SECOND |= {"cycles/s": TURN, "rad/s": 1, "rad s^-1": 1, "rad/sec": 1, "deg/s": TURN / 360}
-PLATE = ("rpm", "RPM", "r/min", "rev/min", "turn/min", "1/min", "min^-1", "min-1", "min⁻¹", "U/min")
+PLATE = ("rpm", "r/min", "rev/min", "turn/min", "1/min", "min^-1", "min-1", "min⁻¹", "U/min")
 PER_MINUTE = dict.fromkeys(
-    (*PLATE, "cpm", "CPM", "cycles/min", "tr/min"),
+    (*PLATE, "cpm", "cycles/min", "tr/min"),
     TURN,
 ) | {"rad/min": 1}
 

@@ -85,7 +85,7 @@ _RADIANS = {"rad/s": "1", "rad/min": "1/60"}
 _DEGREES = {"deg/s": "1/180"}
 _SAME = {  # other spellings
     **dict.fromkeys(("1/min", "min-1", "r/min", "rev/min", "turn/min", "U/min", "tr/min"), "rpm"),
-    **dict.fromkeys(("RPM", "cpm", "CPM", "cycles/min"), "rpm"),
+    **dict.fromkeys(("cpm", "cycles/min"), "rpm"),
     **dict.fromkeys(("cps", "rps", "r/s", "rev/s", "turn/s", "cycles/s"), "Hz"),
     **dict.fromkeys(("rad s-1", "rad/sec"), "rad/s"),
     "rad/minute": "rad/min",
