@@ -36,15 +36,16 @@ function build(place, rig, act) {
       make("p", { className: "muted" },
         "Click an orbit to knock the rotor there, in that direction; with the keyboard, arrow keys.")),
     titled("Control currents", currents), watch.panel), panel));
-  let [drawn, since, rate, told] = [0, performance.now(), 0, 0];
+  let [drawn, since, rate, told] = [0, null, 0, -1]; // by the clock of the rig, which comes with a frame
   const trail = []; // samples of the frames before, the newest at the end
   return { show: (head, samples) => {
     drawn += 1;
-    const now = performance.now();
-    if (now - since > 1000) [rate, drawn, since] = [(1000 * drawn) / (now - since), 0, now];
+    const now = head.clock;
+    since ??= now;
+    if (now - since > 1) [rate, drawn, since] = [drawn / (now - since), 0, now];
     if (samples.length || !trail.length) trail.push(samples);
     if (trail.length > 6) trail.shift();
-    const fresh = now - told > 200; // words change five times a second
+    const fresh = told < 0 || now - told > 0.199; // words change five times a second
     orbits.forEach((o) => o.show(head, trail, fresh));
     if (samples.length && !currents.away) bars(currents, rig, samples);
     watch.add(head, samples);
@@ -64,7 +65,7 @@ function orbit(rig, station, s, act) {
   const [gap, columns] = [rig.gaps[s], rig.columns.length];
   let [arrow, strength, reach] = [null, 0, rig.scale];
   const knock = (x, y) => {
-    arrow = { x, y, until: performance.now() + 250 };
+    arrow = { x, y };
     act("knock", { station, x: x * strength, y: y * strength });
   };
   element.addEventListener("pointerdown", (event) => {
@@ -108,7 +109,8 @@ function orbit(rig, station, s, act) {
     g.globalAlpha = 1;
     const end = newest.length - columns + 2 * s; // where it is now, also when it stands still
     if (end >= 0) circle(g, half + unit * newest[end], half - unit * newest[end + 1], 2, ink.line);
-    if (arrow && performance.now() < arrow.until) {
+    if (arrow) arrow.until ??= head.clock + 0.25;
+    if (arrow && head.clock < arrow.until) {
       g.lineWidth = 3;
       path(g, 2, (i) => half + i * arrow.x * half, (i) => half - i * arrow.y * half, ink.line2);
     }
