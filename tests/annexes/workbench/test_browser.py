@@ -551,6 +551,32 @@ def test_the_waterfall_shows_every_tone_at_its_frequency_the_newest_on_top(chrom
     page.context.close()
 
 
+CURRENT = """async (failed) => {
+  const { current } = await import("/static/live.js");
+  const rig = { axes: ["A", "B"], columns: ["x", "u A", "u B", "i A", "i B"], limits: [4, null] };
+  const samples = Float32Array.from([0, 4, 9, 0, 1, 0, -4, 9, 0, 2]);
+  return [0, 1].map((a) => current(rig, samples, a, failed));
+}"""
+
+
+def test_what_is_drawn_of_an_amplifier_flows_in_its_coil(chromium, server):
+    """Commands of 4 A were drawn while all amplifiers had failed."""
+    page = new_page(chromium)
+    page.goto(server.address() + "#jobs")
+    page.wait_for_selector("main .panel")
+    live = [{"low": 0, "high": 0, "full": True}, {"low": 1, "high": 2, "full": False}]
+    dead = [{**axis, "full": False} for axis in live]
+    for failed, axes, off in (
+        ([], live, (False, False)),
+        (["all amplifiers"], dead, (True, True)),
+        (["sensor B", "amplifier A"], dead, (True, False)),
+    ):
+        wanted = [{**axis, "dead": no} for axis, no in zip(axes, off, strict=True)]
+        assert page.evaluate(CURRENT, failed) == wanted
+    assert page.mistakes == []
+    page.context.close()
+
+
 LIVE = """() => {
   const chosen = {};
   for (const e of document.querySelectorAll("main select")) {

@@ -35,6 +35,7 @@ from ambrose.annexes.workbench.screens import TITLES
 from ambrose.annexes.workbench.viewers import THREAD, LiveRoom
 from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.core.listening import names_of
+from ambrose.machine.claim import claimed
 
 if TYPE_CHECKING:
     import h11
@@ -47,6 +48,9 @@ _TYPES = {
 }
 ALL_JOBS = blocks.content(
     [blocks.words("lead", "What was started on the other screens, the newest first.")], jobs=["*"]
+)
+_SERVED = (
+    "another workbench serves this folder; open the address that it printed last, or end it first"
 )
 _MESSAGE = 65_536  # bytes of a socket's message
 _LINES, _LINE = 100, 8000  # headers of a socket's handshake, bytes of each
@@ -228,11 +232,14 @@ def _state(project: Project) -> dict[str, Any]:
 def serve(project: Project, listener: socket.socket, announce: Callable[[str], None]) -> None:
     """Serve a project until the process is asked to end (SIGINT, SIGTERM).
 
-    announce(address): told the address to open, and every next one.
+    announce(address): told the address to open, and every next one. Raises InvalidInput where
+    another server has the project.
     """
     hosts = names_of(listener)
-    app = build(project, hosts, lambda token: announce(f"http://{hosts[0]}/?token={token}"))
-    asyncio.run(_Server(settings(app)).serve([listener]))
+    # its jobs are this server's alone: another one would take them for stopped
+    with claimed(project.root / "jobs", "jobs", _SERVED):
+        app = build(project, hosts, lambda token: announce(f"http://{hosts[0]}/?token={token}"))
+        asyncio.run(_Server(settings(app)).serve([listener]))
     if any(thread.name.startswith(THREAD) for thread in threading.enumerate()):
         os._exit(0)  # a rig that is compiled cannot be told to stop, and nothing is lost with it
 

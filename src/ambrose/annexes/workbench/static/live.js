@@ -47,7 +47,7 @@ function build(place, rig, act) {
     if (trail.length > 6) trail.shift();
     const fresh = told < 0 || now - told > 0.199; // words change five times a second
     orbits.forEach((o) => o.show(head, trail, fresh));
-    if (samples.length && !currents.away) bars(currents, rig, samples);
+    if (samples.length && !currents.away) bars(currents, rig, samples, head.failed);
     watch.add(head, samples);
     watch.draw(head);
     if (!fresh) return;
@@ -122,21 +122,29 @@ function orbit(rig, station, s, act) {
   return { figure: make("figure", {}, element, caption), show };
 }
 
-function bars(element, rig, samples) {
+// what flows in the coil of an axis [A], and whether its amplifier is told as much as it may be told
+export function current(rig, samples, a, failed) {
+  const [axis, columns] = [rig.axes[a], rig.columns.length];
+  const column = (kind) => extent(samples, rig.columns.indexOf(`${kind} ${axis}`), columns);
+  const [[low, high], told] = [column("i"), column("u")];
+  const dead = failed.some((what) => what === "all amplifiers" || what === `amplifier ${axis}`);
+  return { low, high, dead, full: !dead && Math.max(-told[0], told[1]) >= 0.999 * (rig.limits[a] || Infinity) };
+}
+
+function bars(element, rig, samples, failed) {
   const { g, width } = begin(element);
-  const first = 2 * rig.stations.length;
   rig.axes.forEach((axis, a) => {
     const most = rig.limits[a] || 1;
-    const [low, high] = extent(samples, first + a, rig.columns.length);
+    const { low, high, dead, full } = current(rig, samples, a, failed);
     const [y, half] = [34 * a + 20, (width - 24) / 2];
     const X = (v) => 12 + half * (1 + Math.max(-1.02, Math.min(1.02, v / most)));
-    const full = Math.max(-low, high) >= 0.999 * most;
     g.fillStyle = ink.faint;
     g.fillRect(12, y, 2 * half, 10);
     g.fillStyle = full ? ink.limit : ink.line;
     g.fillRect(X(low), y, Math.max(X(high) - X(low), 2), 10);
     path(g, 2, () => X(0), (i) => y - 2 + 14 * i, ink.muted);
-    const limit = rig.limits[a] ? `of ±${short(most, "A")}${full ? ", at the limit" : ""}` : "no limit";
+    const known = rig.limits[a] ? `of ±${short(most, "A")}${full ? ", at the limit" : ""}` : "no limit";
+    const limit = dead ? "no power" : known;
     write(g, `${axis}: ${low.toFixed(2)} to ${high.toFixed(2)} A ${limit}`, 12, y - 5, "left", ink.ink);
   });
 }
