@@ -551,28 +551,34 @@ def test_the_waterfall_shows_every_tone_at_its_frequency_the_newest_on_top(chrom
     page.context.close()
 
 
-CURRENT = """async (failed) => {
-  const { current } = await import("/static/live.js");
-  const rig = { axes: ["A", "B"], columns: ["x", "u A", "u B", "i A", "i B"], limits: [4, null] };
-  const samples = Float32Array.from([0, 4, 9, 0, 1, 0, -4, 9, 0, 2]);
-  return [0, 1].map((a) => current(rig, samples, a, failed));
+WRITTEN = """() => {
+  window.written = {};
+  const own = CanvasRenderingContext2D.prototype.fillText;
+  CanvasRenderingContext2D.prototype.fillText = function (text, ...more) {
+    const axis = /^(\\w+): (.*) A /.exec(text);
+    if (axis) window.written[axis[1]] = axis[2];
+    return own.call(this, text, ...more);
+  };
 }"""
 
 
 def test_what_is_drawn_of_an_amplifier_flows_in_its_coil(chromium, server):
     """Commands of 4 A were drawn while all amplifiers had failed."""
     page = new_page(chromium)
-    page.goto(server.address() + "#jobs")
-    page.wait_for_selector("main .panel")
-    live = [{"low": 0, "high": 0, "full": True}, {"low": 1, "high": 2, "full": False}]
-    dead = [{**axis, "full": False} for axis in live]
-    for failed, axes, off in (
-        ([], live, (False, False)),
-        (["all amplifiers"], dead, (True, True)),
-        (["sensor B", "amplifier A"], dead, (True, False)),
-    ):
-        wanted = [{**axis, "dead": no} for axis, no in zip(axes, off, strict=True)]
-        assert page.evaluate(CURRENT, failed) == wanted
+    page.goto(server.address() + "#live")
+    page.wait_for_selector("canvas")
+    page.evaluate(WRITTEN)
+    page.get_by_role("heading", name="Currents in the coils").scroll_into_view_if_needed()
+    press(page, server, "Drop")
+    server.clock.advance(1.0)
+    told = page.evaluate("window.written")
+    assert told and set(told.values()) <= {"0.00 to 0.00", "-0.00 to 0.00", "-0.00 to -0.00"}
+    press(page, server, "Lift")
+    server.clock.advance(1.0)
+    press(page, server, "Excite")
+    server.clock.advance(0.2)
+    assert not set(page.evaluate("window.written").values()) & set(told.values())
+    press(page, server, "Stop exciting")
     assert page.mistakes == []
     page.context.close()
 

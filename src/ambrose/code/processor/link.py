@@ -70,10 +70,15 @@ class Link:
         self._due, self._late = math.inf, False
         self._over = threading.Event()
         threading.Thread(target=self._watch, daemon=True).start()
-        if self._asked() != _HELLO:
+        try:
+            if self._asked() != _HELLO:
+                raise InvalidInput(
+                    f"the program on {processor.name} does not answer in its byte order"
+                )
+            self.memory = self._asked()
+        except BaseException:
             self.close()
-            raise InvalidInput(f"the program on {processor.name} does not answer in its byte order")
-        self.memory = self._asked()
+            raise
 
     def __enter__(self) -> Link:
         return self

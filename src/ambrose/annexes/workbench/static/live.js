@@ -25,7 +25,7 @@ export function live(place) {
 
 function build(place, rig, act) {
   const orbits = rig.stations.map((station, s) => orbit(rig, station, s, act));
-  const currents = canvas("Control currents of every axis against their limits", 34 * rig.axes.length);
+  const currents = canvas("Currents in the coils of every axis against their limits", 34 * rig.axes.length);
   const [watch, facts] = [scope(rig), make("p", { className: "facts" })];
   const forms = rig.controls.map((block) => form(block, act));
   const panel = make("aside", { className: "panel" },
@@ -35,19 +35,18 @@ function build(place, rig, act) {
       make("div", { className: "tiles" }, ...orbits.map((o) => o.figure)),
       make("p", { className: "muted" },
         "Click an orbit to knock the rotor there, in that direction; with the keyboard, arrow keys.")),
-    titled("Control currents", currents), watch.panel), panel));
-  let [drawn, since, rate, told] = [0, null, 0, -1]; // by the clock of the rig, which comes with a frame
+    titled("Currents in the coils", currents), watch.panel), panel));
+  let [drawn, since, rate, told] = [0, -1, 0, -1]; // by the clock of the rig, which comes with a frame
   const trail = []; // samples of the frames before, the newest at the end
   return { show: (head, samples) => {
     drawn += 1;
     const now = head.clock;
-    since ??= now;
     if (now - since > 1) [rate, drawn, since] = [drawn / (now - since), 0, now];
     if (samples.length || !trail.length) trail.push(samples);
     if (trail.length > 6) trail.shift();
     const fresh = told < 0 || now - told > 0.199; // words change five times a second
     orbits.forEach((o) => o.show(head, trail, fresh));
-    if (samples.length && !currents.away) bars(currents, rig, samples, head.failed);
+    if (samples.length && !currents.away) bars(currents, rig, samples);
     watch.add(head, samples);
     watch.draw(head);
     if (!fresh) return;
@@ -63,9 +62,9 @@ function orbit(rig, station, s, act) {
   const [element, caption] = [canvas(`Orbit at ${station}; click to knock`), make("figcaption", {})];
   element.tabIndex = 0;
   const [gap, columns] = [rig.gaps[s], rig.columns.length];
-  let [arrow, strength, reach] = [null, 0, rig.scale];
+  let [arrow, strength, reach, clock] = [null, 0, rig.scale, 0];
   const knock = (x, y) => {
-    arrow = { x, y };
+    arrow = { x, y, until: clock + 0.25 };
     act("knock", { station, x: x * strength, y: y * strength });
   };
   element.addEventListener("pointerdown", (event) => {
@@ -83,7 +82,7 @@ function orbit(rig, station, s, act) {
       most = Math.max(most, Math.hypot(newest[k], newest[k + 1]));
     const full = 1.15 * (gap || Math.max(rig.scale, most));
     reach = head.set.near ? Math.min(full, Math.max(rounded(1.2 * most), reach * 0.98, full / 200)) : full;
-    strength = head.set.strength;
+    [strength, clock] = [head.set.strength, head.clock];
     const { g, width } = begin(element);
     const [half, unit] = [width / 2, (width / 2 - 4) / reach];
     path(g, 2, (i) => [0, width][i], () => half, ink.faint);
@@ -109,7 +108,6 @@ function orbit(rig, station, s, act) {
     g.globalAlpha = 1;
     const end = newest.length - columns + 2 * s; // where it is now, also when it stands still
     if (end >= 0) circle(g, half + unit * newest[end], half - unit * newest[end + 1], 2, ink.line);
-    if (arrow) arrow.until ??= head.clock + 0.25;
     if (arrow && head.clock < arrow.until) {
       g.lineWidth = 3;
       path(g, 2, (i) => half + i * arrow.x * half, (i) => half - i * arrow.y * half, ink.line2);
@@ -122,20 +120,13 @@ function orbit(rig, station, s, act) {
   return { figure: make("figure", {}, element, caption), show };
 }
 
-// what flows in the coil of an axis [A], and whether its amplifier is told as much as it may be told
-export function current(rig, samples, a, failed) {
-  const [axis, columns] = [rig.axes[a], rig.columns.length];
-  const column = (kind) => extent(samples, rig.columns.indexOf(`${kind} ${axis}`), columns);
-  const [[low, high], told] = [column("i"), column("u")];
-  const dead = failed.some((what) => what === "all amplifiers" || what === `amplifier ${axis}`);
-  return { low, high, dead, full: !dead && Math.max(-told[0], told[1]) >= 0.999 * (rig.limits[a] || Infinity) };
-}
-
-function bars(element, rig, samples, failed) {
+function bars(element, rig, samples) {
   const { g, width } = begin(element);
+  const first = 2 * rig.stations.length + rig.axes.length; // what flows in the coils, not what is commanded
   rig.axes.forEach((axis, a) => {
     const most = rig.limits[a] || 1;
-    const { low, high, dead, full } = current(rig, samples, a, failed);
+    const [low, high] = extent(samples, first + a, rig.columns.length);
+    const full = Math.max(-low, high) >= 0.99 * most;
     const [y, half] = [34 * a + 20, (width - 24) / 2];
     const X = (v) => 12 + half * (1 + Math.max(-1.02, Math.min(1.02, v / most)));
     g.fillStyle = ink.faint;
@@ -143,8 +134,7 @@ function bars(element, rig, samples, failed) {
     g.fillStyle = full ? ink.limit : ink.line;
     g.fillRect(X(low), y, Math.max(X(high) - X(low), 2), 10);
     path(g, 2, () => X(0), (i) => y - 2 + 14 * i, ink.muted);
-    const known = rig.limits[a] ? `of ±${short(most, "A")}${full ? ", at the limit" : ""}` : "no limit";
-    const limit = dead ? "no power" : known;
+    const limit = rig.limits[a] ? `of ±${short(most, "A")}${full ? ", at the limit" : ""}` : "no limit";
     write(g, `${axis}: ${low.toFixed(2)} to ${high.toFixed(2)} A ${limit}`, 12, y - 5, "left", ink.ink);
   });
 }
