@@ -595,6 +595,7 @@ LIVE = """() => {
   for (const e of document.querySelectorAll("main .panel")) e.dataset.old = "";
   const other = new WebSocket(`ws://${location.host}/live`); // another page starts the rig again
   other.onopen = () => other.send('{"do": "restart"}');
+  other.onmessage = (event) => typeof event.data === "string" || other.send("ok");
   return chosen;
 }"""
 
