@@ -4,45 +4,52 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= out
 CONSTRAINTS ?= constraints.txt
+EXTRAS ?= dev
+# what differs from this decides which slow tests `make test` runs; without it, the main branch
+BASE ?=
 # Matrices here have some hundred rows: BLAS threads cost more than they bring.
 export OPENBLAS_NUM_THREADS ?= 1
 # Where an environment forbids it, every process would compile 500 files anew: a quarter of its start.
 unexport PYTHONDONTWRITEBYTECODE
 
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check
-# files in their own order: sorted by the number of their tests, long ones would come last
-PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+# whole files to a worker, in the order of tests/reach.py: the longest first
+PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder -m 'not study and not source'
 
-.PHONY: help demo test campaigns studies test-oldest lint bench docs coverage snapshot wheel clean
+.PHONY: help demo test test-all studies durations test-oldest lint bench docs coverage snapshot wheel clean
 .DEFAULT_GOAL := demo
 
 $(BIN)/.installed: pyproject.toml $(CONSTRAINTS)
 	$(PYTHON) -c 'import sys; sys.exit("Ambrose needs Python >= 3.11; call make PYTHON=python3.11" if sys.version_info < (3, 11) else 0)'
 	$(PYTHON) -m venv $(VENV)
-	$(PIP) -c $(CONSTRAINTS) -e '.[dev]'
+	$(PIP) -c $(CONSTRAINTS) -e '.[$(EXTRAS)]'
 	@touch $@
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):[^#]*##  *\(.*\)/\1: \2/p' $(MAKEFILE_LIST) | awk -F ': ' '{ printf "make %-12s%s\n", $$1, substr($$0, length($$1) + 3) }'
-	@echo 'Variables: PYTHON=python3.12, VENV=.venv, OUT=out'
+	@echo 'Variables: PYTHON=python3.12, VENV=.venv, OUT=out, BASE=main (of make test)'
 
 demo: $(BIN)/.installed  ## the main job, and what `make` does: machine file -> verdict -> report (a failed check is no error here)
 	$(BIN)/ambrose study seal-rig -o $(OUT)/seal-rig || test $$? -eq 1
 
-test: $(BIN)/.installed  ## the tests, about four minutes on two processors
-	$(PYTEST) -m 'not campaign and not study'
+test: $(BIN)/.installed  ## the tests: quick ones, and slow ones that reach what differs from the main branch (all on CI)
+	$(PYTEST) $(if $(BASE),--base $(BASE))
 
-campaigns: $(BIN)/.installed  ## the long tests that `make test` leaves out, eleven minutes
-	$(PYTEST) -m 'campaign and not study'
+test-all: $(BIN)/.installed  ## all tests, whatever differs: about ten minutes on two processors
+	$(PYTEST) --all
 
 studies: $(BIN)/.installed  ## the papers' figures, and hundreds of random cases: half an hour, outside of CI
-	$(PYTEST) -m study
+	$(BIN)/python -m pytest -n auto --all -m study
 
-lint: $(BIN)/.installed  ## ruff, mypy, and the layer contract
+durations: $(BIN)/.installed  ## all tests, and tests/durations.json anew: how long each takes (on an idle computer)
+	$(PYTEST) --all --renew-durations
+
+lint: $(BIN)/.installed  ## ruff, the layer contract, the tests that read our own sources and prose, mypy
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m pytest -m source tests/test_house.py tests/docs
+	$(BIN)/mypy
 
 bench: $(BIN)/.installed  ## speed and accuracy beside the peers
 	$(PIP) -c $(CONSTRAINTS) -e '.[bench]'
@@ -53,7 +60,7 @@ docs: $(BIN)/.installed  ## the documentation as a site in site/; a broken link 
 	$(BIN)/python -m mkdocs build --strict
 
 coverage: $(BIN)/.installed  ## all tests with the lines that none of them reaches, in OUT/coverage
-	$(PYTEST) --cov --cov-report=term --cov-report=html:$(OUT)/coverage --cov-report=xml:$(OUT)/coverage.xml
+	$(PYTEST) --all --cov --cov-report=term --cov-report=html:$(OUT)/coverage --cov-report=xml:$(OUT)/coverage.xml
 
 snapshot: $(BIN)/.installed  ## every number of every command, to compare before and after a change (LEVEL=--quick: minutes)
 	@mkdir -p $(OUT)

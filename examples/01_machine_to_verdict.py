@@ -22,9 +22,10 @@ if __name__ == "__main__":
     for checks in verdict.points:
         if checks.stable:
             peak = checks["sensitivity.output.max"]
+            zones = {checks[f"sensitivity.output.{axis}"].zone for axis in machine.axes}
             print(
                 f"{checks.label}: stable, largest sensitivity {peak.value:.2f} {peak.detail}, "
-                f"zone {peak.zone}"
+                f"worst zone of an axis {max(zones)}"
             )
         else:
             print(f"{checks.label}: {checks.checks[0].detail}")

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+import compiled_once
 from ambrose.code.block.block import Block
 from ambrose.code.block.fixed import ControlBlock
 from ambrose.code.block.scheduled import ScheduledBlock
@@ -121,10 +122,8 @@ def compiled(
 
 
 def build(compiler: str, arguments: list[str]) -> None:
-    done = subprocess.run(
-        [compiler, *FLAGS, *arguments], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
+    status, complaints = compiled_once.build([compiler, *FLAGS, *arguments])
+    assert status == 0, complaints
 
 
 def replay(

@@ -1,5 +1,5 @@
 """Everywhere in the tests: shapes stated in docstrings are checked, `tests/` (random_systems) and
-`benchmarks` are importable.
+`benchmarks` are importable, slow tests run where a change reaches them (``reach.py``).
 
 On CI Hypothesis repeats the same cases, so that a verdict depends on the commit alone; at a desk it
 looks for new ones.
@@ -7,17 +7,21 @@ looks for new ones.
 
 import os
 import re
+import shutil
 import sys
+import time
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
+import pytest
 from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parent))
 # the campaigns are commands and no part of the package
 sys.path.append(str(Path(__file__).parents[1]))
 
+import reach
 import shape_contract
 
 TESTS = Path(__file__).parent
@@ -26,9 +30,102 @@ IMPORT = re.compile(r"^(?:from|import) [^#\n]*(?:\([^)]*\))?", re.M)
 ANNEX = re.compile(r"ambrose\.annexes\.(\w+)")
 
 shape_contract.install()
+import compiled_once  # noqa: E402 - imports the package, which is looked at from here on
+
+compiled_once.install()
 settings.register_profile("ci", derandomize=True, deadline=None)
 settings.register_profile("desk", deadline=None)
 settings.load_profile("ci" if os.environ.get("CI") else "desk")
+LEFT = pytest.StashKey[list]()
+WHY = pytest.StashKey[str]()
+BEGIN = pytest.StashKey[tuple]()
+MEASURED = {}
+
+
+def pytest_addoption(parser):
+    parser.addoption("--all", action="store_true", help="slow tests, too, whatever differs")
+    parser.addoption("--quick", action="store_true", help="no slow test, whatever differs")
+    parser.addoption("--base", metavar="REVISION", help="what differs from this decides, not main")
+    parser.addoption("--renew-durations", action="store_true", help="write tests/durations.json")
+
+
+def pytest_configure(config):
+    """What differs from the main branch is asked of git once, and the workers are told."""
+    if hasattr(config, "workerinput"):
+        config.stash[LEFT] = config.workerinput["left"]
+        return
+    left, why = [], "all tests: " + ("on CI" if os.environ.get("CI") else "--all")
+    if config.getoption("quick"):
+        left, why = reach.left_out([], quick=True), "quick tests only"
+    elif not (config.getoption("all") or os.environ.get("CI")):
+        try:
+            changed = reach.changed_files(base=config.getoption("base"))
+            left = reach.left_out(changed)
+            why = f"without {len(left)} slow tests that reach none of the {len(changed)} files "
+            why += "that differ from the main branch (make test-all runs them)"
+        except reach.Unknown as problem:
+            why = f"all tests: {problem}"
+    config.stash[LEFT], config.stash[WHY] = left, why
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_configure_node(node):
+    node.workerinput["left"] = node.config.stash[LEFT]
+
+
+def pytest_sessionstart(session):
+    """Which tests run, and why; a header is left out by -q."""
+    printer = session.config.pluginmanager.get_plugin("terminalreporter")
+    if printer and WHY in session.config.stash:  # no worker has it
+        printer.write_line(session.config.stash[WHY])
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config, items):
+    """Folders and the whole tree are thinned out; a file or a test that is named runs."""
+    if all(Path(argument).is_dir() for argument in config.args):
+        left = set(config.stash[LEFT])
+        config.hook.pytest_deselected(items=[item for item in items if item.nodeid in left])
+        items[:] = reach.longest_first([item for item in items if item.nodeid not in left])
+
+
+def seconds():
+    """Processor time of this process and of those that it waited for, and the clock's."""
+    return sum(os.times()[:4]), time.perf_counter()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    item.stash[BEGIN] = seconds()
+    shape_contract.begin()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_teardown(item):
+    took = [now - then for now, then in zip(seconds(), item.stash[BEGIN], strict=True)]
+    item.user_properties.append(("seconds", took))
+
+
+def pytest_runtest_logreport(report):
+    if report.when == "teardown":
+        MEASURED[report.nodeid] = dict(report.user_properties).get("seconds", (0.0, 0.0))
+
+
+def pytest_unconfigure(config):
+    if not hasattr(config, "workerinput"):
+        shutil.rmtree(compiled_once.KEPT, ignore_errors=True)
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    """What was slowest; the file of durations, where it was asked for."""
+    slowest = sorted(MEASURED.items(), key=lambda entry: -max(entry[1]))[:10]
+    if os.environ.get("CI") and slowest:
+        terminalreporter.section("ten slowest, seconds of processor time and by the clock")
+        for name, (processor, clock) in slowest:
+            terminalreporter.write_line(f"{processor:6.1f} {clock:6.1f} {name}")
+    if config.getoption("renew_durations"):
+        # a browser and servers that go on are no children that were waited for
+        reach.write_durations({name: max(took) for name, took in MEASURED.items()})
 
 
 def pytest_ignore_collect(collection_path):

@@ -61,7 +61,6 @@ def numbers(verification):
     ]
 
 
-@pytest.mark.campaign
 def test_verification_and_designs_do_not_depend_on_names(pair):
     machine, path = pair
     other = amb.load_machine(path)
@@ -75,7 +74,6 @@ def test_verification_and_designs_do_not_depend_on_names(pair):
     np.testing.assert_allclose([v for _, v in second], [v for _, v in first], rtol=SAME, atol=0)
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize("method", ["hinf", pytest.param("mu", marks=pytest.mark.study)])
 def test_robust_designs_do_not_depend_on_names(pair, method):
     machine, path = pair
@@ -91,7 +89,7 @@ CAMPAIGN = {"impulse-parallel", "operating-cycle"}
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(n, marks=pytest.mark.campaign if n in CAMPAIGN else pytest.mark.study)
+        pytest.param(n, marks=[] if n in CAMPAIGN else pytest.mark.study)
         for n in amb.bundled_scenarios()
         if n not in {"five-axes", "surge", "thrust-step", "thrust-reversal"}  # along the shaft
     ],
@@ -141,7 +139,6 @@ def mirrored(machine):
     return replace(machine, shaft=tuple(sorted(shaft, key=lambda section: section.start)), **moved)
 
 
-@pytest.mark.campaign
 def test_the_other_end_gives_the_same_at_standstill_without_pressure():
     """Mirrored, a rotor that turns, or a seal that pushes it sideways, would go the other way
     round.
@@ -161,7 +158,6 @@ def test_the_other_end_gives_the_same_at_standstill_without_pressure():
     )
 
 
-@pytest.mark.campaign
 def test_other_units_say_the_same(tmp_path):
     text = (
         read_machine_text("seal-rig")
@@ -319,7 +315,6 @@ def test_turning_all_that_is_around_the_rotor_turns_nothing_at_rest():
     assert largest_difference(axes, {key: two[key] for key in axes}) < 1e-8
 
 
-@pytest.mark.campaign
 def test_commands_on_a_real_machine(tmp_path):
     path = tmp_path / "real.toml"
     controller = tmp_path / "pid.json"

@@ -59,7 +59,6 @@ def call(*arguments):
     return result
 
 
-@pytest.mark.campaign
 def test_every_command_judges_the_loop_that_runs(stating, tmp_path):
     """The sampled sensitivity peak of design, verification and the code's header is one number; the
     rig runs at that rate.
@@ -166,7 +165,6 @@ def test_a_loop_that_no_rate_is_known_of_and_that_the_assumed_one_would_lose_is_
         assert not [check for item in found for check in item.checks if "timing" in check.name]
 
 
-@pytest.mark.campaign
 def test_the_box_goes_around_every_operating_point():
     """One tolerance holds everywhere, one of the seal vanishes without pressure, one is for a
     single point.
@@ -201,7 +199,6 @@ def test_the_box_goes_around_every_operating_point():
     assert verdict.to_dict()["not_varied"] == list(verdict.not_varied)
 
 
-@pytest.mark.campaign
 def test_a_box_that_fails_at_another_point_fails_the_verification():
     """Around zero pressure the PID bears 30 % of k_s, around the nominal point it does not: the
     first box alone would pass.
@@ -215,7 +212,6 @@ def test_a_box_that_fails_at_another_point_fails_the_verification():
     assert first.passed and second.passed is False and not verdict.passed
 
 
-@pytest.mark.campaign
 def test_a_schedule_is_judged_as_it_runs_at_every_speed_of_its_grid():
     """At 1 kHz it loses the shaft that it holds continuously; the verification says which loop it
     judged.

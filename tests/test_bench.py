@@ -71,7 +71,6 @@ def test_an_unknown_module_is_refused(capsys):
     assert "no benchmark bench_nroms; there are bench_campaign" in capsys.readouterr().err
 
 
-@pytest.mark.campaign
 @pytest.mark.filterwarnings("default")  # of the peers
 @pytest.mark.parametrize("name", modules())
 def test_every_module_runs(name):
@@ -81,7 +80,6 @@ def test_every_module_runs(name):
         assert item["ours"] > 0 and {"name", "peer", "peer_name", "error"} <= set(item)
 
 
-@pytest.mark.campaign
 def test_no_member_of_a_box_lies_above_what_verify_says():
     """The attack of benchmarks/box_attack.py, with few members: corners, samples, exact peaks."""
     row = attack("turbomolecular-pump", members=40)
@@ -96,7 +94,6 @@ def test_the_circuit_of_the_amplifier_slows_the_unstable_pole(capsys):
     assert "| turboexpander | 5.33 |" in capsys.readouterr().out
 
 
-@pytest.mark.campaign
 @needs("cortex-m7")
 def test_the_table_of_targets_has_a_row_for_a_law_on_a_processor(capsys):
     row, looped = target_table(["--smoke", "--loop", "--processors", "cortex-m7"])

@@ -103,7 +103,6 @@ def test_robust_methods_are_certified_on_the_full_plant(method, tmp_path):
     assert json.loads((tmp_path / "c.json").read_text())["method"] == method
 
 
-@pytest.mark.campaign
 def test_verify_fails_a_check_with_status_1(controller):
     done = call("verify", RIG, "--controller", controller, "--json")
     assert done.exit_code == 1
@@ -175,7 +174,6 @@ def test_simulate_runs_the_virtual_rig(controller, tmp_path):
     assert "touchdown at" in json.loads(done.stdout)["text"]
 
 
-@pytest.mark.campaign
 def test_study_compares_the_controllers(study):
     directory, done = study
     assert done.exit_code == 0, done.stderr  # the tuned controller meets every check
@@ -211,7 +209,6 @@ def test_study_compares_the_controllers(study):
         assert words in page
 
 
-@pytest.mark.campaign
 def test_study_resumes_with_a_kept_controller_and_redesigns_a_damaged_one(tmp_path, monkeypatch):
     def elsewhere(*arguments):
         raise InvalidInput("commissioning has tests of its own")
@@ -240,7 +237,6 @@ def test_study_resumes_with_a_kept_controller_and_redesigns_a_damaged_one(tmp_pa
     assert json.loads(path.read_text())["A"] == json.loads(before)["A"]
 
 
-@pytest.mark.campaign
 def test_an_infeasible_design_leaves_the_other_controllers_their_verdict(tmp_path, monkeypatch):
     def only_pid(plant, method, **options):
         if method.name != "pid":

@@ -7,6 +7,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -174,3 +175,21 @@ def test_labels_that_no_record_takes_are_refused_with_the_machine_file(text, tmp
         )
         done = call("check", tmp_path / "m.toml")
         assert done.exit_code == 2 and "one line of text without outer spaces" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        (lambda: 1 / 0, "overflows or is undefined"),
+        (lambda: np.float64(1e300) * np.float64(1e300), "overflows or is undefined"),
+        (lambda: {}["key"], r"broke down (KeyError)"),
+    ],
+)
+def test_what_nothing_refused_ends_in_one_sentence(monkeypatch, fault, words):
+    """No traceback, no warning with a place in the source."""
+    monkeypatch.setattr("ambrose.machine.file.toml.bundled_machines", lambda: [fault()])
+    result = call("machines", "--json")
+    assert result.exit_code == 2 and words in json.loads(result.stdout)["error"]
+    assert "Traceback" not in result.output and ".py" not in result.output
+    monkeypatch.setenv("AMBROSE_TRACEBACK", "1")
+    assert not isinstance(call("machines").exception, SystemExit)

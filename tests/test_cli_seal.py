@@ -74,7 +74,6 @@ def truth(machine, pressure):
     return np.array([found.K, found.k, found.C, found.c])
 
 
-@pytest.mark.campaign
 def test_a_seal_from_binary_sequences_on_three_bearings(broadband):
     machine, records = broadband
     done = identify_by_frequency(machine, records, frequencies=[20 * HZ, 40 * HZ, 60 * HZ])
@@ -148,7 +147,6 @@ def test_command_page_file_and_refusals(sines, tmp_path):
         identify_by_frequency(machine, records, frequencies=[10.0])
 
 
-@pytest.mark.campaign
 def test_the_coupling_in_one_command(tmp_path):
     """At nominal pressure, with the magnets under the rotor's weight: 400 and 420 N/mm (before the
     plant had them so: 106).

@@ -33,8 +33,6 @@ from ambrose.rig.candidate import evaluate
 from ambrose.synthesis.pid import pid_synthesis
 from needs import needs
 
-pytestmark = pytest.mark.campaign  # minutes
-
 LABELS = ("nominal pressure", "zero pressure")
 
 

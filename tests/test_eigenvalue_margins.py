@@ -110,7 +110,6 @@ class TestLoopMargins:
             margins.phase_margin, np.pi - 3 * np.arctan(np.sqrt(2.0 ** (2 / 3) - 1)), rtol=1e-6
         )
 
-    @pytest.mark.campaign
     def test_random_loops_reach_instability_exactly_at_the_margin(self):
         """Scaled or turned by a little less than the margin the loop is stable, by a little more it
         is not.

@@ -77,7 +77,6 @@ def test_a_fixed_controller_leaves_nothing_out(small, made):
     assert verification.points[0].to_dict() == nominal.check(small, made.controller).to_dict()
 
 
-@pytest.mark.campaign
 def test_a_rate_verifies_the_controller_as_it_runs(small, made):
     verification = verify_controller(small, made.controller, tolerances=False, rate=8000.0)
     late = delayed(c2d(made.controller, 1 / 8000, "tustin"), 1)

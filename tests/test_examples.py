@@ -33,7 +33,8 @@ def test_machine_to_verdict(example):
     # nominal, zero, twice nominal pressure
     assert [checks.stable for checks in verdict.points] == [True, True, False]
     peak = verdict["nominal pressure"]["sensitivity.output.max"]
-    assert peak.zone == "D"
+    assert peak.value > 5
+    assert peak.zone is None  # ISO 14839-3 judges axes
     assert verdict["zero pressure"].passed
 
 

@@ -57,29 +57,14 @@ def test_the_page_lists_every_machine_with_its_source():
 LIGHT = ("check", "pid", "levitation")
 # the bundled one, and no longer than it takes
 SHORT = 'name = "short-levitation"\nduration = "0.4 s"\ninitial = "resting"\n'
-MANY_SEALS = 4  # from here on a machine's certificate takes seconds
 # levitated and verified by many other tests
 KNOWN = {"seal-rig", "seal-rig-k-only", "turboexpander"}
 
-OTHERS = {
-    "flywheel",
-    "lalanne-ferraris-rotor",
-    "nelson-mcvaugh-rotor",
-    "outboard-sensor-rotor",
-    "overhung-blower",
-    "overhung-disc-rotor",
-    "three-bearing-train",
-    "vertical-pump",
-}  # three of other kinds stay
-
 
 def heavy(name):
-    large = len(amb.load_machine(name).seals) >= MANY_SEALS or name in OTHERS
-    marks = [pytest.mark.study] if name in KNOWN else [pytest.mark.campaign] if large else []
-    return pytest.param(name, marks=marks)
+    return pytest.param(name, marks=[pytest.mark.study] if name in KNOWN else [])
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize("name", [heavy(name) for name in FLEET])
 def test_every_machine_is_checked_and_held_and_lifted_by_its_own_controller(name, tmp_path):
     """Status 0 throughout: certified at every operating point, and free of the touchdown bearings
@@ -114,7 +99,7 @@ def test_what_only_the_rig_knows_is_refused_in_words(tmp_path):
 
 NEW_KINDS = (  # three bearings; fast; hyphens in axes, no seal
     pytest.param("three-bearing-train", marks=pytest.mark.study),
-    pytest.param("high-speed-spindle", marks=pytest.mark.campaign),
+    "high-speed-spindle",
     pytest.param("turbomolecular-pump", marks=pytest.mark.study),
 )
 

@@ -95,7 +95,6 @@ def test_chain(machine, plant, pid, verdict, run):
     assert amb.reduce(plant, 0).bending_modes == 0
 
 
-@pytest.mark.campaign
 def test_a_control_system_goes_in_and_out(machine, pid):
     theirs = pid.controller.to_control()
     assert isinstance(theirs, control.StateSpace)
@@ -104,7 +103,6 @@ def test_a_control_system_goes_in_and_out(machine, pid):
     assert back.to_dict() == ours.to_dict()
 
 
-@pytest.mark.campaign
 def test_order_of_the_signals_does_not_matter(machine, pid):
     K, turned = pid.controller, [2, 0, 3, 1]
     other = amb.StateSpace(

@@ -13,6 +13,9 @@ import numpy as np
 import pytest
 
 import ambrose as amb
+from ambrose.annexes.scheduled.lpv.method import Lpv
+from ambrose.core.checks import InvalidInput
+from ambrose.core.worst_case.search import worst_case_gain
 
 HOSTILE = [
     None,
@@ -178,7 +181,6 @@ def sensible():
     }
 
 
-@pytest.mark.campaign
 def test_one_argument_hostile(sensible, tmp_path, monkeypatch):
     """Each argument of a call that is sensible otherwise, those with defaults, too; a caller's own
     callback may fail.
@@ -235,3 +237,42 @@ def test_what_was_taken_or_ended_in_a_traceback_is_refused(
     monkeypatch.chdir(tmp_path)
     with pytest.raises(amb.InvalidInput, match=words):
         getattr(amb, name)(**{**sensible[name], **call})
+
+
+PARAMETER = amb.RealBlock("a")
+PID = amb.StateSpace([], np.zeros((0, 4)), np.zeros((4, 0)), np.eye(4))
+TWO = amb.StateSpace([[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        *((lambda v=v: Lpv(speeds=v), "speeds is") for v in (5, object(), (1, "x"), (1, 2, 3), {})),
+        *(
+            (lambda v=v: worst_case_gain(v, [PARAMETER]), "the system is")
+            for v in (1.5, [[1.0]], None, "x")
+        ),
+        *(
+            (lambda v=v: worst_case_gain(TWO, v), "the blocks is")
+            for v in (1.5, None, [1.5], "x", [])
+        ),
+        *(
+            (
+                lambda name=name, v=v: amb.OperatingPoint(**{name: v}),
+                f"{name} of an operating point is",
+            )
+            for name in ("speed", "seal_pressure", "bias_current", "whirl_frequency")
+            for v in (object(), [1.0], 1j, True, "140 Hz")
+        ),
+        *(
+            (lambda name=name, v=v: amb.verify("seal-rig", PID, **{name: v}), f"{name} is")
+            for name in ("speed_rate", "pressure_rate")
+            for v in ("x", -1.0, 0.0, object(), float("nan"))
+        ),
+    ],
+)
+def test_what_is_no_number_is_refused_before_anything_is_computed(call, words):
+    with pytest.raises(InvalidInput) as refused:
+        call()
+    assert words in str(refused.value)
+    assert str(refused.value).count("\n") == 0

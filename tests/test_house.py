@@ -14,6 +14,8 @@ import pytest
 
 import ambrose
 
+pytestmark = pytest.mark.source
+
 SOURCE = Path(ambrose.__file__).parent
 PACKAGES = sorted(path.parent for path in SOURCE.rglob("__init__.py"))
 MODULES = sorted(SOURCE.rglob("*.py"))

@@ -34,7 +34,6 @@ def law(name):
     return amb.design(name, "pid")
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize("rate", [None, 1e4])
 def test_where_stability_ends_over_pressure(rate):
     """Just below the end the loop is stable, just above it is not: eigenvalues of loops assembled
@@ -62,7 +61,6 @@ def test_where_stability_ends_over_pressure(rate):
     assert (np.sign(found.abscissa) == np.sign([abscissa(p) for p in found.values])).all()
 
 
-@pytest.mark.campaign
 def test_sampled_poles_are_shown_as_continuous_ones():
     """At 10 kHz the slow poles of the sampled loop lie within some percent of those of the late
     continuous one.
@@ -83,7 +81,6 @@ def test_sampled_poles_are_shown_as_continuous_ones():
     assert len(low[0]) and np.allclose(low[0].imag, low[1].imag, rtol=0.05)
 
 
-@pytest.mark.campaign
 def test_unbalance_over_the_tolerances_holds_the_nominal_and_its_own_members():
     machine = amb.load_machine("three-bearing-train")
     found = explore(machine, law("three-bearing-train"), parts=["pulses", "unbalance"], bound=True)

@@ -15,8 +15,6 @@ import pytest
 
 import ambrose
 
-pytestmark = pytest.mark.campaign  # minutes
-
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 SCRIPTS = "Scripts" if os.name == "nt" else "bin"

@@ -353,10 +353,7 @@ def test_nor_is_the_place_of_a_partial_record(tmp_path):
     "kind",
     [
         *("fifo", "socket", "/dev/zero"),
-        *(
-            pytest.param(place, marks=pytest.mark.campaign)
-            for place in ("/dev/null", "/proc/self/pagemap", "/proc/self/mem")
-        ),
+        *(place for place in ("/dev/null", "/proc/self/pagemap", "/proc/self/mem")),
     ],
 )
 def test_what_is_no_file_is_refused_at_once(kind, tmp_path):
@@ -432,7 +429,7 @@ OUTSIDE = {
 
 
 @pytest.mark.parametrize("how", OUTSIDE)
-@pytest.mark.parametrize("unfinished", [False, pytest.param(True, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("unfinished", [False, True])
 def test_a_record_reads_nothing_outside_itself(how, unfinished, secret, monkeypatch):
     # of the others the reader itself, without its trial apart
     if how not in {"external storage", "a virtual dataset"}:

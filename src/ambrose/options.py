@@ -209,9 +209,13 @@ def ends(value: Any, name: str) -> None:
     """Refuse what is no range: two numbers, the lower first. Raises InvalidInput."""
     from ambrose.core.checks import check_positive, invalid
 
-    if isinstance(value, str) or len(value) != 2:
-        raise invalid(name, repr(value), "two numbers", "give the lowest and the highest")
-    low, high = value
+    try:
+        if isinstance(value, str):
+            raise TypeError
+        low, high = (float(end) for end in value if not isinstance(end, str))
+    except (TypeError, ValueError) as error:
+        remedy = "give the lowest and the highest"
+        raise invalid(name, repr(value), "two numbers", remedy) from error
     if not 0 <= low < high < float("inf"):
         swapped = 0 <= high < low
         raise invalid(

@@ -23,7 +23,6 @@ from ambrose.record.record import Record
 DT = 1e-4
 
 
-@pytest.mark.campaign
 def test_a_fit_that_does_not_converge_ends_the_commissioning(tmp_path, monkeypatch):
     machine = load_machine("seal-rig")
     machine = replace(machine, shaft=tuple(replace(part, elements=1) for part in machine.shaft))

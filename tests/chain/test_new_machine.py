@@ -86,7 +86,6 @@ def test_every_machine_can_be_written_so():
         assert loads_machine(annotated_machine(machine, "two\nlines")) == machine
 
 
-@pytest.mark.campaign
 def test_what_is_known_is_kept_and_not_called_assumed():
     machine = amb.new_machine(
         "m",
@@ -114,7 +113,6 @@ def test_what_is_known_is_kept_and_not_called_assumed():
         {"length": "80 mm", "diameter": "8 mm", "speed": "90000 rpm"},  # a tiny spindle
         pytest.param(
             {"length": "1.2 m", "diameter": "100 mm", "speed": "6000 rpm", "vertical": True},
-            marks=pytest.mark.campaign,
         ),
         pytest.param(
             {
@@ -123,7 +121,6 @@ def test_what_is_known_is_kept_and_not_called_assumed():
                 "speed": "4000 rpm",
                 "bearings": ["0.3 m", "1.5 m", "2.7 m"],
             },
-            marks=pytest.mark.campaign,
         ),
     ],
 )

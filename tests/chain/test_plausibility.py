@@ -123,11 +123,17 @@ CASES = {
         r"the rotor weighs [\d,.e+]+ kg, unheard of .*; look for a length without its unit",
     ),
     "diameter": (lambda m: scaled(m, 1000), r"the shaft is 1[\d,.]+ m in diameter; look for"),
-    "density": (lambda m: material(m, density=7.85), r"a density of 7.85 kg/m\^3; steel has 7850"),
-    "modulus": (lambda m: material(m, youngs_modulus=210.0), r"E = 210 Pa; steel has 210 GPa"),
+    "density": (
+        lambda m: material(m, density=7.85),
+        r"density is 7.85 kg/m\^3, where 500 .* is usual; write \"7.85 g/cm3\" if",
+    ),
+    "modulus": (
+        lambda m: material(m, youngs_modulus=210.0),
+        r"youngs_modulus is 210 Pa, where 10 GPa .*; write \"210 GPa\" if that is meant",
+    ),
     "tolerance": (
         lambda m: replace(m, tolerances=(Tolerance("seal.center.k", relative=50.0),)),
-        r'the tolerance of seal.center.k is 5,000 %, beyond all of it; write per cent as "50 %"',
+        r'\[\[tolerance\]\] 1 seal.center.k: relative is 50, where .* is usual; write "50 %" if',
     ),
     "point": (
         lambda m: points(m, 200 * math.pi),
@@ -166,14 +172,17 @@ CASES = {
         lambda m: replace(m, controller=replace(m.controller, gain=(8000.0,))),
         r"only 1.07 times k_s",
     ),
-    "gap": (lambda m: bearings(m, gap=0.5), r"a gap of 500 mm, where 0.2 to 1 mm are usual"),
+    "gap": (
+        lambda m: bearings(m, gap=0.5),
+        r"\]\] A: gap is 0.5 m, where 50 um to 5 mm is usual; write \"0.5 mm\" if",
+    ),
     "coefficients": (
         lambda m: bearings(m, force_per_current=(0.144, 0.139)),
         r"times k_i bias / gap; .*check the units",
     ),
     "friction": (
         lambda m: bearings(m, touchdown=Touchdown(friction=2.0)),
-        r"bearing of A has a friction of 2, where 0.05 to 0.4 are usual; check it",
+        r"A, \[bearing.touchdown\]: friction is 2, where 0.001 to 0.8 is usual",
     ),
     "race": (
         lambda m: bearings(
@@ -203,25 +212,25 @@ CASES = {
     ),
     "modal damping": (
         lambda m: replace(m, modal_damping=0.3),
-        r'modal_damping is 30 %, where shafts have 0.1 to 2 %; write per cent as "0.3 %"',
+        r'\[machine\]: modal_damping is 0.3, where .* 5 % is usual; write "0.3 %" if that is',
     ),
     "damping of a mode": (
         lambda m: replace(m, bending_modes=(BendingMode(1, damping=0.5),)),
-        r"damping of bending mode 1 is 50 %",
+        r"\[\[bending_mode\]\] 1: damping is 0.5, where",
     ),
     "inductance": (
         lambda m: amplifier(m, inductance=43.0, max_voltage=300.0),
-        r'\[amplifier\]: inductance is 43 H, .*write the unit, such as "43 mH"',
+        r'\[amplifier\]: inductance is 43 H, .*; write "43 mH" if that is meant',
     ),
     "contact": (
         lambda m: bearings(m, touchdown=Touchdown(stiffness=150.0)),
-        r"bearing A: stiffness of its touchdown bearing is 150 N/m, .*such as \"150 N/um\"",
+        r"A, \[bearing.touchdown\]: stiffness is 150 N/m, .*write \"150 N/um\" if",
     ),
     "rolling elements": (
         lambda m: bearings(
             m, touchdown=Touchdown(radius=0.05, race=TouchdownRace(0.3, 1e-3, 100.0, 1e3))
         ),
-        r"bearing A: element_stiffness of its touchdown bearing is 100 N/m",
+        r"A, \[bearing.touchdown.race\]: element_stiffness is 100 N/m",
     ),
     "sign of k": (
         lambda m: seal(m, k=-3.2e6),
@@ -286,7 +295,7 @@ SOUND = {
         seal(m, k=-1e5), assumed=(("seal.center.k", "swirl brakes"),), tolerances=()
     ),
     "fan": lambda m: seal(pressure(m, 2e3), reference_pressure=2e3),
-    "small wheel": lambda m: stage(power=300.0, diameter=0.04, width=0.003),
+    "small wheel": lambda m: stage(power=400.0, diameter=0.055, width=0.003),
     "narrow wheel": lambda m: stage(width=0.003),
     "slow stage": lambda m: stage(speed=200 * math.pi),
     "shock": lambda m: replace(

@@ -53,7 +53,6 @@ def built(folder, output, *more):
     return output
 
 
-@pytest.mark.campaign
 @compiled
 @pytest.mark.parametrize("arithmetic", ["double", "fixed32"])
 def test_the_self_test_passes_and_can_fail(arithmetic, tmp_path):
@@ -67,7 +66,6 @@ def test_the_self_test_passes_and_can_fail(arithmetic, tmp_path):
     assert fails.returncode == 1
 
 
-@pytest.mark.campaign
 @compiled
 def test_one_step_is_both_twins(tmp_path):
     done = delivered(tmp_path)
@@ -123,7 +121,6 @@ def test_the_axial_controller_runs_at_the_radial_one_s_rate(tmp_path):
         amb.export(radial, tmp_path / "code", to="c", machine=machine(), axial=late)
 
 
-@pytest.mark.campaign
 def test_from_the_command_line(tmp_path):
     radial, axial = laws()
     write_controller(tmp_path / "radial.json", radial)

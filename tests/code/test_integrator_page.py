@@ -45,7 +45,6 @@ def test_the_interrupt_compiles_as_printed(tmp_path):
 
 
 @needs("C compiler")
-@pytest.mark.campaign
 def test_software_in_the_loop_runs_as_printed(tmp_path, monkeypatch, capsys):
     """With an H-infinity controller; plants with one bending mode, where the page takes the full
     ones, are quicker.

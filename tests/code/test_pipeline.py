@@ -58,7 +58,6 @@ def written(controllers, tmp_path_factory):
     )
 
 
-@pytest.mark.campaign
 def test_a_verified_controller_is_written(written):
     folder, done = written
     # written and verified, but the loop as it runs misses limits
@@ -83,7 +82,6 @@ def test_a_verified_controller_is_written(written):
 
 
 @needs("gcc or clang")
-@pytest.mark.campaign
 def test_the_guides_example_compiles(written, tmp_path):
     shutil.copytree(written[0], tmp_path / "code")
     example = re.search(r"```c\n(.*?)```", GUIDE.read_text(), re.DOTALL)
@@ -93,7 +91,6 @@ def test_the_guides_example_compiles(written, tmp_path):
     )
 
 
-@pytest.mark.campaign
 def test_an_unverified_controller_needs_force(controllers, tmp_path):
     done = call(controllers["pid"], "--to", "c", "-o", tmp_path / "code")
     assert done.exit_code == 2
@@ -130,7 +127,6 @@ def test_an_unverified_controller_needs_force(controllers, tmp_path):
         pytest.param(
             ["--arithmetic", "fixed16", "--force"],
             "with words of 16 bits",
-            marks=pytest.mark.campaign,
         ),
         (["--machine", "absent.toml"], "absent.toml"),
     ],

@@ -32,8 +32,6 @@ from ambrose.synthesis.design import design
 from coarse import coarse
 from needs import needs
 
-pytestmark = pytest.mark.campaign  # a design, and code to compile
-
 DT = 1e-4
 compiler = needs("cc")
 

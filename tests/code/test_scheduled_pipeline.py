@@ -37,8 +37,6 @@ from ambrose.synthesis.design import design
 from needs import needs
 from schedule_driver import block_of, small_schedule
 
-pytestmark = pytest.mark.campaign  # minutes
-
 GUIDE = Path(__file__).parents[2] / "docs" / "integrator.md"
 DT = 1e-4
 TOP = 300.0  # rad/s

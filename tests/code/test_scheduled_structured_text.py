@@ -29,8 +29,6 @@ from schedule_driver import (
 )
 from st_machine import FunctionBlock, parsed
 
-pytestmark = pytest.mark.campaign  # run sample by sample in Python
-
 
 def play(block, e, told, valid=None):
     """Currents (k, p) and status (k,) of the function block."""

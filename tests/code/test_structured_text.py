@@ -46,7 +46,6 @@ def play(fb, block, e, valid):
     return currents, status
 
 
-@pytest.mark.campaign
 def test_agrees_with_the_block_in_python(parsed_block):
     block = direct_block()
     e, valid = driver.adversarial(block, 10_000)
@@ -58,7 +57,6 @@ def test_agrees_with_the_block_in_python(parsed_block):
         assert 0.01 < ((status & bit) > 0).mean() < 0.9
 
 
-@pytest.mark.campaign
 def test_track_and_reset(parsed_block):
     fb, block = FunctionBlock(parsed_block), direct_block()
     play(fb, block, *driver.adversarial(block, 200))

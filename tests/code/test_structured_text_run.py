@@ -85,7 +85,6 @@ def texts(unit, precision="double"):
     return FunctionBlock(lean(files[f"{name}_run.st"]), {name: lean(files[f"{name}.st"])})
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("kind", "update"),
     [

@@ -408,12 +408,7 @@ SLOW = {
 
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(name, marks=pytest.mark.campaign)
-        if name == "mu_of_one_repeated_real_block"
-        else name
-        for name in CASES
-    ],
+    list(CASES),
 )
 def test_the_last_bit_decides_nothing(name):
     for seed in range(1 if name in SLOW else 3):

@@ -109,7 +109,6 @@ print(json.dumps([blas, int(words[words.index("Threads:") + 1])]), file=sys.stde
 """
 
 
-@pytest.mark.campaign
 def test_the_command_in_a_process_of_its_own_starts_no_thread(tmp_path):
     """Two threads a library were started before: numpy was loaded before the variable was set."""
     environment = {name: value for name, value in os.environ.items() if name not in VARIABLES}

@@ -21,25 +21,10 @@ from docs_build.blocks import (
 
 from ambrose.cli import main
 
-MINUTES = {  # long ones
-    *("index.md", "start/own-machine.md", "identification.md", "records.md"),
-    *(
-        "how-to/accept.md",
-        "how-to/balance.md",
-        "how-to/calibrate.md",
-        "how-to/deploy.md",
-        "how-to/frf.md",
-    ),
-    *("how-to/identify.md", "how-to/map.md", "how-to/monitor.md", "how-to/own-controller.md"),
-    *("how-to/simulate.md", "how-to/verify.md"),
-}
 NAMES = [name for name, path in pages().items() if blocks(path.read_text(encoding="utf-8"))]
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(name, marks=pytest.mark.campaign) if name in MINUTES else name for name in NAMES],
-)
+@pytest.mark.parametrize("name", NAMES)
 def test_page_runs_as_printed(name, cache):
     run_page(name, cache)
 

@@ -9,15 +9,7 @@ from docs_build.recipes import QUICK, SLOW
 from docs_build.report_picture import carried, shown
 
 
-@pytest.mark.parametrize(
-    "group",
-    [
-        pytest.param(name, marks=pytest.mark.campaign)
-        if name in {"hinf", "turboexpander"}
-        else name
-        for name in QUICK
-    ],
-)
+@pytest.mark.parametrize("group", QUICK)
 def test_quick_figures_are_those_stored(group):
     changed = differences(stored()[group], QUICK[group]())
     assert not changed, (

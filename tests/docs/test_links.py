@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from docs_build import scenario_file
 
+pytestmark = pytest.mark.source
+
 ROOT = Path(__file__).parents[2]
 
 

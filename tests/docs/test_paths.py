@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.source
+
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("src", "tests", "benchmarks", "examples", "docs", "docs_build")
 PAGES = ("README.md", "CONTRIBUTING.md", "pyproject.toml", "Makefile")

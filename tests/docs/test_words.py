@@ -4,6 +4,8 @@ import pytest
 from docs_build import DOCS
 from docs_build.words import MOST, MOST_HOW_TO, USERS, tabs, words
 
+pytestmark = pytest.mark.source
+
 
 def test_five_tabs_hold_every_page_once():
     pages = [page for listed in tabs().values() for page in listed]

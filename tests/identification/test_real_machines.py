@@ -83,7 +83,6 @@ def test_the_rotor_between_seal_and_sensors():
     )
 
 
-@pytest.mark.campaign
 def test_magnets_stated_without_load_are_found_at_it():
     """A rotor that hangs through, on magnets of a data sheet: the file that identify writes holds
     the same magnets.

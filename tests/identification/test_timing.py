@@ -133,7 +133,6 @@ def test_how_one_row_late_looks(late, delay, samples, words, error, monkeypatch)
         assert float(step) == pytest.approx(100 * samples, rel=0.02) and float(part[1:]) > 95
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize("told", [True, False])
 def test_a_delay_that_the_record_shows_goes_into_the_file(told, monkeypatch):
     """u follows the controller after two samples, the machine file says one: fitted where the fit

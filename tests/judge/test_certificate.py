@@ -4,11 +4,14 @@ limit.
 
 from __future__ import annotations
 
+import re
+
 import control
 import numpy as np
 import pytest
 from benchmarks.published_p5 import published_p5_pid
 
+from ambrose.annexes.site.retuning.chain import designed_in_words
 from ambrose.core.checks import InvalidInput
 from ambrose.core.frequency import frequency_response
 from ambrose.core.sampling import c2d
@@ -22,6 +25,7 @@ from ambrose.core.statespace import (
     transfer_function,
 )
 from ambrose.judge.certificate import certify, continuous_equivalent, disk_margins, fastest_pole
+from ambrose.judge.result import Certificate, Status, Synthesis
 from ambrose.law.pid import axes_controller
 from ambrose.machine.controller import PidSettings
 from eigenvalue_margins import loop_margins, opened
@@ -157,3 +161,26 @@ class TestCertify:
             certify(levitated(1e4), axes_controller(published_p5_pid(), ("A", "B", "C")))
         with pytest.raises(InvalidInput, match="sample time"):
             certify(c2d(levitated(1e4), 1e-3), pd_controller(5e4))
+
+
+@pytest.mark.parametrize(
+    ("margins", "missed", "words"),
+    [
+        (
+            {"ratio_gain": 1.2, "guard_gain": 1.2, "ratio_orbit": 0.9},
+            False,
+            "no requirement .* gain",
+        ),
+        ({"ratio_gain": 1.2, "guard_gain": 1.2, "ratio_orbit": 1.1}, True, "not every requirement"),
+        ({"ratio_gain": 1.2, "ratio_orbit": 0.9}, True, "not every requirement"),
+        ({}, True, "not every requirement"),  # of an older file, which says no more
+    ],
+)
+def test_a_guard_of_the_search_is_no_requirement(margins, missed, words):
+    law = StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    shown = Certificate(True, -1.0, 1.0, 1.0, margins)
+    made = Synthesis(law, "tuned", 1.2, Status.VERIFIED, shown)
+    assert made.missed == missed
+    assert re.search(words, made.verdict)
+    # a retuning leaves requirements to the verification
+    assert "requirement is met" not in designed_in_words(made)

@@ -32,6 +32,13 @@ def test_it_agrees_with_the_verdict(name):
         worst = max(item.value for item in axes if not item.name.endswith(".max"))
         # the verdict refines its peaks between the points of a grid
         assert look.peak == pytest.approx(worst, rel=0.03)
+        # one letter, of the axes, and the verdict of the same limits
+        own, together = look.checks
+        axis = max(axes[1:], key=lambda item: item.value)
+        assert (own.zone, own.limit, own.passed) == (axis.zone, axis.limit, axis.passed)
+        assert together.zone is None
+        assert together.value == pytest.approx(axes[0].value, rel=0.03)
+        assert (together.limit, together.passed) == (axes[0].limit, axes[0].passed)
         # S_ii = 1/(1 + L_i)
         assert 1 / np.abs(1 + look.loci).min() == pytest.approx(look.peak, rel=1e-9)
     assert seen[0]

@@ -16,9 +16,10 @@ from ambrose.core.frequency import frequency_response
 from ambrose.core.norms import hinf_norm
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import poles, select, static_gain
-from ambrose.judge import nominal
+from ambrose.judge import nominal, robust
+from ambrose.judge.sensitivity import ALL_AXES
 from ambrose.law.loop import closed_loop
-from ambrose.machine.description import OperatingPoint, Operation, Requirements
+from ambrose.machine.description import OperatingPoint, Operation, Requirements, Tolerance
 from ambrose.model.assemble import assemble
 from ambrose.model.reduce import reduce
 
@@ -149,6 +150,7 @@ def documented():
 
 def test_every_check_stands_in_a_table_and_every_table_row_exists(rig, rig_controller):
     wanted = Requirements(control_gain=1e5, roll_off=2e4, running_speeds=(200.0, 600.0))
+    wanted = replace(wanted, damping_above=1e-4)
     coil = replace(rig.amplifier, max_voltage=100.0, inductance=0.02)
     operation = Operation((OperatingPoint(speed=300.0),), (0.0, 600.0))
     machine = replace(rig, operation=operation, requirements=wanted, amplifier=coil)
@@ -171,7 +173,33 @@ def test_curves_are_well_formed(verdicts):
             if curve.kind != "poles":
                 assert (np.diff(curve.x) > 0).all()
     limits = dict(verdicts["nominal"].curve("sensitivity.output").limits)
-    assert limits == {"zone A/B": 3.0, "zone B/C": 4.0, "zone C/D": 5.0}
+    assert limits == {f"zone {pair} of an axis": v for pair, v in _BORDERS.items()}
+
+
+_BORDERS = {"A/B": 3.0, "B/C": 4.0, "C/D": 5.0}
+
+
+def test_zones_of_the_sensitivity_are_of_axes_alone(rig, verdicts):
+    """ISO 14839-3 judges axes: what is of all axes together has no letter and no border."""
+    for verdict in verdicts.values():
+        zoned = {check.name for check in verdict.checks if check.zone is not None}
+        axes = {f"sensitivity.{side}.{axis}" for side in ("output", "input") for axis in rig.axes}
+        assert zoned <= axes | {"unbalance.clearance"}
+        if verdict.stable:
+            assert axes <= zoned
+        together = [curve for curve in verdict.curves if set(curve.labels) == {ALL_AXES}]
+        assert not [line for curve in together for line in curve.limits if "zone" in line[0]]
+
+
+def test_over_tolerances_no_singular_value_has_a_zone(rig, rig_controller):
+    wanted = Requirements(sensitivity_peak=2.5)
+    tolerance = Tolerance("bearing.A.negative_stiffness", relative=0.01)
+    machine = replace(rig, tolerances=(tolerance,), requirements=wanted)
+    plant = reduce(assemble(machine, OperatingPoint()), 0)
+    found = robust.check(plant, rig_controller, omega=np.geomspace(1, 1e4, 20))
+    assert found.curves
+    assert not [check.zone for check in found.checks if check.zone is not None]
+    assert {line for curve in found.curves for line in curve.limits} == {("required", 2.5)}
 
 
 def test_values_are_plain_numbers_and_verdicts_plain_booleans(verdicts):
@@ -239,7 +267,6 @@ def test_without_a_balancing_speed_a_note_says_what_is_missing(single_masses, pd
     assert "unbalance.orbit_0p" not in {check.name for check in found.checks}
 
 
-@pytest.mark.campaign
 def test_progress_rises_to_one(rig_plants, rig_controller):
     told = []
     nominal.check(

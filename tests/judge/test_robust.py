@@ -100,7 +100,6 @@ def test_margin_is_where_eigenvalues_cross(rigid, robust_controller, over_the_ra
     assert over_the_range["robust.stability.box"].value == 0
 
 
-@pytest.mark.campaign
 def test_requirement_judges_the_worst_case(rigid, robust_controller, over_the_range):
     assert over_the_range["robust.sensitivity.worst"].limit is None
     limit = 0.99 * over_the_range["robust.sensitivity.worst"].value
@@ -165,7 +164,6 @@ def test_titles_say_how_each_number_was_come_by(over_the_range):
     assert "on a frequency grid" in over_the_range["robust.performance"].title
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize(
     "failure", [NumericalFailure("it overflows"), np.linalg.LinAlgError("singular pencil")]
 )
@@ -192,7 +190,6 @@ def test_a_proof_that_fails_takes_no_result_with_it(rigid, robust_controller, mo
     )
 
 
-@pytest.mark.campaign
 def test_two_parameters(rigid, robust_controller):
     found = robust.check(rigid, robust_controller, PAIR)
     worst, bound = found["robust.sensitivity.worst"].value, found["robust.sensitivity.bound"].value
@@ -211,7 +208,6 @@ def test_two_parameters(rigid, robust_controller):
     assert not any(check.name.startswith("robust.sensitivity.at") for check in found.checks)
 
 
-@pytest.mark.campaign
 def test_mu_below_one_means_performance_everywhere(rigid, robust_controller):
     """Main loop theorem: with weights relaxed until mu < 1, the weighted norm of every perturbed
     loop is below 1.
@@ -239,7 +235,6 @@ def closed_by(problem: GeneralizedPlant, controller: StateSpace, delta: float) -
     )
 
 
-@pytest.mark.campaign
 def test_generalized_plant_is_taken_as_it_is():
     controller = hinf_synthesis(published_p5_problem(uncertain=False)).controller
     found = robust.check(published_p5(), controller, weights=published_p5_weights())
@@ -254,7 +249,6 @@ def test_unstable_nominal_loop_is_a_verdict(rigid):
     assert found.checks[0].value > 0
 
 
-@pytest.mark.campaign
 def test_own_grid_and_progress(rigid, robust_controller):
     told: list[float] = []
     omega = np.geomspace(10, 1e4, 30)

@@ -132,3 +132,18 @@ def test_pole_curve_has_both_halves():
     curve = pole_curve(made(-1.0 + 0j, -2 + 5j))
     assert curve.kind == "poles"
     assert sorted(zip(curve.x, curve.y[0], strict=True)) == [(-2.0, -5.0), (-2.0, 5.0), (-1.0, 0.0)]
+
+
+@pytest.mark.parametrize(("asked", "passed"), [(None, None), (0.01, True), (0.05, False)])
+def test_damping_above_the_top_speed_is_a_requirement(asked, passed):
+    """Closed form: poles of w (-zeta + j sqrt(1 - zeta^2)); below the top speed none counts."""
+    zeta, size = np.array([0.001, 0.2, 0.03]), np.array([50.0, 300.0, 900.0])
+    poles = size * (-zeta + 1j * np.sqrt(1 - zeta**2))
+    found = Modes(poles, np.zeros(3), np.zeros((1, 3)), ("a",))
+    wanted = Requirements(damping_above=asked)
+    named = {check.name: check for check in pole_checks(found, wanted, 100.0)}
+    assert ("poles.damping.above" in named) == (asked is not None)
+    if asked is not None:
+        check = named["poles.damping.above"]
+        assert check.value == pytest.approx(0.03)
+        assert (check.limit, check.relation, check.passed) == (asked, ">=", passed)

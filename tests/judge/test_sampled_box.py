@@ -54,7 +54,6 @@ def test_aliases_give_the_plant_behind_its_hold(loop):
         assert error[omega < 0.1 * box.nyquist].max() < 1e-7
 
 
-@pytest.mark.campaign
 def test_the_box_is_not_below_its_nominal_point_nor_any_member(loop):
     plant, controller, held = loop
     box = check_over_box(plant, controller, held)
@@ -70,7 +69,6 @@ def test_the_box_is_not_below_its_nominal_point_nor_any_member(loop):
     assert value >= found.gains(grid, members).max() * (1 - 1e-6)
 
 
-@pytest.mark.campaign
 def test_the_worst_member_is_confirmed_by_its_own_norm(loop):
     """The member that the box names, assembled and sampled by itself."""
     plant, controller, held = loop

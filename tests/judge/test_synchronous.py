@@ -83,7 +83,6 @@ def test_the_plain_notch_begins_to_be_stable_where_the_exact_poles_do(loop):
 
 
 @pytest.mark.golden
-@pytest.mark.campaign
 def test_the_published_borders_are_those_of_the_loop_without_sampling():
     """Issue figures: 426 rad/s of the flywheel; sampling and delay move it by 3 %."""
     machine, law = controlled("flywheel")
@@ -141,7 +140,6 @@ def test_the_proof_is_of_the_table_that_runs_and_not_of_t_between_its_speeds(fly
     assert true - np.radians(1.0) < proof.angle <= true
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize("mode", ["force-free", "vibration-free"])
 def test_what_is_proved_of_other_modes_has_stable_poles(loop, mode):
     """Random T in two intervals: none is proved and unstable at a speed and member in it."""
@@ -233,7 +231,6 @@ def test_the_modes_drive_to_zero_what_they_promise(loop):
     assert damped.c == pytest.approx(D @ damped.y)
 
 
-@pytest.mark.campaign
 def test_what_is_converged_is_where_the_resonator_ends(loop, designed):
     """The phasors of ``converged`` against the sampled loop with the resonator, run in time until
     it has settled.
@@ -332,7 +329,6 @@ def test_the_plain_notch_is_refused_with_where_it_is_unstable_and_what_would_be_
     assert "contains a forbidden speed" in checks["synchronous.orbit_0p"].detail
 
 
-@pytest.mark.campaign
 def test_a_gain_beyond_the_exact_poles_is_refused(flywheel, designed):
     with pytest.raises(InvalidInput, match="exact poles become unstable"):
         design_synchronous(*flywheel, band=(600.0, 640.0), time_constant=1e-3)
@@ -341,7 +337,6 @@ def test_a_gain_beyond_the_exact_poles_is_refused(flywheel, designed):
     assert checks["synchronous.gain"].passed is False
 
 
-@pytest.mark.campaign
 def test_a_band_in_which_nothing_is_left_and_an_unstable_loop_are_refused(flywheel):
     machine, law = flywheel
     with pytest.raises(InvalidInput, match="no band is left"):

@@ -142,7 +142,6 @@ response;1800;1.2044;;;NDE-y;933.49 rpm mode
 """
 
 
-@pytest.mark.campaign
 def test_the_report_is_what_ross_computes_within_a_thousandth(tmp_path):
     machine = rotor(0.35, 12, SPEEDS, (1e-4, 1e-4), 1800 * RPM)
     result = amb.lateral(machine)

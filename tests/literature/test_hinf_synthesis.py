@@ -77,12 +77,7 @@ def test_published_p5_plant():
     np.testing.assert_allclose(peaks, [3.91, 2.63, 2.31, 2.48, 3.94], atol=0.02)
 
 
-QUICK = ("weights",)
-
-
-@pytest.mark.parametrize(
-    "kind", [k if k in QUICK else pytest.param(k, marks=pytest.mark.campaign) for k in KINDS]
-)
+@pytest.mark.parametrize("kind", KINDS)
 def test_every_random_plant_against_the_other_codes(kind):
     """All are solved and verified; where another code's gamma is lower, its own loop's norm shows
     that it is wrong.

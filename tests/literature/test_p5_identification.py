@@ -35,7 +35,6 @@ def pulses(p4):
     return p4.impulses(tuple(p * BAR for p in (0.45, 0.95, 1.45, 1.9)), repeats=6)
 
 
-@pytest.mark.campaign
 def test_P5_1_impulse_responses_are_matched(pulses):
     """Printed: matched at 0.95 and 1.90 bar; the cross response grows; A moves less than B, for the
     coupling near A.
@@ -55,7 +54,6 @@ def test_P5_1_impulse_responses_are_matched(pulses):
         assert peak[1] < peak[3]
 
 
-@pytest.mark.campaign
 def test_P5_2_cross_coupled_stiffness_rises_linearly(p4, pulses):
     """Printed: k follows its line closely; the uncertainty of damping is large against its size.
     The line is the rig's own (k, C, c in proportion to the pressure): what comes out was put in,
@@ -82,7 +80,6 @@ def test_P5_2_cross_coupled_stiffness_rises_linearly(p4, pulses):
     assert np.sqrt(np.mean(errors**2)) < 1.8
 
 
-@pytest.mark.campaign
 def test_the_machine_that_results_predicts_the_nominal_pressure(p4, pulses):
     """The line goes into the machine; at 2.04 bar, where nothing was measured, its unstable poles
     are the true seal's.

@@ -202,7 +202,6 @@ def test_on_the_published_plant(which, times_k):
     _compare(table()["published plant", times_k, which], found)
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize("which", ["printed", "ours"])
 @pytest.mark.parametrize("times_k", TIMES_K)
 def test_on_the_finite_element_and_the_virtual_rig(which, times_k):
@@ -282,7 +281,6 @@ def test_the_print_confirms_the_force_per_current(factor, difference):
     assert np.sqrt(np.mean(error**2)) == pytest.approx(difference, abs=0.002)
 
 
-@pytest.mark.campaign
 def test_no_other_reading_of_the_print_holds_the_published_plant():
     """The other sign, metres or micrometres, or another order of the axes: unstable somewhere
     between zero and twice k, save the four orders that mirror the nearly symmetrical rotor; of
@@ -302,7 +300,6 @@ def test_no_other_reading_of_the_print_holds_the_published_plant():
         assert max(spectral_abscissa(loop(printed(scale=scale), k)) for k in TIMES_K) > 10
 
 
-@pytest.mark.campaign
 def test_without_pressure_when_damping_follows_it_too():
     """K, C and c gone with k: S_o 10.8 and 75 ms with the printed controller, 9.8 and 73 ms with
     ours.
@@ -316,7 +313,6 @@ def test_without_pressure_when_damping_follows_it_too():
     assert found["ours"] == pytest.approx((9.79, 73), rel=0.01)
 
 
-@pytest.mark.campaign
 def test_how_far_beyond_the_range():
     """On the published plant: stable to 1.68 tolerances of k, proved to 1.65; worst S_o 4.15 (bound
     4.16).
@@ -339,7 +335,6 @@ def test_how_far_beyond_the_range():
         assert held == [True, False]
 
 
-@pytest.mark.campaign
 def test_rounded_integrators_leave_the_virtual_rig_off_centre():
     """Under the rotor's weight it rests up to 3.8 um from the middle; our own controller within 0.1
     um.

@@ -48,7 +48,6 @@ def test_direct_gains_are_those_of_the_pid(synthesis):
     assert spread < 0.16
 
 
-@pytest.mark.campaign
 def test_stable_over_the_range_with_high_sensitivity_off_nominal(checks):
     """P5.8: H-infinity exceeds 3 but stays stable over +-100 % k."""
     assert checks["robust.stability.box"].value == 0
@@ -61,7 +60,6 @@ def test_stable_over_the_range_with_high_sensitivity_off_nominal(checks):
     )
 
 
-@pytest.mark.campaign
 def test_input_sensitivity_is_very_similar(checks):
     """P5.9: within 1 % at the worst case."""
     assert checks["robust.sensitivity.input"].value == pytest.approx(

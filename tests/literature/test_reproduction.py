@@ -300,7 +300,6 @@ def test_P5_10_settling_of_the_robust_controllers(three):
     assert (times["hinf", "zero pressure"] > 0.06) == (name == CONSISTENT)
 
 
-@pytest.mark.campaign
 def test_P5_13_a_controller_for_k_alone_against_one_for_all_that_follows_the_pressure():
     """Printed: section 4.1 varies k alone, section 5.2 uses the coefficients identified at each
     pressure.

@@ -33,7 +33,7 @@ with claimed(sys.argv[1], "file"):
 
 @pytest.fixture(
     scope="module",
-    params=[("stream", "folder"), pytest.param((), id="all", marks=pytest.mark.campaign)],
+    params=[("stream", "folder"), pytest.param((), id="all")],
 )
 def rows(request, tmp_path_factory):
     """(kind, mode, operation, end, state) of every fault; of these kinds every third kill alone, in

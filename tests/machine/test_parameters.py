@@ -1,6 +1,7 @@
 """The grammar of parameter paths."""
 
 import itertools
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -8,9 +9,10 @@ from hypothesis import strategies as st
 
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.file.toml import load_machine
+from ambrose.machine.file.toml import bundled_machines, load_machine
 from ambrose.machine.parameters import (
     Parameter,
+    chosen,
     find_parameter,
     find_uncertain,
     operating_point,
@@ -18,6 +20,7 @@ from ambrose.machine.parameters import (
     quantities,
 )
 from ambrose.machine.units import DIMENSIONS
+from ambrose.report.tables import assumed_table
 
 GOOD = {
     "stage.s.cross_coupling": ("stage", "s", "cross_coupling", "", "stiffness"),
@@ -238,3 +241,42 @@ def test_operating_point_by_values():
 def test_operating_point_refuses(point, values, message):
     with pytest.raises(InvalidInput, match=message):
         operating_point(load_machine("seal-rig"), point, **values)
+
+
+@pytest.mark.parametrize(
+    ("key", "gone", "stands"),
+    [
+        ("bearing.geometry", {"bearings": {"geometry": None}}, False),
+        ("bearing.max_force", {"bearings": {"max_force": None}}, False),
+        ("requirements.unbalance_orbit", {"requirements": {"unbalance_orbit": None}}, False),
+        ("weights.bandwidth", {"weights": None}, False),
+        ("controller.gain", {"controller": None}, False),
+        ("operation.point.seal_pressure", {}, True),
+        ("bearing.A.gap", {}, True),
+        # may say why there is none, or be words
+        ("gravity_direction", {"gravity_direction": None}, True),
+        ("all figures", {}, True),
+        ("seal.center.scales_with_pressure", {}, True),
+        ("seal.geometry.stator_friction", {}, False),
+    ],
+)
+def test_a_reason_stands_as_long_as_the_machine_states_its_key(key, gone, stands):
+    machine = load_machine("seal-rig")
+    for table, change in gone.items():
+        old = getattr(machine, table)
+        new = change
+        if isinstance(change, dict):
+            many = isinstance(old, tuple)
+            new = tuple(replace(one, **change) for one in old) if many else replace(old, **change)
+        machine = replace(machine, **{table: new})
+    machine = replace(machine, assumed=((key, "chosen"),))
+    assert chosen(machine) == (((key, "chosen"),) if stands else ())
+    (table,) = assumed_table(machine)
+    assert table.rows == chosen(machine)
+    assert (key in table.note) != stands
+
+
+def test_every_reason_of_the_bundled_machines_stands():
+    for name in bundled_machines():
+        machine = load_machine(name)
+        assert chosen(machine) == machine.assumed, name

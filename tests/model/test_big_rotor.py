@@ -69,7 +69,6 @@ def test_what_is_left_out_does_not_show(name, factor, of_poles, of_responses):
     assert error.max() <= of_responses
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize(
     "name", ["seal-rig", pytest.param("turboexpander", marks=pytest.mark.study)]
 )
@@ -188,7 +187,6 @@ def test_eight_hundred_elements_do_not_round_the_frequencies(theory, order, elem
     assert finest == pytest.approx(fine - error * (1 - (elements / 800) ** order), rel=2e-9)
 
 
-@pytest.mark.campaign
 def test_the_finest_mesh_takes_a_second():
     """`check` and the design of a PID with 780 elements; both figures are those of a mesh five
     times as coarse.

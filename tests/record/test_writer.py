@@ -203,7 +203,6 @@ def test_a_truncated_copy_of_a_killed_run_is_refused_or_right(tmp_path, kept):
         assert np.array_equal(record.values, samples(record.values.shape[1]))
 
 
-@pytest.mark.campaign
 @pytest.mark.skipif(
     not Path("/proc/self/status").exists(), reason="reads the peak memory from Linux's /proc"
 )

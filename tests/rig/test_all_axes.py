@@ -48,7 +48,6 @@ def lifted():
     return amb.simulate(machine(), radial, LIFT, axial=axial, point="standstill", seed=4)
 
 
-@pytest.mark.campaign
 def test_each_part_moves_as_by_itself():
     """To the last bit: the radial axes by themselves, and the one along the shaft with the next
     seed.
@@ -68,7 +67,6 @@ def test_each_part_moves_as_by_itself():
     assert len(section.figures) == 4  # between the stops, outputs, currents, forces
 
 
-@pytest.mark.campaign
 @needs("C compiler")
 def test_one_c_function_holds_all_axes(tmp_path):
     """Lift-off, run-up, surge, trip, landing; what it did in the loop is what the twins of both
@@ -111,7 +109,6 @@ def test_one_c_function_holds_all_axes(tmp_path):
         assert np.abs(run.record["q_A_eta"]).max() < 5e-6
 
 
-@pytest.mark.campaign
 def test_the_power_of_all_axes_fails_at_once():
     radial, axial = laws()
     trip = Scenario("trip", 0.1, failures=(Failure(0.02),))
@@ -123,7 +120,6 @@ def test_the_power_of_all_axes_fails_at_once():
     assert "T_z: touchdown" in run.text
 
 
-@pytest.mark.campaign
 def test_a_rotor_at_rest_lies_on_contact_elements_and_mount_in_series():
     """N/k_c, the elements' deflection from K d^1.5 of both rows, N/k_m: under half the weight."""
     radial, _ = laws()

@@ -202,7 +202,6 @@ def run_up_oracle():
     return np.hstack([*parts, x[:2, None]])
 
 
-@pytest.mark.campaign
 def test_run_up_agrees_with_runge_kutta_and_knows_its_error():
     trace = linear.run(gyroscopic, RUN_UP, dt=1e-4)
     exact = run_up_oracle()
@@ -214,7 +213,6 @@ def test_run_up_agrees_with_runge_kutta_and_knows_its_error():
     assert "error of the run-up" in trace.text
 
 
-@pytest.mark.campaign
 def test_run_up_converges_with_second_order(monkeypatch):
     monkeypatch.setattr(linear, "_CLOSE", np.inf)
     monkeypatch.setattr(linear, "_TOLERATED", np.inf)
@@ -235,7 +233,6 @@ def test_run_up_that_does_not_converge_is_refused(monkeypatch):
         linear.run(gyroscopic, RUN_UP)
 
 
-@pytest.mark.campaign
 def test_loop_between_two_speeds():
     loop_at = ScheduledSystem([50.0, 700.0], [gyroscopic(50.0), gyroscopic(700.0)])
     direct, between = (linear.run(loop, RUN_UP).record["q_A_eta"] for loop in (gyroscopic, loop_at))

@@ -75,7 +75,6 @@ def test_states_mean_the_same_at_all_speeds(plant, controller):
     np.testing.assert_allclose(loop_at(450.0).C, loop_at(850.0).C, rtol=1e-13)
 
 
-@pytest.mark.campaign
 def test_a_scheduled_controller_is_taken_at_the_speed_of_the_moment(plant, controller):
     """A schedule of equal members is the fixed controller; one that is only wrong where the run
     never goes does no harm.

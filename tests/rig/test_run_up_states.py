@@ -38,8 +38,6 @@ from ambrose.rig.run_up import spin_up
 from ambrose.rig.scenario import Scenario
 from ambrose.rig.trial import simulate_linear
 
-pytestmark = pytest.mark.campaign  # minutes
-
 # rad/s; of the table
 LOW = 60.0
 HIGH = 2800.0

@@ -52,7 +52,6 @@ def test_what_cannot_run_them_is_refused(controlled):
         amb.simulate(machine, controller, HOLD, linear=True)
 
 
-@pytest.mark.campaign
 def test_a_block_is_asked_for_in_python_as_on_the_command_line(controlled):
     machine, _ = controlled
     with pytest.raises(InvalidInput, match="synchronous_band is given"):
@@ -67,7 +66,6 @@ def test_a_block_is_asked_for_in_python_as_on_the_command_line(controlled):
     assert block.time_constant == pytest.approx(0.4)
 
 
-@pytest.mark.campaign
 def test_a_block_that_moves_once_a_turn_converges_on_the_rig_like_the_other(controlled):
     """Convergent control: 1x of the current falls as far as with a block that moves every
     sample.

@@ -89,7 +89,6 @@ def test_levitated_start_is_an_equilibrium():
         assert np.ptp(values, axis=1).max() <= 1e-9 * np.abs(values).max() + 1e-15
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize("name", ["power-loss", "amplifier-failure"])
 def test_failures_end_in_the_touchdown_bearings(name):
     trace = virtual_rig.run(RIG, PID, load_scenario(name))
@@ -105,7 +104,6 @@ def test_failures_end_in_the_touchdown_bearings(name):
     assert np.abs(fall).max() < 1e-5
 
 
-@pytest.mark.campaign
 def test_power_loss_rotor_comes_to_rest_at_the_bottom():
     scenario = Scenario("off", 2.0, failures=(Failure(0.05),))
     # under pressure the seal keeps it whirling
@@ -129,7 +127,6 @@ def test_power_returns_within_the_fall():
     assert np.abs(back["y_A_zeta"]).max() < 1e-6
 
 
-@pytest.mark.campaign
 def test_free_again_is_told_where_the_power_returns():
     fall = Scenario("fall", 0.5, failures=(Failure(0.02, until=0.06),))
     trace = virtual_rig.run(PUMP, PUMP_PID, fall)

@@ -90,7 +90,6 @@ def test_contact_at_the_default_step(point):
     assert np.abs(a - b).max() < 2e-7 * np.abs(b).max()
 
 
-@pytest.mark.campaign
 def test_energy_without_damping_is_kept():
     """Undamped rotor on stiff springs, turning, magnets at constant bias: the drift falls as the
     third power of the step.
@@ -222,7 +221,6 @@ def test_small_motion_is_that_of_the_linear_simulation(case, drive):
     assert rig.stable == expected.stable
 
 
-@pytest.mark.campaign
 def test_run_up_is_that_of_the_linear_simulation():
     """Gyroscopic moments, unbalance and its angular acceleration; the linear run-up is good to its
     own estimate.

@@ -28,7 +28,6 @@ def compressor():
     return replace(made, operation=replace(made.operation, points=(top,), design_point=None))
 
 
-@pytest.mark.campaign
 def test_a_design_without_options_holds_a_flexible_machine(compressor):
     """It came out unstable, with no bending mode in its model, and exit 0 in some of the cases."""
     plant = amb.assemble(compressor)

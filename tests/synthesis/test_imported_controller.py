@@ -195,7 +195,6 @@ def test_mat_files(name, tmp_path):
         np.testing.assert_allclose(values, expected, rtol=1e-9, atol=1e-15)
 
 
-@pytest.mark.campaign
 def test_what_export_writes_for_matlab_comes_back(tmp_path):
     pid = amb.design("seal-rig", "pid")
     delivery = export(

@@ -112,7 +112,6 @@ def test_no_pressure_is_named_on_a_machine_without_seals(damped):
     assert "falls to" in damped[2].notes[0] and "pressure" not in damped[2].notes[0]
 
 
-@pytest.mark.campaign
 def test_what_cannot_keep_the_orbit_is_refused(flywheel):
     machine, law = flywheel
     impossible, _ = limited(machine, law, 1e-3)
@@ -120,7 +119,6 @@ def test_what_cannot_keep_the_orbit_is_refused(flywheel):
         design_synchronous(impossible, law, "damping", band=BAND)
 
 
-@pytest.mark.campaign
 def test_damping_takes_over_where_neither_block_nor_loop_keeps_the_orbit(flywheel):
     """current-free is forbidden by its orbit; the loop alone breaks a tight limit further up."""
     machine, law = flywheel
@@ -135,7 +133,6 @@ def test_damping_takes_over_where_neither_block_nor_loop_keeps_the_orbit(flywhee
             assert orbit_alone(tight, law, float(speed)) <= item.limit * 1.01
 
 
-@pytest.mark.campaign
 def test_the_rig_has_the_orbit_that_the_model_has(damped, flywheel):
     machine, _, design = damped
     law = flywheel[1]

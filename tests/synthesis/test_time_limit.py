@@ -80,7 +80,6 @@ def problem() -> GeneralizedPlant:
     )
 
 
-@pytest.mark.campaign
 def test_mu_on_a_busy_machine_returns_what_it_returns_on_an_idle_one(skipped):
     """A wait of most of the limit at every line of progress; before, the iteration ended after its
     first controller.
@@ -127,7 +126,6 @@ def test_the_title_of_ambrose_synthesize_says_it_and_the_exit_status_stays(monke
     )
 
 
-@pytest.mark.campaign
 def test_a_polished_controller_says_how_its_start_ended(monkeypatch):
     """Polishing hid it: only its own status was left."""
     plant = assemble(load_machine("seal-rig"))

@@ -26,7 +26,6 @@ from ambrose.rig.scenario import Scenario, load_scenario
 sys.path.insert(0, str(Path(__file__).parent))
 from rotor import machine
 
-pytestmark = pytest.mark.campaign  # compiles for ten seconds where nobody has before
 EXAMPLE = Path(__file__).parents[2] / "examples" / "expander-five-axes.toml"
 IDEAL = {
     "conductivity = 4e6": 'conductivity = 4e6\ncore = "laminated"\nstop_damping = 0',

@@ -256,7 +256,6 @@ def test_core_scale_moves_the_eddy_currents_alone(label):
         assert response(moved, "u_T_z", "q_T_z", omega) == pytest.approx(exact, rel=1e-9)
 
 
-@pytest.mark.campaign
 def test_the_reference_controller_is_in_zone_a_at_every_point_and_over_its_tolerances():
     axial = machine().axial
     verdict = amb.verify(axial, amb.design(axial, "pid"))

@@ -123,7 +123,6 @@ def test_missing_weights_are_named_where_the_axis_has_them(folder, method):
     assert "add a [thrust_bearing.weights] table" in done.stderr
 
 
-@pytest.mark.campaign
 def test_a_campaign_varies_the_axis(folder):
     """Its file's keys and tolerances, the peak of each case as verify has it."""
     vary = '[vary]\n"tolerance.thrust_bearing.T.force_per_current" = [0.0, 1.0]\n'
@@ -193,7 +192,6 @@ def test_the_page_of_a_record_has_both_stops_and_no_orbits(folder, kept):
     assert "T to the left" in touch.text
 
 
-@pytest.mark.campaign  # draws a page
 def test_a_simulation_of_the_axis_writes_its_page(folder):
     line = "simulate five.toml#axial --controller pid.json --scenario thrust-step --linear"
     done = run(folder, f"{line} --point rated --report step.html")

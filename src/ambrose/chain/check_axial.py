@@ -6,13 +6,13 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from ambrose.chain.check_entries import coil_doubt
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import poles
 from ambrose.judge.static_stiffness import below_stiffness, stiffness_margin
 from ambrose.judge.unavoidable import beyond_reach, unavoidable_sensitivity
 from ambrose.machine.axial import AxialMachine, in_file
 from ambrose.machine.criteria import demand
+from ambrose.machine.file.ranges import implausible
 from ambrose.machine.machine import Machine
 from ambrose.machine.thrust import ThrustBearing
 from ambrose.model.assemble import assemble
@@ -21,9 +21,6 @@ from ambrose.model.axial.magnet import at_point, core_lags, sides, tilt_stiffnes
 from ambrose.model.axial.wiring import rotor_mass
 from ambrose.model.plant import top_speed
 
-# [m] from collar to magnet: assumed, a third of the smallest gap that is usual (0.3 mm) and five
-# times the largest (1 mm); a gap in the wrong unit is off by 25 at least
-_GAP = (1e-4, 5e-3)
 # [m/s] of a steel collar's rim, assumed: a turning disc carries (3 + nu)/8 rho v^2 at its centre
 # and about twice that at a bore, here 0.8 and 1.6 GPa, the strength of quenched steel
 _RIM = 500.0
@@ -81,7 +78,11 @@ def axial_facts(machine: AxialMachine) -> dict[str, Any]:
         "operating_points": [point.label for point in machine.operation.points],
         "tolerances": [item.parameter for item in machine.tolerances],
         "assumed": len(machine.assumed),
-        "doubts": [*_doubts(machine, margin), *([reach] if reach else [])],
+        "doubts": [
+            *(line for line in implausible(machine) if line.startswith("[[thrust_bearing]]")),
+            *_doubts(machine, margin),
+            *([reach] if reach else []),
+        ],
         "remarks": [],
     }
 
@@ -105,13 +106,7 @@ def _doubts(machine: AxialMachine, margin: float | None) -> Iterator[str]:
     reference controller) that a machine along its shaft hardly has, a sentence each.
     """
     part = machine.thrust
-    yield from coil_doubt("[thrust_bearing]", part.inductance)
     for name, side in zip(("left", "right"), sides(part), strict=True):
-        if not _GAP[0] <= side.gap <= _GAP[1]:
-            yield (
-                f"the {name} gap is {1e3 * side.gap:.4g} mm, where 0.3 to 1 mm are usual; check "
-                "its unit"
-            )
         # B = Phi/A at the smaller of the two poles, at the largest current of the coil
         largest_current = side.bias + (part.max_current or 0.0)
         flux = side.flux(largest_current, side.gap)

@@ -14,8 +14,10 @@ from functools import partial
 from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.machine.attachment import attached
 from ambrose.machine.description import OperatingPoint
+from ambrose.machine.file.ranges import implausible
 from ambrose.machine.machine import Machine
 from ambrose.machine.seals import Seal
+from ambrose.machine.validation.fits import least_radius
 from ambrose.model.assemble import constant_coefficients, named_point, seal_coefficients
 from ambrose.model.effect import Effect
 from ambrose.model.effects.gas_seal import celsius_for_kelvin
@@ -24,14 +26,6 @@ from ambrose.model.effects.stage import Stage
 
 _HERTZ = 2 * math.pi  # rad/s per Hz
 _RPM = 30 / math.pi  # rpm per rad/s
-# of bending modes: steel shafts have 0.001 to 0.005, with shrunk-on laminations up to 0.02; "0.3"
-# for 0.3 % is far above
-_DAMPING = 0.05
-# [H] of a coil: 1 to 500 mH are wound; millihenries written as henries are above
-_INDUCTANCE = 10.0
-# [N/m] of contacts in a touchdown bearing: 1e7 to 1e9; at 1e5 a load of 100 N sinks a millimetre,
-# more than any gap; "150" for 150 N/um is far below
-_CONTACT = 1e5
 # [Pa] across a seal: fans have 1 kPa and more; bar written as pascals are below up to 1000 bar
 _PRESSURE = 1e3
 # times the reference pressure to which coefficients are drawn in proportion
@@ -54,11 +48,9 @@ _CORNER, _ABOVE = 500 * _HERTZ, 10.0
 
 
 def entry_doubts(machine: Machine) -> Iterator[str]:
-    """What is implausible in shaft, amplifier, touchdown bearings, sensors, seals and stages."""
-    yield from _damping(machine)
+    """What is implausible in any number by itself, then of several together."""
+    yield from implausible(machine)
     yield from _mass_diameter(machine)
-    yield from coil_doubt("[amplifier]", machine.amplifier.inductance)
-    yield from _contacts(machine)
     yield from _sensors(machine)
     yield from _pressures(machine)
     for seal in machine.seals:
@@ -114,29 +106,6 @@ def corner_doubts(machine: Machine, slowest: float) -> Iterator[str]:
             )
 
 
-def coil_doubt(where: str, inductance: float | None) -> Iterator[str]:
-    if inductance is not None and inductance > _INDUCTANCE:
-        yield (
-            f"{where}: inductance is {inductance:,.4g} H, where coils have 1 to 500 mH; write the "
-            f'unit, such as "{inductance:g} mH"'
-        )
-
-
-def _damping(machine: Machine) -> Iterator[str]:
-    stated = {"modal_damping": machine.modal_damping}
-    stated |= {
-        f"damping of bending mode {mode.number}": mode.damping
-        for mode in machine.bending_modes
-        if mode.damping is not None
-    }
-    for name, ratio in stated.items():
-        if ratio > _DAMPING:
-            yield (
-                f"{name} is {100 * ratio:,.4g} %, where shafts have 0.1 to 2 %; write per cent as "
-                f'"{ratio:g} %"'
-            )
-
-
 def _mass_diameter(machine: Machine) -> Iterator[str]:
     for number, section in enumerate(machine.shaft, 1):
         mass, outer = (min(section.diameters(0.0)[k], section.diameters(1.0)[k]) for k in (2, 0))
@@ -147,24 +116,6 @@ def _mass_diameter(machine: Machine) -> Iterator[str]:
                 f"outer_diameter, {1e3 * outer:,.4g} mm: laminations add mass and take none away; "
                 "check its unit"
             )
-
-
-def _contacts(machine: Machine) -> Iterator[str]:
-    for bearing in machine.bearings:
-        table = bearing.touchdown
-        if table is None:
-            continue
-        stated = {"stiffness of its touchdown bearing": table.stiffness}
-        if table.race is not None:
-            stated["element_stiffness of its touchdown bearing"] = table.race.element_stiffness
-        if table.mount is not None:
-            stated["stop_stiffness of its touchdown bearing"] = table.mount.stop_stiffness
-        for name, value in stated.items():
-            if value < _CONTACT:
-                yield (
-                    f"bearing {bearing.name}: {name} is {value:,.4g} N/m, where 1e7 to 1e9 N/m are "
-                    f'usual; write the unit, such as "{value:g} N/um"'
-                )
 
 
 def _sensors(machine: Machine) -> Iterator[str]:
@@ -243,6 +194,12 @@ def _cross_stiffness(machine: Machine, seal: Seal) -> Iterator[tuple[float, str]
 
 
 def _stage(machine: Machine, stage: Stage) -> Iterator[str]:
+    shaft, section = least_radius(machine, stage.position)
+    if stage.diameter < 2 * shaft:
+        yield (
+            f"stage {stage.name} is {1e3 * stage.diameter:,.4g} mm in diameter, less than the "
+            f"shaft there, {2e3 * shaft:,.4g} mm ({section}); correct its diameter or position"
+        )
     speeds: Sequence[float] = sorted(
         speed
         for speed in (

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from ambrose.chain.check import insight
 from ambrose.chain.check_axial import along_doubts, axial_facts
 from ambrose.chain.check_entries import entry_doubts, without_coefficients
@@ -29,7 +31,9 @@ def facts(machine: Machine, file: str | None = None) -> dict[str, Any]:
     at an operating point, and every entry that is implausible, its probable cause.
     """
     try:
-        return _facts(machine)
+        # what overflows on the way is no figure
+        with np.errstate(over="raise", divide="raise", invalid="raise"):
+            return _facts(machine)
     except AmbroseError as error:
         raise type(error)(listed(file or machine.name, _reasons(machine, str(error)))) from error
 

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from collections.abc import Iterator, MutableMapping
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any, NoReturn
 
 import click
@@ -88,7 +89,7 @@ class AmbroseCommand(click.Group):
         if not standalone_mode:
             return super().main(args, prog_name, standalone_mode=False, **extra)
         as_json = "--json" in (sys.argv[1:] if args is None else args)
-        with streams_settled():
+        with streams_settled(), _no_path_of_the_source():
             try:
                 status = super().main(args, prog_name, standalone_mode=False, **extra)
             except OSError as error:
@@ -114,10 +115,36 @@ class AmbroseCommand(click.Group):
                 # with numpy, which --help does without
                 from ambrose.core.checks import AmbroseError
 
-                if not isinstance(error, AmbroseError):
+                if isinstance(error, AmbroseError):
+                    stop(str(error), as_json=as_json)
+                if os.environ.get("AMBROSE_TRACEBACK"):
                     raise
-                stop(str(error), as_json=as_json)
+                stop(_broken_down(error), as_json=as_json)
             sys.exit(status if isinstance(status, int) else 0)
+
+
+def _broken_down(error: Exception) -> str:
+    """What is said where the program itself is at fault, or met numbers that nothing refused."""
+    if isinstance(error, ArithmeticError | RuntimeWarning):
+        return (
+            "the calculation broke down: a number on its way overflows or is undefined; look for "
+            "one with a wrong unit or exponent (ambrose check names them)"
+        )
+    return (
+        f"the calculation broke down ({type(error).__name__}), which is a fault of this program or "
+        "an input that it should have refused; set AMBROSE_TRACEBACK=1 and report what it prints"
+    )
+
+
+@contextmanager
+def _no_path_of_the_source() -> Iterator[None]:
+    """Numbers that overflow or become undefined end the command instead of a warning with a place
+    in the source; other warnings are a line each.
+    """
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", ".*encountered in", RuntimeWarning)
+        warnings.showwarning = lambda message, *_, **__: say(f"note: {message}", err=True)
+        yield
 
 
 def _one_thread() -> AbstractContextManager[None]:

@@ -150,6 +150,7 @@ def simulate(
     from ambrose.core.checks import invalid
     from ambrose.law.timing import DEFAULT, timing_of
     from ambrose.record.files import check_suffix, write_record
+    from ambrose.report.record import REACHED, run_result
     from ambrose.rig.trial import simulate_scenario
 
     for option, value in (
@@ -238,6 +239,7 @@ def simulate(
     timing = timing_of(description, controller, rate_hz, delay_samples) or (
         None if linear else DEFAULT
     )
+    result = run_result(trace, description)
     failure = None if growing else kept(lambda path: write_record(trace.record, path), output)
     unwritten = kept_page(trace, report, description)
     failure, report = unwritten or failure, None if unwritten else report
@@ -246,6 +248,8 @@ def simulate(
         "outcome": trace.outcome,
         "text": trace.text,
         "stable": trace.stable,
+        "passed": result.passed,
+        "result": result.text,
         "timing": None if timing is None else str(timing),
         "report": str(report) if report else None,
     } | ({} if looped is None else {"on_target": looped.to_dict()})
@@ -253,10 +257,11 @@ def simulate(
         say_json(summary)
     else:
         say(f"{output}: {trace.text}")
+        if trace.passed and (not result.passed or result.text.endswith(REACHED)):
+            say(f"{result.text[:1].upper()}{result.text[1:]}.")
         say(f"Controller: {timing or 'continuous'}")
         if looped is not None:
             say(looped.text)
     if failure is not None:
         raise failure
-    held = trace.outcome == "completed" and trace.stable
-    sys.exit(0 if held and (looped is None or looped.equal) else 1)
+    sys.exit(0 if result.passed and (looped is None or looped.equal) else 1)

@@ -28,6 +28,8 @@ from ambrose.terminal import (
 
 METHODS = methods()
 _METHOD_OPTION = "--method"
+# of the controller, or of the loop as it runs
+_OF_ALL = ("fastest_pole", "bending_modes", "ratio_", "guard_", "direct_gain_mismatch")
 _APART = 1.5  # times: continuous and sampled peaks that differ by more are explained
 
 
@@ -150,10 +152,13 @@ def synthesize(
             "add --method tuned --structure pid",
         )
     claim(controller_file=output, machine_file=machine_file)
+    # a peak names the point it is of: the worst one, which verify finds, is another
+    where = ""
     with progress_shown(as_json) as progress:
         if base is None:
             progress("assembling the plant")
             plant = plant_at(description, point)
+            where = f" at {plant.point.label or 'the design point'}"
             progress(f"designing ({method})")
             result = design(plant, chosen, progress=progress)
             if result.method == "hinf" and point is None and result.lost:
@@ -220,7 +225,10 @@ def synthesize(
         numbers = _numbers(certificate)
         if method != "pid":  # which minimises nothing
             numbers = {"gamma": result.gamma, **numbers}
-        rows += [(name.replace("_", " "), shown(value)) for name, value in numbers.items()]
+        rows += [
+            (name.replace("_", " ") + (where if name.endswith("_peak") else ""), shown(value))
+            for name, value in numbers.items()
+        ]
         rows += [
             (f"abscissa, {label}", shown(value)) for label, value in certificate["envelope"].items()
         ]
@@ -293,7 +301,7 @@ def _numbers(certificate: dict[str, Any]) -> dict[str, Any]:
     others = numbers | {name: value for name, value in margins.items() if name not in as_run}
     of_full_plant = {"full_spectral_abscissa", "full_sensitivity_peak"}
     return leading | {
-        name if name == "fastest_pole" else f"continuous {name}": value
+        name if name.startswith(_OF_ALL) else f"continuous {name}": value
         for name, value in others.items()
         if name not in of_full_plant
     }

@@ -147,7 +147,9 @@ def verify(
         from ambrose.report.page import write
         from ambrose.report.synchronous import synchronous_page
 
-        blocks = synchronous_page(description, result.synchronous, loop=result.timing)
+        blocks = synchronous_page(
+            description, result.synchronous, loop=result.timing, controller=result.controller
+        )
         failure = kept(lambda path: write(blocks, path), page)
     failure = kept_page(result, report, description, called="report") or failure
     if as_json:

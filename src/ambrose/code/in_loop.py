@@ -5,7 +5,7 @@ its processor and on this computer, and how far the two records are apart.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from ambrose.core.arguments import names_wrong_types
 from ambrose.core.checks import invalid
 from ambrose.core.presentation import Presented
 from ambrose.judge.plants import Progress
-from ambrose.law.law import LawLike
+from ambrose.law.law import LawLike, law_of
 from ambrose.machine.machine import Machine
 from ambrose.record.record import Record
 from ambrose.rig.scenario import Scenario
@@ -126,6 +126,7 @@ def simulate_on_target(
     progress(f"starting the code on {processor.name}")
     with target_program(unit, processor, contraction=contraction) as program:
         trace = simulate_scenario(machine, program, scenario, **how)
+        trace = replace(trace, laws=(("Controller", law_of(controller).named),))
         most = program.instructions
     return InLoop(
         processor.name,

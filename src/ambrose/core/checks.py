@@ -49,23 +49,23 @@ def invalid(name: str, value: object, requirement: str, remedy: str) -> InvalidI
 @contextmanager
 def named_failure(what: str) -> Iterator[None]:
     """Around (or as the decorator of) a computation: a factorisation that LAPACK refuses, for a
-    singular matrix or numbers that overflowed on the way, ends in a NumericalFailure that says
-    ``what`` was being computed.
+    singular matrix or numbers that overflowed on the way, an overflow or a division by zero ends in
+    a NumericalFailure that says ``what`` was being computed.
     """
     try:
         yield
     except AmbroseError:
         raise
-    except (
-        ValueError
-    ) as error:  # LinAlgError is one; scipy refuses infinite entries with a plain one
-        if not isinstance(error, np.linalg.LinAlgError) and "infs or NaNs" not in str(error):
+    except (ArithmeticError, RuntimeWarning, ValueError) as error:
+        # LinAlgError is a ValueError; scipy refuses infinite entries with a plain one. numpy's
+        # warnings are errors where the command line, or a caller, made them so
+        plain = isinstance(error, ValueError) and not isinstance(error, np.linalg.LinAlgError)
+        if plain and "infs or NaNs" not in str(error):
             raise
         raise NumericalFailure(
-            f"{what} cannot be computed to any accuracy ({error}): a matrix on the way is "
-            "singular to rounding, or a number "
-            "overflows; scale the signals and states to order one, and look for poles or modes "
-            "that coincide"
+            f"{what} cannot be computed to any accuracy: a number overflows on the way, or a "
+            "matrix is singular to rounding; look for a number with a wrong unit or exponent, or "
+            "for poles or modes that coincide"
         ) from error
 
 

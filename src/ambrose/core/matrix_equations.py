@@ -6,7 +6,7 @@ equation: what does not fit is not returned.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -160,8 +160,31 @@ def solve_riccati(A: ArrayLike, G: ArrayLike, Q: ArrayLike) -> RiccatiSolution:
         return RiccatiSolution(np.zeros((0, 0)), np.zeros(0, complex), 0.0, "solved")
     g, q = _symmetric(G, "G", n), _symmetric(Q, "Q", n)
 
+    found = _balanced_riccati(a, g, q)
+    if found.status in ("inaccurate", "asymmetric") and np.isfinite(found.X).all():
+        # An X that spans many decades is lost to rounding in states with one scale each. In the
+        # states z, x = T z with T^T X T near I, nothing is small beside anything else.
+        values, U = np.linalg.eigh(found.X)
+        size = np.sqrt(np.maximum(np.abs(values), 1e-14 * np.abs(values).max()))
+        T, inverse = U / size, (U * size).T
+        G_z, Q_z = inverse @ g @ inverse.T, T.T @ q @ T
+        again = _balanced_riccati(inverse @ a @ T, (G_z + G_z.T) / 2, (Q_z + Q_z.T) / 2)
+        X = inverse.T @ again.X @ inverse
+        found = replace(again, X=(X + X.T) / 2)
+    if not found.solved:
+        nan = np.full((n, n), np.nan)
+        why = "imaginary-axis eigenvalues" if found.status == "asymmetric" else found.status
+        return RiccatiSolution(nan, nan[0].astype(complex), found.residual, why)
+    return found
+
+
+def _balanced_riccati(a: np.ndarray, g: np.ndarray, q: np.ndarray) -> RiccatiSolution:
+    """The solution in states balanced by one scale each; X also where the status is "inaccurate" or
+    "asymmetric" (of a subspace that is not Lagrangian, or whose rounding hides that it is).
+    """
     # Balanced by a similarity that keeps the Hamiltonian a Hamiltonian: of the scales of x and of
     # its costate only the ratio is free.
+    n = len(a)
     scale = balance(np.block([[a, -g], [-q, -a.T]]))[1]
     d = np.exp2(np.round(np.log2(scale[:n] / scale[n:]) / 2))  # diag(d, 1/d) is symplectic
 
@@ -169,9 +192,9 @@ def solve_riccati(A: ArrayLike, G: ArrayLike, Q: ArrayLike) -> RiccatiSolution:
     a = a * d / d[:, None]
     g = g / d[:, None] / d
     q = q * d[:, None] * d
-    X = a
+    X = np.full((n, n), np.nan)
     residual = np.inf
-    poles = np.zeros(n, complex)
+    poles = np.full(n, np.nan, complex)
     try:
         X, status = _stable_subspace(np.block([[a, -g], [-q, -a.T]]))
         if status == "solved":
@@ -185,10 +208,6 @@ def solve_riccati(A: ArrayLike, G: ArrayLike, Q: ArrayLike) -> RiccatiSolution:
         status = "inaccurate"
 
     # Back: X = d^-1 X_z d^-1; the poles do not change.
-    if status != "solved":
-        return RiccatiSolution(
-            np.full((n, n), np.nan), np.full(n, np.nan, complex), float(residual), status
-        )
     return RiccatiSolution(X / d[:, None] / d, poles, float(residual), status)
 
 
@@ -231,9 +250,9 @@ def _stable_subspace(H: np.ndarray) -> tuple[np.ndarray, str]:
 
     # X X1 = X2, solved as X1^T X^T = X2^T
     X = sla.lapack.dgetrs(lu, pivots, Z[n:, :n].T, trans=1)[0].T
-    if np.abs(X - X.T).max() > 1e-5 * np.abs(X).max():  # a Lagrangian subspace gives a symmetric X
-        return H[:n, :n], "imaginary-axis eigenvalues"
-    return (X + X.T) / 2, "solved"
+    # a Lagrangian subspace gives a symmetric X
+    lagrangian = np.abs(X - X.T).max() <= 1e-5 * np.abs(X).max()
+    return (X + X.T) / 2, "solved" if lagrangian else "asymmetric"
 
 
 def _refine(A: np.ndarray, G: np.ndarray, Q: np.ndarray, X: np.ndarray) -> tuple[np.ndarray, float]:

@@ -27,13 +27,27 @@ from ambrose.identification.parameters import COVERAGE, magnet_paths, plant_at, 
 from ambrose.identification.result import LoopIdentification
 from ambrose.identification.validation.file_priors import fit_with_priors, prior_of
 from ambrose.identification.validation.file_priors import words as priors_in_words
-from ambrose.identification.validation.plausibility import delay_findings, diagnose_result
+from ambrose.identification.validation.plausibility import (
+    chain_lags,
+    delay_findings,
+    diagnose_fit,
+    diagnose_result,
+    diagnose_values,
+)
 from ambrose.identification.validation.repeatability import of_estimates
 from ambrose.identification.validation.rotor_place import standing
 from ambrose.identification.validation.simulated_output import simulate_outputs
-from ambrose.identification.validation.suspects import Suspect, explained, judged, suspects
+from ambrose.identification.validation.suspects import (
+    Suspect,
+    chosen_modes,
+    explained,
+    is_checked,
+    judged,
+    rest_of,
+    suspects,
+)
 from ambrose.identification.youla import identify as youla
-from ambrose.law.law import LawLike
+from ambrose.law.law import LawLike, law_of
 from ambrose.machine.description import AMPLIFIER_PARAMETERS
 from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import CONTROLLER_DELAY, EXCITATION_DELAY, TIMING, parse_parameter
@@ -54,6 +68,7 @@ def identify_loop(
     repeats: bool = False,
     others: Sequence[Record] = (),
     along: bool = False,
+    more_modes: bool = False,
     progress: Progress = lambda stage: None,
     options: FitOptions | None = None,
 ) -> LoopIdentification:
@@ -64,7 +79,8 @@ def identify_loop(
     identified alone, too, and a standard deviation below what their scatter allows for is widened
     to it. others: records that are checked with these, as further numbers, and not fitted. along:
     where nothing but the residuals speaks against the result, the machine file's own numbers are
-    found along, if that explains them (validation/file_priors.py). Raises
+    found along, if that explains them (validation/file_priors.py). more_modes: further bending
+    modes than the options' are modelled where the records tell them. Raises
     InvalidInput with every error that was found, each with its evidence and remedy.
     """
     options = options or FitOptions()
@@ -145,7 +161,22 @@ def identify_loop(
             magnets, records, experiment, result = without_magnets(
                 machine, records, controller, experiment, result
             )
-        elif result.converged:
+        while result.converged and more_modes:
+            count = chosen_modes(machine, records, controller, result, options)
+            if count <= options.bending_modes:
+                break
+            progress(f"identifying again with {count} bending modes, which the records tell")
+            options = replace(options, bending_modes=count)
+            setup["bending_modes"] = count
+            experiment = build_experiment(machine, measured, controller, unknown, options)
+            begin = dict(zip(result.paths, result.values.tolist(), strict=True))
+            result = replace(closed_loop.fit(experiment, begin), start=result.start)
+            magnets, records = None, measured
+            if result.converged and options.period is None:
+                magnets, records, experiment, result = without_magnets(
+                    machine, records, controller, experiment, result
+                )
+        if result.converged and options.period is not None:
             result = with_magnets_unsure(machine, records, controller, experiment, result)
     else:
         residual = youla.identify(
@@ -158,18 +189,22 @@ def identify_loop(
     outputs = simulate_outputs(experiment, records, result.values)
     # no longer relevant
     checks = tuple(finding for finding in checks if finding.code != Code.FAR_FROM_START)
-    doubts = diagnose_result(machine, result, outputs)
+    of_values = diagnose_values(machine, result, outputs)
+    doubts = diagnose_fit(machine, result, outputs)
     suspected: tuple[Suspect, ...] = ()
     if method == "closed-loop" and (
         result.converged or any(item.code == Code.MISSING_RESPONSE for item in doubts)
     ):
         progress("looking for what the model lacks")
         suspected = suspects(machine, records, controller, result, options)
-    checks += tuple(explained(item, suspected) for item in doubts)
-    refuse(checks)
+    doubts = tuple(explained(item, suspected) for item in doubts)
+    refuse((*checks, *of_values, *doubts))
     fitted, words = result, ""
     if result.converged and method == "closed-loop":
-        result = judged(result, suspected, records[0].dt)
+        result = judged(result, suspected, records[0].dt, rest_of(magnets))
+        # what is far, or moved alone, is so beyond the intervals as they are now
+        of_values = diagnose_values(machine, result, outputs)
+    checks += (*of_values, *doubts)
     if along and method == "closed-loop" and not (result.adequate or checks or repeats):
         progress("finding the machine file's own numbers along")
         further = fit_with_priors(machine, records, controller, fitted, options)
@@ -177,7 +212,7 @@ def identify_loop(
             tried, estimate = further
             prior = prior_of(tried, len(fitted.paths))
             lacking = suspects(machine, records, controller, estimate, options, prior)
-            estimate = judged(estimate, lacking, records[0].dt)
+            estimate = judged(estimate, lacking, records[0].dt, rest_of(magnets))
             simulated = simulate_outputs(tried, records, estimate.values)
             if not estimate.warnings and not diagnose_result(machine, estimate, simulated):
                 result, outputs = estimate, simulated
@@ -200,11 +235,44 @@ def identify_loop(
         magnets=magnets,
         standing=stood,
         found_along=words,
+        notes=_notes(machine, measured, controller, result, setup),
         **setup,
     )
     if measured_delay is not None:
         done = replace(done, seen_delay=measured_delay)
     return _with_repeats(done, records, identify_alone, progress) if repeats else done
+
+
+def _notes(
+    machine: Machine,
+    records: Sequence[Record],
+    controller: LawLike,
+    result: ParameterEstimate,
+    setup: Mapping[str, Any],
+) -> tuple[str, ...]:
+    """What was not checked, what the model was given beyond the usual, and what the amplifier's lag
+    stands for; a sentence each without its stop.
+    """
+    notes = []
+    blind = [number for number, record in enumerate(records, 1) if not is_checked(machine, record)]
+    if blind:
+        where = "" if len(blind) == len(records) else f" in record {', '.join(map(str, blind))}"
+        unseen = "the controller's file was not checked against what ran"
+        if law_of(controller).sample_time is None:
+            late = setup["computing_delay"]
+            unseen += (
+                ", nor how it is sampled: taken as by Tustin's rule at "
+                f"{records[0].sample_rate_hz:.6g} Hz, {late:g} sample{'s' * (late != 1)} late"
+            )
+        notes.append(f"no u_<axis> is recorded{where}: {unseen}. Record u, or be sure of the file")
+    if setup["bending_modes"] > FitOptions().bending_modes:
+        notes.append(f"{setup['bending_modes']} bending modes per plane are modelled")
+    notes += [
+        f"{result.paths[k]} is the lag of the whole chain: it takes in filters and delays that the "
+        "file does not state"
+        for k, _, _ in chain_lags(machine, result)
+    ]
+    return tuple(notes)
 
 
 def _unsure(result: ParameterEstimate, dt: float) -> bool:

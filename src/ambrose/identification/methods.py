@@ -27,9 +27,9 @@ class LoopMethod(Identifying):
     uncertain, K_i and K_s of every axis, the amplifier's lag; "delay" and "bending" alone are added
     to these). start: path -> SI value to begin at. computing_delay [samples]: from measured errors
     to acting currents (None: the controller's own, else 1). bending_modes: per plane, as many as
-    the rotor has at most. harmonics: up to which multiple of its speed a record's signals may turn
-    with the rotor; tones [Hz]: others that they may hold. initial_state, offset: estimated per
-    record, else zero. max_iterations: of the fit.
+    the rotor has at most (None: as many as the records tell, from 3 on). harmonics: up to which
+    multiple of its speed a record's signals may turn with the rotor; tones [Hz]: others that they
+    may hold. initial_state, offset: estimated per record, else zero. max_iterations: of the fit.
     """
 
     unknown: str | Sequence[str] = option(
@@ -53,7 +53,10 @@ class LoopMethod(Identifying):
         flag="--delay-samples",
         check=positive("1 is usual", zero_allowed=True),
     )
-    bending_modes: int = option(3, "Bending modes per plane in the model.")
+    bending_modes: int | None = option(
+        None,
+        "Bending modes per plane in the model; default: as many as the record tells, 3 or more.",
+    )
     harmonics: int = option(3, "Multiples of the speed that unbalance may hold.")
     tones: Sequence[float] = option(
         (), "Another tone, as of the mains (repeatable).", flag="--tone", many=True, metavar="HZ"
@@ -68,6 +71,8 @@ class LoopMethod(Identifying):
 
         names = {item.name for item in fields(self)}
         known = {i.name: getattr(self, i.name) for i in fields(FitOptions) if i.name in names}
+        if self.bending_modes is None:
+            del known["bending_modes"]  # those to begin with
         if self.computing_delay is None:
             known["computing_delay"] = 1 if computing_delay is None else computing_delay
         return FitOptions(**known)

@@ -168,6 +168,7 @@ def identify(
                 start=start,
                 repeats=repeats,
                 along=usual,
+                more_modes=loop.bending_modes is None,
                 progress=progress,
                 options=how,
             )

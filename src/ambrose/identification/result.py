@@ -232,7 +232,8 @@ class LoopIdentification(Identification):
     records beforehand (None: it was not certain, or the method another). seen_delay [samples]: of u
     behind the controller, taken as known although it was asked for. standing: where the rotor stood
     off the sensors' zero, to which the values are carried (None: it stood there). found_along: what
-    numbers of the machine file were found along, in words.
+    numbers of the machine file were found along, in words. notes: what was not checked, and how
+    the loop was modelled, in words.
     """
 
     result: ParameterEstimate
@@ -246,6 +247,7 @@ class LoopIdentification(Identification):
     seen_delay: int | None = None
     standing: Standing | None = None
     found_along: str = ""
+    notes: tuple[str, ...] = ()
 
     @property
     def method(self) -> str:
@@ -272,6 +274,7 @@ class LoopIdentification(Identification):
             )
         remarks = remarks if self.magnets is None else (self.magnets.words, *remarks)
         remarks = (self.provenance.part, *remarks) if self.provenance.part else remarks
+        remarks = (*self.notes, *remarks)
         return remarks if self.seal is None or not self.seal.note else (*remarks, self.seal.note)
 
     @property

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from ambrose.judge.certificate import certify
 from ambrose.judge.checks import Checks, Curve
-from ambrose.judge.criteria import judge, zone_lines
+from ambrose.judge.criteria import judge, required_line
 from ambrose.judge.range_search import search
 from ambrose.law.law import LawLike
 from ambrose.law.loop import running_law
@@ -57,7 +57,6 @@ def check_range(
     curves: tuple[Curve, ...] = ()
     if len(extremes.speeds) > 1:
         labels = tuple(f"{pressure / 1e5:.4g} bar" for pressure in extremes.pressures)
-        limits = zone_lines(wanted.zones, wanted.limit) if wanted.zones is not None else ()
         title = f"Largest sensitivity over {area.label}"
         curves = (
             Curve(
@@ -69,7 +68,7 @@ def check_range(
                 labels,
                 "rad/s",
                 "-",
-                limits,
+                required_line(wanted.limit),
             ),
         )
     return Checks(area.label, abscissa < 0, checks, curves)

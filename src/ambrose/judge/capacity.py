@@ -25,7 +25,7 @@ what has not died out within the window away from its beginning.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,9 +38,10 @@ from ambrose.law.loop import running_law
 from ambrose.law.timing import Timing
 from ambrose.machine.attachment import attached
 from ambrose.machine.machine import Machine
+from ambrose.model.assemble import assemble
 from ambrose.model.effects.load import IMPULSE, STATIC, Load
 from ambrose.model.plant import Plant
-from ambrose.model.static_load import magnet_coefficients
+from ambrose.model.static_load import magnet_coefficients, static_sag
 from ambrose.model.unbalance import residual_unbalance
 
 _SETTLES = 0.25  # [s] after an impulse: where its current is looked for
@@ -381,3 +382,36 @@ def together(limits: AxisLimits, steady: Demand | None, loads: Sequence[Demand])
     sets: list[tuple[Demand, ...]] = [] if steady is None else [(steady,)]
     sets += [(load,) if steady is None else (load, steady) for load in loads]
     return [limits.margin(*demands) for demands in sets]
+
+
+def capacity_margin(
+    machine: Machine, law: LawLike, timing: Timing | None, *, weight_taken: bool = False
+) -> tuple[float, str]:
+    """The least margin over all axes at the fastest operating point of what residual unbalance,
+    impulses, surges and lasting loads take, and of which; inf where nothing is asked.
+    weight_taken: the machine's largest control current is what the weight leaves.
+    """
+    point = max(machine.operation.envelope, key=lambda item: item.speed)
+    plant = assemble(machine, point)
+    weight = static_sag(machine)[1].ravel()
+    signed, free = static_forces(machine)
+    rows = [(float("inf"), "", "")]
+    for axis, limits, steady, loads, held in zip(
+        plant.axes,
+        axis_limits(plant, np.abs(weight + signed) + free),
+        residual_demands(plant, law, timing),
+        load_demands(plant, law, timing),
+        np.abs(weight),
+        strict=True,
+    ):
+        # off the largest current already
+        if weight_taken and limits.largest is not None:
+            whole = replace(limits, largest=limits.largest + held / limits.force_per_current)
+        else:
+            whole = limits
+        rows += [
+            (item.value, f"{item.of}, axis {axis}", item.limited_by)
+            for item in together(whole, steady, loads)
+        ]
+    margin, what, why = min(rows)
+    return margin, f"{what}, by {why}" if what else ""

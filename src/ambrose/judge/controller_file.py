@@ -13,11 +13,9 @@ import json
 import os
 import re
 import sys
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from itertools import accumulate
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -55,13 +53,12 @@ from ambrose.machine.controller import PidSettings
 from ambrose.machine.file.parse import read_table
 from ambrose.machine.file.tables import table_of
 from ambrose.machine.file.toml import machine_hash
+from ambrose.machine.json_text import parse_json
 from ambrose.machine.limits import (
     CONTROLLER_BYTES,
     CONTROLLER_NUMBERS,
     DELAY_SAMPLES,
     GRID_POINTS,
-    JSON_DEPTH,
-    JSON_KEYS,
     SAMPLE_TIME,
     STATES,
 )
@@ -388,50 +385,15 @@ def _content(text: str) -> Any:
             f"at most {CONTROLLER_NUMBERS}",
             "reduce the controller's order",
         )
-    if _depth(text) > JSON_DEPTH:
-        raise InvalidInput(
-            f"is not JSON of a controller, nested more than {JSON_DEPTH} times; {_AGAIN}"
-        )
     try:
-        return json.loads(text, parse_constant=_no_constant, object_pairs_hook=_unique)
-    except json.JSONDecodeError as error:
+        return parse_json(text, _AGAIN, sys.float_info.max)
+    except InvalidInput:
         if re.search(r"^\[\[?[a-z_.]+\]", text, re.MULTILINE):
             given = "a machine file, or another in TOML"
             raise invalid(
                 "it", given, "a controller file in JSON", "make one with `ambrose synthesize -o`"
-            ) from error
-        where = f"line {error.lineno}, column {error.colno}"
-        raise InvalidInput(
-            f"is not complete JSON ({error.msg} at {where}); {_AGAIN}, it may be truncated"
-        ) from error
-    except (RecursionError, ValueError) as error:
-        if isinstance(error, InvalidInput):
-            raise
-        raise InvalidInput(f"is not JSON that can be read ({error}); {_AGAIN}") from error
-
-
-def _depth(text: str) -> int:
-    marks = re.findall(r"[][{}]", re.sub(r'"(?:[^"\\]|\\.)*+"?', "", text))
-    return max(accumulate(1 if mark in "[{" else -1 for mark in marks), default=0)
-
-
-def _no_constant(text: str) -> float:
-    raise invalid("a number", text, "finite", f"{_AGAIN} from a controller without NaN")
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    result = dict(pairs)
-    if len(pairs) > JSON_KEYS:
-        raise invalid(
-            "the number of keys of a table",
-            len(pairs),
-            f"at most {JSON_KEYS}",
-            "is this the right file?",
-        )
-    if len(result) != len(pairs):
-        (twice, _), *_ = Counter(name for name, _ in pairs).most_common(1)
-        raise invalid(f"key {quoted(twice)}", "given twice", "given once", _AGAIN)
-    return result
+            ) from None
+        raise
 
 
 def _parse(content: Any) -> ControllerTable:

@@ -51,15 +51,19 @@ def information(
     return Check(name, title, float(value), unit, relation=relation, detail=detail)
 
 
+def required_line(requirement: float | None) -> tuple[tuple[str, float], ...]:
+    """The user's own limit as a labelled horizontal line for a Curve; nothing without one."""
+    return () if requirement is None else (("required", float(requirement)),)
+
+
 def zone_lines(
-    criterion: Criterion, requirement: float | None = None
+    criterion: Criterion, requirement: float | None = None, of: str = ""
 ) -> tuple[tuple[str, float], ...]:
     """Labelled horizontal lines for a Curve: the user's own limit, and the borders "zone A/B" ...
-    of the criterion.
+    of the criterion; of: the lines that these judge, where the curve has others.
     """
-    required = () if requirement is None else (("required", float(requirement)),)
     above = [*(limit.zone for limit in criterion.limits[1:]), criterion.beyond]
-    return required + tuple(
-        (f"zone {limit.zone}/{next_}", limit.value)
+    return required_line(requirement) + tuple(
+        (f"zone {limit.zone}/{next_}{of and f' of {of}'}", limit.value)
         for limit, next_ in zip(criterion.limits, above, strict=True)
     )

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, cast
 
-from ambrose.core.checks import InvalidInput
+from ambrose.core.checks import InvalidInput, check_finite, check_positive
 from ambrose.judge.checks import Checks
 from ambrose.law.law import Law, LawLike, law_of
 from ambrose.law.timing import Timing
@@ -31,6 +31,14 @@ class Motion:
     pressure_rate: float | None = None
     pressure_error: float = 0.0
     speed_rate: float | None = None
+
+    def __post_init__(self) -> None:
+        rates = (("pressure_rate", "Pa/s"), ("speed_rate", "rad/s^2"))
+        for name, unit in rates:
+            if getattr(self, name) is not None:
+                remedy = f"give the fastest change in {unit}, or leave it out"
+                check_positive(getattr(self, name), name, remedy)
+        check_finite(self.pressure_error, "pressure_error [Pa]")
 
 
 class MovingProof(Protocol):

@@ -209,6 +209,11 @@ class Synthesis(Presented, Law):
         content["provenance"] |= {"date": "", "digest": None}
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
+    @property
+    def named(self) -> str:
+        """Its method and digest."""
+        return f"{self.method}, SHA-256 {self.digest}"
+
     def to_control(self) -> Any:
         """The controller as a python-control system."""
         return self.controller.to_control()
@@ -224,7 +229,20 @@ class Synthesis(Presented, Law):
         )
         unmet = margins.get("unmet_checks", 0.0) > 0
         too_large = self.method == "tuned" and self.gamma > 1
+        if too_large and (ratios := self._ratios):  # guards are no requirements
+            too_large = any(v > 1 for name, v in ratios.items() if name not in self.guards)
         return beyond or unmet or too_large or self.lost_as_assumed
+
+    @property
+    def _ratios(self) -> dict[str, float]:
+        margins = self.certificate.margins.items()
+        return {n.removeprefix("ratio_"): v for n, v in margins if n.startswith("ratio_")}
+
+    @property
+    def guards(self) -> dict[str, float]:
+        """What a search was kept from beyond the requirements, each over its limit."""
+        margins = self.certificate.margins.items()
+        return {n.removeprefix("guard_"): v for n, v in margins if n.startswith("guard_")}
 
     @property
     def lost_as_assumed(self) -> bool:
@@ -269,6 +287,8 @@ class Synthesis(Presented, Law):
             words += f", but only as a continuous loop{elsewhere}"
         elif self.missed:
             words += ", but not every requirement is met"
+        elif beyond := [name for name, value in self.guards.items() if value > 1]:
+            words += f", beyond a guard of the search that no requirement asks for: {beyond[0]}"
         return (
             words
             if self.stopped_early is None

@@ -48,12 +48,12 @@ from ambrose.core.worst_case.loop import (
 )
 from ambrose.core.worst_case.search import BoxGain, peak_at, worst_gain
 from ambrose.judge.checks import Check, Checks, Curve
-from ambrose.judge.criteria import information, judge, zone_lines
+from ambrose.judge.criteria import information, judge, required_line
 from ambrose.law.design_problem import design_plant, unit_problem, with_performance_block
 from ambrose.law.law import LawLike, law_of
 from ambrose.law.loop import match_axes, match_controller
 from ambrose.law.weights import Weights
-from ambrose.machine.criteria import SENSITIVITY, TWO_PI, Demand, demand
+from ambrose.machine.criteria import TWO_PI, Demand, demand
 from ambrose.machine.description import OperatingPoint, Requirements, Tolerance
 from ambrose.model.plant import Plant
 from ambrose.model.uncertainty import in_tolerances
@@ -358,9 +358,9 @@ def _sensitivity(
                 output,
                 "",
                 "Output sensitivity over the tolerances",
-                zone_lines(SENSITIVITY, requirements.sensitivity_peak),
+                required_line(requirements.sensitivity_peak),
             ),
-            (input_, ".input", "Input sensitivity over the tolerances", zone_lines(SENSITIVITY)),
+            (input_, ".input", "Input sensitivity over the tolerances", ()),
         )
     ]
     return checks, curves, worst

@@ -5,6 +5,7 @@
 | stability.abscissa | largest real part of the closed-loop poles; must be negative | rad/s |
 | poles.log_decrement.lowest | smallest log dec to the first forward mode or top speed | - |
 | poles.log_decrement.least | smallest log dec of all poles, bending and controller included | - |
+| poles.damping.above | smallest damping ratio above top speed, for a damping_above | - |
 | poles.damping.least | smallest damping ratio of all poles | - |
 
 The curve "poles" holds every closed-loop pole.
@@ -173,6 +174,18 @@ def pole_checks(eigenmodes: Modes, requirements: Requirements, top_speed: float)
             )
         )
     order = ringing[np.argsort(eigenmodes.damping[ringing])]
+    above = order[eigenmodes.frequency[order] > top_speed * (1 + _ROUNDING)]
+    if requirements.damping_above is not None and above.size:
+        checks.append(
+            judge(
+                "poles.damping.above",
+                "Damping ratio of the modes above the top speed",
+                eigenmodes.damping[above[0]],
+                "-",
+                demand("damping above the top speed", requirements),
+                f"at {_place(eigenmodes, above[0])}",
+            )
+        )
     near = [k for k in order if eigenmodes.frequency[k] <= listed_to][:_LISTED]
     least = order[0]
     where = f"at {_place(eigenmodes, least)}"

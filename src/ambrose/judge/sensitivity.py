@@ -24,11 +24,13 @@ import numpy as np
 
 from ambrose.core.frequency import largest_gain
 from ambrose.judge.checks import Check, Curve
-from ambrose.judge.criteria import judge, zone_lines
+from ambrose.judge.criteria import judge, required_line, zone_lines
 from ambrose.judge.loop_response import Evaluator, LoopResponse
 from ambrose.judge.peaks import Peak, peaks_of
 from ambrose.machine.criteria import SENSITIVITY, TWO_PI, demand
 from ambrose.machine.description import Requirements
+
+ALL_AXES = "maximum singular value"  # label of the line of a curve that no zone judges
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +66,6 @@ _QUANTITIES = (
         "-",
         LoopResponse.input_sensitivity,
         "input sensitivity of an axis",
-        "maximum singular value of the input sensitivity",
     ),
     _Quantity("complementary", "complementary sensitivity", "-", LoopResponse.complementary),
     _Quantity(
@@ -98,7 +99,7 @@ def sensitivity_checks(
         values = quantity.rows(response)
         for label, peak, curve in zip(labels, row, values, strict=True):
             rule = quantity.max_rule if label == "max" else quantity.axis_rule
-            what = "maximum singular value" if label == "max" else label
+            what = ALL_AXES if label == "max" else label
             detail = _where(peak) + _beyond(response.omega, curve, within[1], peak)
             wanted = demand(rule, requirements)
             checks.append(
@@ -171,15 +172,12 @@ def _curve(
     labels: tuple[str, ...],
     requirements: Requirements,
 ) -> Curve:
-    limits: tuple[tuple[str, float], ...] = ()
     wanted = demand(quantity.max_rule, requirements).limit
+    limits = required_line(wanted)
     if quantity.name.startswith("sensitivity"):
-        # nothing is required of one that is not judged
-        limits = zone_lines(SENSITIVITY, None if wanted is None else requirements.sensitivity_peak)
-    elif wanted is not None:
-        limits = (("required", wanted),)
+        limits = zone_lines(SENSITIVITY, wanted, "an axis" if "max" in labels else "")
     title = quantity.title[0].upper() + quantity.title[1:]
-    labels = tuple("maximum singular value" if label == "max" else label for label in labels)
+    labels = tuple(ALL_AXES if label == "max" else label for label in labels)
     return Curve(
         quantity.name,
         title,

@@ -109,6 +109,7 @@ def verify_controller(
         ranges,
         moving,
         blocks,
+        controller=law.named,
         over_speed=tuple(
             f"{plant.point.label}: {words}"
             for plant in within

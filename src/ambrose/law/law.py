@@ -82,6 +82,11 @@ class Law(ABC):
         return ""
 
     @property
+    def named(self) -> str:
+        """What a page calls it: what it is, with its digest where it is written down."""
+        return "not from a controller file"
+
+    @property
     def synchronous(self) -> tuple[Synchronous, ...]:
         """The blocks beside it that act at the speed of rotation; most laws have none."""
         return ()

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from numbers import Real
 from typing import Annotated, Any
 
 from ambrose.core.arguments import names_wrong_types
@@ -222,7 +223,15 @@ class OperatingPoint(Part):
                     "a number in SI",
                     "units are for machine files",
                 )
-            # what is no number is named where it is used
+            optional = value is None and name in ("bias_current", "whirl_frequency")
+            if not optional and (isinstance(value, bool) or not isinstance(value, Real)):
+                raise invalid(
+                    f"{name} of an operating point",
+                    type(value).__name__,
+                    "a number in SI",
+                    "give one number, or leave it out",
+                )
+            # what is not finite is named where it is used
             if isinstance(value, int | float) and abs(value) > largest:
                 limit, remedy = f"at most {largest:g} {unit}", "correct its unit or its exponent"
                 text = (
@@ -370,6 +379,9 @@ class Requirements(Part):
     gain_margin: Annotated[Ratio | None, "smallest gain margin, as a factor"] = None
     phase_margin: Annotated[Angle | None, "smallest phase margin"] = None
     log_decrement: Annotated[Ratio | None, "smallest logarithmic decrement"] = None
+    damping_above: Annotated[
+        Ratio | None, "smallest damping ratio of modes above the top speed"
+    ] = None
     max_current: Annotated[Current | None, "largest control current"] = None
     control_gain: Annotated[
         float | None,

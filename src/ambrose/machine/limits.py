@@ -72,6 +72,7 @@ SIGNALS, NOTES = 1000, 1000  # of a record
 # of a controller file; one with 500 states and 4 axes: 6 MB
 CONTROLLER_BYTES, CONTROLLER_NUMBERS = 64_000_000, 1_000_000
 STATES, GRID_POINTS = 500, 200  # of a controller, and of its schedule
+LARGEST_NUMBER = 1e150  # of a number in JSON: the square of a larger one overflows
 JSON_KEYS, JSON_DEPTH = 1000, 20  # of one table, and within each other
 
 

@@ -9,6 +9,7 @@ node of its own.
 
 from __future__ import annotations
 
+from bisect import insort
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
@@ -48,10 +49,13 @@ def mesh(shaft: tuple[ShaftSection, ...], places: Iterable[float] = ()) -> tuple
     """The elements from the left end to the right: ``elements`` equal ones of each section, divided
     at ``places`` [m] that are further than NEAR of the rotor's length from every node.
 
-    Places beyond the shaft divide nothing.
+    Of two places nearer than that to each other the one further from the middle has the node, so
+    that a mirrored rotor has the mirrored mesh. Places beyond the shaft divide nothing.
     """
-    near = NEAR * sum(section.length for section in shaft)
-    wanted = sorted(places)
+    length = sum(section.length for section in shaft)
+    near = NEAR * length
+    middle = shaft[0].start + length / 2 if shaft else 0.0
+    wanted = sorted(places, key=lambda at: -abs(at - middle))
     found: list[Piece] = []
     for section in shaft:
         n = section.elements
@@ -59,9 +63,9 @@ def mesh(shaft: tuple[ShaftSection, ...], places: Iterable[float] = ()) -> tuple
             ends = [i / n, (i + 1) / n]
             for at in wanted:
                 place = (at - section.start) / section.length
-                room = min(place - ends[-2], ends[-1] - place) * section.length
-                if room > near:
-                    ends.insert(-1, place)
+                room = min(abs(place - end) for end in ends) * section.length
+                if ends[0] < place < ends[-1] and room > near:
+                    insort(ends, place)
             # an element that stays whole has its length to the last bit
             lengths = [(b - a) * section.length for a, b in pairwise(ends)]
             lengths = lengths if len(lengths) > 1 else [section.length / n]

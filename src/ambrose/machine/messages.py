@@ -5,12 +5,13 @@ was probably meant.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from unicodedata import category
 
 _LONGEST = 60  # characters of a value in a message
 SHOWN = 20  # problems, or known names, in one message
+_LABELS = ("name", "label", "bearing", "parameter")  # keys that tell entries of a table apart
 BULLET = "\n  - "  # before each further line of a message
 
 
@@ -98,3 +99,17 @@ def as_written(value: float, quantity: str, unit: bool = True) -> str:
 def number(value: float | None, unit: str) -> str:
     """A number with its unit."""
     return "missing" if value is None else f"{value:g} {unit}".strip()
+
+
+def called(entry: object, table: str, number: int) -> str:
+    """An entry by its name where it has one, else by its number; labels are free text and stand
+    after the number.
+    """
+    name = (
+        next((entry[key] for key in _LABELS if isinstance(entry.get(key), str)), "")
+        if isinstance(entry, Mapping)
+        else ""
+    )
+    if table in {"shaft", "point"} and name:
+        return f'{number} "{name}"'
+    return f"{number} {name}".rstrip() if table == "tolerance" else name or str(number)

@@ -21,7 +21,8 @@ identified with its parameters.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any
 
 from ambrose.core.checks import InvalidInput, check_positive, invalid
 from ambrose.machine.attachment import attached, attachments
@@ -249,6 +250,44 @@ def uncertain_modes(machine: MachineDescription) -> tuple[int, ...]:
         if item.parameter.startswith("rotor.")
     ]
     return tuple(sorted({int(path.name.removeprefix(BENDING)) for path in paths}))
+
+
+def chosen(machine: MachineDescription) -> tuple[tuple[str, str], ...]:
+    """The entries of [machine.assumed] that still speak of something: all but those of a key that
+    the machine does not state any more ("bearing.geometry" where no bearing has one).
+    """
+    return tuple(row for row in machine.assumed if _stands(machine, row[0]))
+
+
+def settled(before: MachineDescription, after: MachineDescription) -> tuple[tuple[str, str], ...]:
+    """The reasons of a machine without those whose key was stated ``before`` and is no more."""
+    stood = chosen(before)
+    return tuple(r for r in after.assumed if r not in stood or _stands(after, r[0]))
+
+
+def _stands(machine: MachineDescription, path: str) -> bool:
+    """False where the key of a reason is one of a machine file's and none is stated; words of the
+    user's own, and tables ("gravity_direction", which may say why there is none), stand.
+    """
+    if path.endswith(".scales_with_pressure"):  # may say why one does not
+        return True
+    nodes: list[Any] = [machine]
+    for part in path.split("."):
+        found = [
+            getattr(node, item.name)
+            for node in nodes
+            if is_dataclass(node)
+            for item in fields(node)
+            if part in {item.name, item.metadata.get("key"), item.name.removesuffix("s")}
+        ]
+        found += [node for node in nodes if getattr(node, "name", None) == part]
+        if not found:
+            return True
+        nodes = [one for item in found for one in (item if isinstance(item, tuple) else (item,))]
+        nodes = [node for node in nodes if node is not None]
+        if not nodes:
+            return "." not in path
+    return True
 
 
 def _labelled(machine: MachineDescription, label: str) -> OperatingPoint:

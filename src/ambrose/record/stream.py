@@ -18,6 +18,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
+from ambrose.machine.json_text import parse_json
 from ambrose.machine.limits import NUMBERS
 from ambrose.record.attributes import read_attributes, record_of
 from ambrose.record.record import Record
@@ -100,12 +101,12 @@ def _joined(head: bytes, parts: Iterator[tuple[bytes, bytes]], size: int) -> Rec
     """The content of the "H" block and the blocks behind it as a record; size: of the file
     [bytes].
     """
-    header = json.loads(head)
+    header = parse_json(head, "repeat the run")
     p, filled = len(header["signals"]), 0
     values, notes = np.empty((p, size // (8 * p))), {COMPLETE: UNFINISHED}
     for kind, content in parts:
         if kind == b"N":
-            notes |= json.loads(content)
+            notes |= parse_json(content, "repeat the run")
         else:
             part = samples(content, p)
             values[:, filled : filled + part.shape[1]] = part

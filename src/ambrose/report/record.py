@@ -16,7 +16,7 @@ from ambrose.judge.checks import Curve
 from ambrose.machine.axial import AxialMachine
 from ambrose.machine.machine import Machine
 from ambrose.record.record import Record
-from ambrose.report import theme, units
+from ambrose.report import tables, theme, units
 from ambrose.report.figures.axes import drawn
 from ambrose.report.figures.curves import figure
 from ambrose.report.figures.motion import (
@@ -31,6 +31,7 @@ from ambrose.report.figures.motion import (
     window,
 )
 from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, Verdict, numbers
+from ambrose.rig.engine.outcome import LEVITATED_WITHIN, Lift
 from ambrose.rig.scenario import Scenario
 from ambrose.rig.trace import Trace
 
@@ -361,7 +362,7 @@ def _square(figure: Any, row: int, count: int) -> None:
 
 
 _AT_LIMIT = 0.999  # of the limit: reached, but for rounding
-_CLEAR = 0.05  # [s] without contact after which a rotor that starts in contact counts as lifted
+_LAST = 20  # the last part of a record, of so many: at the limit there is not to come off it
 _KINDS = (
     ("y", "Displacements at the sensors"),
     ("q", "Displacements of the rotor"),
@@ -372,15 +373,30 @@ _KINDS = (
 )
 
 
+def run_result(trace: Trace, machine: Machine) -> Verdict:
+    """How a run turned out, its outcome and the machine's limits: the verdict that leads its page,
+    and that ``simulate`` ends with.
+    """
+    if not trace.passed:  # nothing else makes it good
+        return Verdict("Result", False, "the run fails in: outcome")
+    places = stations(trace.record, machine)
+    result = _result(record_verdicts(trace.record, machine, places, trace))
+    assert result is not None  # the outcome is known
+    return result
+
+
 def record_verdicts(
     record: Record, machine: Machine, places: Sequence[Station], trace: Trace | None
 ) -> tuple[Verdict, ...]:
     """The outcome of a simulation, the clearance, currents and forces against their limits; those
     that can be judged.
+
+    What reaches a limit that it is held to, as a controller's output is, and comes off it, is
+    information; what passes it, or stays at it, fails.
     """
     verdicts = []
     if trace is not None:
-        verdicts.append(Verdict("Outcome", trace.outcome == "completed", units.prose(trace.text)))
+        verdicts.append(Verdict("Outcome", trace.passed, units.prose(trace.text)))
     elif outcome := dict(record.notes).get("outcome"):
         verdicts.append(Verdict("Outcome", None, units.prose(outcome)))
     if dict(record.notes).get("complete") == "false":
@@ -388,9 +404,7 @@ def record_verdicts(
             Verdict("Record", None, "the run was interrupted; the record ends before its time")
         )
     judged = [station for station in places if station.gap is not None]
-    starts = [lifted(station, record.sample_rate_hz) for station in judged]
-    # None: never free of all of them
-    first = None if None in starts else max((start or 0 for start in starts), default=0)
+    first = levitated(record, judged, trace)
     verdicts += _clearance(record, judged, first)
     kind, title = (
         ("u", "Controller output")
@@ -418,23 +432,27 @@ def record_verdicts(
     return tuple(verdicts)
 
 
-def lifted(station: Station, rate: float) -> int | None:
-    """The first sample from which the rotor is free of its touchdown bearing: 0 unless it starts in
-    contact; None: never.
+def levitated(record: Record, judged: Sequence[Station], trace: Trace | None) -> int | None:
+    """The first sample from which the rotor is levitated: 0 unless it starts in contact with a
+    touchdown bearing; None: never. A run of the rig has said so itself.
     """
-    if station.gap is None or station.radius[0] < _AT_LIMIT * station.gap:
+    if trace is not None and trace.levitated_at is not None:
+        return int(np.searchsorted(record.time, trace.levitated_at - 0.5 / record.sample_rate_hz))
+    if not judged:
         return 0
-    free = station.radius < station.gap
-    needed = max(1, round(_CLEAR * rate))
-    run = np.convolve(free, np.ones(needed), "valid") >= needed - 0.5
-    return int(run.argmax()) if run.any() else None
+    share = np.max([station.radius / (station.gap or np.inf) for station in judged], axis=0)
+    if share[0] < _AT_LIMIT:
+        return 0
+    start = Lift().follow(record.time, share)
+    return None if start is None else int(np.searchsorted(record.time, start))
 
 
 def _clearance(record: Record, judged: Sequence[Station], first: int | None) -> list[Verdict]:
     if not judged:
         return []
     if first is None:
-        return [Verdict("Touchdown", False, "the rotor never gets free of the touchdown bearings")]
+        words = f"the rotor is never levitated, within {percent(LEVITATED_WITHIN)} of the gap"
+        return [Verdict("Touchdown", False, words)]
     worst = max(
         judged, key=lambda station: float(station.radius[first:].max()) / (station.gap or 1.0)
     )
@@ -449,8 +467,8 @@ def _clearance(record: Record, judged: Sequence[Station], first: int | None) -> 
     words += f"{percent(share)} of the gap of {limit}; at the end {units.quantity(end, 'm')}"
     if first:
         words = (
-            f"free of the touchdown bearings since t = {_moment(record, first)}; from then on "
-            f"{words}"
+            f"levitated, within {percent(LEVITATED_WITHIN)} of the gap, since t = "
+            f"{_moment(record, first)}; from then on {words}"
         )
     if share >= 1:
         words += f"; beyond the gap for {np.mean(radius >= gap):.1%} of the time"
@@ -486,13 +504,24 @@ def _against(
         f"{_moment(record, first + int(share.argmax()))}, "
     )
     words += f"{percent(float(share.max()))} of {limit}"
-    if share.max() >= _AT_LIMIT:
-        full = {name: float(np.mean(row >= _AT_LIMIT)) for name, row in shares.items()}
-        words += "; at the limit " + ", ".join(
-            f"{units.axis_name(n)} {part:.1%}" for n, part in full.items() if part > 0
-        )
-        words += " of the time"
-    return [Verdict(title, bool(share.max() < _AT_LIMIT), words)]
+    if share.max() < _AT_LIMIT:
+        return [Verdict(title, True, words)]
+    full = {name: row >= _AT_LIMIT for name, row in shares.items()}
+    for name, row in full.items():
+        if row.any():
+            seconds = units.quantity(float(row.sum()) / record.sample_rate_hz, "s")
+            words += (
+                f"; at the limit {units.axis_name(name)} for {seconds} ({100 * row.mean():.2g} %)"
+            )
+    if share.max() > 1 + (1 - _AT_LIMIT):
+        return [Verdict(title, False, words)]
+    last = -max(1, len(share) // _LAST)
+    stays = any(row[last:].any() for row in full.values())
+    ends = "still at it at the end" if stays else REACHED
+    return [Verdict(title, False if stays else None, f"{words}; {ends}")]
+
+
+REACHED = "reached its limit and came off it"
 
 
 def _moment(record: Record, sample: int) -> str:
@@ -610,7 +639,7 @@ def record_page(
         machine,
         tuple(section for section in sections if section.figures or section.tables),
         verdicts,
-        _facts(record, speed),
+        (tables.machine_fact(machine), *(trace.laws if trace else ()), *_facts(record, speed)),
         date,
         result=_result(verdicts),
     )
@@ -649,11 +678,12 @@ def _result(verdicts: tuple[Verdict, ...]) -> Verdict | None:
     failed = [verdict.label.lower() for verdict in known if not verdict.passed]
     if not known:
         return None
-    words = (
-        f"the run fails in: {', '.join(failed)}"
-        if failed
-        else "the run stays within all limits of the machine"
-    )
+    reached = [verdict.label.lower() for verdict in verdicts if verdict.text.endswith(REACHED)]
+    words = "the run stays within all limits of the machine"
+    if failed:
+        words = f"the run fails in: {', '.join(failed)}"
+    elif reached:
+        words += f"; {' and '.join(reached)} {REACHED}"
     return Verdict("Result", not failed, words)
 
 

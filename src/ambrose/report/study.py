@@ -131,9 +131,7 @@ def _outcome(trace: Trace | None) -> tuple[Cell, Cell]:
     if trace is None:
         return Cell("not run", "none"), Cell("")
     largest = units.quantity(float(np.abs(trace.record.values).max()), "m")
-    return Cell(trace.text, "pass" if trace.outcome == "completed" else "fail"), Cell(
-        largest, "number"
-    )
+    return Cell(trace.text, "pass" if trace.passed else "fail"), Cell(largest, "number")
 
 
 _SPAN = 0.1  # s, of the first and the last panel

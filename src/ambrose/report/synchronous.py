@@ -41,12 +41,18 @@ def synchronous_page(
     *,
     left_out: Sequence[str] = (),
     loop: str = "",
+    controller: str = "",
     date: str = "",
 ) -> Page:
-    """A page of its own. left_out: bands in which no block may be on, each with its reason; loop:
-    which one was judged.
+    """A page of its own. left_out: bands in which no block may be on, each with its reason; loop,
+    controller: which one was judged.
     """
-    facts = (("Loop judged", loop), ("Left out", "; ".join(left_out)))
+    facts = (
+        tables.machine_fact(machine),
+        ("Controller", controller),
+        ("Loop judged", loop),
+        ("Left out", "; ".join(left_out)),
+    )
     title = "Synchronous unbalance control"
     verdicts = tuple(map(tables.verdict, blocks))
     passed = all(block.passed for block in blocks)

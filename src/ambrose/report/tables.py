@@ -13,6 +13,7 @@ from ambrose.machine.attachment import attached
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.file.toml import machine_hash
 from ambrose.machine.machine import Machine
+from ambrose.machine.parameters import chosen
 from ambrose.machine.part import Part
 from ambrose.machine.validation.signs import unit_and_names
 from ambrose.report import units
@@ -164,6 +165,18 @@ def believed(verb: str, findings: Sequence[Any]) -> Verdict:
 def machine_fact(machine: Machine) -> tuple[str, str]:
     """The machine file in the head of a page: its name and the first digits of its hash."""
     return "Machine file", f"{machine.name}, {machine_hash(machine)[:12]}"
+
+
+def assumed_table(machine: Machine) -> tuple[Table, ...]:
+    """What the machine file marks as chosen; nothing where it marks nothing. A reason for a value
+    that the file no longer states is named beneath.
+    """
+    stand, gone = chosen(machine), []
+    gone = [name for name, reason in machine.assumed if (name, reason) not in stand]
+    if not machine.assumed:
+        return ()
+    note = f"Reasons for what the file no longer states: {', '.join(gone)}." if gone else ""
+    return (Table("Chosen, not measured", ("Parameter", "Reason"), stand, note),)
 
 
 def capitalised(notes: Sequence[str], joint: str = " ", end: str = ".") -> str:

@@ -147,6 +147,8 @@ def page_of_verification(verification: Verification, machine: Machine, **options
     failed = "; ".join(units.prose(title) for title in dict.fromkeys(titles))
     words = "every check passed" if verification.passed else f"fails: {failed or 'stability'}"
     facts = (
+        tables.machine_fact(machine),
+        ("Controller", verification.controller),
         ("Loop judged", verification.timing),
         ("Left out", ", ".join(verification.left_out)),
         ("Not varied", ", ".join(verification.not_varied)),
@@ -219,6 +221,5 @@ def machine_section(machine: Machine, models: Sequence[tuple[str, str]]) -> Sect
     contents = [tables.stations_table(machine)]
     if models:
         contents.append(Table("Models", ("Model", "Size"), tuple(models)))
-    if machine.assumed:
-        contents.append(Table("Chosen, not measured", ("Parameter", "Reason"), machine.assumed))
+    contents += tables.assumed_table(machine)
     return Section("Machine", "", (drawing,), tuple(contents))

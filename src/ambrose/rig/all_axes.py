@@ -189,6 +189,7 @@ def run(
         )
         record = recorder.finish(text)
     touched = [at for at in (monitor.touched_at, watched.touched) if at is not None]
+    lifted = [at for at in (monitor.lifted_at, watched.lifted) if at is not None]
     poles = [item for item in (pole, axial_pole) if item is not None]
     return Trace(
         record,
@@ -199,6 +200,7 @@ def run(
         max(poles, key=lambda item: item.real),
         monitor.stopped_at(motion.overflow),
         touchdown_at=min(touched, default=None),
+        levitated_at=max(lifted) if len(lifted) == 2 else None,
         run_time=time.perf_counter() - prepared,
         compile_time=prepared - begun,
     )

@@ -37,7 +37,7 @@ from ambrose.rig.engine.controller import (
     sampled_law,
 )
 from ambrose.rig.engine.inputs import Plan, plan
-from ambrose.rig.engine.outcome import within_bounds
+from ambrose.rig.engine.outcome import Lift, within_bounds
 from ambrose.rig.engine.record import Recorder
 from ambrose.rig.scenario import LEVITATED, Scenario
 from ambrose.rig.trace import Trace
@@ -48,8 +48,6 @@ _STEP = 1.25e-5  # [s], the longest; the flux of a core is settled to first orde
 _NO_LAG = 5000.0  # [rad/s] at which the bias follows an ideal amplifier
 _REPORT_EVERY = 2.0  # [s]
 _FAR = 1.0  # [m] where there is no stop
-_CLEAR = 0.05  # [s] free of the stops: lifted
-_OFF = 0.9  # of the way to a stop
 
 
 class Constants(NamedTuple):
@@ -217,6 +215,7 @@ def run(
         pole,
         overflow,
         touchdown_at=watched.touched,
+        levitated_at=watched.lifted,
         run_time=time.perf_counter() - prepared,
         compile_time=prepared - begun,
     )
@@ -423,7 +422,7 @@ class Watch:
         self.deepest = 0.0
         self.contact = 0.0
         self.limited: float | None = None
-        self.free: float | None = None
+        self.lift = Lift()
 
     def follow(self, number: int, log: np.ndarray, sample: float) -> None:
         """One stretch of the log."""
@@ -432,12 +431,7 @@ class Watch:
         x = log[:, 4]
         depth = np.maximum(x - stops[1], -x - stops[0])
         if self.lifted is None:
-            near = (x > _OFF * stops[1]) | (x < -_OFF * stops[0])
-            for t, close in zip(time, near, strict=True):
-                self.free = None if close else (t if self.free is None else self.free)
-                if self.free is not None and t - self.free >= _CLEAR:
-                    self.lifted = float(self.free)
-                    break
+            self.lifted = self.lift.follow(time, np.maximum(x / stops[1], -x / stops[0]))
         most = self.rig.machine.thrust.max_current
         if most is not None and self.touched is None:
             full = np.flatnonzero(np.abs(log[:, 1]) >= most * (1 - 1e-9))
@@ -456,7 +450,7 @@ class Watch:
         if overflow is not None:
             return "diverged", f"diverged: the motion left all bounds at t = {overflow:.6g} s{side}"
         if self.lifted is None:
-            return "not levitated", f"not levitated: the collar did not get free of its stop{side}"
+            return "not levitated", f"not levitated: the collar is {self.lift.missing}{side}"
         lifted = "" if not self.lifted else f", levitated since t = {self.lifted:.4g} s"
         if self.touched is None:
             return "completed", f"completed without contact{lifted}{side}"

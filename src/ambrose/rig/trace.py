@@ -25,8 +25,10 @@ class Trace(Presented):
     [s]: where the record ends early, because the displacement limit was passed or the motion
     left all bounds. scenario: its name. speed_error: estimated error of holding the speed over
     short intervals during a run-up, as a fraction of the peak. touchdown_at [s]: first contact with
-    a touchdown bearing after levitation. run_time, compile_time [s]: of the computer; the second
-    includes all that precedes the first sample.
+    a touchdown bearing after levitation. levitated_at [s]: since when it is levitated (0: from the
+    start; None: not, or no rig). run_time, compile_time [s]: of the computer; the second
+    includes all that precedes the first sample. laws: what controlled, by its part in the run, each
+    with its digest.
     """
 
     record: Record
@@ -38,11 +40,20 @@ class Trace(Presented):
     stopped_at: float | None = None
     speed_error: float = 0.0
     touchdown_at: float | None = None
+    levitated_at: float | None = None
     run_time: float = 0.0
     compile_time: float = 0.0
+    laws: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:
         check_types(type(self).__post_init__, (self,), {})
+
+    @property
+    def passed(self) -> bool:
+        """Whether the run came to its end, on a loop that is stable: what every verdict on a run
+        says.
+        """
+        return self.outcome == "completed" and self.stable
 
     def facts(self) -> Mapping[str, Any]:
         """How it ended, what was simulated, for how long, and the largest displacement."""
@@ -71,6 +82,7 @@ class Trace(Presented):
             "text",
             "stopped_at",
             "touchdown_at",
+            "levitated_at",
             "speed_error",
         )
         pole = None if self.pole is None else [self.pole.real, self.pole.imag]

@@ -8,8 +8,9 @@ trace = simulate_scenario(machine, controller, "levitation")
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import wraps
 from typing import Any, Literal
 
 import numpy as np
@@ -55,7 +56,26 @@ class RunUp:
     rig_steps: tuple[Step, ...]
 
 
+def _naming_laws(run: Callable[..., Trace]) -> Callable[..., Trace]:
+    """The function, its trace with what controlled."""
+
+    @wraps(run)
+    def named(
+        machine: Machine | Plant, controller: LawLike, scenario: str | Scenario, **options: Any
+    ) -> Trace:
+        given = {"Controller": controller} | {
+            f"{name.capitalize()} controller": options.get(name)
+            for name in ("second", "fallback", "axial")
+        }
+        trace = run(machine, controller, scenario, **options)
+        laws = ((part, law_of(law).named) for part, law in given.items() if law is not None)
+        return replace(trace, laws=tuple(laws))
+
+    return named
+
+
 @names_wrong_types
+@_naming_laws
 def simulate_scenario(
     machine: Machine | Plant,
     controller: LawLike,

@@ -170,6 +170,7 @@ def run(
         pole,
         monitor.stopped_at(motion.overflow),
         touchdown_at=monitor.touched_at,
+        levitated_at=monitor.lifted_at,
         run_time=time.perf_counter() - prepared,
         compile_time=prepared - begun,
     )

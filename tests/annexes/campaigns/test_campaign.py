@@ -114,7 +114,6 @@ def test_wrong_plans_are_refused(head, vary, words):
         plan(head, vary)
 
 
-@pytest.mark.campaign
 def test_the_array_agrees_with_every_case_alone():
     """Oracle: the plant perturbed in its matrices, and its sensitivity at the frequency found and
     around it.
@@ -140,7 +139,6 @@ def test_the_array_agrees_with_every_case_alone():
         assert checks_of(item).stable == row.values["stable"]
 
 
-@pytest.mark.campaign
 def test_what_a_kill_leaves_is_gone_on_with_bit_for_bit(tmp_path):
     whole, cut = tmp_path / "whole", tmp_path / "cut"
     assert computed(plan(), whole).computed == 12
@@ -195,7 +193,6 @@ def test_failures_are_rows_with_their_reason(tmp_path):
     assert len(found.worst_first) == 1
 
 
-@pytest.mark.campaign
 def test_results_as_dataset_and_table(tmp_path):
     xr = pytest.importorskip("xarray")
     pytest.importorskip("h5netcdf")
@@ -242,7 +239,6 @@ with executors("processes", 1) as (make, _):
 """
 
 
-@pytest.mark.campaign
 def test_a_worker_ends_with_a_parent_that_was_killed():
     command = [sys.executable, "-c", PARENT]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
@@ -252,7 +248,6 @@ def test_a_worker_ends_with_a_parent_that_was_killed():
         assert parent.communicate(timeout=300) == ("", None)
 
 
-@pytest.mark.campaign
 def test_a_process_pool_gives_the_same_and_survives_a_killed_worker(tmp_path):
     import multiprocessing
 
@@ -278,7 +273,6 @@ def test_a_process_pool_gives_the_same_and_survives_a_killed_worker(tmp_path):
     assert rows_in(tmp_path / "pool") == rows_in(tmp_path / "here")
 
 
-@pytest.mark.campaign
 def test_dask_gives_the_same_and_survives_a_killed_worker(tmp_path):
     """Three workers of a real local cluster; one is killed while it computes."""
     distributed = pytest.importorskip("distributed")
@@ -308,7 +302,6 @@ def test_dask_gives_the_same_and_survives_a_killed_worker(tmp_path):
     assert rows_in(tmp_path / "dask") == rows_in(tmp_path / "here")
 
 
-@pytest.mark.campaign
 def test_the_command(tmp_path):
     file = tmp_path / "plan.toml"
     file.write_text(
@@ -338,7 +331,6 @@ def test_the_command(tmp_path):
     assert Path(tmp_path / "plan" / "table.csv").exists()
 
 
-@pytest.mark.campaign
 @pytest.mark.skipif(os.name == "nt", reason="an interrupt is sent as a signal")
 def test_ctrl_c_keeps_what_is_done_and_the_front_door_goes_on(tmp_path):
     document = {
@@ -424,7 +416,6 @@ def test_what_no_case_can_use_is_refused_before_any_is_computed(
     assert not (tmp_path / ROWS).exists()
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize(
     "content",
     [
@@ -439,6 +430,11 @@ def test_what_no_case_can_use_is_refused_before_any_is_computed(
         b'{"key": "a", "failure": "", "values": [1]}\n',
         b'{"key": "a", "failure": "", "values": {"x": [1]}}\n',
         b'{"key": "a", "failure": "", "values": {"x": 1' + b"0" * 400 + b"}}\n",
+        b'{"key": "a", "failure": "", "values": {"sensitivity.output.max": "large"}}\n',
+        b'{"key": "a", "failure": "", "values": {"stable": "yes"}}\n',
+        b'{"key": "a", "failure": "", "values": {"outcome": 3}}\n',
+        b'{"key": "a", "failure": "", "values": {"x": NaN}}\n',
+        b'{"key": "a", "failure": "", "values": {"x": 1e999}}\n',
     ],
 )
 def test_a_foreign_file_of_rows_is_refused_and_kept(tmp_path, content):
@@ -474,7 +470,6 @@ class Dying(ThreadPoolExecutor):
         return broken
 
 
-@pytest.mark.campaign
 def test_a_worker_that_dies_says_nothing_of_its_case(tmp_path):
     wanted = plan({"task": "verify"}, {"point.speed": {"from": "0 Hz", "to": "100 Hz", "count": 9}})
     deadly = {list(wanted.drawn())[8].key}
@@ -500,7 +495,6 @@ print(found.missing, found.failed, len(found.keys))
 """
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize("engine", ["processes", pytest.param("dask", marks=pytest.mark.study)])
 def test_a_plain_script_needs_no_guard(tmp_path, engine):
     """Without ``if __name__ == "__main__"``: every case was recorded as failed, its worker having
@@ -515,7 +509,6 @@ def test_a_plain_script_needs_no_guard(tmp_path, engine):
     assert ended.stdout.split() == ["0", "0", "12"], ended.stderr
 
 
-@pytest.mark.campaign
 def test_a_script_in_the_standard_input_computes_too(tmp_path):
     text = _SCRIPT.replace("HEAD", repr(HEAD)).replace("VARY", repr(VARY))
     command = [sys.executable, "-", str(tmp_path / "out"), "processes"]

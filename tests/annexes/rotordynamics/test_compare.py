@@ -5,6 +5,8 @@ m x'' + c x' + k x = U W^2 e^{j W t},    damped natural frequency and log decrem
 
 import json
 import math
+import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from scipy.optimize import minimize_scalar
 from tests.annexes.rotordynamics.test_lateral import RPM, C, K, films, mass_of
 
 import ambrose as amb
-from ambrose.annexes.rotordynamics.comparison import _assign
+from ambrose.annexes.rotordynamics.comparison import Comparison, Pair, Theirs, _assign
 from ambrose.annexes.rotordynamics.page import lateral_page
 from ambrose.annexes.rotordynamics.standard import rpm
 from ambrose.annexes.rotordynamics.their_table import TheirRow, read_table
@@ -197,7 +199,7 @@ def test_a_wrong_table_is_refused_in_one_sentence(text, words):
 def test_what_is_no_analysis_is_refused(analysis, tmp_path):
     path = tmp_path / "mine.json"
     for content, words in (
-        ("{", "no JSON"),
+        ("{", "not complete JSON"),
         ("[]", "no lateral analysis"),
         (json.dumps(dict(analysis.to_dict()) | {"schema": 99}), "schema 99"),
     ):
@@ -212,3 +214,58 @@ def test_what_is_no_analysis_is_refused(analysis, tmp_path):
     table.write_text("kind;speed [rpm];probe\ncritical;4000;VE9\n")
     with pytest.raises(InvalidInput, match='"VE9"'):
         amb.compare(analysis, table)
+
+
+SPOILED = {
+    "NaN": (("modes", 0, "log_decrement"), math.nan, "must be finite"),
+    "infinite": (("response", "curves", 0, "amplitude_m_pp", 0), math.inf, "must be finite"),
+    "overflow": (("critical_speeds", 0, "speed_rad_per_s"), 1e300, "must be finite"),
+    "negative amplitude": (
+        ("critical_speeds", 0, "amplitude_m_pp"),
+        -1e-6,
+        r"critical_speeds\[0\].amplitude_m_pp is -1e-06, but must be at least 0",
+    ),
+    "no speed": (("response", "speeds_rad_per_s", 0), 0, "must be above 0"),
+    "descending": (("response", "speeds_rad_per_s", 0), 1e4, "must ascend"),
+    "word": (("modes", 0, "frequency_rad_per_s"), "x", "'x', but must be number"),
+    "none": (("speeds_rad_per_s", "trip"), None, "None, but must be number"),
+    "truth": (("modes", 0, "whirl"), True, "True, but must be number"),
+    "list": (("items", 0), [], "a list, but must be object"),
+    "curve": (("response", "curves", 0, "phase_lag_deg"), [1.0], "has 1 values for"),
+    "key": (("items", 0, "colour"), "red", "items.0..colour is unknown"),
+}
+
+
+@pytest.mark.parametrize("case", SPOILED)
+@pytest.mark.parametrize("from_file", [True, False])
+def test_an_analysis_with_a_spoiled_value_is_refused(analysis, tmp_path, case, from_file):
+    """Of issue 49: --within was green with NaN, 98 of 1005 such files ended in a traceback."""
+    place, value, words = SPOILED[case]
+    data = json.loads(json.dumps(dict(analysis.to_dict())))
+    entry = data
+    for key in place[:-1]:
+        entry = entry[key]
+    entry[place[-1]] = value
+    path = tmp_path / "theirs.json"
+    path.write_text(json.dumps(data))
+    with pytest.raises(InvalidInput, match=words):
+        amb.compare(analysis, path if from_file else data, within=5.0)
+
+
+def test_a_negative_amplitude_of_a_table_is_refused():
+    with pytest.raises(InvalidInput, match="row 2: amplitude is negative"):
+        read_table("kind;speed [rpm];amplitude [um p-p]\ncritical;4000;-1\n", "t.csv")
+
+
+def test_ours_beside_their_zero_is_no_agreement():
+    pair = Pair("mode", "log decrement", 0.0, 5.0, "-")
+    assert Comparison("rotor", "theirs", (pair,), within=5.0).passed is False
+    assert Comparison("rotor", "theirs", (replace(pair, ours=0.0),), within=5.0).passed is True
+
+
+def test_thousands_of_rows_are_compared_in_a_second(analysis):
+    rows = "".join(f"response;{3000 + 0.5 * i:g};1\n" for i in range(4000))
+    theirs = read_table("kind;speed [rpm];amplitude [um p-p]\n" + rows, "t.csv")
+    begun = time.process_time()
+    compared = amb.compare(analysis, Theirs("t.csv", theirs))
+    assert len(compared.pairs) == 4000 and time.process_time() - begun < 1.0

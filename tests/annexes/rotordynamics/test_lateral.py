@@ -20,7 +20,7 @@ from ambrose.annexes.rotordynamics.clearances import Reading
 from ambrose.annexes.rotordynamics.command import value_in_words
 from ambrose.annexes.rotordynamics.critical import Critical, criticals
 from ambrose.annexes.rotordynamics.figures import level_one_figure, response_figure, shapes_figure
-from ambrose.annexes.rotordynamics.items import as_it_runs
+from ambrose.annexes.rotordynamics.items import as_it_runs, critical_speeds
 from ambrose.annexes.rotordynamics.items import capacity as rows_of_capacity
 from ambrose.annexes.rotordynamics.items import unbalance as rows_of_unbalance
 from ambrose.annexes.rotordynamics.json_schema import lateral_schema
@@ -123,7 +123,7 @@ def test_border_of_cross_coupling_is_c_sqrt_k_over_m():
     # 9.55 B P rho/(D H N) [kN/mm] with the printed constant
     printed = 9.55 * 3 * 400e3 * 1.5 / (400 * 20 * 6000) * 1e6
     assert one.anticipated == pytest.approx(printed, rel=1e-4)
-    assert one.branches[one.binding].border == one.border
+    assert one.branches[one.binding].border == pytest.approx(one.border, rel=1e-6)
 
 
 def test_a_border_beyond_the_sweep_is_more_than_its_end_and_the_density_leaves_its_trace():
@@ -220,41 +220,121 @@ def test_critical_speed_amplitude_and_factor_of_one_mass():
     assert found.amplification == pytest.approx(peak / (flanks[1] - flanks[0]), rel=1e-3)
 
 
+@pytest.mark.parametrize("damping", [1000.0, 6000.0])
+def test_a_critical_speed_above_trip_needs_its_margin(damping):
+    """AF 9.3 at 6.9 % above N_mc, where 24.8 % is asked, had no row: curves ended at 1.05 N_mc.
+    One mass: |x| = U W^2/|k - m W^2 + j c W|, N_mc 7 % below its peak.
+    """
+    k, c = 2 * K, 2 * damping
+    machine = films(
+        '[[clearance]]\nname = "lab"\nposition = 0.5\ndiametral = 4e-4\n', damping=damping
+    )
+    m = mass_of(machine)
+    grid = np.linspace(100, 1200, 200_001)
+    curve = grid**2 / np.hypot(k - m * grid**2, c * grid)
+    top = int(np.argmax(curve))
+    above = grid[curve >= curve[top] / math.sqrt(2)]
+    factor = grid[top] / (above[-1] - above[0])
+    running = grid[top] / 1.07
+    point = amb.OperatingPoint(running, label="mcs")
+    moved = replace(machine, operation=replace(machine.operation, points=(point,)))
+    result = amb.lateral(moved)
+    rows = {item.name: item for item in result.items}
+    assert rows["response.range"].passed
+    first, *_ = result.critical_speeds
+    peak = first[0].critical
+    assert peak.speed == pytest.approx(grid[top], rel=1e-3)
+    assert peak.amplification == pytest.approx(factor, rel=2e-3)
+    required = min(26, 10 + 17 * (1 - 1 / (factor - 1.5))) if factor >= 2.5 else 0
+    assert first[0].required == pytest.approx(required, rel=1e-2)
+    # a speed of NumPy's made the verdict one that "is False" did not see
+    assert ("critical_speed.1" in result.failed) == (required > 7)
+
+
+def test_all_turning_operating_points_are_the_running_range():
+    """Points at 4500 and 5700 rpm, a critical speed at 4543 rpm: its margin was taken from 5700."""
+    machine = films(damping=1000.0)
+    peak = math.sqrt(2 * K / mass_of(machine))
+    points = tuple(
+        amb.OperatingPoint(speed, label=label)
+        for speed, label in ((0.0, "rest"), (0.99 * peak, "slow"), (1.25 * peak, "fast"))
+    )
+    both = replace(machine, operation=replace(machine.operation, points=points))
+    result = amb.lateral(both)
+    assert result.speeds[:2] == (0.99 * peak, 1.25 * peak)
+    separation = result.critical_speeds[0][0]
+    assert separation.margin == 0 and not separation.passed
+    # the file may say otherwise
+    stated = replace(
+        both, requirements=replace(both.requirements, running_speeds=(1.25 * peak, 1.25 * peak))
+    )
+    separation = amb.lateral(stated).critical_speeds[0][0]
+    assert separation.margin == pytest.approx(20, abs=1) and separation.passed
+
+
+def test_the_border_of_level_one_needs_no_mode_that_rings():
+    """Films beyond critical damping: no forward mode rings at Q = 0, and Level I was "not done"
+    with exit status 0. Q0 = c sqrt(k/m) all the same.
+    """
+    machine = films(damping=3e4)
+    result = amb.lateral(machine)
+    one = result.level_one
+    assert one.border == pytest.approx(6e4 * math.sqrt(2 * K / mass_of(machine)), rel=1e-3)
+    assert one.crossing == pytest.approx(math.sqrt(2 * K / mass_of(machine)), rel=1e-3)
+    # no clearance in the file: what the standard asks for and was not done fails
+    assert "clearance" in result.failed and not result.passed
+
+
 def curve_of_peaks(speeds, *peaks):
     """Amplitudes [m] over speeds [rad/s]: (at [rad/s], height [m], width [rad/s]) of each peak."""
     return sum(height / (1 + ((speeds - at) / width) ** 2) for at, height, width in peaks)
 
 
-def rows_of_peaks(*peaks):
-    """Rows of the summary of one reading with these peaks, running from 900 to 1000 rad/s."""
+def rows_of_peaks(*peaks, elsewhere=0.0):
+    """Rows of the summary of one reading with these peaks, running from 900 to 1000 rad/s;
+    elsewhere [m]: how far the shaft moves where no probe is.
+    """
     speeds = np.linspace(50, 1050, 2001)
     curve = curve_of_peaks(speeds, *peaks)
     case = SimpleNamespace(name="first mode")
     response = SimpleNamespace(
-        cases=(case,), fine=speeds, curves=lambda k: [("DE zeta", curve)], all_readings=()
+        cases=(case,),
+        fine=speeds,
+        curves=lambda k: [("DE zeta", curve)],
+        all_readings=(),
+        prominence=lambda speed, factor, k: elsewhere,
     )
     reading = Reading(2 * float(curve.max()), "DE zeta", "first mode", 900.0)
-    rows = list(rows_of_unbalance(response, reading, (900.0, 1000.0, 1050.0), (1.0, 1.0)))
+    rows = list(rows_of_unbalance(response, reading, (900.0, 1000.0), (1.0, 1.0)))
     return [row for row in rows if row.name.startswith(("critical_speed", "small_peaks"))]
 
 
-def test_an_unknown_amplification_factor_is_not_judged():
-    """ "nan AF < 2.5 holds": a hump between two others, at the valleys of which it stays above
-    0.707 of its peak, has no half-power band, and nobody knows whether it is critically damped.
+def test_an_unknown_amplification_factor_is_judged_by_what_it_can_be_at_most():
+    """ "nan AF < 2.5 holds", later "not judged" and exit status 0: a hump between two others, at
+    the valleys of which it stays above 0.707 of its peak, has no half-power band, but one wider
+    than the distance of the two: AF <= 550/(b - a).
     """
     outer = [(500.0, 1.05e-5, 25.0), (600.0, 1.05e-5, 25.0)]
+    fine = np.linspace(450, 650, 200_001)
+    curve = curve_of_peaks(fine, *outer, (550.0, 1e-5, 25.0))
+    tops = fine[1:-1][(curve[1:-1] > curve[:-2]) & (curve[1:-1] > curve[2:])]
+    most = tops[1] / (tops[2] - tops[0])
     first, middle, last = rows_of_peaks(*outer, (550.0, 1e-5, 25.0))
-    assert middle.passed is None and middle.limit is None
-    assert middle.value == pytest.approx(28.4) and middle.unit == "um p-p"
-    assert "amplification factor not known" in middle.title and "not judged" in middle.note
-    # what is known is judged as before
+    assert middle.passed and middle.value == pytest.approx(100 * 350 / 900, rel=1e-2)
+    assert middle.limit == pytest.approx(17 * (1 - 1 / (most - 1.5)), rel=1e-3)
+    assert f"AF at most {most:.3g}" in middle.note
     assert first.passed and last.passed and first.limit is not None
+    # within the running range: such a factor asks for a margin, 0 of which are there
+    inside = [(at + 400, height, width) for at, height, width in (*outer, (550.0, 1e-5, 25.0))]
+    assert [row.passed for row in rows_of_peaks(*inside)] == [False] * 3
+    # and a flat one is critically damped whatever its factor is
+    assert Critical(1.0, 1.0, math.nan, False, 2.4).damped
     assert not Critical(1.0, 1.0, math.nan, False).damped
 
 
 def test_peaks_far_below_the_vibration_limit_are_one_row_of_information():
-    """A ripple of 0.003 um was a critical speed of its own. The border is 1 % of the limit, here
-    25.4 um p-p: 0.127 um 0-p.
+    """A ripple of 0.003 um was a critical speed of its own, one of 12.8 nm failed as a sharp one.
+    The border is 1 % of the limit, here 25.4 um p-p: 0.127 um 0-p.
     """
     main, ripple = (600.0, 1e-5, 60.0), (180.0, 5e-7, 6.0)
     assert [row.name for row in rows_of_peaks(main, ripple)] == [
@@ -265,9 +345,30 @@ def test_peaks_far_below_the_vibration_limit_are_one_row_of_information():
     one, small = rows_of_peaks(*tenth)
     assert one.limit is not None and "critically damped" not in one.title
     assert small.passed is None and small.limit is None and "not judged" in small.note
-    # a sharp one stays a critical speed, however small
-    sharp = [(at, height / 50, width) for at, height, width in (main, ripple)]
-    assert [row.limit is None for row in rows_of_peaks(*sharp)] == [False, False]
+    # a sharp one counts where the shaft moves more elsewhere: its node is at the probes
+    sharp = [(at, height / 50, width) for at, height, width in (main, (980.0, 5e-7, 6.0))]
+    assert [row.limit is None for row in rows_of_peaks(*sharp)] == [False, True]
+    rows = rows_of_peaks(*sharp, elsewhere=1e-6)
+    assert [row.limit is None for row in rows] == [False, False] and rows[1].passed is False
+
+
+def test_a_critical_speed_is_shown_as_the_placement_that_excites_it_shows_it():
+    """0.23 um p-p of one placement stood for a critical speed whose other placement gives 46."""
+    speeds = np.linspace(50, 1050, 2001)
+    curves = [curve_of_peaks(speeds, (800.0, 23e-6, 80.0))]
+    curves.append(curve_of_peaks(speeds, (805.0, 0.2e-6, 5.0)))
+    response = SimpleNamespace(
+        cases=(SimpleNamespace(name="its own"), SimpleNamespace(name="another")),
+        fine=speeds,
+        curves=lambda k: [("DE zeta", curves[k])],
+        prominence=lambda speed, factor, k: 1.0,
+    )
+    ((row, _, case),) = critical_speeds(response, 900.0, 1000.0)
+    assert case == "its own" and row.critical.amplitude == pytest.approx(23e-6, rel=1e-3)
+    # a tenth of it counts: the tightest reading of those is shown
+    curves[1] = 20 * curves[1]
+    ((row, _, case),) = critical_speeds(response, 900.0, 1000.0)
+    assert case == "another" and not row.passed
 
 
 def test_a_row_in_the_terminal_keeps_sign_bound_and_unit():
@@ -663,7 +764,9 @@ def test_clearance_is_held_against_scaled_motion():
     (rub,) = wide.rubs
     assert rub.passed
     assert rub.motion == pytest.approx(
-        2 * wide.scale[0] * wide.response.major_axis(wide.layout.nearest(0.5), 0).max()
+        2
+        * wide.scale[0]
+        * wide.response.upto(6300 * RPM).major_axis(wide.layout.nearest(0.5), 0).max()
     )
     assert 1 <= wide.scale[0] <= 6
     assert not tight.rubs[0].passed
@@ -759,7 +862,6 @@ def test_data_are_plain_and_as_the_schema_has_them():
         jsonschema.validate(wrong, schema)
 
 
-@pytest.mark.campaign
 def test_a_study_leaves_the_analysis_of_a_rotor_that_turns(tmp_path):
     (place,) = [p for name, p in registered("study file").items() if name == "lateral analysis"]
     write = resolve(place)

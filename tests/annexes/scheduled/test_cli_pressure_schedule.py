@@ -16,8 +16,6 @@ from ambrose.machine.file.update import save_machine
 from ambrose.record.files import read_record
 from coarse import coarse
 
-pytestmark = pytest.mark.campaign  # a design
-
 SCENARIO = """name = "surge"
 duration = "60 ms"
 [[pressure]]

@@ -69,7 +69,6 @@ def test_the_loop_with_the_pressure_pulled_out_is_the_loop_at_each_pressure(
         )
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize("timing", [None, TIMING])
 def test_the_proof_is_just_above_rest_for_a_slow_change_and_above_that_for_any(
     rig, span, timing
@@ -86,7 +85,6 @@ def test_the_proof_is_just_above_rest_for_a_slow_change_and_above_that_for_any(
     assert "full plant" in found["moving.sensitivity.rate"].detail
 
 
-@pytest.mark.campaign
 def test_verify_has_it_where_a_rate_is_known(rig) -> None:
     law = pid_controller(PID, rig)
     assert verify_controller(rig, law, tolerances=False).moving == ()
@@ -119,7 +117,6 @@ def with_table(rig: Machine, values: tuple[float, ...], pressures: tuple[float, 
     )
 
 
-@pytest.mark.campaign
 def test_a_table_with_a_corner_is_followed_on_both_sides_of_it(rig, span) -> None:
     """No polynomial goes around the corner: the cells beside it are halved until what is left does
     not matter.

@@ -57,7 +57,6 @@ def peak(machine: Machine, law: StateSpace, speed: float, k: float = 0.0) -> flo
     return hinf_norm(select(closed_loop(plant, law), inputs, outputs)).value
 
 
-@pytest.mark.campaign
 def test_the_proofs_are_just_above_steady_speeds_and_above_the_worst_corner(rig: Machine) -> None:
     law = pid_controller(PID, rig)
     (span,) = speed_spans(rig, law)

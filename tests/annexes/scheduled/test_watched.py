@@ -134,7 +134,6 @@ def events(duration, **parts):
     return Scenario("watched", duration, sequences=SHAKEN, sample_time=DT, **parts)
 
 
-@pytest.mark.campaign
 def test_on_the_rig_a_reading_that_is_off_is_trimmed_and_one_that_is_far_off_is_not_believed():
     for share, state in ((0.15, State.SCHEDULED), (0.6, State.FIXED)):
         scenario = events(0.62, pressure_sensors=(PressureSensor(offset=share * NOMINAL),))

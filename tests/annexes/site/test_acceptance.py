@@ -65,7 +65,6 @@ def record(speed=0.0, kind="e", noise=2e-8):
     )
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize("speed", [0.0, 2 * np.pi * 120])
 @pytest.mark.parametrize("kind", ["e", "r"])
 def test_the_measured_sensitivity_is_the_true_one(speed, kind):
@@ -86,7 +85,6 @@ def test_the_measured_sensitivity_is_the_true_one(speed, kind):
     np.testing.assert_allclose(loop.loops, 1 / np.einsum("wii->wi", loop.S) - 1)
 
 
-@pytest.mark.campaign
 def test_the_interval_holds_magnets_that_differ_by_their_curvature():
     """A bearing's forces 1 % off: where S is large, S moves by more than 1 % of T."""
     bearing = machine().bearings[0]
@@ -102,7 +100,6 @@ def test_the_interval_holds_magnets_that_differ_by_their_curvature():
     assert (np.abs(there - own) <= loop.half[same[0]]).all()
 
 
-@pytest.mark.campaign
 def test_zones_judge_the_outer_end_of_the_interval():
     loop = accept(machine(), law(), record()).points[0]
     value, high = loop.checks.checks[0].value, loop.peaks[0][1]
@@ -117,7 +114,6 @@ def test_zones_judge_the_outer_end_of_the_interval():
     assert bare.checks.checks[0].zone == "A" and bare.checks.checks[0].passed
 
 
-@pytest.mark.campaign
 def test_another_controller_than_the_file_says_is_noticed():
     louder = replace(
         law(),
@@ -137,7 +133,6 @@ def test_another_controller_than_the_file_says_is_noticed():
     assert not other.passed and other.value == pytest.approx(0.2, abs=0.05)
 
 
-@pytest.mark.campaign
 def test_another_delay_than_was_told_fails_and_can_be_told():
     """One sample more turns the currents by less than the tenth that is allowed in size: the delay
     is judged by itself.
@@ -164,7 +159,6 @@ def test_another_delay_than_was_told_fails_and_can_be_told():
     assert right["controller.delay"].passed and right["controller.difference"].value < 0.01
 
 
-@pytest.mark.campaign
 def test_operating_points_are_told_apart():
     both = accept(machine(), law(), [record(), record(2 * np.pi * 120)])
     assert [loop.point.speed for loop in both.points] == [0.0, 2 * np.pi * 120]
@@ -212,7 +206,6 @@ def test_what_cannot_be_accepted_is_refused():
             accept(machine(), law(), item)
 
 
-@pytest.mark.campaign
 def test_the_command_writes_the_page_to_sign(tmp_path):
     files = {name: str(tmp_path / name) for name in ("law.json", "run.h5", "page.html", "m.toml")}
     amb.write_controller(files["law.json"], law(), machine())
@@ -251,7 +244,6 @@ def bare(seconds=8.0, bit=7e-4, noise=2e-8):
     return replace(found, values=found.values + noise * shown * heard)
 
 
-@pytest.mark.campaign
 def test_lines_without_excitation_neither_pass_nor_fail():
     """A null of the sequence within the band that is judged: there the loop comes out as anything,
     with an interval as wide, and the page says to excite there.
@@ -285,7 +277,6 @@ def test_lines_without_excitation_neither_pass_nor_fail():
     assert "excite there" in page and "of the band told" in page
 
 
-@pytest.mark.campaign
 def test_a_band_left_dark_fails_as_a_whole():
     """Bits of 2 ms leave most above 500 Hz in the noise: what was not asked was not accepted."""
     loop = accept(machine(), law(), bare(bit=2e-3, noise=2e-7)).points[0]

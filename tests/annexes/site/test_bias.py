@@ -96,7 +96,6 @@ def test_rows_that_the_file_lacks_are_found(tmp_path):
     assert "Magnets over bias current" in (tmp_path / "bias.html").read_text()
 
 
-@pytest.mark.campaign
 def test_static_loads_alone_and_beside():
     """K_i of the seal rig at its own bias by loads: written where nothing else tells it; currents
     read 30 % low are named.

@@ -211,7 +211,6 @@ def test_run_out_is_found_on_the_rig():
     np.testing.assert_allclose(*phasors, atol=2e-7)
 
 
-@pytest.mark.campaign
 def test_a_circle_on_the_rig_is_free_of_the_compliance_of_the_contact():
     """Magnets press the rotor tens of um into the touchdown bearing: without that the gains would
     be 5 % too large.

@@ -61,7 +61,6 @@ def place(request, tmp_path_factory):
     return name, folder
 
 
-@pytest.mark.campaign
 def test_a_clean_sweep_is_measured_without_a_doubt(place):
     name, folder = place
     done = call(
@@ -110,7 +109,6 @@ def test_a_clean_sweep_is_measured_without_a_doubt(place):
     )
 
 
-@pytest.mark.campaign
 def test_a_wrong_model_is_seen(place):
     """The same record beside a machine whose magnets pull a fifth less: the model agrees at fewer
     lines.
@@ -130,7 +128,6 @@ def test_a_wrong_model_is_seen(place):
     assert right > 0.95 and wrong < 0.8
 
 
-@pytest.mark.campaign
 def test_terminal_and_page_without_controller_or_currents(place):
     name, folder = place
     record = read_record(folder / "sweep.h5")

@@ -21,7 +21,6 @@ from ambrose.identification.parameters import plant_at
 from ambrose.rig.disturbances import Prbs, Unbalance
 from ambrose.rig.scenario import Scenario
 
-pytestmark = pytest.mark.campaign  # half a minute
 SPEED, NOISE = 2 * np.pi * 50, 1e-8
 
 

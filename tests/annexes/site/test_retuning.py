@@ -86,7 +86,6 @@ def retuned(folder, scale, **options):
     return amb.retune(machine(), record(scale), law(), folder, unknown=UNKNOWN, **options)
 
 
-@pytest.mark.campaign
 def test_nothing_to_change_is_an_answer_with_its_figures(tmp_path):
     done = retuned(tmp_path / "same", 1.0)
     assert done.outcome == "no change needed" and done.passed
@@ -96,7 +95,6 @@ def test_nothing_to_change_is_an_answer_with_its_figures(tmp_path):
     assert not any(abs(item.change) > 0.002 for item in done.moved)
 
 
-@pytest.mark.campaign
 def test_a_change_beyond_the_file_s_tolerances_is_doubted_unless_it_is_known(tmp_path):
     narrow = replace(
         machine(),
@@ -115,7 +113,6 @@ def test_a_change_beyond_the_file_s_tolerances_is_doubted_unless_it_is_known(tmp
     assert all(item.beyond for item in done.moved)
 
 
-@pytest.mark.campaign
 def test_one_factor_of_all_magnets_is_doubted_unless_it_is_known(tmp_path):
     """It may be the mass as well: the loop, and so the retuning, is the same, and the page says
     so.
@@ -182,7 +179,6 @@ def test_a_later_day_is_no_other_machine(tmp_path):
         assert _begun(*asked) == first
 
 
-@pytest.mark.campaign
 def test_it_stops_where_the_record_is_not_to_be_believed(tmp_path):
     """A sensor's gain that nobody told of: identified, but doubted, and nothing is designed."""
     given = record(1.0)
@@ -199,7 +195,6 @@ def test_it_stops_where_the_record_is_not_to_be_believed(tmp_path):
     assert not (folder / CONTROLLER).exists()
 
 
-@pytest.mark.campaign
 def test_without_commands_another_controller_is_named_among_the_causes(tmp_path):
     """A loop whose gain is 1.3 times the given controller's looks like a wrong scale of e."""
     given = law().controller

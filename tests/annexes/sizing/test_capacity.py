@@ -6,11 +6,12 @@ from dataclasses import replace
 import pytest
 
 import ambrose as amb
-from ambrose.annexes.sizing.capacity import capacity_margin
 from ambrose.annexes.sizing.guarantee import CAPACITY, attempt
 from ambrose.annexes.sizing.magnets import Size, resized
+from ambrose.judge.capacity import capacity_margin
+from ambrose.judge.result import Certificate, Status, Synthesis
 from ambrose.model.effects.load import Load
-from ambrose.synthesis.methods.tuned import Tuned
+from ambrose.synthesis.methods.tuned import Tuned, with_capacity
 
 
 def loaded(machine, force):
@@ -37,7 +38,6 @@ def test_the_margin_goes_with_the_force_and_with_the_bias():
     assert capacity_margin(machine, controller, None) == (math.inf, "")
 
 
-@pytest.mark.campaign
 def test_a_size_that_cannot_carry_its_loads_fails_for_them():
     rig = amb.load_machine("seal-rig-k-only")
     point = rig.operation.nominal
@@ -51,3 +51,21 @@ def test_a_size_that_cannot_carry_its_loads_fails_for_them():
     assert not found.met and found.binding == CAPACITY
     assert found.capacity == pytest.approx(1 / found.ratios[CAPACITY])
     assert resized(heavy, Size()).bearings == resized(rig, Size()).bearings
+
+
+@pytest.mark.parametrize("force", [100.0, 1e6])
+def test_a_design_counts_the_load_capacity_as_a_size_does(force):
+    """synthesize held a machine at 0.943 that size marked as failed, 1.016 of its load capacity."""
+    machine = amb.load_machine("turboexpander")
+    rest = replace(machine.operation.nominal, speed=0.0, label="rest")
+    operation = replace(machine.operation, points=(rest,), design_point=None, ranges=())
+    machine = loaded(replace(machine, tolerances=(), operation=operation), force)
+    controller = amb.design(machine, "pid", rate=None).controller
+    shown = Certificate(True, -1.0, 1.0, 1.0, {"ratio_orbit": 0.943})
+    made = Synthesis(controller, "tuned", 0.943, Status.VERIFIED, shown)
+    found = with_capacity(made, machine, None)
+    ratio = 1 / capacity_margin(machine, controller, None)[0]
+    assert found.certificate.margins["ratio_load_capacity"] == pytest.approx(ratio)
+    assert found.gamma == pytest.approx(max(0.943, ratio))
+    assert found.missed == (ratio > 1) == any("load capacity" in note for note in found.notes)
+    assert (force > 1e3) == found.missed

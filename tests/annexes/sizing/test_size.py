@@ -39,7 +39,6 @@ def sizing():
     return amb.size(rig(), (0.4, 1.0), (1.0, 1.3), FAST)
 
 
-@pytest.mark.campaign
 def test_what_is_taken_meets_all_and_verification_agrees():
     knee = sizing().knee
     assert knee is not None and knee.met and knee.ratio == max(knee.ratios.values())
@@ -50,7 +49,6 @@ def test_what_is_taken_meets_all_and_verification_agrees():
     )
 
 
-@pytest.mark.campaign
 def test_a_size_smaller_fails_for_its_weight():
     small = {trial.size: trial for trial in sizing().trials}[Size(0.4, 1.0)]
     assert not small.met and small.binding.startswith("static load") and small.synthesis is None
@@ -58,7 +56,6 @@ def test_a_size_smaller_fails_for_its_weight():
     assert amb.size(rig(), (0.4,), (1.0,), FAST, reserve=0.5).trials[0].synthesis is not None
 
 
-@pytest.mark.campaign
 def test_the_front_has_less_of_one_for_more_of_the_other():
     front = sizing().front
     assert front and all(trial.met for trial in front)
@@ -68,7 +65,7 @@ def test_the_front_has_less_of_one_for_more_of_the_other():
     assert volumes == sorted(volumes) and losses == sorted(losses, reverse=True)
 
 
-@pytest.mark.campaign
+@pytest.mark.study
 def test_the_least_gain_meets_all_with_less_than_a_plain_design():
     plain = amb.design(rig(), "tuned", rate=10_000, order=8)
     found = least(rig(), "gain", FAST)

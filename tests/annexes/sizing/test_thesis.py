@@ -9,7 +9,7 @@ from ambrose.law.pid import pid_controller
 from ambrose.synthesis.methods.tuned import Tuned
 from ambrose.synthesis.weight_tuning import direct_gain_mismatch
 
-pytestmark = [pytest.mark.literature, pytest.mark.campaign]
+pytestmark = pytest.mark.literature
 
 
 @pytest.mark.study

@@ -31,7 +31,7 @@ from needs import CHROMIUM
 from workbench_served import LIMIT, POLL, Served, eventually
 
 # the clock that stands still while a test acts is the rig's; a hang is given up after LIMIT
-pytestmark = [pytest.mark.campaign, pytest.mark.timeout(4 * LIMIT), needs("browser")]
+pytestmark = [pytest.mark.timeout(4 * LIMIT), needs("browser")]
 MACHINE = Path(__file__).parents[3] / "benchmarks" / "snapshot_files" / "small-rig.toml"
 # words of a user's, which no page may take for more
 HOSTILE = "<img src=x onerror=document.title=1></svg><script>document.title=2</script>"
@@ -568,7 +568,7 @@ def test_what_is_drawn_of_an_amplifier_flows_in_its_coil(chromium, server):
     page.goto(server.address() + "#live")
     page.wait_for_selector("canvas")
     page.evaluate(WRITTEN)
-    page.get_by_role("heading", name="Currents in the coils").scroll_into_view_if_needed()
+    page.get_by_role("heading", name="Control currents").scroll_into_view_if_needed()
     press(page, server, "Drop")
     server.clock.advance(1.0)
     told = page.evaluate("window.written")

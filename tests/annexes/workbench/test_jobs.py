@@ -87,7 +87,6 @@ def test_a_command_runs_and_its_result_is_an_ordinary_file(project):
     assert (kept["state"], kept["log"]) == ("done", job["log"])
 
 
-@pytest.mark.campaign
 def test_jobs_cancelled_at_random_leave_no_process(project, sleeping):
     draw = random.Random(4)
 

@@ -524,7 +524,6 @@ def test_loopback_goes_by_two_names():
         assert names_of(listener) == [f"127.0.0.1:{port}", f"localhost:{port}"]
 
 
-@pytest.mark.campaign
 def test_a_pid_that_does_not_hold_the_rig_is_not_the_first_controller(tmp_path, monkeypatch):
     """The turboexpander's fell over in its first second; it is said where it is chosen."""
     made = Project(tmp_path)
@@ -541,3 +540,13 @@ def test_a_pid_that_does_not_hold_the_rig_is_not_the_first_controller(tmp_path, 
     assert session.controller == "hinf.json" and not session._lost
     write_controller(made.path("controllers", "pid.json"), design(assemble(session.machine), "pid"))
     assert "pid.json does not hold the machine" in LiveSession(made)._lost
+
+
+def test_currents_are_those_of_the_coils(session):
+    """4 A were drawn while every amplifier had failed: what the controller asked for."""
+    view = session.describe()
+    session.rig.drop()
+    session.rig.advance(2000)
+    log = session._shown(session.rig.advance(50).log)
+    assert np.abs(log[:, view["currents"]]).max() < 1e-9
+    assert np.abs(log[:, view["commands"]]).max() > 1.0

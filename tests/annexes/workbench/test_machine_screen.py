@@ -188,7 +188,6 @@ def test_what_is_no_screen_is_refused(project, screen, action):
         answer(project, screen, action, {})
 
 
-@pytest.mark.campaign
 def test_the_desk_answers_refuses_and_begins_anew(project, monkeypatch):
     async def run():
         desk = Desk(project)

@@ -161,7 +161,6 @@ def test_the_schedule_follows_no_faster_than_it_may():
     assert [(s & CLAMPED) > 0 for s in status] == [False] * 6 + [True] * 3
 
 
-@pytest.mark.campaign
 def test_states_stay_within_one_at_frozen_speeds(block):
     worst = 0.0
     for speed in (*GRID, 130.0, 270.0, 500.0):

@@ -117,16 +117,14 @@ def test_prewarping_reaches_the_sections():
 
 
 @compiler
-@pytest.mark.parametrize(
-    "blocks", [pytest.param("axes", marks=pytest.mark.campaign), "tilt-translate"], indirect=True
-)
+@pytest.mark.parametrize("blocks", ["axes", "tilt-translate"], indirect=True)
 @pytest.mark.parametrize(
     "arithmetic",
     [
         "double",
-        pytest.param("float", marks=pytest.mark.campaign),
+        "float",
         "fixed32",
-        pytest.param("fixed16", marks=pytest.mark.campaign),
+        "fixed16",
     ],
 )
 def test_code_agrees_with_python(blocks, arithmetic, tmp_path):
@@ -157,9 +155,7 @@ def test_code_agrees_with_python(blocks, arithmetic, tmp_path):
 
 
 @compiler
-@pytest.mark.parametrize(
-    "blocks", ["axes", pytest.param("tilt-translate", marks=pytest.mark.campaign)], indirect=True
-)
+@pytest.mark.parametrize("blocks", ["axes", "tilt-translate"], indirect=True)
 @pytest.mark.parametrize("arithmetic", ["double", "fixed32"])
 def test_self_test_passes_and_finds_a_wrong_section(blocks, arithmetic, tmp_path):
     files = generate(blocks[0], arithmetic)
@@ -189,9 +185,7 @@ def test_self_test_passes_and_finds_a_wrong_section(blocks, arithmetic, tmp_path
 
 
 @compiler
-@pytest.mark.parametrize(
-    "blocks", ["axes", pytest.param("tilt-translate", marks=pytest.mark.campaign)], indirect=True
-)
+@pytest.mark.parametrize("blocks", ["axes", "tilt-translate"], indirect=True)
 @pytest.mark.parametrize(
     ("arithmetic", "digits"), [("double", 1e-12), ("float", 1e-5), ("fixed32", 1e-6)]
 )
@@ -216,7 +210,6 @@ def test_law_read_back_and_transfer(blocks, arithmetic, digits):
         assert code.step(np.full(4, 1e-6)) == pytest.approx([0.5, -0.25, 0.1, 0.0], abs=2e-3)
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize("coordinates", ["axes", "tilt-translate"])
 @pytest.mark.parametrize(("word", "error"), [(32, 0.5e-3), (16, 1e-5)])
 def test_rounding_is_predicted(coordinates, word, error):
@@ -391,7 +384,6 @@ TURNED = replace(
 
 
 @compiler
-@pytest.mark.campaign
 @pytest.mark.parametrize("coordinates", ["axes", "tilt-translate"])
 def test_turned_sensors_are_turned_back_in_the_code(coordinates):
     """The compiled sections hold the rig as the law does, and as with sensors in the magnets'
@@ -430,7 +422,6 @@ def test_a_cascade_of_turned_sensors_needs_the_machine():
         build_cascade(deploy(source, DT, DT, force=True), bank, None, "rig", 1e-3, CURRENT)
 
 
-@pytest.mark.campaign
 @compiler
 def test_four_channels_of_three_bearings_run_as_code():
     """Between the mixings there are fewer channels than axes."""

@@ -117,7 +117,6 @@ def test_words_end_where_a_converter_ends(rig):
     np.testing.assert_array_equal(*currents)
 
 
-@pytest.mark.campaign
 def test_the_same_verification_comes_out_of_the_code(rig):
     _, plant, block = rig
     code, design = (
@@ -152,7 +151,6 @@ def test_refusals(rig):
         virtual_rig.run(machine, code, replace(scenario, sample_time=2e-4), point=plant.point)
 
 
-@pytest.mark.campaign
 def test_anti_windup_frees_a_rotor_that_the_bare_law_holds_against_its_stop():
     """Power away for 0.3 s: the law's integrators wind up while the rotor lies, the code's do not."""
     machine = load_machine("turbomolecular-pump")

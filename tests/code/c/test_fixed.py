@@ -26,9 +26,10 @@ from ambrose.synthesis.design import design
 from example_blocks import gain_block, rig_block
 from needs import needs
 
-pytestmark = pytest.mark.campaign  # minutes
-
 METHODS = ("pid", "hinf", "mu")
+each = pytest.mark.parametrize(
+    "method", ["mu", *(pytest.param(m, marks=pytest.mark.study) for m in ("pid", "hinf"))]
+)
 SAMPLES = 100_000
 ERROR, CURRENT = 0.5e-3, 4.0
 compiler = needs("gcc or clang")
@@ -58,7 +59,7 @@ def small_block(**settings):
 
 
 @compiler
-@pytest.mark.parametrize("method", METHODS)
+@each
 def test_double_agrees_with_python(blocks, method, tmp_path):
     block = blocks[method]
     e, valid = driver.adversarial(block, SAMPLES)
@@ -75,7 +76,7 @@ def test_double_agrees_with_python(blocks, method, tmp_path):
 
 
 @compiler
-@pytest.mark.parametrize("method", METHODS)
+@each
 def test_single_precision_stays_within_its_bounds(blocks, method, tmp_path):
     block = blocks[method].single()
     with np.errstate(all="ignore"):
@@ -103,7 +104,7 @@ def test_single_precision_stays_within_its_bounds(blocks, method, tmp_path):
 
 
 @compiler
-@pytest.mark.parametrize("method", METHODS)
+@each
 def test_fixed_point_is_the_integer_model_bit_by_bit(blocks, method, tmp_path):
     block = blocks[method]
     fixed = to_fixed_point(block)

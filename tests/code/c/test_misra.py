@@ -58,7 +58,6 @@ checked = needs("cppcheck")
 
 
 @checked
-@pytest.mark.campaign
 @pytest.mark.parametrize("law", LAWS)
 def test_no_required_rule_is_broken_but_those_with_a_reason(tmp_path, law):
     files = LAWS[law]()
@@ -73,7 +72,6 @@ def test_no_required_rule_is_broken_but_those_with_a_reason(tmp_path, law):
 
 
 @checked
-@pytest.mark.campaign
 def test_a_broken_rule_is_found(tmp_path):
     files = LAWS["fixed"]()
     source = files["rig.c"].replace("u[o] = 0.0;", "if (o) u[o] = 0.0;", 1)

@@ -37,7 +37,7 @@ from schedule_driver import CURRENT, DT, ERROR, block_of, gain_schedule, pressur
 compiled = needs("C compiler")
 N = 3600
 KINDS = ("fixed", "cascade", "scheduled", "supervised")
-SOME = ["fixed", *(pytest.param(kind, marks=pytest.mark.campaign) for kind in KINDS[1:])]
+SOME = ["fixed", *(kind for kind in KINDS[1:])]
 LIMIT = 0.04 * float(np.min(ERROR))
 
 
@@ -188,7 +188,6 @@ def fixed_of(kind, word):
     return run_unit_words(unit, in_words(unit.base, word), *counts_of(kind, word))
 
 
-@pytest.mark.campaign
 @compiled
 @pytest.mark.parametrize(("kind", "word"), [("fixed", 32), ("gain", 16), ("cascade", 32)])
 def test_fixed_point_is_its_twin_to_the_last_bit(kind, word):
@@ -201,7 +200,6 @@ def test_fixed_point_is_its_twin_to_the_last_bit(kind, word):
     assert set(run.states.ravel()) == {int(state) for state in BlockState}
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize(("kind", "word", "share"), [("fixed", 32, 2e-6), ("gain", 16, 3e-3)])
 def test_fixed_point_stays_near_double_over_a_run_up_with_faults(kind, word, share):
     unit, fixed = unit_of(kind), fixed_of(kind, word)
@@ -222,10 +220,10 @@ def test_fixed_point_stays_near_double_over_a_run_up_with_faults(kind, word, sha
     ("kind", "arithmetic"),
     [
         ("fixed", "double"),
-        pytest.param("cascade", "fixed32", marks=pytest.mark.campaign),
-        pytest.param("gain", "fixed16", marks=pytest.mark.campaign),
-        pytest.param("scheduled", "float", marks=pytest.mark.campaign),
-        pytest.param("supervised", "double", marks=pytest.mark.campaign),
+        pytest.param("cascade", "fixed32"),
+        pytest.param("gain", "fixed16"),
+        pytest.param("scheduled", "float"),
+        pytest.param("supervised", "double"),
     ],
 )
 def test_the_self_test_passes_and_can_fail(kind, arithmetic, tmp_path):
@@ -300,7 +298,6 @@ int main(void)
 """
 
 
-@pytest.mark.campaign
 @compiled
 @pytest.mark.parametrize(("kind", "word"), [("fixed", 32), ("gain", 16), ("cascade", 32)])
 def test_no_word_makes_fixed_point_undefined_or_a_current_too_large(kind, word, tmp_path):

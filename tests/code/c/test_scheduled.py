@@ -34,8 +34,6 @@ from schedule_driver import (
     two_states,
 )
 
-pytestmark = pytest.mark.campaign  # minutes
-
 SAMPLES = 100_000
 compiler = needs("gcc or clang")
 

@@ -92,7 +92,6 @@ def record():
     return pulses, errors, 0.1 * rng.standard_normal((N, 4)), flags
 
 
-@pytest.mark.campaign
 @compiled
 @pytest.mark.parametrize("per_turn", [False, True])
 @pytest.mark.parametrize("currents", [False, True])

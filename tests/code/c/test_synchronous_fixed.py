@@ -52,7 +52,6 @@ def counted(samples=None):
         yield age, words, amps, {**flags, "unusable": not usable.all()}
 
 
-@pytest.mark.campaign
 @compiled
 @pytest.mark.parametrize("per_turn", [False, True])
 @pytest.mark.parametrize("currents", [False, True])

@@ -162,7 +162,6 @@ def test_a_transfer_continues_with_the_currents_that_act():
     np.testing.assert_allclose(code.step(e), u, atol=1e-9)
 
 
-@pytest.mark.campaign
 @compiler
 def test_the_law_read_back_from_the_code_is_the_block_s():
     block = block_of(both_schedule())

@@ -38,7 +38,6 @@ def robust(plants):
     )
 
 
-@pytest.mark.campaign
 def test_a_controller_that_holds_everywhere_is_verified(plants, robust):
     found = deploy(robust, DT, DT, plants=plants)
     assert found.verified
@@ -49,7 +48,6 @@ def test_a_controller_that_holds_everywhere_is_verified(plants, robust):
     assert all("limit" in text for text in unmet_limits(found))
 
 
-@pytest.mark.campaign
 def test_sampled_sensitivity_against_frequency_response(plants, robust):
     """The peak over the box is at least what the sampled loop's response shows at its corners, and
     nearly that.
@@ -68,7 +66,6 @@ def test_sampled_sensitivity_against_frequency_response(plants, robust):
     assert worst * (1 - 1e-9) <= value <= 1.01 * worst
 
 
-@pytest.mark.campaign
 def test_refused_where_the_sampled_loop_is_unstable(plants, pid):
     with pytest.raises(
         UnstableSystem,

@@ -59,7 +59,6 @@ def played(path, folder, block, axial, errors, valid):
     return currents, flags
 
 
-@pytest.mark.campaign
 @compiled
 @pytest.mark.parametrize(("arithmetic", "within"), [("double", 1e-12), ("fixed32", 1e-5)])
 def test_one_fmu_of_all_axes_is_both_twins(arithmetic, within, laws, tmp_path):

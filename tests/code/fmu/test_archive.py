@@ -27,8 +27,6 @@ from example_blocks import CURRENT, ERROR, gain_block, rig_block, small_block
 from fmu_player import Player
 from needs import needs
 
-pytestmark = pytest.mark.campaign  # minutes
-
 VERSIONS = ("2.0", "3.0")
 HEADERS = Path(fmpy.__file__).parent / "c-code"  # the standard's own, as FMPy carries them
 _MODEL_EXCHANGE = """EnterEventMode CompletedIntegratorStep EnterContinuousTimeMode SetTime SetContinuousStates GetDerivatives

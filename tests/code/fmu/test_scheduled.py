@@ -25,8 +25,6 @@ from schedule_driver import (
     small_schedule,
 )
 
-pytestmark = pytest.mark.campaign  # code to compile
-
 compiler = needs("gcc or clang")
 VERSIONS = ("2.0", "3.0")
 

@@ -18,7 +18,6 @@ from fmu_player import Player
 from needs import needs
 
 pytestmark = [
-    pytest.mark.campaign,
     needs("gcc or clang"),
 ]
 COUNT, DT = 6000, 1e-4

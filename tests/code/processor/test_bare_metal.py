@@ -91,16 +91,15 @@ def currents(law, arithmetic, folder, rows=None):
         return link.steps(readings(unit) if rows is None else rows)["current"]
 
 
-@pytest.mark.campaign
 @needs(M7)
 @pytest.mark.parametrize(
     ("law", "arithmetic"),
     [
-        ("fixed", "float"),
-        ("fixed", "fixed32"),
+        pytest.param("fixed", "float", marks=pytest.mark.study),
+        pytest.param("fixed", "fixed32", marks=pytest.mark.study),
         ("cascade", "double"),
         ("supervised", "float"),
-        ("synchronous", "double"),
+        pytest.param("synchronous", "double", marks=pytest.mark.study),
         ("synchronous", "fixed32"),
     ],
 )
@@ -121,7 +120,6 @@ def test_what_the_board_sets_is_what_the_code_gives_here_one_sample_later(
     )
 
 
-@pytest.mark.campaign
 @needs(M7)
 def test_currents_are_due_as_the_delay_of_the_design_says(tmp_path):
     for delay in (0, 2):
@@ -131,7 +129,6 @@ def test_currents_are_due_as_the_delay_of_the_design_says(tmp_path):
         assert f"set {SAMPLES - delay} times, crc {zlib.crc32(due.tobytes()):x}" in said
 
 
-@pytest.mark.campaign
 @needs(M7)
 def test_late_work_is_counted_and_held_and_a_hang_ends_in_a_restart_without_currents(tmp_path):
     block = rig_block()
@@ -145,7 +142,6 @@ def test_late_work_is_counted_and_held_and_a_hang_ends_in_a_restart_without_curr
     assert "currents set 0 times" in hung
 
 
-@pytest.mark.campaign
 @needs(M7)
 def test_changed_tables_are_seen_at_the_start(tmp_path):
     block = small_block()

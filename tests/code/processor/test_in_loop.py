@@ -42,7 +42,6 @@ def short(name, duration):
     return replace(load_scenario(name), duration=duration)
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("scenario", "duration", "processor", "arithmetic"),
     [
@@ -74,7 +73,6 @@ def test_the_operating_cycle_with_its_trip_is_this_computer_s_to_the_last_bit(pr
     assert looped.trace.record.values.shape[1] == 50_001
 
 
-@pytest.mark.campaign
 @needs(M7)
 def test_contraction_is_seen_and_stays_small():
     """The comparison can fail: one rounding less in every product and sum, and the loop settles."""
@@ -102,7 +100,6 @@ def test_a_program_goes_on_from_the_states_that_it_is_given():
         assert program.step(np.zeros(2)) == 0
 
 
-@pytest.mark.campaign
 @needs(M7)
 def test_the_command_writes_the_record_of_the_target(tmp_path):
     path = write_controller(tmp_path / "pid.json", pid())

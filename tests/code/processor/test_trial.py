@@ -57,7 +57,7 @@ def every():
                 }
                 rare = name != M7
                 marks = [needs(name)]
-                marks += [] if quick else [pytest.mark.study if rare else pytest.mark.campaign]
+                marks += [pytest.mark.study] if rare and not quick else []
                 yield pytest.param(law, arithmetic, name, marks=marks)
 
 
@@ -281,7 +281,6 @@ def test_what_goes_with_a_processor_is_refused_without_one(tmp_path):
 
 
 @needs(M7)
-@pytest.mark.campaign
 def test_the_command_tries_what_it_writes(tmp_path):
     path = write_controller(tmp_path / "small.json", small_controller())
     words = ["export", path, "--to", "c", "-o", tmp_path / "code", "--name", "small", "--force"]

@@ -55,7 +55,6 @@ def test_one_real_scalar(m, mu):
     )
 
 
-@pytest.mark.campaign
 def test_real_structure_matters_and_the_order_of_bounds_holds():
     """Refining the structure can only lower mu: full >= repeated complex and diagonal complex >=
     real.
@@ -128,7 +127,6 @@ def test_zero_matrix():
     assert np.isfinite(result.D_w).all()
 
 
-@pytest.mark.campaign
 def test_scaling_of_units_changes_nothing():
     """Channel units from 1e-9 to 1e9: mu is invariant to a scaling that commutes with Delta, and
     homogeneous.
@@ -145,7 +143,7 @@ def test_scaling_of_units_changes_nothing():
         assert mu_bounds(factor * M, MIXED).upper == pytest.approx(factor * plain.upper, rel=1e-3)
 
 
-@pytest.mark.parametrize("exponent", [9, pytest.param(12, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("exponent", [9, 12])
 def test_entries_over_eighteen_decades(exponent):
     """Independent entries from 1e-9 to 1e9 (nothing to balance): finite, ordered bounds."""
     rng = np.random.default_rng(exponent)
@@ -207,7 +205,6 @@ def test_empty_block_is_refused():
         mu_bounds(np.eye(2), [ComplexBlock("c", 2)], max_iterations=0)
 
 
-@pytest.mark.campaign
 def test_an_early_stop_still_gives_bounds():
     M = random_matrix(9, 10, 5, 6)
     rough, fine = mu_bounds(M, MIXED, max_iterations=2), mu_bounds(M, MIXED)
@@ -238,7 +235,6 @@ def fine_peak(system, blocks, low, high):
     return values.max(), omega[values.argmax()]
 
 
-@pytest.mark.campaign
 def test_peak_between_grid_points_is_found():
     """The resonance at 10 rad/s is 0.04 rad/s wide; the grid is 20 times coarser."""
     system = resonant()
@@ -289,7 +285,6 @@ def test_a_proof_does_not_believe_the_grid():
     assert not proved_below(system, BLOCKS, level)
 
 
-@pytest.mark.campaign
 def test_proofs_of_random_systems_agree_with_a_fine_grid():
     """12 random systems: never proved below a lower bound found on a grid; proved with 1 % room
     above the upper one.
@@ -312,7 +307,6 @@ def test_proofs_of_random_systems_agree_with_a_fine_grid():
         assert proved_below(system, blocks, max(peak.upper, bounds.upper.max()) * 1.01)
 
 
-@pytest.mark.campaign
 def test_a_proof_gives_up_within_its_intervals():
     peak = mu_peak(resonant(), BLOCKS, np.geomspace(1, 100, 40), lower=False)
     assert not proved_below(resonant(), BLOCKS, peak.upper * 1.002, max_intervals=1)
@@ -329,7 +323,6 @@ def test_refusals_over_frequency():
         mu_peak(resonant(), [FullBlock("f", 2, 2)], [1.0, 2.0, 3.0])
 
 
-@pytest.mark.campaign
 def test_never_a_hang():
     """The hardest kinds in one call each, within seconds: many real blocks alone, and a large
     repeated block.

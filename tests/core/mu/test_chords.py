@@ -94,7 +94,6 @@ def test_a_full_block_gives_the_norm(seed):
     assert not proved_below(system, [FullBlock("all", 3, 3)], 0.999 * norm)
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize("seed", range(4))
 def test_no_level_is_below_mu_anywhere(seed):
     blocks = [RealBlock("r"), ComplexBlock("c"), FullBlock("f", 1, 1)]

@@ -170,7 +170,7 @@ def test_printed_equation_9_is_wrong_and_its_correction_right():
     close_to((N + V @ s) @ np.linalg.inv(M + U @ s), true, 1e-7)
 
 
-@pytest.mark.parametrize("dt", [None, pytest.param(DT, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("dt", [None, DT])
 def test_residual_system_is_stable_exactly_while_the_controller_holds_the_plant(dt):
     both = set()
     for seed in range(4):

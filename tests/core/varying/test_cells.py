@@ -87,7 +87,6 @@ def test_entries_are_of_the_chebyshev_polynomials_and_their_slopes() -> None:
                 np.testing.assert_allclose(found[2], sign * rate * T.deriv()(here), atol=1e-12)
 
 
-@pytest.mark.campaign
 def test_more_terms_prove_no_less_and_fewer_rows_no_more() -> None:
     cells = band(0.0)
     gains = [
@@ -157,7 +156,6 @@ def at_rest(cells: list[Cell]) -> float:
     return max(hinf_norm(loop).value for loop in loops)
 
 
-@pytest.mark.campaign
 def test_a_slow_parameter_is_proved_close_to_rest_and_a_wider_error_costs() -> None:
     slow = [proved_on_cells(band(error), C, 1e-3).gamma for error in (0.0, 0.5)]
     fast = proved_on_cells(band(0.0), C).gamma
@@ -165,7 +163,6 @@ def test_a_slow_parameter_is_proved_close_to_rest_and_a_wider_error_costs() -> N
     assert slow[1] > 1.02 * slow[0]
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize(("rate", "share"), [(0.2, 0.75), (np.inf, 0.5)])
 def test_no_motion_passes_what_was_proved(rate: float, share: float) -> None:
     """The gain along motions of p and of what is told, by power iteration over the sampled loop and

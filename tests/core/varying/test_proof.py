@@ -88,7 +88,6 @@ def test_any_motion_is_the_quadratic_gain_of_the_two_ends(share: float) -> None:
     assert found.slack > 100 * found.rounding
 
 
-@pytest.mark.campaign
 def test_slower_motions_have_smaller_gains_down_to_the_frozen_one() -> None:
     loop = oscillator(0.3)
     rest, poles = frozen(loop), (-0.5, -1.0, -2.0)
@@ -150,7 +149,6 @@ def worst_gain_in_time(
     return float(np.linalg.norm(y, axis=1).max())
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize("rate", [np.inf, 0.2])
 def test_no_motion_in_time_beats_the_proof(rate: float) -> None:
     """Motions of 60 s; at any rate a square wave at twice the natural frequency beats every frozen
@@ -221,7 +219,6 @@ def test_units_do_not_matter() -> None:
     assert proved_gain(other).gamma == pytest.approx(proved_gain(loop).gamma, rel=1e-3)
 
 
-@pytest.mark.campaign
 def test_two_parameters_and_one_that_stays() -> None:
     """A second, constant parameter of rate zero costs less than one that moves at will."""
     A = np.array([[0.0, 1.0], [-1.0, -0.4]])

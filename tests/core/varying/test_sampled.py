@@ -42,7 +42,6 @@ def test_a_slow_parameter_is_proved_just_above_rest_a_faster_one_higher() -> Non
     assert np.linalg.eigvalsh(slow.X)[0] > 0
 
 
-@pytest.mark.campaign
 def test_no_motion_in_time_beats_the_proof() -> None:
     """Triangles and random walks at the rate, each with the disturbance that it amplifies most."""
     rng = np.random.default_rng(3)

@@ -47,7 +47,6 @@ def worst_at_rest() -> float:
     return max(hinf_norm(loop).value for loop in loops)
 
 
-@pytest.mark.campaign
 def test_what_stands_still_is_proved_just_above_the_worst_member_and_what_moves_above_that() -> (
     None
 ):

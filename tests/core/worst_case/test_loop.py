@@ -169,7 +169,6 @@ def test_margin_beyond_all_bounds():
     assert proved_margin(loop, margin.factor).value > 19
 
 
-@pytest.mark.campaign
 def test_margins_of_random_loops_enclose_the_truth():
     """proved <= the smallest unstable scale of many random directions, and the search finds no
     larger one.
@@ -216,7 +215,6 @@ def test_gradient_of_the_gain():
         assert gradient[i] == pytest.approx(numeric, rel=1e-6, abs=1e-9)
 
 
-@pytest.mark.campaign
 def test_worst_gain_against_a_scan_and_its_bound():
     rng = np.random.default_rng(7)
     compared = 0

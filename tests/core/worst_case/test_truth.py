@@ -17,9 +17,7 @@ from ambrose.core.worst_case.loop import box_loop
 from ambrose.core.worst_case.search import worst_gain
 
 
-@pytest.mark.parametrize(
-    "seed", [47, *(pytest.param(seed, marks=pytest.mark.campaign) for seed in (27, 37))]
-)
+@pytest.mark.parametrize("seed", [47, *(seed for seed in (27, 37))])
 def test_between_search_and_bound_lies_the_truth(seed, monkeypatch):
     """27: crossings between the nominal poles' grid points; 37 and 47: poles that leave through
     zero.
@@ -36,7 +34,6 @@ def test_between_search_and_bound_lies_the_truth(seed, monkeypatch):
     assert np.isfinite(row.bound)
 
 
-@pytest.mark.campaign
 def test_a_member_whose_pole_is_sharper_than_the_nominal_ones():
     """One parameter. A grid made from the nominal poles found 20.5 here and "bounded" it by 32.2;
     the truth is 68.4.

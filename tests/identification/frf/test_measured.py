@@ -89,7 +89,6 @@ def inside(found, want):
     return np.mean(np.abs(found.values - want) <= found.radius())
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize("name", ["seal-rig", "three-bearing-train"])
 def test_a_chirp_on_one_axis_tells_its_column(name):
     axis = machine(name).axes[0]

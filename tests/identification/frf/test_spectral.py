@@ -249,7 +249,6 @@ def chirps():
     return made
 
 
-@pytest.mark.campaign
 def test_plant_from_four_chirps_in_closed_loop():
     """Hann, 75 % overlap, 0.5 s segments of a 20 s chirp: 0.26 % and 0.3 degrees against the
     ZOH-sampled plant.

@@ -55,7 +55,6 @@ def test_two_directions_with_a_silent_one_left_out_of_its_record():
     assert np.abs(found.variance).max() < 1e-6
 
 
-@pytest.mark.campaign
 def test_variance_against_monte_carlo():
     """0.2 rms of noise on a sine of 1: over 200 records predicted and true variance agree within 15
     %.

@@ -157,11 +157,42 @@ def test_a_large_motion_shows_the_curvature_and_the_interval_holds_the_tangent()
         assert abs(done.value(name).value - truth) < done.value(name).half_width
 
 
+@pytest.mark.parametrize("samples", [3.0, 6.1])
+def test_few_samples_per_time_constant_of_a_controller_at_that_rate_serve(samples):
+    """u is held between them, so that the model's steps are exact at any rate."""
+    rate = 80.0 * samples
+    _, y, u, r = levitate(Truth(rate=rate, delay=0.5 / rate), n=4000, seed=30)
+    rows = np.array([y[:, 0], u[:, 0], r[:, 0]])
+    record = amb.Record("rig", rate, ("y_x", "u_x", "e_x"), ("m", "A", "A"), rows)
+    done = amb.identify_generic(record)
+    assert done.passed and done.verdict == "identified"
+    assert abs(done.pole - 80.0) < 1.5 * done.value("pole").half_width < 8.0
+
+
 def test_a_rate_that_is_too_low_is_seen_by_the_fit(tmp_path):
-    truth = Truth(rate=500.0, delay=1e-3)
-    time, y, u, r = levitate(truth, n=4000)
-    with pytest.raises(InvalidInput, match=r"rate is too low.*record at [78]\.?\d*e\+02 Hz"):
+    """Of a controller at 2 kHz every sixth sample: what u does between them is not recorded."""
+    time, y, u, r = (row[::6] for row in levitate(n=12_000, seed=3))
+    with pytest.raises(InvalidInput, match=r"rate is too low.*record at \d\.?\d*e\+02 Hz"):
         amb.identify_generic(table(tmp_path / "slow.txt", time, y[:, 0], u[:, 0], r[:, 0]))
+
+
+def test_a_force_law_is_one_of_currents(driven, tmp_path):
+    """By hand: a/b = 6400/100 A/m, so that 64 A/m fit, whatever the current's unit; in V nothing."""
+    time, y, u, r = np.loadtxt(driven).T
+    stated = {"gap": 1e-3, "current": 0.064}
+    for unit, scale in (("A", 1.0), ("mA", 1e3)):
+        names = ("t [s]", "y [um]", f"u [{unit}]", "r")
+        path = table(tmp_path / f"{unit}.txt", time, 1e-6 * y, scale * u, r, names)
+        (row,) = amb.identify_generic(path, **stated).law
+        assert row.fits and row.unit == "A/m"
+        assert row.found == pytest.approx(64.0, rel=0.1)
+    for header in ("u [V]", "u"):
+        path = table(tmp_path / "v.txt", time, 1e-6 * y, u, r, ("t [s]", "y [um]", header, "r"))
+        for how in (stated, {"hanging": True}):
+            with pytest.raises(
+                InvalidInput, match="force law is one of currents, and the drive is"
+            ):
+                amb.identify_generic(path, **how)
 
 
 def test_columns_in_another_order_and_without_names(driven, tmp_path):
@@ -256,7 +287,7 @@ def test_flat_tops_are_refused_and_plateaus_are_not(driven, row, words):
     assert not look(replace(read_axis(record), position=plateaus, drive=plateaus))
 
 
-@pytest.mark.campaign
+@pytest.mark.study
 def test_intervals_hold_the_truth_in_95_of_100():
     """Of 40 records, with a margin of chance (three deviations of a share of 0.95)."""
     _, y, u, r = levitate(runs=40, n=6000, seed=1)

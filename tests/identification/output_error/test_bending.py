@@ -117,7 +117,6 @@ def test_the_model_is_the_loop_of_that_machine_and_its_derivative_exact(unknown)
         np.testing.assert_allclose(J[j], difference, rtol=0, atol=2e-5 * np.abs(difference).max())
 
 
-@pytest.mark.campaign
 def test_another_bending_frequency_is_found_and_the_rest_within_its_intervals():
     """With what the second mode, 2 % off as well and taken as known, makes of them in the
     intervals.
@@ -176,7 +175,6 @@ def test_a_mode_that_drowns_in_noise_is_said_to():
     assert hidden and "a peak of the noise" in hidden[0].remedy and not done.passed
 
 
-@pytest.mark.campaign
 def test_by_the_youla_residual_too():
     plant = free_mode_reduction(assemble(stiffer(1.01), record().point), 3)
     loop = closed_loop(plant, c2d(match_controller(law(), plant), DT, "tustin", delay=DT))
@@ -220,7 +218,6 @@ def test_a_result_changes_its_mode_alone():
     assert made.tolerances == (Tolerance(MODE[0], relative=made.tolerances[0].relative),)
 
 
-@pytest.mark.campaign
 def test_modes_beyond_the_model_are_named_and_their_effect_is_in_the_intervals():
     data = record(noise=1e-7, modes=8)
     truth = nominal_values(assemble(machine(), data.point), expand(machine(), NINE))

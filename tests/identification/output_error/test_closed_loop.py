@@ -173,7 +173,6 @@ def test_initial_state_and_offset_are_estimated():
     assert np.abs(wrong.values / nominal - 1).max() > 1e-3
 
 
-@pytest.mark.campaign
 def test_starts_thirty_percent_away_converge():
     machine, _, controller, _ = rig()
     paths, nominal = truth()

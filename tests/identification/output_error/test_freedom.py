@@ -99,7 +99,7 @@ def test_what_white_noise_loses_in_the_mean_is_given_back_exactly():
     )
 
 
-@pytest.mark.campaign
+@pytest.mark.study
 def test_stated_deviations_of_short_records_are_those_that_appear():
     machine, _, _, law = rig()
     found = [

@@ -74,7 +74,6 @@ def errors(result, loads):
     return result.values / np.array(truth) - 1
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize("speed", [0.0, 314.0])
 def test_values_are_those_of_small_motion_and_loads_are_found(speed):
     """No current is recorded: the quadratic terms alone tell the loads, within a tenth."""
@@ -99,7 +98,6 @@ def test_values_are_those_of_small_motion_and_loads_are_found(speed):
     assert found.remarks[1:] == ()  # the load is the machine file's
 
 
-@pytest.mark.campaign
 def test_without_a_load_the_cubic_terms_alone_are_taken_out():
     """A rotor that stands upright: what they make beyond changed parameters tells their size."""
     data, _ = record(0.0, weight=False)
@@ -121,7 +119,6 @@ def test_without_a_load_the_cubic_terms_alone_are_taken_out():
     assert "no static load" in found.remarks[0]
 
 
-@pytest.mark.campaign
 def test_nothing_is_taken_out_of_linear_magnets():
     """Their records say that the cubic terms are none, and the values stay those of the fit."""
     plant = free_mode_reduction(assemble(RIG, OperatingPoint()), 3)

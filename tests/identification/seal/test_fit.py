@@ -32,8 +32,6 @@ from ambrose.rig import virtual_rig
 from ambrose.rig.disturbances import SteppedSine
 from ambrose.rig.scenario import Scenario
 
-pytestmark = pytest.mark.campaign  # minutes
-
 HZ = 2 * np.pi
 DT = 1e-4
 NOMINAL = 2.04e5
@@ -194,6 +192,7 @@ def test_the_reference_without_pressure_takes_off_what_the_model_lacks():
         stepped_sine.identify(wrong, records[:2], steps=STEPS)
 
 
+@pytest.mark.study
 def test_predicted_deviations_against_monte_carlo():
     """0.3 um of noise, 40 runs of three frequencies, with a reference: errors over predictions are
     1 within 20 %.

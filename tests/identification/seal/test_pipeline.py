@@ -106,7 +106,6 @@ def found(form="table"):
     return identify_seal(machine(), records(), controller(), form)
 
 
-@pytest.mark.campaign
 def test_bearings_come_from_the_records_without_pressure_and_the_seal_from_each():
     result = found().result
     assert result.point.seal_pressure == 0 and not any(
@@ -125,7 +124,6 @@ def test_bearings_come_from_the_records_without_pressure_and_the_seal_from_each(
     )
 
 
-@pytest.mark.campaign
 def test_a_table_follows_the_curve_and_survives_its_file():
     done = replace(found(), provenance=Provenance(("here",))).updated()
     made = loads_machine(dumps_machine(done.machine))
@@ -145,7 +143,6 @@ def test_a_table_follows_the_curve_and_survives_its_file():
     assert "Seal center, pressure by pressure" in done.comment
 
 
-@pytest.mark.campaign
 def test_a_line_says_that_the_points_are_none():
     lined = found("line")
     k = lined.to_dict()["seal"]["lines"]["k"]
@@ -161,7 +158,6 @@ def test_a_line_says_that_the_points_are_none():
     assert "go on to 300000 Pa; the highest pressure measured is 170000 Pa" in higher.comment
 
 
-@pytest.mark.campaign
 def test_without_a_calm_record_all_are_fitted_together():
     law = replace(machine(), seals=(replace(machine().seals[0], k=0.7 * 3.203e6),))
     inside = replace(
@@ -226,7 +222,6 @@ def test_a_knock_under_pressure_is_found_in_its_record():
     assert not result.passed
 
 
-@pytest.mark.campaign
 def test_an_unstable_start_gives_way_to_the_next_and_no_convergence_is_an_error():
     known = update_machine(machine(), found().result)
     far = {"seal.center.k": 9e6}

@@ -392,7 +392,6 @@ def test_the_bundled_loads_are_at_one_bearing_only():
     np.testing.assert_allclose(chord, tangents(machine, start, None)[0], rtol=0.02)
 
 
-@pytest.mark.campaign
 def test_the_bundled_loads_at_both_bearings_tell_every_axis():
     machine, record = loaded(load_scenario("static-loads-both"), 6.0)
     found = static_load.identify(machine, record)
@@ -401,7 +400,6 @@ def test_the_bundled_loads_at_both_bearings_tell_every_axis():
     )
 
 
-@pytest.mark.campaign
 def test_loads_in_the_middle_at_six_ampere():
     """The cubic's slope at rest is the rig's tangent at its working point within 0.3 %, the chord a
     little lower.

@@ -53,7 +53,6 @@ def identified(data, along=True):
     return identify_loop(machine, [data], controller, unknown, along=along, options=how)
 
 
-@pytest.mark.campaign
 def test_numbers_of_the_file_a_few_per_cent_off_are_found_along():
     off = {"amplifier__damping": 0.04, "seal__center__C": -0.05}
     alone, done = identified(record(**off), along=False), identified(record(**off))
@@ -71,7 +70,6 @@ def test_numbers_of_the_file_a_few_per_cent_off_are_found_along():
     assert machine.amplifier.damping == pytest.approx(1.04 * 1590.5, rel=0.005)
 
 
-@pytest.mark.campaign
 def test_a_number_of_the_file_far_off_stays_a_finding():
     done = identified(record(amplifier__damping=0.3))
     assert Code.RESIDUALS in [item.code for item in done.findings] and not done.found_along

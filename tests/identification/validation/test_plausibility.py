@@ -52,6 +52,30 @@ def test_a_bearing_beyond_its_stated_tolerance_is_told_once_noise_cannot_make_it
     assert not diagnose_result(machine, estimate(path, 1.09), ())
 
 
+# by hand: 1/w = 63.7 us of the file's 2.5 kHz, 15.9 us of its sensors' 10 kHz; 0.62 of that
+# bandwidth is 39.0 us more, sqrt(2)/39.0 us = 2 pi 5.77 kHz, 1/(39.0 + 15.9 us) = 2 pi 2.9 kHz
+@pytest.mark.parametrize(
+    ("factor", "deviation", "words"),
+    [
+        (0.62, 0.002, ["lag of the whole chain", "anti-alias", "5.77 kHz", '"2.9 kHz"']),
+        (1.6, 0.002, ["lag of the whole chain", "states and the machine does not have"]),
+        (0.7, 0.002, []),
+        (1.45, 0.002, []),
+        (0.62, 0.3, []),
+    ],
+)
+def test_a_lag_far_from_the_file_s_names_the_filter_that_the_file_lacks(factor, deviation, words):
+    """A filter of 2 kHz moved the bandwidth by 38 to 49 %, and nothing was said below a factor 2."""
+    given = estimate("amplifier.bandwidth", factor, deviation)
+    w = 2 * np.pi * 2500
+    scaled = replace(
+        given, values=w * given.values, start=w * given.start, covariance=w**2 * given.covariance
+    )
+    found = diagnose_result(load_machine("overhung-blower"), scaled, ())
+    assert [item.code for item in found] == [Code.FAR_FROM_FILE] * bool(words)
+    assert all(word in str(found[0]) for word in words)
+
+
 def magnets(ki, ks, deviation=0.002, machine="three-bearing-train"):
     """K_i and K_s of every bearing and axis as multiples of the file's, in its order."""
     paths = magnet_paths(load_machine(machine))

@@ -40,7 +40,6 @@ def leaking(leak: float) -> StateSpace:
     )
 
 
-@pytest.mark.campaign
 def test_values_are_carried_from_where_the_rotor_stood_to_the_sensors_zero():
     """Against the rig's own coefficients, which the machine file states there."""
     law = leaking(1.0)
@@ -78,7 +77,6 @@ def test_a_rotor_at_the_zero_keeps_its_values():
     assert standing(RIG, [record], estimate, {}, FitOptions().bending_modes) is None
 
 
-@pytest.mark.campaign
 def test_a_seal_is_found_beside_magnets_at_the_place_of_the_record():
     """Under pressure, the rotor off the zero: magnets as there, their nonlinearity taken out."""
     law, point = leaking(0.25), OperatingPoint(seal_pressure=1e5)

@@ -165,7 +165,6 @@ def test_recovery_without_noise(theta):
     )
 
 
-@pytest.mark.campaign
 def test_initial_state_offset_several_records_and_other_parameters():
     later = record(2500, skip=700)
     values = later.values.copy()
@@ -185,7 +184,6 @@ def test_initial_state_offset_several_records_and_other_parameters():
     assert update_machine(machine(), result.estimate).name == "turboexpander"
 
 
-@pytest.mark.campaign
 def test_several_starts_find_the_same():
     nominal = nominal_values(plant(), [PATH])[0]
     for factor in (1.3, 1.1, 0.7, 0.4, 0.0, -0.5):
@@ -211,7 +209,6 @@ def test_scatter_and_predicted_deviation_are_half_those_of_the_whole_loop_method
     assert other.standard_deviations[0] / nominal > 1.5 * scatter
 
 
-@pytest.mark.campaign
 def test_sensors_of_different_noise_are_weighted():
     sizes = np.array([[2e-6], [2e-6], [2e-7], [2e-7]])
     quiet = simulate(select(loop(), E, Y + U), sequences(3000))
@@ -275,7 +272,6 @@ def test_pulse_response_without_a_model_agrees_with_s_and_with_no_other():
         finite_response(np.vstack([alpha[:3], alpha[:1]]), eps, 50)
 
 
-@pytest.mark.campaign
 def test_nonlinear_rig_under_its_weight():
     """The machine file's coefficients are those under the weight: they are found, not those of a
     magnet without load.

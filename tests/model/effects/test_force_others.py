@@ -152,7 +152,6 @@ class TestWeight:
         assert np.abs(np.delete(modal, 1)).max() < 1e-6 * translation
 
 
-@pytest.mark.campaign
 def test_every_force_function_compiles_as_it_stands():
     """The contract with the virtual rig: scalars, tuples and arrays only; compiled and plain give
     the same.

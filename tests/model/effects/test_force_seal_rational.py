@@ -148,7 +148,6 @@ def test_state_space_is_the_force_law():
     assert response == pytest.approx(-np.array([[direct, cross], [-cross, direct]]), rel=1e-9)
 
 
-@pytest.mark.campaign
 def test_time_domain_matches_the_linear_view():
     """Steady whirl at a frequency, the states integrated from zero: force against K, k, C, c
     there.

@@ -421,7 +421,6 @@ def test_an_unstable_run_is_an_outline_and_a_missing_one_is_said(
     )
 
 
-@pytest.mark.campaign
 def test_the_page_of_seven_controllers_begins_with_the_decision_and_ends_with_the_signature(
     machine: Machine, candidates: list[Candidate], monkeypatch: pytest.MonkeyPatch
 ) -> None:

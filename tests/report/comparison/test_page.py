@@ -34,8 +34,6 @@ from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 from ambrose.synthesis.pid import pid_synthesis
 
-pytestmark = pytest.mark.campaign  # minutes
-
 POINTS = ("zero pressure", "nominal pressure", "twice nominal pressure")
 
 

@@ -223,7 +223,6 @@ def by_pressure(fit):
     return SealByPressure(fit, "line", 0.0)
 
 
-@pytest.mark.campaign
 def test_seal_coefficients_over_pressure(done):
     _, checked = done
     fit = seal_fit([0.5e5, 1e5, 2e5, 3e5])
@@ -240,7 +239,6 @@ def test_seal_coefficients_over_pressure(done):
     assert not any(trace.fill == "toself" for trace in section.figures[0].picture.data)
 
 
-@pytest.mark.campaign
 def test_seal_tables_beside_their_figure_and_warnings_among_the_doubts(done):
     _, checked = done
     fit = replace(
@@ -272,7 +270,6 @@ def test_seal_tables_beside_their_figure_and_warnings_among_the_doubts(done):
     assert len(next(section for section in two.sections if section.title == "Seal").tables) == 1
 
 
-@pytest.mark.campaign
 def test_another_methods_values_stand_beside(done):
     machine, checked = done
     rows = compare(checked.result, machine)
@@ -283,7 +280,6 @@ def test_another_methods_values_stand_beside(done):
     assert table.cells[-1][4].text == "the other states no interval"
 
 
-@pytest.mark.campaign
 def test_not_converged_is_not_sure(done):
     _, checked = done
     warning = Finding(Code.NOT_CONVERGED, "warning", "not converged after 2 steps")
@@ -296,7 +292,6 @@ def test_not_converged_is_not_sure(done):
     assert verdict.passed is False and "NOT converged" in verdict.text and not report.result.passed
 
 
-@pytest.mark.campaign
 def test_a_residual_that_cannot_be_drawn_says_why(done):
     """The four excitations of this record are independent, so S is drawn; alike ones leave
     words.

@@ -27,6 +27,7 @@ from ambrose.report.record import (
     radius_curve,
     record_page,
     record_verdicts,
+    run_result,
     signal_curves,
     thinned,
 )
@@ -247,7 +248,8 @@ def test_verdicts_name_the_nearest_to_its_limit():
     assert verdicts["Controller output"].passed is False
     assert (
         "at B η at t = 300.1\u00a0ms" in verdicts["Controller output"].text
-        and "B η 25.0%" in verdicts["Controller output"].text
+        and "B η for 99.9\u00a0ms (25 %); still at it at the end"
+        in verdicts["Controller output"].text
     )
     assert verdicts["Magnet forces"].text.endswith("1.2% of 7\u202f500\u00a0N")
 
@@ -257,8 +259,8 @@ def test_contact_fails_unless_the_rotor_starts_in_it():
     fall, lift = np.where(t > 0.2, 255e-6, 0), np.where(t < 0.1, 255e-6, 10e-6)
     for height, passed, words in (
         (fall, False, "beyond the gap for 50.0%"),
-        (lift, True, "free .* since t = 100\u00a0ms"),
-        (np.full(4000, 251e-6), False, "never gets free"),
+        (lift, True, "levitated, .* since t = 100\u00a0ms"),
+        (np.full(4000, 251e-6), False, "never levitated"),
     ):
         record = record_of(
             {"q_A_zeta": -height, "q_A_eta": 0 * t, "u_A_zeta": np.where(t < 0.05, 4.0, 1.0)}
@@ -268,7 +270,61 @@ def test_contact_fails_unless_the_rotor_starts_in_it():
         }
         assert verdicts["Touchdown"].passed is passed
         assert re.search(words, verdicts["Touchdown"].text)
-        assert verdicts["Controller output"].passed is (words.startswith("free"))
+        assert verdicts["Controller output"].passed is (
+            True if words.startswith("levitated") else None
+        )
+
+
+def at_limit(output, force=0.0):
+    """A run that came to its end with this share of the largest output (k,) and force."""
+    most = MACHINE.bearings[0].max_current
+    extra = {"u_A_zeta": output * most, "f_magnet_A_zeta": 0 * output + force}
+    return Trace(whirling(**extra), "run", True, "completed", "completed without contact")
+
+
+_TIME = np.arange(4000) / RATE
+
+
+@pytest.mark.parametrize(
+    ("output", "force", "passed", "words"),
+    [
+        (0.5 + 0 * _TIME, 0.0, True, "within all limits of the machine$"),
+        # one sample of 4000: 0.0 % of the time, and no failure
+        (
+            np.where(np.arange(4000) == 9, 1.0, 0.1),
+            0.0,
+            True,
+            "controller output reached its limit",
+        ),
+        (np.where(_TIME < 0.2, -1.0, 0.1), 0.0, True, "came off it$"),
+        # a limit cycle up to the end; a linear run beyond what the amplifier gives
+        (np.where(np.arange(4000) % 7 == 0, 1.0, 0.1), 0.0, False, "fails in: controller output$"),
+        (np.where(np.arange(4000) == 9, 1.2, 0.1), 0.0, False, "fails in: controller output$"),
+        (0.1 + 0 * _TIME, 9000.0, False, "fails in: magnet forces$"),
+    ],
+)
+def test_a_run_has_one_verdict(output, force, passed, words):
+    """Its rows, the headline of its page and the status that simulate ends with."""
+    trace = at_limit(output, force)
+    result = run_result(trace, MACHINE)
+    assert result.passed == passed
+    assert re.search(words, result.text)
+    rows = record_verdicts(trace.record, MACHINE, stations(trace.record, MACHINE), trace)
+    assert all(row.passed is not False for row in rows) == passed
+    assert "0.0%" not in "".join(row.text for row in rows)
+    for stable, outcome in ((False, "completed"), (True, "touchdown"), (False, "diverged")):
+        lost = replace(trace, stable=stable, outcome=outcome)
+        assert not run_result(lost, MACHINE).passed
+        assert record_verdicts(lost.record, MACHINE, (), lost)[0].passed is False
+
+
+def test_the_headline_of_a_page_is_what_simulate_ends_with():
+    trace = at_limit(np.where(np.arange(4000) == 9, 1.0, 0.1))
+    page = record_page(trace, MACHINE, date="2026-01-02")
+    assert page.result == run_result(trace, MACHINE)
+    assert page.passed
+    lost = replace(trace, stable=False)
+    assert record_page(lost, MACHINE, date="2026-01-02").result == run_result(lost, MACHINE)
 
 
 def test_the_page_of_a_trace():
@@ -309,7 +365,6 @@ def test_a_pressure_that_changes_is_told_from_end_to_end():
     assert " to " not in told[0] and told[1].startswith("2.04") and " to 4.08" in told[1]
 
 
-@pytest.mark.campaign
 def test_the_page_of_an_interrupted_measurement():
     record = whirling(kind="y", count=900)
     report = record_page(
@@ -324,7 +379,6 @@ def test_the_page_of_an_interrupted_measurement():
     assert [cell.text for cell in rows[1]][:2] == ["y A ζ", "µm"]
 
 
-@pytest.mark.campaign
 def test_a_record_too_short_or_still_has_a_page():
     for record in (whirling(20), replace(whirling(), values=np.zeros_like(whirling().values))):
         assert "Orbits" in render(record_page(record, MACHINE))

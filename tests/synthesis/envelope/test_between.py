@@ -56,7 +56,7 @@ def test_a_range_that_is_none_is_refused(machine, change, words):
     "timing",
     [
         pytest.param(None, marks=pytest.mark.study),
-        pytest.param(Timing(1e-4, 1), marks=pytest.mark.campaign),
+        Timing(1e-4, 1),
     ],
 )
 def test_the_peak_that_is_found_is_that_of_a_fine_grid(machine, timing):
@@ -73,7 +73,6 @@ def test_the_peak_that_is_found_is_that_of_a_fine_grid(machine, timing):
     assert (found.abscissa < 0).all()
 
 
-@pytest.mark.campaign
 def test_a_loop_that_is_lost_at_high_pressure_is_found(machine):
     """The PID holds the seal rig without pressure and loses it below 4 bar; the search says where
     it is lost most.
@@ -92,7 +91,6 @@ def test_a_loop_that_is_lost_at_high_pressure_is_found(machine):
     assert found.worst(wide.operation.ranges[0]).seal_pressure == 4e5
 
 
-@pytest.mark.campaign
 def test_the_range_is_part_of_the_verdict(machine):
     law = pid_controller(machine.controller, machine)
     (inside,), beyond = verify_ranges(machine, law, (), lambda stage: None, Timing(1e-4, 1))
@@ -111,7 +109,6 @@ def test_the_range_is_part_of_the_verdict(machine):
     assert verdict.to_dict()["ranges"][0]["label"] == "running"
 
 
-@pytest.mark.campaign
 def test_verify_judges_the_corners_and_what_lies_between(machine):
     verdict = verify_controller(
         machine, pid_controller(machine.controller, machine), rate=1e4, tolerances=False

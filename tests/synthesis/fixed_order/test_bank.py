@@ -339,7 +339,7 @@ def test_a_bank_starts_from_settings():
 @pytest.mark.parametrize(
     ("structure", "peak"),
     [
-        pytest.param("pid", 2.8, marks=pytest.mark.campaign),
+        pytest.param("pid", 2.8),
         pytest.param("filters", 2.4, marks=pytest.mark.study),
     ],
 )

@@ -165,3 +165,57 @@ def test_extension_only_adds():
     ]
     assert rho == sorted(rho)
     assert rho[-1] > 1.1 * rho[0]
+
+
+def wide(seed: int, hidden: bool) -> GeneralizedPlant:
+    """x' = A x + b u with poles 0, 3 and -1 to -2e8 rad/s in hidden states of any scale; ``hidden``:
+    without a part of u in the mode of 3 rad/s.
+
+    The fast states' input is 1e12 times that of the slow ones, and u in units from 1e-10 to 1e10.
+    """
+    rng = np.random.default_rng(seed)
+    poles = np.array([0.0, 3.0, -1.0, -40.0, -(10 ** rng.uniform(5, 8.3))])
+    b = np.array([1.0, 0.0 if hidden else rng.uniform(0.5, 2.0), 1.0, 1.0, -poles[-1] * 1e5])
+    # slow states in hidden combinations, the fast one coupled into them
+    Q = np.linalg.qr(rng.standard_normal((4, 4)))[0]
+    T = np.block([[Q, rng.uniform(-1e-9, 1e-9, (4, 1))], [np.zeros((1, 4)), np.ones((1, 1))]])
+    t = 10 ** rng.uniform(-6, 6, 5)
+    A = T * poles @ np.linalg.inv(T) / t[:, None] * t
+    B = np.c_[rng.standard_normal((5, 1)), np.zeros(5), T @ b * 10 ** rng.uniform(-10, 10)]
+    C = np.vstack([rng.standard_normal((1, 5)) * t, np.zeros((1, 5)), T.sum(0) * t])
+    D = np.array([[0.0, 0, 0], [0, 0, 1], [0, 1, 0]])
+    return parted(A, B / t[:, None], C, D, 1, 1)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_reach_is_told_mode_by_mode_whatever_the_scales(seed):
+    """One smallest singular value for all modes: the fast rows decided, and a plant that had just
+    been stabilised was refused.
+    """
+    check_assumptions(scale_plant(wide(seed, hidden=False)))
+    with pytest.raises(InvalidInput, match=r"not stabilisable: the mode s = 3 rad/s is unstable"):
+        check_assumptions(scale_plant(wide(seed, hidden=True)))
+
+
+def test_two_equal_modes_need_two_controls():
+    """Both axes of a rotor: the same poles twice, each reached by its own magnet."""
+    A = np.kron(np.eye(2), [[0.0, 1.0], [9.0, 0.0]])
+    B = np.kron(np.eye(2), [[0.0], [1.0]])
+    C = np.kron(np.eye(2), [[1.0, 0.0]])
+
+    def plant(B):
+        m = B.shape[1]
+        D = np.block(
+            [
+                [np.zeros((2, 6)), np.zeros((2, m))],
+                [np.zeros((m, 6)), np.eye(m)],
+                [np.zeros((2, 4)), np.eye(2), np.zeros((2, m))],
+            ]
+        )
+        whole = np.hstack([np.eye(4), np.zeros((4, 2)), B])
+        return parted(A, whole, np.vstack([C, np.zeros((m, 4)), C]), D, m, 2)
+
+    check_assumptions(scale_plant(plant(B)))
+    for one in (B[:, :1], B.sum(1, keepdims=True)):
+        with pytest.raises(InvalidInput, match="not stabilisable: the mode s = 3 rad/s is unst"):
+            check_assumptions(scale_plant(plant(one)))

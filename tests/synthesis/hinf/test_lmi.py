@@ -33,9 +33,7 @@ def test_svec_keeps_inner_products():
 @pytest.mark.parametrize(
     ("kind", "seed"),
     [
-        (k, s)
-        if (k, s) in {("plain", 1), ("units", 1), ("light", 1)}
-        else pytest.param(k, s, marks=pytest.mark.campaign)
+        (k, s) if (k, s) in {("plain", 1), ("units", 1), ("light", 1)} else pytest.param(k, s)
         for k in KINDS
         if k != "singular"
         for s in (1, 2)
@@ -69,7 +67,6 @@ def test_controller_of_the_inequalities(kind, seed):
     )
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize("seed", [2, 3, 6, 9])
 def test_singular_plants(seed):
     """Regularised Riccati equations come within 1 % of the inequalities, which need no assumption;

@@ -57,8 +57,6 @@ from ambrose.synthesis.mu.scaling import (
 )
 from ambrose.synthesis.mu.synthesis import mu_synthesis
 
-pytestmark = pytest.mark.campaign  # minutes
-
 OMEGA = np.geomspace(1e-3, 1e4, 90)
 
 
@@ -290,6 +288,19 @@ def test_distillation_of_skogestad_and_postlethwaite():
     assert result.controller.n_states <= 22  # as the book's
 
 
+def test_the_back_off_is_tightened_once_d_has_settled():
+    """Where D has settled, the back-off of 3 % is what gamma lies above the optimum: 1.053 with D of
+    order 4, where 1.005 gives the book's 1.02.
+    """
+    result = mu_synthesis(distillation(), iterations=2, order=4)
+    gammas = [row["gamma"] for row in result.history]
+    assert len(gammas) > 3
+    assert min(gammas[:3]) > 1.05
+    assert result.gamma == min(gammas) < 1.034
+    # the controller is not bought with poles that run away
+    assert np.abs(poles(result.controller)).max() < 1e3
+
+
 # the published plant
 
 
@@ -398,6 +409,7 @@ def test_proof_over_all_frequencies_holds_above_the_peak_only():
 # eight independent reals
 
 
+@pytest.mark.study
 def test_eight_reals_all_corners_stable():
     """The turboexpander, eight seal coefficients +-40 %."""
     machine = load_machine("turboexpander")

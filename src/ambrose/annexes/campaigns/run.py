@@ -22,12 +22,13 @@ from typing import Any
 
 from ambrose.annexes.campaigns.case import Bases, subject
 from ambrose.annexes.campaigns.plan import Case, Plan
-from ambrose.annexes.campaigns.tasks import Row, check_options, compute, group_of, line_of
+from ambrose.annexes.campaigns.tasks import WORDS, Row, check_options, compute, group_of, line_of
 from ambrose.annexes.campaigns.workers import MakeExecutor
 from ambrose.core.checks import AmbroseError, InvalidInput, NumericalFailure
 from ambrose.machine.atomic_write import make_folder, write_text
 from ambrose.machine.claim import claimed
 from ambrose.machine.file.toml import AXIAL, load_machine, parse_toml, read_machine_text
+from ambrose.machine.json_text import parse_json
 from ambrose.machine.limits import TOML_BYTES
 from ambrose.machine.ordinary_file import check_source, read_text
 
@@ -188,20 +189,24 @@ def rows_of(path: Path) -> Iterator[dict[str, Any]]:
 
 def _parsed(line: bytes, path: Path) -> dict[str, Any]:
     try:
-        row: dict[str, Any] = json.loads(line)
+        row: dict[str, Any] = parse_json(line, "compute it again")
         known = isinstance(row["key"], str) and isinstance(row["failure"], str)
-        if not (known and all(_is_plain(value) for value in row["values"].values())):
+        if not (known and all(_fits(name, value) for name, value in row["values"].items())):
             raise ValueError
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
+    except (InvalidInput, ValueError, KeyError, TypeError, AttributeError):
         raise _foreign(path) from None
     return row
 
 
-def _is_plain(value: object) -> bool:
-    """Whether a row's value is a word or a number that a float holds."""
-    if isinstance(value, int):
-        float(value)  # OverflowError
-    return value is None or isinstance(value, str | int | float)
+def _fits(name: str, value: object) -> bool:
+    """Whether a value of a row is what every task writes under its name: words under some, and a
+    number, "inf", "-inf", "nan" or none under all others.
+    """
+    if name in WORDS:
+        return value is None or isinstance(value, str)
+    if isinstance(value, str):
+        return value in {"inf", "-inf", "nan"}
+    return value is None or isinstance(value, int | float)
 
 
 def _foreign(path: Path) -> InvalidInput:

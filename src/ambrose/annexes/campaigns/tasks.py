@@ -43,6 +43,7 @@ from ambrose.rig.trial import simulate_scenario
 STABLE = "stable"
 PEAK = "sensitivity.output.max"
 WHERE = "sensitivity.output.at"
+WORDS = ("status", "failed", "outcome", "findings")  # values of rows that are no numbers
 _LOWEST = 0.5 * TWO_PI  # [rad/s], as for the nominal checks
 _FINER = 9  # frequencies between the neighbours of a peak on the grid
 

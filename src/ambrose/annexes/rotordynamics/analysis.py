@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 
 from ambrose.annexes.rotordynamics import items as rows
 from ambrose.annexes.rotordynamics import points, standard
+from ambrose.annexes.rotordynamics.block_on import with_blocks
 from ambrose.annexes.rotordynamics.capacity import capacities
 from ambrose.annexes.rotordynamics.circuit import circuit_change
 from ambrose.annexes.rotordynamics.clearances import largest_reading, rubs
@@ -24,6 +26,7 @@ from ambrose.annexes.rotordynamics.placement import (
     shaft_modes,
     span_middle,
 )
+from ambrose.annexes.rotordynamics.reach import reach
 from ambrose.annexes.rotordynamics.response import respond
 from ambrose.annexes.rotordynamics.result import Item, Lateral, ModeRow
 from ambrose.annexes.rotordynamics.stations import Layout, lay_out, rigid_support_critical
@@ -43,10 +46,12 @@ from ambrose.model.effects.journal_bearing import JournalBearing
 from ambrose.model.effects.stage import Stage, rated_cross_coupling
 
 TRIP = 1.05  # times the maximum continuous speed, where nothing is said
+_LOOPS = 64  # kept by speed
 _SLOWEST = 0.05  # of the trip speed: where response curves begin
 _RIGID = (
-    "No oscillatory forward mode lies below 1.25 times the trip speed: the unbalance is placed "
-    "by the shapes of the rigid rotor, parallel and conical (assumed)."
+    "No oscillatory forward mode lies below 1.25 times the trip speed or 1.3 times the maximum "
+    "continuous speed: the unbalance is placed by the shapes of the rigid rotor, parallel and "
+    "conical (assumed)."
 )
 _WEIGHTLESS = (
     "No gravity_direction in the machine file: static offset and load capacity count no weight, "
@@ -73,10 +78,13 @@ def lateral(
 ) -> Lateral:
     """Unbalance response, stability (Level I and II), clearances and capacity, clause by clause.
 
-    controller: what controls; None for a rotor on journal bearings alone. point: the operating
-    point at maximum continuous speed, or its label (default: the fastest one). trip [rad/s]:
-    default 1.05 times the highest running speed. density [kg/m^3]: mean of the gas, for the
-    screening of Level I. tolerances: whether the least log decrement over them is looked for.
+    controller: what controls, with its synchronous blocks (else the machine file's): the response
+    is judged with them off and on; None for a rotor on journal bearings alone. point: the operating
+    point at maximum continuous speed, or its label (default: the fastest one). The machine runs
+    from its slowest turning operating point to its fastest, unless ``running_speeds`` says
+    otherwise. trip [rad/s]: default 1.05 times the highest running speed; the unbalance response
+    goes on to 1.3 times the highest running speed at least. density [kg/m^3]: mean of the gas, for
+    the screening of Level I. tolerances: whether the least log decrement over them is looked for.
     rate [Hz], delay_samples: the loop as it runs, as in ``ambrose.verify``. progress receives a
     line per stage. Raises InvalidInput for a machine at rest, for a trip speed below the running
     speeds and where a table does not reach it.
@@ -84,7 +92,8 @@ def lateral(
     across_the_shaft(machine, "a lateral analysis is of the motion across it")
     chosen = _point(machine, point)
     running = machine.requirements.running_speeds
-    lowest, highest = running or (chosen.speed, chosen.speed)
+    turning = [item.speed for item in (*machine.operation.envelope, chosen) if item.speed > 0]
+    lowest, highest = running or (min(turning), max(turning))
     stated, trip = trip, _trip(trip, highest)
     if density is not None and not 0 < density < math.inf:
         raise invalid("the mean gas density", density, "more than 0 kg/m3", "it screens Level I")
@@ -97,6 +106,7 @@ def lateral(
     timing = None if law is None else timing_of(machine, law, rate, delay_samples)
     layout = lay_out(machine)
 
+    @lru_cache(maxsize=_LOOPS)
     def loop_at(speed: float) -> ShaftLoop:
         return shaft_loop(layout, replace(chosen, speed=speed, label=""), law, timing)
 
@@ -124,9 +134,14 @@ def lateral(
         critical_map=undamped,
         density=density,
     )
+    progress("how far the response goes")
+    far = reach(loop_at, slowest, (lowest, highest), trip)
     unstable = _unstable_at(at_top, loop_at, law, timing, (lowest, highest, trip))
+    if unstable is None and far.unstable is not None:
+        unstable = _pole_in_words(*far.unstable)
     progress("modes")
-    near, listed = standard.MODES_TO * trip, _listed_to(at_top, trip)
+    near = max(standard.MODES_TO * trip, far.asked)
+    listed = _listed_to(at_top, near)
     bare = replace(bare, modes_to=listed)
     modes = shaft_modes(at_top, near)
     table = tuple(ModeRow(mode, shares(at_top, mode)) for mode in modes)
@@ -153,7 +168,8 @@ def lateral(
             f"Response curves begin at {standard.rpm(slowest)} rpm, where the tables of the "
             "journal bearings do.",
         )
-    response = respond(layout, loop_at, cases, slowest, trip, progress)
+    whole = respond(layout, loop_at, cases, slowest, far.end, progress, through=far.through)
+    response = whole.upto(trip)
     reading = largest_reading(response, lowest, highest)
     limit = standard.vibration_limit(highest / standard.RPM)
     # S_cc = A_vl/A_max
@@ -163,7 +179,7 @@ def lateral(
     found = rubs(response, scale[0])
     budgets = phase_budgets(at_top, timing)
     progress("Level I")
-    one, notes = _level_one(machine, layout, chosen, law, timing, trip, density)
+    one, why, notes = _level_one(machine, layout, chosen, law, timing, near, density)
     progress("load capacity")
     capacity = (
         capacities(at_top, loop_at, law, timing, response, trip)
@@ -171,7 +187,21 @@ def lateral(
         else ()
     )
     everywhere: tuple[Item, ...] = ()
+    blocks_on: tuple[Item, ...] = ()
     if machine.bearings and law is not None:
+        blocks_on = tuple(
+            with_blocks(
+                machine,
+                law,
+                (rate, delay_samples),
+                whole,
+                loop_at,
+                (lowest, highest, trip),
+                scale[0],
+                far.through,
+                progress,
+            )
+        )
         progress("sensitivity at every operating point")
         everywhere = tuple(
             points.rows(points.judge_sensitivity(machine, at_top, law, timing), machine)
@@ -179,9 +209,10 @@ def lateral(
         notes = (*notes, points.REST)
     items = (
         *rows.undamped(undamped),
-        *rows.unbalance(response, reading, (lowest, highest, trip), scale),
-        *rows.clearances(found, response),
-        *rows.level_one(one, density),
+        rows.reached(far, whole, highest),
+        *rows.unbalance(whole, reading, (lowest, highest), scale),
+        *rows.clearances(found),
+        *rows.level_one(one, density, why),
         *rows.level_two(table, highest, law is not None),
         *rows.as_it_runs([loop_at(w) for w in sorted({lowest, highest, trip})], law, timing),
         *rows.capacity(capacity),
@@ -189,6 +220,7 @@ def lateral(
         *rows.circuit(circuit_change(machine, chosen, law, timing, modes)),
         *everywhere,
         *rows.iso_vibration(machine, found, scale[0], (slowest, trip)),
+        *blocks_on,
         *rows.not_covered(machine),
     )
     if machine.bearings and machine.gravity_direction is None:
@@ -196,33 +228,33 @@ def lateral(
     if running is None:
         notes = (
             *notes,
-            "No running_speeds in the machine file: the machine is taken to run at "
-            f"{standard.rpm(highest)} rpm alone, so that a slower critical speed needs its "
-            "margin from there.",
+            "No running_speeds in the machine file: the machine is taken to run "
+            f"{rows.speeds_in_words(lowest, highest)}, between its slowest and fastest turning "
+            "operating points; set running_speeds in [requirements] for another range.",
         )
     return replace(
         bare,
         items=tuple(items),
         modes=table,
         rubs=found,
-        response=response,
+        response=whole,
         level_one=one,
         capacities=capacity,
         scale=scale,
         notes=(*early, *notes),
         phase_budgets=budgets,
-        critical_speeds=tuple(rows.critical_speeds(response, lowest, highest)),
+        critical_speeds=tuple(rows.critical_speeds(whole, lowest, highest)),
     )
 
 
-def _listed_to(loop: ShaftLoop, trip: float) -> float:
+def _listed_to(loop: ShaftLoop, near: float) -> float:
     """Up to where modes are listed [rad/s]: those that are judged or excited, and beyond them the
     first two bending modes, as far as a sampled controller can have modes.
     """
     nyquist = math.inf if loop.law is None or loop.law.dt is None else math.pi / loop.law.dt
     bending = free_bending(loop.plant.machine)[: standard.BENDING_LISTED]
     beyond = [standard.BEYOND_BENDING * float(bending[-1])] if len(bending) else []
-    return max(standard.MODES_TO * trip, min(nyquist, *beyond, math.inf))
+    return max(near, min(nyquist, *beyond, math.inf))
 
 
 def _timing_in_words(law: LawLike | None, timing: Timing | None) -> str:
@@ -299,8 +331,12 @@ def _unstable_at(
         else:
             abscissa = judge_stability(loop.plant, law, timing).abscissa
         if abscissa >= 0:
-            return f"at {standard.rpm(speed)} rpm a pole has real part {abscissa:.4g} 1/s"
+            return _pole_in_words(speed, abscissa)
     return None
+
+
+def _pole_in_words(speed: float, abscissa: float) -> str:
+    return f"at {standard.rpm(speed)} rpm a pole has real part {abscissa:.4g} 1/s"
 
 
 def _cases(layout: Layout, forward: list[ShaftMode], speed: float) -> tuple[UnbalanceCase, ...]:
@@ -319,10 +355,12 @@ def _level_one(
     point: OperatingPoint,
     law: LawLike | None,
     timing: Timing | None,
-    trip: float,
+    near: float,
     density: float | None,
-) -> tuple[LevelOne | None, tuple[str, ...]]:
-    """Level I of the machine without seals and stages, and notes; None where it cannot be done."""
+) -> tuple[LevelOne | None, str, tuple[str, ...]]:
+    """Level I of the machine without seals and stages, its modes up to a frequency [rad/s]; None
+    and why where it cannot be done; notes.
+    """
     stages = [part for _, part in attached(machine) if isinstance(part, Stage)]
     bare = replace(
         machine,
@@ -340,14 +378,14 @@ def _level_one(
     # critical speed ratio: maximum continuous speed over the first critical on rigid supports
     ratio = point.speed / rigid_support_critical(layout)
     try:
-        return sweep(loop, stations, anticipated, standard.MODES_TO * trip, ratio, density), notes
+        return sweep(loop, stations, anticipated, near, ratio, density), "", notes
     except NumericalFailure as error:
         unused = (
             ""
             if density is None
             else f"; the gas density, {density:.4g} kg/m3, that screens it was of no use"
         )
-        return None, (*notes, f"Level I was not done: {error}{unused}")
+        return None, f"{error}{unused}", notes
 
 
 def layout_of(machine: Machine, layout: Layout) -> Layout:

@@ -9,7 +9,7 @@ the magnets.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -117,21 +117,14 @@ def capacities(
     [rad/s]; response: to the analysis' unbalance up to trip.
     """
     machine = loop.plant.machine
-    static = _static(loop)
-    # with the seals' push and, at rest, without it: the larger of both
-    total = np.maximum(
-        np.abs(sum(along for _, along in static)),
-        np.abs(sum(along for name, along in static if name != SEALS)),
-    )
-    free = static_forces(machine)[1]
-    limits = axis_limits(loop.plant, total + free)
+    static, free, limits = _limits(loop)
     loads = load_demands(loop.plant, given, timing)
     at_trip = loop_at(trip)
     parts = _components_at(at_trip, response)
     omega = np.geomspace(max(0.02 * trip, 1.0), 10 * trip, _POINTS)
     found = []
     for a, axis in enumerate(machine.axes):
-        unbalance = list(_unbalance(loop, response, a))
+        unbalance = list(unbalance_demands(loop, response, a))
         steady = max(
             (item for item in unbalance if item.frequency == response.fine[-1]),
             key=lambda item: -limits[a].margin(item).value,
@@ -162,6 +155,25 @@ def capacities(
     return tuple(found)
 
 
+def unbalance_limits(loop: ShaftLoop) -> Sequence[AxisLimits]:
+    """What every axis has beside all that lasts."""
+    return _limits(loop)[2]
+
+
+def _limits(
+    loop: ShaftLoop,
+) -> tuple[list[tuple[str, np.ndarray]], np.ndarray, Sequence[AxisLimits]]:
+    """What lasts by its name, the loads of any direction (a,) [N], what is left of every axis."""
+    static = _static(loop)
+    # with the seals' push and, at rest, without it: the larger of both
+    total = np.maximum(
+        np.abs(sum(along for _, along in static)),
+        np.abs(sum(along for name, along in static if name != SEALS)),
+    )
+    free = static_forces(loop.plant.machine)[1]
+    return static, free, axis_limits(loop.plant, total + free)
+
+
 def _static(loop: ShaftLoop) -> list[tuple[str, np.ndarray]]:
     """(name, force along every axis (a,) [N]) of what lasts: weight, seals, loads."""
     machine, point = loop.plant.machine, loop.plant.point
@@ -181,8 +193,12 @@ def _static(loop: ShaftLoop) -> list[tuple[str, np.ndarray]]:
     return rows
 
 
-def _unbalance(loop: ShaftLoop, response: Response, axis: int) -> Iterator[Demand]:
-    """What every placement takes of an axis, where current and voltage are largest and at trip."""
+def unbalance_demands(
+    loop: ShaftLoop, response: Response, axis: int, end: str = "at trip"
+) -> Iterator[Demand]:
+    """What every placement takes of an axis, where current and voltage are largest and at the end
+    of the response, called ``end``.
+    """
     plant = loop.plant
     bearing = plant.machine.axis_bearings[axis]
     drive = drive_of(plant)
@@ -204,7 +220,7 @@ def _unbalance(loop: ShaftLoop, response: Response, axis: int) -> Iterator[Deman
         beside = np.abs(speeds[[*places, last]] - speeds[slews])
         if drive.inductance and (beside > _SAME * speeds[slews]).all():
             places[slews] = "largest voltage"
-        for place, word in (places | {last: "at trip"}).items():
+        for place, word in (places | {last: end}).items():
             i = float(current[place])
             yield Demand(
                 f"{case.name}, {word}",

@@ -26,8 +26,8 @@ def largest_reading(response: Response, lowest: float, highest: float) -> Readin
 
     Without probes in the machine file the journals' major axes stand for them.
     """
-    span = max(highest - lowest, 0.0)
-    speeds = np.linspace(lowest, highest, 401) if span else np.array([highest])
+    fine = response.fine
+    speeds = np.union1d(fine[(fine > lowest) & (fine < highest)], [lowest, highest])
     best = Reading(0.0, "", "", highest)
     for k, case in enumerate(response.cases):
         curves = [(item.name, response.read(item, k, speeds)) for item in response.layout.readings]

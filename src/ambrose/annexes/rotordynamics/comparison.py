@@ -8,21 +8,23 @@ none further away than ``NEAR``.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
+from ambrose.annexes.rotordynamics.json_schema import lateral_schema
 from ambrose.annexes.rotordynamics.placement import BACKWARD
 from ambrose.annexes.rotordynamics.result import SCHEMA, Lateral
 from ambrose.annexes.rotordynamics.standard import MODES_TO, RPM, rpm
 from ambrose.annexes.rotordynamics.their_table import TheirRow, read_table
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.core.presentation import Presented, data_frame
+from ambrose.machine.json_text import check_form, parse_json
 from ambrose.machine.messages import shown
 from ambrose.machine.ordinary_file import read_text
 
@@ -30,6 +32,7 @@ NEAR = 0.25  # of the speed: a partner further away is none
 _SAME_PEAK = 0.03  # peaks of two placements nearer to each other than this are one
 _FAR = 1e6  # cost of a pair that must not be: above any sum of costs of pairs that may
 _BYTES = 20_000_000  # of a file, at most; assumed
+_AGAIN = "run ambrose lateral --data again"
 UM = 1e6  # um per m
 
 
@@ -105,7 +108,8 @@ class Comparison(Presented):
             return False
         if self.within is None:
             return None
-        return not self.unpaired and (self.largest_percent or 0.0) <= self.within
+        alike = all(pair.percent is not None or pair.difference == 0 for pair in self.pairs)
+        return not self.unpaired and alike and (self.largest_percent or 0.0) <= self.within
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, ready for JSON."""
@@ -181,12 +185,9 @@ def _data(source: Lateral | Mapping[str, Any] | str | Path, side: str) -> Mappin
         name = Path(source).name
         text = read_text(Path(source), "lateral analysis", _BYTES)
         try:
-            data = json.loads(text)
-        except ValueError as error:
-            raise InvalidInput(
-                f"{name} is no JSON ({error}); give the lateral.json that ambrose lateral --data "
-                "writes"
-            ) from None
+            data = parse_json(text, _AGAIN)
+        except InvalidInput as error:
+            raise InvalidInput(f"{name} {error}") from None
     if not isinstance(data, Mapping) or not {"schema", "machine", "items", "modes"} <= set(data):
         raise InvalidInput(
             f"{name} is no lateral analysis; give the lateral.json that ambrose lateral --data "
@@ -202,7 +203,29 @@ def _data(source: Lateral | Mapping[str, Any] | str | Path, side: str) -> Mappin
             f"{name} has no unbalance response, as its loop is unstable or as an earlier version "
             "wrote it; run ambrose lateral again, with a controller that holds the rotor"
         )
+    if not isinstance(source, Lateral):
+        try:
+            check_form(data, lateral_schema(), _AGAIN)
+            _check_curves(data["response"])
+        except InvalidInput as error:
+            raise InvalidInput(f"{name}: {error}") from None
     return data
+
+
+def _check_curves(response: Mapping[str, Any]) -> None:
+    """Raises InvalidInput where no spline goes through a curve: its speeds do not ascend, or it has
+    more or fewer values than speeds.
+    """
+    speeds = response["speeds_rad_per_s"]
+    if len(speeds) < 2 or any(a >= b for a, b in pairwise(speeds)):
+        raise InvalidInput(f"response.speeds_rad_per_s must ascend; {_AGAIN}")
+    for i, curve in enumerate(response["curves"]):
+        for key in ("amplitude_m_pp", "phase_lag_deg"):
+            if len(curve[key]) != len(speeds):
+                raise InvalidInput(
+                    f"response.curves[{i}].{key} has {len(curve[key])} values for {len(speeds)} "
+                    f"speeds; {_AGAIN}"
+                )
 
 
 # ----------------------------------------------------------------------------- pairs
@@ -231,9 +254,8 @@ def _beside_table(ours: Mapping[str, Any], table: Sequence[TheirRow]) -> list[Pa
         pairs += _mode_pairs(
             row, mode, "" if mode is not None else _nobody(row, "mode", modes, top)
         )
-    for row in table:
-        if row.kind == "response":
-            pairs.append(_amplitude_pair(ours, row))
+    splines: dict[tuple[str, str], Any] = {}
+    pairs += [_amplitude_pair(ours, row, splines) for row in table if row.kind == "response"]
     return pairs
 
 
@@ -259,13 +281,13 @@ def _assign(rows: Sequence[TheirRow], ours: Sequence[tuple[float, str]]) -> list
     chosen: list[int | None] = [None] * len(rows)
     if not rows or not ours:
         return chosen
-    cost = np.full((len(rows), len(ours)), _FAR)
-    for i, row in enumerate(rows):
-        for j, (speed, whirl) in enumerate(ours):
-            apart = abs(math.log(row.speed / speed))
-            other = {row.whirl, whirl} == {"forward", "backward"}
-            if apart <= math.log1p(NEAR) and not other:
-                cost[i, j] = apart
+    speeds = np.array([speed for speed, _ in ours])
+    whirls = np.array([{"forward": 1, "backward": -1}.get(whirl, 0) for _, whirl in ours])
+    theirs = np.array([{"forward": 1, "backward": -1}.get(row.whirl, 0) for row in rows])
+    with np.errstate(divide="ignore"):  # a mode of 0 rad/s is nobody's partner
+        apart = np.abs(np.log(np.array([row.speed for row in rows]))[:, None] - np.log(speeds))
+    other = theirs[:, None] * whirls < 0
+    cost = np.where((apart <= math.log1p(NEAR)) & ~other, apart, _FAR)
     for i, j in zip(*linear_sum_assignment(cost), strict=True):
         if cost[i, j] < _FAR:
             chosen[i] = int(j)
@@ -335,21 +357,23 @@ def _mode_pairs(row: TheirRow, mode: Mapping[str, Any] | None, note: str) -> lis
     return [speed, Pair(where, "log decrement", row.log_decrement, mode["log_decrement"], "-")]
 
 
-def _amplitude_pair(ours: Mapping[str, Any], row: TheirRow) -> Pair:
-    """The largest of our curves at that speed."""
+def _amplitude_pair(
+    ours: Mapping[str, Any], row: TheirRow, splines: dict[tuple[str, str], Any]
+) -> Pair:
+    """The largest of our curves at that speed. splines: those of a probe and a case, kept."""
     from scipy.interpolate import CubicSpline
 
     where = row.label or _worded(row, "response")
-    speeds = np.asarray(ours["response"]["speeds_rad_per_s"])
+    speeds = ours["response"]["speeds_rad_per_s"]
     theirs = UM * float(row.amplitude or 0.0)
     if not speeds[0] <= row.speed <= speeds[-1]:
         note = f"our curves run from {rpm(speeds[0])} to {rpm(speeds[-1])} rpm"
         return Pair(where, "amplitude", theirs, None, "um p-p", note)
-    values = [
-        float(CubicSpline(speeds, curve["amplitude_m_pp"])(row.speed))
-        for curve in _curves(ours, row.probe, row.case)
-    ]
-    return Pair(where, "amplitude", theirs, UM * max(values), "um p-p")
+    key = row.probe, row.case
+    if key not in splines:
+        curves = np.array([curve["amplitude_m_pp"] for curve in _curves(ours, *key)])
+        splines[key] = CubicSpline(np.asarray(speeds), curves, axis=1)
+    return Pair(where, "amplitude", theirs, UM * float(splines[key](row.speed).max()), "um p-p")
 
 
 def _worded(row: TheirRow, what: str) -> str:
@@ -369,7 +393,7 @@ def _nobody(row: TheirRow, what: str, ours: Sequence[tuple[float, str]], top: fl
         return f"ours has no {what}{listed}"
 
     def rank(entry: tuple[float, str]) -> tuple[bool, bool, float]:
-        apart = abs(math.log(row.speed / entry[0]))
+        apart = abs(math.log(row.speed / entry[0])) if entry[0] > 0 else math.inf
         other = {row.whirl, entry[1]} == {"forward", "backward"}
         return apart > math.log1p(NEAR), other, apart
 

@@ -2,7 +2,9 @@
 interpolation.
 
 N_c is where the amplitude peaks, N_1 and N_2 where it is 0.707 of the peak:
-AF = N_c/(N_2 - N_1). A peak with one flank inside the curve has twice that flank as its band.
+AF = N_c/(N_2 - N_1). A peak with one flank inside the curve has twice that flank as its band, or
+less where the neighbour or the curve's end on the other side is nearer. One without a flank stays
+above 0.707 of itself between its neighbours, or the curve's ends, a and b: AF <= N_c/(b - a).
 """
 
 from __future__ import annotations
@@ -20,13 +22,14 @@ from ambrose.annexes.rotordynamics import standard
 @dataclass(frozen=True, slots=True)
 class Critical:
     """A peak: speed [rad/s], amplitude zero to peak [m], amplification factor (nan: no flank falls
-    to half power inside the curve), both flanks inside or one.
+    to half power inside the curve), both flanks inside or one; most: what the factor is at most.
     """
 
     speed: float
     amplitude: float
     amplification: float
     both_flanks: bool
+    most: float = math.inf
 
     @property
     def known(self) -> bool:
@@ -35,8 +38,13 @@ class Critical:
 
     @property
     def damped(self) -> bool:
-        """Critically damped: no margin is asked for. Of an unknown factor nobody can say so."""
-        return self.amplification < standard.CRITICALLY_DAMPED
+        """Critically damped: no margin is asked for."""
+        return self.factor < standard.CRITICALLY_DAMPED
+
+    @property
+    def factor(self) -> float:
+        """The amplification factor, or what it is at most."""
+        return self.amplification if self.known else self.most
 
 
 def criticals(speeds: np.ndarray, amplitude: np.ndarray) -> tuple[Critical, ...]:
@@ -55,11 +63,21 @@ def criticals(speeds: np.ndarray, amplitude: np.ndarray) -> tuple[Critical, ...]
         peak = float(curve(top))
         if peak < 1e-3 * float(amplitude.max()):
             continue
-        flanks = [_flank(curve, peak, top, float(end)) for end in (left, right)]
+        sides = (float(left), float(right))
+        flanks = [_flank(curve, peak, top, end) for end in sides]
         known = [flank for flank in flanks if flank is not None]
-        band = sum(known) * 2 / len(known) if known else math.nan
+        # a flank that is not reached is as wide as the other, but ends with the curve
+        band = (
+            sum(
+                min(known[0], abs(end - top)) if flank is None else flank
+                for flank, end in zip(flanks, sides, strict=True)
+            )
+            if known
+            else math.nan
+        )
         factor = top / band if known else math.nan
-        found.append(Critical(top, peak, factor, len(known) == 2))
+        most = factor if known else top / float(right - left)
+        found.append(Critical(top, peak, factor, len(known) == 2, most))
     return tuple(found)
 
 
@@ -78,7 +96,7 @@ def _flank(curve: CubicSpline, peak: float, top: float, end: float) -> float | N
 @dataclass(frozen=True, slots=True)
 class Separation:
     """How far a critical speed lies from the running speeds: margin and what is required [%]; of an
-    unknown amplification factor the most that is asked of any.
+    unknown amplification factor what the largest possible one requires.
     """
 
     critical: Critical
@@ -94,7 +112,7 @@ def separation(critical: Critical, lowest: float, highest: float) -> Separation:
     """Of a critical speed from the running range [rad/s]; inside of it the margin is 0 and what is
     asked for that below the range.
     """
-    factor = critical.amplification if critical.known else math.inf
+    factor = critical.factor
     below, above = standard.margin_below(factor), standard.margin_above(factor)
     if critical.speed < lowest:
         return Separation(critical, 100 * (lowest - critical.speed) / lowest, below)

@@ -317,8 +317,9 @@ def level_one_figure(one: LevelOne) -> Any:
             mode="markers",
             marker={"size": 9, "color": theme.LIMIT, "symbol": "circle"},
         )
-    low = min(0.0, *(float(branch.log_decrement.min()) for branch in one.branches))
-    high = max(float(branch.log_decrement.max()) for branch in one.branches)
+    levels = [branch.log_decrement for branch in one.branches]
+    low = min([0.0, *(float(level.min()) for level in levels)])
+    high = max([standard.LEAST_LOG_DECREMENT, *(float(level.max()) for level in levels)])
     theme.guide(
         figure,
         _ONE,

@@ -18,6 +18,7 @@ from ambrose.annexes.rotordynamics.critical_map import CriticalMap
 from ambrose.annexes.rotordynamics.level_one import OVERDAMPED, LevelOne
 from ambrose.annexes.rotordynamics.loop import ShaftLoop
 from ambrose.annexes.rotordynamics.phase_budget import CONTROLLER, PhaseBudget
+from ambrose.annexes.rotordynamics.reach import Reach
 from ambrose.annexes.rotordynamics.response import Response
 from ambrose.annexes.rotordynamics.result import OWN, RECALLED, Item, ModeRow, Rub
 from ambrose.judge.stability import judge_assumed
@@ -81,63 +82,15 @@ def undamped(found: CriticalMap) -> Iterator[Item]:
 def unbalance(
     response: Response,
     reading: Reading,
-    speeds: tuple[float, float, float],
+    speeds: tuple[float, float],
     scale: tuple[float, float],
 ) -> Iterator[Item]:
-    """Critical speeds with their margins, vibration and scale factor."""
-    lowest, highest, _ = speeds
+    """Critical speeds with their margins, vibration and scale factor; speeds: the running range."""
+    lowest, highest = speeds
     limit = standard.vibration_limit(highest / standard.RPM)
-    for k, (worst, probe, case) in enumerate(critical_speeds(response, lowest, highest), 1):
-        peak = worst.critical
-        rpm = peak.speed / standard.RPM
-        if not peak.known:
-            yield _unknown_factor(k, worst, f'probe "{probe}", {_FOR}{case}')
-            continue
-        factor = f"AF {peak.amplification:.3g}"
-        flank = "" if peak.both_flanks else ONE_SIDED
-        if peak.damped:
-            yield Item(
-                f"critical_speed.{k}",
-                f"Critical speed at {rpm:.5g} rpm: critically damped",
-                standard.EDITION,
-                _RESPONSE,
-                RECALLED,
-                peak.amplification,
-                "AF",
-                "<",
-                standard.CRITICALLY_DAMPED,
-                True,
-                f'{factor}{flank}, probe "{probe}", {_FOR}{case}; no separation margin is required',
-            )
-            continue
-        yield Item(
-            f"critical_speed.{k}",
-            f"Separation margin of the critical speed at {rpm:.5g} rpm",
-            standard.EDITION,
-            _RESPONSE,
-            RECALLED,
-            worst.margin,
-            "%",
-            ">=",
-            worst.required,
-            worst.passed,
-            f'{factor}{flank}, probe "{probe}", {_FOR}{case}',
-        )
+    yield from criticals_of(response, lowest, highest)
     yield from _small(response, limit / UM, (lowest, highest))
-    yield Item(
-        "vibration",
-        f"Largest probe reading {speeds_in_words(lowest, highest)}",
-        standard.EDITION,
-        _RESPONSE,
-        RECALLED,
-        UM * reading.peak_to_peak,
-        "um p-p",
-        "<=",
-        limit,
-        UM * reading.peak_to_peak <= limit,
-        f'probe "{reading.probe}", {reading.case}, at {standard.rpm(reading.speed)} rpm; with '
-        "twice the residual unbalance",
-    )
+    yield vibration(reading, lowest, highest)
     yield Item(
         "scale_factor",
         "Scale factor for the clearance check",
@@ -150,20 +103,98 @@ def unbalance(
     )
 
 
-def _unknown_factor(k: int, worst: Separation, where: str) -> Item:
-    """A peak without an amplification factor: told with its size and margin, not judged."""
-    peak = worst.critical
+def vibration(
+    reading: Reading,
+    lowest: float,
+    highest: float,
+    words: str = "",
+    maximum: float | None = None,
+) -> Item:
+    """The largest reading between two speeds [rad/s]; words: added to the title; maximum: the
+    maximum continuous speed [rad/s], where it is another than the second.
+    """
+    limit = standard.vibration_limit((maximum or highest) / standard.RPM)
     return Item(
-        f"critical_speed.{k}",
-        f"Response peak at {peak.speed / standard.RPM:.5g} rpm: amplification factor not known",
+        "vibration",
+        f"Largest probe reading {speeds_in_words(lowest, highest)}{words}",
         standard.EDITION,
         _RESPONSE,
         RECALLED,
-        2 * UM * peak.amplitude,
+        UM * reading.peak_to_peak,
         "um p-p",
-        note=f"{where}; the response falls to 0.707 of this peak on neither side, so that there "
-        f"is no half-power bandwidth: not judged. Separation margin {worst.margin:.3g} %; the most "
-        f"that any amplification factor can require is {worst.required:.3g} %",
+        "<=",
+        limit,
+        UM * reading.peak_to_peak <= limit,
+        f'probe "{reading.probe}", {reading.case}, at {standard.rpm(reading.speed)} rpm; with '
+        "twice the residual unbalance",
+    )
+
+
+def criticals_of(
+    response: Response, lowest: float, highest: float, words: str = ""
+) -> Iterator[Item]:
+    """Every critical speed with its margin from the running speeds [rad/s]; words: added to the
+    title.
+    """
+    for k, (worst, probe, case) in enumerate(critical_speeds(response, lowest, highest), 1):
+        peak = worst.critical
+        rpm = peak.speed / standard.RPM
+        most = "" if peak.known else "at most "
+        factor = f"AF {most}{peak.factor:.3g}"
+        if not peak.known:
+            factor += " (the response falls to 0.707 of this peak on neither side)"
+        elif not peak.both_flanks:
+            factor += ONE_SIDED
+        where = f'{factor}, probe "{probe}", {2 * UM * peak.amplitude:.3g} um p-p, {_FOR}{case}'
+        critical = f"critical speed at {rpm:.5g} rpm{words}"
+        if peak.damped:
+            yield Item(
+                f"critical_speed.{k}",
+                f"C{critical[1:]}: critically damped",
+                standard.EDITION,
+                _RESPONSE,
+                RECALLED,
+                peak.factor,
+                "AF",
+                "<",
+                standard.CRITICALLY_DAMPED,
+                True,
+                f"{where}; no separation margin is required",
+            )
+            continue
+        yield Item(
+            f"critical_speed.{k}",
+            f"Separation margin of the {critical}",
+            standard.EDITION,
+            _RESPONSE,
+            RECALLED,
+            worst.margin,
+            "%",
+            ">=",
+            worst.required,
+            worst.passed,
+            where,
+        )
+
+
+def reached(found: Reach, response: Response, highest: float) -> Item:
+    """Whether the response goes as far as a separation margin may be required."""
+    last = min(found.end, found.asked)
+    return Item(
+        "response.range",
+        f"Highest speed of the unbalance response ({len(response.speeds)} speeds, refined at the "
+        "critical speeds)",
+        standard.EDITION,
+        _RESPONSE,
+        OWN,
+        last / standard.RPM,
+        "rpm",
+        ">=",
+        standard.MARGIN_TO * highest / standard.RPM,
+        not found.why,
+        (f"not covered above {standard.rpm(last)} rpm: {found.why}; " if found.why else "")
+        + f"{standard.MARGIN_TO:g} times the maximum continuous speed, above which no critical "
+        "speed needs a margin",
     )
 
 
@@ -191,9 +222,11 @@ def _small(response: Response, limit: float, running: tuple[float, float]) -> It
 def critical_speeds(
     response: Response, lowest: float, highest: float
 ) -> list[tuple[Separation, str, str]]:
-    """Every critical speed that a probe or a major axis sees: its tightest reading with the probe
-    and the placement, by speed. Peaks of less than ``standard.SMALL_PEAK`` of the vibration limit
-    are none, unless their amplification factor is 2.5 or more.
+    """Every critical speed that a probe or a major axis sees, up to ``standard.MARGIN_TO`` times
+    the highest speed: its tightest reading with the probe and the placement, by speed.
+
+    Readings far below the largest one there do not count (``standard.MINOR_READING``); peaks below
+    ``standard.SMALL_PEAK`` of the vibration limit are none, unless the shaft moves more elsewhere.
     """
     return [min(group, key=_tightness) for group in _peaks(response, lowest, highest)[0]]
 
@@ -205,50 +238,55 @@ def _peaks(response: Response, lowest: float, highest: float) -> tuple[list[_Gro
     """Readings of peaks that are one critical speed, by speed; and those of peaks too small, where
     no other reading has a larger one beside.
     """
-    seen: _Group = []
-    for k, case in enumerate(response.cases):
-        curves = response.curves(k)
-        for name, amplitude in curves:
-            for peak in criticals(response.fine, amplitude):
-                seen.append((separation(peak, lowest, highest), name, case.name))
-    seen.sort(key=lambda row: row[0].critical.speed)
-    least = standard.SMALL_PEAK * standard.vibration_limit(highest / standard.RPM) / UM / 2
     kept: _Group = []
     small: _Group = []
-    for row in seen:
-        peak = row[0].critical
-        sharp = peak.known and not peak.damped
-        (kept if sharp or peak.amplitude >= least else small).append(row)
-    speeds = [row[0].critical.speed for row in kept]
-    alone = [
-        row
-        for row in small
-        if all(abs(row[0].critical.speed - speed) > _SAME_SPEED * speed for speed in speeds)
+    least = standard.SMALL_PEAK * standard.vibration_limit(highest / standard.RPM) / UM / 2
+    for k, case in enumerate(response.cases):
+        for name, amplitude in response.curves(k):
+            for peak in criticals(response.fine, amplitude):
+                if peak.speed > standard.MARGIN_TO * highest:
+                    continue
+                counts = peak.amplitude >= least or (
+                    not peak.damped and response.prominence(peak.speed, peak.factor, k) >= least
+                )
+                row = separation(peak, lowest, highest), name, case.name
+                (kept if counts else small).append(row)
+    alone = [row for row in small if not any(_beside(row, other) for other in kept)]
+    major = [
+        row for row in kept if not any(_minor(row, other) for other in kept if _beside(row, other))
     ]
-    return _grouped(kept), _grouped(alone)
+    return _grouped(major), _grouped(alone)
+
+
+def _beside(one: tuple[Separation, str, str], other: tuple[Separation, str, str]) -> bool:
+    """Whether two readings may be of one critical speed."""
+    first, second = one[0].critical.speed, other[0].critical.speed
+    return abs(first - second) <= _SAME_SPEED * max(first, second)
+
+
+def _minor(one: tuple[Separation, str, str], other: tuple[Separation, str, str]) -> bool:
+    """Whether a reading does not count beside another of the same critical speed."""
+    small, large = one[0].critical, other[0].critical
+    # beside a damped peak a sharp one may be another critical speed
+    share = standard.MINOR_READING[1 if large.damped else 0]
+    return small.amplitude < share * large.amplitude
 
 
 def _grouped(rows: _Group) -> list[_Group]:
     """Readings by speed, those of one critical speed together."""
     groups: list[_Group] = []
-    for row in rows:
-        last = groups[-1][-1][0].critical.speed if groups else -math.inf
-        near = row[0].critical.speed - last <= _SAME_SPEED * row[0].critical.speed
-        if groups and near:
+    for row in sorted(rows, key=lambda row: row[0].critical.speed):
+        if groups and _beside(groups[-1][-1], row):
             groups[-1].append(row)
         else:
             groups.append([row])
     return groups
 
 
-def _tightness(row: tuple[Separation, str, str]) -> tuple[int, float]:
-    """What a reading lacks or has to spare; then the critically damped ones, the sharpest first;
-    last those of which no amplification factor is known, the largest first.
-    """
+def _tightness(row: tuple[Separation, str, str]) -> tuple[bool, float]:
+    """What a reading lacks or has to spare; then the critically damped ones, the sharpest first."""
     item, peak = row[0], row[0].critical
-    if not peak.known:
-        return 2, -peak.amplitude
-    return (1, -peak.amplification) if peak.damped else (0, item.margin - item.required)
+    return (True, -peak.factor) if peak.damped else (False, item.margin - item.required)
 
 
 _CLEARANCES = {
@@ -259,8 +297,8 @@ _CLEARANCES = {
 }
 
 
-def clearances(found: Sequence[Rub], response: Response) -> Iterator[Item]:
-    """The tightest clearance of each kind."""
+def clearances(found: Sequence[Rub], words: str = "") -> Iterator[Item]:
+    """The tightest clearance of each kind; words: added to the title."""
     for kind, plural in _CLEARANCES.items():
         of_kind = [rub for rub in found if rub.kind == kind]
         if not of_kind:
@@ -268,7 +306,8 @@ def clearances(found: Sequence[Rub], response: Response) -> Iterator[Item]:
         worst = max(of_kind, key=lambda rub: rub.share / (rub.allowed / rub.diametral))
         yield Item(
             f"clearance.{kind}",
-            f"Motion relative to diametral clearance, least margin of {plural}: {worst.name}",
+            f"Motion relative to diametral clearance, least margin of {plural}: {worst.name}"
+            f"{words}",
             standard.EDITION,
             _CLEAR,
             RECALLED,
@@ -290,8 +329,9 @@ def clearances(found: Sequence[Rub], response: Response) -> Iterator[Item]:
             RECALLED,
             None,
             "-",
-            note="not covered: the machine file has no [[clearance]], no seal with a clearance and "
-            "no touchdown_gap",
+            passed=False,
+            note="not done: the machine file has no [[clearance]], no seal with a clearance and "
+            "no touchdown_gap; add [[clearance]]",
         )
 
 
@@ -305,8 +345,10 @@ def level_one_beyond(one: LevelOne) -> str:
     )
 
 
-def level_one(one: LevelOne | None, density: float | None = None) -> Iterator[Item]:
-    """Log decrement at Q_A, border, screening with a mean gas density [kg/m^3]."""
+def level_one(one: LevelOne | None, density: float | None = None, why: str = "") -> Iterator[Item]:
+    """Log decrement at Q_A, border, screening with a mean gas density [kg/m^3]; why: it was not
+    done.
+    """
     if one is None:
         yield Item(
             "level_one",
@@ -316,7 +358,8 @@ def level_one(one: LevelOne | None, density: float | None = None) -> Iterator[It
             RECALLED,
             None,
             "-",
-            note="not done, see the notes",
+            passed=False,
+            note=f"not done: {why}",
         )
         return
     where = "the overhung impellers" if len(one.stations) > 1 else "one station"

@@ -13,6 +13,8 @@ from typing import Any
 from ambrose.annexes.rotordynamics.result import SCHEMA
 
 _NUMBER = {"type": "number"}
+_POSITIVE = {"type": "number", "exclusiveMinimum": 0}
+_SIZE = {"type": "number", "minimum": 0}
 _TEXT = {"type": "string"}
 _MAYBE = {"type": ["number", "null"]}
 # infinite and unknown values are text: "inf", "nan"
@@ -37,7 +39,7 @@ def lateral_schema() -> dict[str, Any]:
         bound={"enum": ["", ">"], "description": ">: the value is more than the one given"},
     )
     mode = _table(
-        frequency_rad_per_s=_NUMBER,
+        frequency_rad_per_s=_SIZE,
         log_decrement=_NUMBER,
         judged={"type": "boolean", "description": "false: above the running speed"},
         whirl={**_NUMBER, "description": "1: forward circles, -1: backward ones"},
@@ -86,14 +88,14 @@ def lateral_schema() -> dict[str, Any]:
     )
     weight = _table(position_m=_NUMBER, amount_kg_m=_NUMBER, angle_rad=_NUMBER, carried_kg=_NUMBER)
     peak = {
-        "speed_rad_per_s": _NUMBER,
-        "amplitude_m_pp": _NUMBER,
-        "amplification_factor": _ANY_NUMBER,
+        "speed_rad_per_s": _POSITIVE,
+        "amplitude_m_pp": _SIZE,
+        "amplification_factor": {"type": ["number", "string"], "exclusiveMinimum": 0},
     }
     curve = _table(
         reading=_TEXT,
         case=_TEXT,
-        amplitude_m_pp=_list(_NUMBER),
+        amplitude_m_pp=_list(_SIZE),
         phase_lag_deg={
             **_list(_NUMBER),
             "description": "behind the key phasor, which is where the first unbalance is",
@@ -131,11 +133,11 @@ def lateral_schema() -> dict[str, Any]:
         timing=_TEXT,
         operating_point=_TEXT,
         passed={"type": "boolean"},
-        speeds_rad_per_s=_table(lowest=_NUMBER, highest=_NUMBER, trip=_NUMBER),
+        speeds_rad_per_s=_table(lowest=_SIZE, highest=_POSITIVE, trip=_POSITIVE),
         mean_gas_density_kg_per_m3=_MAYBE,
         scale_factor=_table(capped=_NUMBER, uncapped=_ANY_NUMBER),
         items=_list(item),
-        modes_up_to_rad_per_s=_NUMBER,
+        modes_up_to_rad_per_s=_POSITIVE,
         modes=_list(mode),
         clearances=_list(clearance),
         phase_budget=_list(budget),
@@ -168,7 +170,7 @@ def lateral_schema() -> dict[str, Any]:
                 case=_TEXT,
             )
         ),
-        response=_table(speeds_rad_per_s=_list(_NUMBER), curves=_list(curve)),
+        response=_table(speeds_rad_per_s=_list(_POSITIVE), curves=_list(curve)),
     )
     # what an unstable loop, or a rotor without Level I, does not have
     missing = {"level_one", "unbalance", "critical_speeds", "response"}

@@ -3,10 +3,10 @@ to ten times the anticipated Q_A, and the border Q0 at which the loop loses its 
 see ``standard``).
 
 The machine is taken without seals and stages: Q stands for all of them. The standard follows the
-first forward mode. A rotor on magnets can lose another one first, so that every forward mode which
-can ring is followed from one Q to the next; the border is that of the first which crosses, found as
-a root. The loop as it runs is judged on both sides of it, so that a mode which nobody followed
-cannot hide.
+first forward mode. A rotor on magnets can lose another one first, or have none that rings at Q = 0,
+so that no mode is followed for the border: it is where the largest real part of all poles of the
+loop as it runs crosses zero, refined within the first step of the sweep at whose end it has.
+Forward modes are followed for the picture, and to name the one that crosses.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import brentq
@@ -25,8 +26,8 @@ from ambrose.core.checks import NumericalFailure
 from ambrose.judge.rotor_modes import OSCILLATORY
 
 _STEPS = 20  # of the sweep
-_BESIDE = 0.02  # of Q0: how far on either side the loop is judged
-_HALVINGS = 6  # of the bracket, where a mode that is not followed crosses first
+_BESIDE = 0.02  # of Q0: how far beyond it the mode that crosses is followed from
+_SAME = 1e-6  # of Q0: the border of a mode followed that is the loop's
 # log decrement at the damping ratio up to which a mode can ring: 2 pi z/sqrt(1 - z^2)
 OVERDAMPED = 2 * math.pi * OSCILLATORY / math.sqrt(1 - OSCILLATORY**2)
 _LARGEST = 1e11  # [N/m]: how far a border is looked for without an anticipated value
@@ -84,7 +85,7 @@ class LevelOne:
     @property
     def least_at_end(self) -> float:
         """The least log decrement of the modes followed, at the end of the sweep."""
-        return min(float(branch.log_decrement[-1]) for branch in self.branches)
+        return min((float(b.log_decrement[-1]) for b in self.branches), default=OVERDAMPED)
 
 
 def sweep(
@@ -99,8 +100,8 @@ def sweep(
 
     anticipated Q_A [N/m], positive; None: unknown, then the sweep ends beyond the border and there
     is no screening; highest [rad/s]: up to where modes are followed. speed_ratio,
-    density: for the screening, see ``standard.screen``. Raises NumericalFailure where there is no
-    forward mode, a mode cannot be followed, or the loop is unstable without Q.
+    density: for the screening, see ``standard.screen``. Raises NumericalFailure where the loop is
+    unstable without Q.
     """
 
     def coupled(q: float) -> ShaftLoop:
@@ -117,12 +118,6 @@ def sweep(
             "the loop is unstable without cross-coupling (no seals, no stages), so that Level I "
             "has no border to find; give a controller that holds the bare rotor"
         )
-    modes = [mode for mode in shaft_modes(loop, highest) if mode.forward]
-    if not modes:
-        raise NumericalFailure(
-            f"no forward mode that can ring lies below {highest:.4g} rad/s, so that Level I has no "
-            "mode to follow; the rotor is overdamped there"
-        )
     if anticipated is None:
         end = 1e4
         while abscissa(end) < 0 and end < _LARGEST:
@@ -130,31 +125,26 @@ def sweep(
     else:
         end = standard.SWEEP * anticipated
     grid = np.linspace(0.0, end, _STEPS + 1)
-    branches = tuple(_follow(coupled, mode, grid, anticipated or 0.0) for mode in modes)
-    borders = [branch.border for branch in branches]
-    border = min(borders)
-    first = int(np.argmin(borders))
-    binding: int | None = first
-    if math.isinf(border):
-        binding = int(np.argmin([branch.at_anticipated for branch in branches]))
-
-    # the judge: nothing crosses before the border
-    last = end if math.isinf(border) else border * (1 - _BESIDE)
-    if abscissa(last) >= 0:
-        binding = None
-        border = _crossing(coupled, abscissa, last)
-    elif not math.isinf(border) and abscissa(border * (1 + _BESIDE)) < 0:
-        raise NumericalFailure(
-            f"the mode that was followed loses its damping at {border:.4g} N/m, but the loop is "
-            "stable beyond; two modes were mixed up: take another anticipated Q_A"
-        )
+    border = _border(abscissa, grid)
+    branches = tuple(
+        branch
+        for mode in shaft_modes(loop, highest)
+        if mode.forward and (branch := _follow(coupled, mode, grid, anticipated or 0.0))
+    )
+    binding: int | None = None
     crossing = math.nan
-    if not math.isinf(border):
-        poles = coupled(border * (1 + _BESIDE)).all_modes()
+    if math.isfinite(border):
+        poles = coupled(border).all_modes()
         crossing = abs(float(poles[np.argmax(poles.real)].imag))
-    if binding is None and (late := _late(coupled, grid, anticipated or 0.0, border, highest)):
-        branches, binding = (*branches, late), len(branches)
-    at_anticipated, least = min(branch.at_anticipated for branch in branches), math.nan
+        near = [k for k, b in enumerate(branches) if abs(b.border - border) <= _SAME * border]
+        if near:
+            binding = near[0]
+        elif late := _late(coupled, grid, anticipated or 0.0, border, highest):
+            branches, binding = (*branches, late), len(branches)
+    elif branches:
+        binding = int(np.argmin([branch.at_anticipated for branch in branches]))
+    at_anticipated = min((branch.at_anticipated for branch in branches), default=OVERDAMPED)
+    least = math.nan
     if anticipated is not None:
         # a mode that is overdamped or backward without Q can ring forwards at Q_A
         ringing = [m for m in shaft_modes(coupled(anticipated), highest) if m.forward]
@@ -180,50 +170,40 @@ def sweep(
     )
 
 
-def _crossing(
-    coupled: Callable[[float], ShaftLoop], abscissa: Callable[[float], float], unstable: float
-) -> float:
-    """The Q [N/m] below ``unstable`` at which the loop becomes so: a bracket by the judge's poles,
-    then the root of the pole that has crossed at its upper end.
-    """
-    low, high = 0.0, unstable
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if abscissa(middle) >= 0 else (middle, high)
-    poles = coupled(high).all_modes()
-    start = coupled(high).mode_near(complex(poles[np.argmax(poles.real)]))
-
-    def real_part(q: float) -> float:
-        return coupled(q).mode_near(*start)[0].real
-
-    if real_part(low) < 0 < real_part(high):
-        return float(brentq(real_part, low, high, xtol=1e-9 * unstable))
-    return low  # the pole was another one at the lower end: the bracket's safe end
+def _border(abscissa: Callable[[float], float], grid: np.ndarray) -> float:
+    """The Q [N/m] at which the loop first becomes unstable over the grid (n,); inf: nowhere."""
+    for low, high in pairwise(map(float, grid)):
+        if abscissa(high) >= 0:
+            return float(brentq(abscissa, low, high, xtol=1e-9 * grid[-1]))
+    return math.inf
 
 
 def _follow(
     coupled: Callable[[float], ShaftLoop], mode: ShaftMode, grid: np.ndarray, anticipated: float
-) -> Branch:
-    """One mode over the sweep; coupled: Q -> loop."""
+) -> Branch | None:
+    """One mode over the sweep, coupled: Q -> loop; None where it cannot be followed."""
     path = [(mode.pole, mode.states)]
-    for q in grid[1:]:
-        path.append(coupled(q).mode_near(*path[-1]))
-    poles = np.array([pole for pole, _ in path])
-    near = path[int(np.argmin(np.abs(grid - anticipated)))]
-    at = coupled(anticipated).mode_near(*near)[0]
     border = math.inf
-    beyond = np.flatnonzero(poles.real >= 0)
-    if beyond.size:
-        k = int(beyond[0])
-        start = path[k - 1]
-        border = float(
-            brentq(
-                lambda q: coupled(q).mode_near(*start)[0].real,
-                grid[k - 1],
-                grid[k],
-                xtol=1e-9 * grid[-1],
+    try:
+        for q in grid[1:]:
+            path.append(coupled(q).mode_near(*path[-1]))
+        poles = np.array([pole for pole, _ in path])
+        near = path[int(np.argmin(np.abs(grid - anticipated)))]
+        at = coupled(anticipated).mode_near(*near)[0]
+        beyond = np.flatnonzero(poles.real >= 0)
+        if beyond.size:
+            k = int(beyond[0])
+            start = path[k - 1]
+            border = float(
+                brentq(
+                    lambda q: coupled(q).mode_near(*start)[0].real,
+                    grid[k - 1],
+                    grid[k],
+                    xtol=1e-9 * grid[-1],
+                )
             )
-        )
+    except (NumericalFailure, ValueError):  # lost on the way, or another one at an end
+        return None
     return _branch(mode, poles, at, border)
 
 

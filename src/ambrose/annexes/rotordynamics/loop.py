@@ -87,11 +87,16 @@ class ShaftLoop:
 
     def currents(self, s: complex, states: np.ndarray) -> np.ndarray:
         """Coil currents (a,) or (a, k) [A] that belong to states."""
+        K = self.gain(s)
+        return self.coil(
+            states, -np.linalg.solve(np.eye(len(K)) + K @ self.D, K @ (self.C @ states))
+        )
+
+    def coil(self, states: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """Coil currents (a,) or (a, k) [A] of states and control currents u (a,) or (a, k) [A]."""
         system = self.plant.system
         rows = [system.outputs.index(name) for name in self.plant.named("i")]
         columns = [system.inputs.index(name) for name in self.plant.named("u")]
-        K = self.gain(s)
-        u = -np.linalg.solve(np.eye(len(K)) + K @ self.D, K @ (self.C @ states))
         return np.asarray(system.C[rows] @ states + system.D[np.ix_(rows, columns)] @ u)
 
     def coupled(self, station: int, q: float) -> ShaftLoop:

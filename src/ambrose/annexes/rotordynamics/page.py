@@ -27,6 +27,7 @@ from ambrose.model.effects.rotor import finite_element_rotor, mass_properties
 from ambrose.report import units
 from ambrose.report.figures.rotor_drawing import machine_drawing
 from ambrose.report.page import Cell, Figure, Page, Row, Section, Table, Verdict, numbers
+from ambrose.report.tables import assumed_table
 
 _BASIS = (
     "Basis: recalled - the standard's text was not at hand; formula and limit are those of open "
@@ -206,7 +207,7 @@ def lateral_page(result: Lateral, *, comparison: Comparison | None = None, date:
         (),
         facts,
         date,
-        result=Verdict("Result", not failed, words),
+        result=Verdict("Result", result.passed, words),
     )
 
 
@@ -585,13 +586,6 @@ def load_table(machine: Machine) -> tuple[Table, ...]:
     return (
         (Table("Loads specified in the machine file", columns, tuple(rows), note),) if rows else ()
     )
-
-
-def assumed_table(machine: Machine) -> tuple[Table, ...]:
-    """What the machine file marks as chosen; nothing where it marks nothing."""
-    if not machine.assumed:
-        return ()
-    return (Table("Chosen, not measured", ("Parameter", "Reason"), machine.assumed),)
 
 
 def demand_table(axis: AxisCapacity) -> Table:

@@ -61,14 +61,24 @@ def judge_sensitivity(
 def rows(points: Points, machine: Machine) -> Iterator[Item]:
     """Stability and sensitivity, the worst operating point of each."""
     judged = points.judged
+    if points.uncovered:
+        labels = ", ".join(points.uncovered)
+        yield Item(
+            "points.covered",
+            "Operating points that the controller does not cover",
+            "Ambrose",
+            "stability of the loop as it runs",
+            OWN,
+            float(len(points.uncovered)),
+            "-",
+            "<=",
+            0.0,
+            False,
+            f"not judged at {labels}: outside the range of the controller's schedule",
+        )
     if not judged:
         return
     several = f"worst of {len(judged)} operating points: " if len(judged) > 1 else "at "
-    left = (
-        f"; not covered by the controller: {', '.join(points.uncovered)}"
-        if points.uncovered
-        else ""
-    )
 
     def row(
         name: str,
@@ -102,7 +112,7 @@ def rows(points: Points, machine: Machine) -> Iterator[Item]:
             worst.relation,
             limit,
             None if limit is None else _meets(worst.value, worst.relation, limit),
-            f"{place}{worst.detail}{_others(found, where)}{more}{left}",
+            f"{place}{worst.detail}{_others(found, where)}{more}",
         )
 
     axes = tuple(f"sensitivity.output.{axis}" for axis in machine.axes)

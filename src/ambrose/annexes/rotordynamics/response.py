@@ -7,7 +7,7 @@ values; speeds are added until these agree with what is computed between them.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -17,10 +17,11 @@ from ambrose.annexes.rotordynamics.placement import UnbalanceCase
 from ambrose.annexes.rotordynamics.stations import Layout, Reading
 from ambrose.judge.unbalance import orbit
 
-_FIRST = 41  # speeds to begin with
-_MOST = 260  # speeds in all
+_FIRST = 51  # speeds to begin with
+_MOST = 400  # speeds in all
 _AGREES = 0.01  # of the largest amplitude of a case: how well a midpoint must be met
 _NARROW = 2e-4  # of the top speed: intervals below are not halved
+_ROUNDING = 1e-6  # of the top speed: nearer ones are one
 FINE = 4001  # points on which peaks are looked for
 
 
@@ -42,7 +43,26 @@ class Response:
     fine: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "fine", np.linspace(self.speeds[0], self.speeds[-1], FINE))
+        even = np.linspace(self.speeds[0], self.speeds[-1], FINE)
+        object.__setattr__(self, "fine", _apart(np.union1d(even, self.speeds)))
+
+    def upto(self, speed: float) -> Response:
+        """What was computed up to a speed [rad/s], one of ``speeds``."""
+        kept = self.speeds <= (1 + 2 * _ROUNDING) * speed
+        return replace(
+            self, speeds=self.speeds[kept], motion=self.motion[kept], current=self.current[kept]
+        )
+
+    def prominence(self, speed: float, amplification: float, case: int) -> float:
+        """Of a peak at a speed [rad/s]: the amplitude [m] that it alone gives the shaft, wherever
+        that moves most; from what the major axes lose at its half-power points.
+        """
+        half = speed / (2 * amplification)
+        speeds = np.clip([speed - half, speed, speed + half], self.speeds[0], self.speeds[-1])
+        xy = self.at(self.motion[..., case], speeds)
+        below, top, above = orbit(xy[..., 0], xy[..., 1])
+        # a peak by itself loses 1 - 1/sqrt(2) there
+        return float((top - np.maximum(below, above)).max()) / (1 - np.sqrt(0.5))
 
     def at(self, values: np.ndarray, speeds: np.ndarray) -> np.ndarray:
         """Complex values (w, ...) by cubic splines at other speeds (v,), (v, ...)."""
@@ -116,6 +136,30 @@ class Response:
         return np.asarray(np.abs(self.at(self.current[:, :, case], speeds)))
 
 
+def _apart(speeds: np.ndarray) -> np.ndarray:
+    """Ascending speeds (w,) without those so near to the one before that rounding is all that lies
+    between; the last is kept.
+    """
+    far = np.diff(speeds) > _ROUNDING * speeds[-1]
+    return np.asarray(speeds[np.append(far, True)])
+
+
+# the loop at a speed and forces (2 s, k) [N] at its stations -> states (n, k), currents (a, k) [A]
+Solve = Callable[[ShaftLoop, np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+def without_block(loop: ShaftLoop, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The controller alone."""
+    s = 1j * loop.point.speed
+    x = loop.states(s, forces)
+    return x, loop.currents(s, x) if loop.law is not None else x[:0]
+
+
+def first_speeds(lowest: float, highest: float) -> np.ndarray:
+    """Where a response is computed before anything is refined (w,) [rad/s]."""
+    return np.linspace(lowest, highest, _FIRST)
+
+
 def respond(
     layout: Layout,
     loop_at: Callable[[float], ShaftLoop],
@@ -123,11 +167,16 @@ def respond(
     lowest: float,
     highest: float,
     progress: Callable[[str], None] = lambda text: None,
+    *,
+    through: Sequence[float] = (),
+    solve: Solve = without_block,
 ) -> Response:
     """The response from one speed to another [rad/s], each of whose loops is stable.
 
-    loop_at: speed -> loop. The first grid is halved where the linear interpolation between two
-    speeds misses what is computed between them by more than 1 % of the case's largest amplitude.
+    loop_at: speed -> loop; through: further speeds [rad/s] between them that are computed; solve:
+    the states and currents under forces. The first grid is halved where the linear interpolation
+    between two speeds misses what is computed between them by more than 1 % of the case's largest
+    amplitude.
     """
     stations = len(layout.positions)
     forces = np.column_stack([case.forces(stations) for case in cases])
@@ -136,15 +185,14 @@ def respond(
     def compute(speed: float) -> np.ndarray:
         if speed not in known:
             loop = loop_at(speed)
-            x = loop.states(1j * speed, forces * speed**2)
-            motion = (loop.read @ x).reshape(stations, 2, -1)
-            currents = loop.currents(1j * speed, x) if loop.law is not None else x[:0]
-            known[speed] = (motion, currents)
+            x, currents = solve(loop, forces * speed**2)
+            known[speed] = ((loop.read @ x).reshape(stations, 2, -1), currents)
             if len(known) % 50 == 0:
                 progress(f"unbalance response, {len(known)} speeds")
         return known[speed][0]
 
-    speeds = np.linspace(lowest, highest, _FIRST)
+    inside = [speed for speed in through if lowest < speed < highest]
+    speeds = _apart(np.union1d(first_speeds(lowest, highest), inside))
     scale = np.max([np.abs(compute(w)).max(axis=(0, 1)) for w in speeds], axis=0)
     pending = list(pairwise(speeds))
     while pending and len(known) < _MOST:

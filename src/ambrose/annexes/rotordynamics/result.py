@@ -50,6 +50,8 @@ class Item:
     bound: str = ""
 
     def __post_init__(self) -> None:
+        if self.passed is not None:  # of NumPy's numbers it is no False that "is False" sees
+            object.__setattr__(self, "passed", bool(self.passed))
         if self.passed and self.value is not None and not np.isfinite(self.value):
             object.__setattr__(self, "passed", None)
             said = "; ".join(text for text in (self.note, "value not known, not judged") if text)
@@ -154,12 +156,12 @@ class Lateral(Presented):
 
     @property
     def passed(self) -> bool:
-        """Whether no judged row fails."""
-        return not self.failed
+        """Whether every row with a limit was judged, and none fails."""
+        return not self.failed and not any(item.unjudged for item in self.items)
 
     @property
     def failed(self) -> tuple[str, ...]:
-        """Names of the rows that fail."""
+        """Names of the rows that fail, or could not be done."""
         return tuple(item.name for item in self.items if item.passed is False)
 
     def to_dict(self) -> Mapping[str, Any]:  # type: ignore[override]

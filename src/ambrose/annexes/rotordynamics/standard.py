@@ -23,6 +23,9 @@ CRITICALLY_DAMPED = 2.5  # amplification factor below which no margin is asked f
 # of the vibration limit: peaks below it are listed, not judged. Even scaled by the largest factor
 # they stay below 6 % of the limit, a quarter of the runout that it allows for (25 %)
 SMALL_PEAK = 0.01
+# of the largest reading at a critical speed, and of one that is critically damped: smaller ones do
+# not count
+MINOR_READING = 0.1, 0.01
 _LARGEST_VIBRATION = 25.4  # [um] peak to peak
 _VIBRATION_SPEED = 12_000.0  # [rpm]
 LARGEST_SCALE = 6.0  # cap of the scale factor
@@ -31,6 +34,9 @@ LEAST_LOG_DECREMENT = 0.1  # at Q_A (Level I) and with all parts (Level II)
 SWEEP = 10.0  # times Q_A: how far the cross-coupling is swept
 SCREEN_NEAR, SCREEN_FAR = 2.0, 10.0  # Q0/Q_A
 LEAST_ANTINODE = 0.1  # of the largest: smaller ones get no unbalance
+# times the maximum continuous speed: no critical speed above it needs a margin (26 % at most), and
+# curves to the second show the upper half-power point of one that does
+MARGIN_TO, CURVES_TO = 1.3, 1.6
 MODES_TO = 1.25  # times the trip speed: up to where modes are judged or excited
 # beyond them modes are listed for information, to so many times the second bending frequency of the
 # free rotor: the first two bending modes in the loop, split by the gyroscopic effect

@@ -160,6 +160,12 @@ def _row(where: str, columns: list[tuple[str, float, str]], row: list[str], mark
         )
     if values.get("speed", 0.0) <= 0:
         raise InvalidInput(f"{where}: it needs a speed above 0; give one, or leave the row out")
+    for column in ("amplitude", "amplification"):
+        if values.get(column, 0.0) < 0:
+            raise InvalidInput(
+                f"{where}: {column} is negative, but must be at least 0; correct it, or leave the "
+                "cell empty"
+            )
     if kind == "response" and not values.get("amplitude"):
         raise InvalidInput(f"{where}: a response needs an amplitude; give one, or drop the row")
     damping = values.get("damping_ratio")

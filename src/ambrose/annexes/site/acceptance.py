@@ -371,8 +371,7 @@ def _measure(
     spacing = float(np.diff(omega).min()) / TWO_PI
     notes = (
         f"{len(omega)} lines, {spacing:.3g} Hz apart, each with {M.freedom:.0f} degrees of "
-        "freedom. Limits and zones judge the "
-        "outer end of the 95 % interval.",
+        "freedom. Limits judge the outer end of the 95 % interval, of an axis zones too.",
     )
     loop = MeasuredLoop(
         point,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ambrose.annexes.site.acceptance import Acceptance, MeasuredLoop
-from ambrose.judge.criteria import zone_lines
+from ambrose.judge.criteria import required_line, zone_lines
 from ambrose.law.law import law_of
 from ambrose.machine.criteria import SENSITIVITY
 from ambrose.machine.file.toml import machine_hash
@@ -72,7 +72,7 @@ def acceptance_page(accepted: Acceptance, *, date: str = "") -> Page:
 
 def _sections(loop: MeasuredLoop, requirement: float | None, several: bool) -> list[Section]:
     """The three figures of one record. requirement: the machine's limit of |S|, drawn beside the
-    zones; several: the point's name stands in the titles.
+    zones of the axes; several: the point's name stands in the titles.
     """
     where = f", {loop.checks.label}" if several else ""
     names = [units.axis_name(axis) for axis in loop.axes]
@@ -90,7 +90,7 @@ def _sections(loop: MeasuredLoop, requirement: float | None, several: bool) -> l
         np.column_stack([loop.modulus - loop.half, loop.low]),
         np.column_stack([loop.modulus + loop.half, loop.high]),
         S,
-        zone_lines(SENSITIVITY, requirement),
+        [zone_lines(SENSITIVITY, requirement)] * len(names) + [required_line(requirement)],
         loop.told,
     )
 
@@ -99,12 +99,13 @@ def _sections(loop: MeasuredLoop, requirement: float | None, several: bool) -> l
     T = np.abs(1 - np.einsum("wii->wi", loop.S))
     opened = {label: 1 / S_ii - 1 for label, S_ii in diagonal.items()}
     closed = {label: np.abs(1 - S_ii) for label, S_ii in diagonal.items()}
+    none: list[tuple[tuple[str, float], ...]] = [()] * len(names)
     figures = (
         Figure(f"Sensitivity{where}", sensitivity, _SENSITIVITY),
         Figure(f"Open loop{where}", nyquist(names, loop.omega, loop.loops, opened, told), _OPEN),
         Figure(
             f"Closed loop{where}",
-            panels(names, loop.omega, T, T - loop.half, T + loop.half, closed, (), told),
+            panels(names, loop.omega, T, T - loop.half, T + loop.half, closed, none, told),
             _CLOSED,
         ),
     )

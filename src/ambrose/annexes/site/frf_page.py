@@ -159,7 +159,7 @@ def _loops(found: Responses, point: PointResponse, where: str) -> Iterator[Figur
     moduli = {label: np.abs(value) for label, value in told.items()}
     yield Figure(
         f"Sensitivity{where}",
-        panels(names, omega, size, size - half, size + half, moduli, limits, drawn),
+        panels(names, omega, size, size - half, size + half, moduli, [limits] * len(names), drawn),
         _SENSITIVITY,
     )
     yield Figure(

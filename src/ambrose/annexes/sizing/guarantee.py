@@ -9,10 +9,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ambrose.annexes.sizing.capacity import capacity_margin
 from ambrose.annexes.sizing.magnets import Costs, Size, costs, flux_within, need, resized
 from ambrose.core.checks import InvalidInput, NumericalFailure
 from ambrose.core.statespace import StateSpace
+from ambrose.judge.capacity import capacity_margin
 from ambrose.judge.envelope import envelope_of
 from ambrose.judge.result import Synthesis
 from ambrose.judge.unavoidable import beyond_reach, unavoidable_sensitivity
@@ -139,7 +139,8 @@ def _tuned(before: Trial, method: Tuned, near: Trial | None, time_limit: float) 
         raise KeyboardInterrupt
 
     # unbalance and loads over what bias, current, force and voltage leave
-    margin, words = capacity_margin(found, synthesis.controller, method.timing(found))
+    timing = method.timing(found)
+    margin, words = capacity_margin(found, synthesis.controller, timing, weight_taken=True)
 
     # what binds: the largest ratio of a value to its limit
     ratios = {

@@ -8,7 +8,6 @@ What a job is, stands in KINDS; a page chooses among them and names files of the
 from __future__ import annotations
 
 import asyncio
-import json
 import os
 import re
 import shlex
@@ -27,6 +26,7 @@ from ambrose.annexes.workbench.project import KINDS as FOLDERS
 from ambrose.annexes.workbench.project import MACHINE, Project
 from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.machine.atomic_write import make_folder, write_json
+from ambrose.machine.json_text import parse_json
 
 # words of a command; what stands in braces the page names
 KINDS: dict[str, tuple[str, ...]] = {
@@ -350,7 +350,7 @@ def _read(path: Path) -> Job:
     """A job as it was written here. Raises InvalidInput and others for what only looks like one."""
     if path.resolve() != path or not path.is_file() or path.stat().st_size > _STATE:
         raise InvalidInput(f"{path.name} is no job's state")
-    content = json.loads(path.read_text(encoding="utf-8"))
+    content = parse_json(path.read_text(encoding="utf-8"), "start the job again")
     job = Job(**{**content, "words": tuple(content["words"])})
     numbers = [n for n in (job.status, job.begun, job.ended) if n is not None]
     known = job.name == path.parent.name and _NAME.fullmatch(job.name) and job.state in _STATES

@@ -103,6 +103,12 @@ class LiveSession:
             "zones": {limit.zone: limit.value for limit in CLEARANCE.limits},
             "columns": self.columns,
             "axes": rig.axes,
+            # what flows in the coils, and what the controller asks for: not the same where an
+            # amplifier has failed
+            **{
+                word: [self.columns.index(f"{kind} {axis}") for axis in rig.axes]
+                for word, kind in (("currents", "i"), ("commands", "u"))
+            },
             "limits": [float(most) if np.isfinite(most) else None for most in rig.limits],
             "dt": rig.dt,
             "speed": self.ranges.speed,

@@ -8,7 +8,6 @@ length. With the last page the rig stands still; it goes on from there when a pa
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -22,6 +21,7 @@ from ambrose.annexes.workbench.live import SAMPLES, TURNED, LiveSession, packed,
 from ambrose.annexes.workbench.project import Project
 from ambrose.core.checks import AmbroseError
 from ambrose.core.presentation import json_text
+from ambrose.machine.json_text import parse_json
 
 FRAMES = 40.0  # a second
 THREAD = "live-rig"
@@ -112,7 +112,7 @@ class _Viewer:
 def _read(text: str) -> Any:
     """A message of a page, None where it is none."""
     try:
-        return json.loads(text) if len(text) <= _LONGEST else None
+        return parse_json(text, "reload the page") if len(text) <= _LONGEST else None
     except (ValueError, RecursionError):
         return None
 

@@ -30,6 +30,8 @@ from ambrose.core.realisation.balancing import balance
 
 _RANK = 1e-10  # of D12 and D21 with columns or rows of norm 1
 _SINGULAR = 1e-11  # smallest singular value of an equilibrated pencil that counts as zero
+# part of a left eigenvector's terms in an input, below which they cancel but for rounding
+_UNREACHED = 1e-10
 _NEAR_AXIS = 1e-6  # candidates: real part against the largest entry of the matrix
 
 
@@ -93,20 +95,36 @@ def _require_stabilisable(
 ) -> None:
     if len(A) == 0:
         return
+    import scipy.linalg as sla
+
     scale = balance(A)[1]
     A, B = A * scale / scale[:, None], B / scale[:, None]
 
-    # Hautus: [A - s I, B] keeps its rank at every mode that is not clearly stable.
+    # Y^T A = A_u Y^T, Y orthonormal: the left invariant space of the modes that are not clearly
+    # stable (A^T Y = Y A_u^T, the leading Schur vectors of A^T); stable ones count no more
     values, errors = _eigenvalues(A)
-    for value in values[values.real >= -errors]:
-        if value.imag >= 0 and len(_null(np.hstack([A - value * np.eye(len(A)), B]))):
-            place = (
-                "on the imaginary axis"
-                if value.real <= _NEAR_AXIS * np.abs(A).max()
-                else "unstable"
-            )
+    limit = -float(errors.max())
+    T, Z, count = sla.schur(A.T, sort=lambda re, im: re >= limit)
+    if not count:
+        return
+    A_u, Y = T[:count, :count].T, Z[:, :count]
+    rounding = 1e3 * np.finfo(float).eps * np.linalg.norm(A_u)
+    for value in values[(values.real >= -errors) & (values.imag >= 0)]:
+        # left eigenvectors y = Y v, v^H (A_u - s I) = 0, several where modes coincide
+        U, size, _ = np.linalg.svd(A_u - value * np.eye(count))
+        y = Y @ U[:, min(int((size > rounding).sum()), count - 1) :]
+
+        # y^H b_j against the sum of its terms' sizes, which no unit of a state or of u changes
+        terms = np.abs(y).max(axis=1) @ np.abs(B)
+        reach = y.conj().T @ B / np.where(terms > 0, terms, 1.0)
+        if np.linalg.svd(reach, compute_uv=False)[: y.shape[1]].min() <= _UNREACHED or (
+            y.shape[1] > reach.shape[1]
+        ):
+            real = 0.0 if abs(value.real) <= -limit else float(value.real)
+            place = "unstable" if real else "on the imaginary axis"
+            mode = _text(complex(real, value.imag))
             raise InvalidInput(
-                f"{failure}: the mode s = {_text(value)} rad/s is {place} and {why}; {remedy}"
+                f"{failure}: the mode s = {mode} rad/s is {place} and {why}; {remedy}"
             )
 
 

@@ -246,6 +246,20 @@ def search_gamma(
     return GammaSearch(low.gamma, high, bool(inaccurate), low.gamma == floor, tuple(history))
 
 
+def proved_lower(plant: ScaledPlant) -> float:
+    """A gamma that no controller of a scaled plant comes below, within 1e-3 of the smallest that is
+    reachable; nan where D12 or D21 lacks rank or rounding spoils a level on the way.
+    """
+    try:
+        search = search_gamma(normal_form(plant)[0], 1e-3, lambda _: None)
+        if search.inaccurate:
+            balanced = normal_form(plant)[0].in_states(*balancing_states(search.best))
+            search = search_gamma(balanced, 1e-3, lambda _: None)
+    except (NumericalFailure, np.linalg.LinAlgError):
+        return float("nan")
+    return float("nan") if search.inaccurate else search.lower
+
+
 def _next(low: Level, high: Level, tolerance: float) -> float:
     """A gamma between: on either side of the estimated root of rho = 1 in turn, so that both bounds
     close in on it.

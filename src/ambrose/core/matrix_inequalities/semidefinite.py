@@ -79,7 +79,8 @@ class Minimum:
 
     status: "optimal", "inexact" (progress ended early), "infeasible" or "time limit". primal_error,
     dual_error: relative residuals of the constraints; gap: (value - bound), relative; steps: of the
-    method.
+    method; multipliers: of every inequality Z (d, d), by how much the value falls where it is
+    relaxed.
     """
 
     x: np.ndarray
@@ -90,6 +91,7 @@ class Minimum:
     dual_error: float
     gap: float
     steps: int
+    multipliers: tuple[np.ndarray, ...] = ()
 
 
 def svec(M: np.ndarray) -> np.ndarray:
@@ -233,7 +235,8 @@ class _Solver:
             1 + float(np.linalg.norm(self.cost))
         )
         gap = self.complementarity() / (1 + abs(value) + abs(bound))
-        return Minimum(self.x * self.unit, value, bound, status, primal, dual, gap, step)
+        x, Z = self.x * self.unit, tuple(self.Z)
+        return Minimum(x, value, bound, status, primal, dual, gap, step, Z)
 
     def infeasible(self, iterate: Minimum) -> bool:
         """Whether Z, scaled, is a certificate: F^T(Z) = 0 and -<F_0, Z> > 0."""

@@ -72,8 +72,13 @@ def box_loop(system: Any, blocks: Sequence[Block], model: Chords | None = None) 
     unstable already.
     """
     system = as_statespace(system)
-    other = [block.name for block in blocks if not isinstance(block, RealBlock)]
-    if other or not blocks:
+    several = isinstance(blocks, list | tuple)
+    other = [
+        getattr(block, "name", type(block).__name__)
+        for block in (blocks if several else [blocks])
+        if not isinstance(block, RealBlock)
+    ]
+    if other or not several or not blocks:
         raise invalid(
             "the blocks",
             other or "none",

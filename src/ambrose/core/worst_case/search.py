@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import named_failure
+from ambrose.core.checks import invalid, named_failure
 from ambrose.core.frequency import largest_gain
 from ambrose.core.lft import Block
 from ambrose.core.presentation import Presented
@@ -48,7 +48,16 @@ def worst_case_gain(system: Any, blocks: Sequence[Block], seed: int = 1) -> BoxG
     of the gain; see ``box_loop``. A lower bound: it is searched, not proved (``worst_gain``).
     Raises InvalidInput.
     """
-    return worst_gain(box_loop(system, blocks), seed=seed)
+    loop = box_loop(system, blocks)
+    if min(loop.system.D.shape) <= len(loop.owner):
+        raise invalid(
+            "the system",
+            f"{loop.system.D.shape[1]} inputs and {loop.system.D.shape[0]} outputs, those of the "
+            "blocks",
+            "one with further inputs and outputs, whose gain is asked for",
+            "list them after those of the blocks",
+        )
+    return worst_gain(loop, seed=seed)
 
 
 @named_failure("the worst gain in the box")

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ambrose.core.checks import check_positive
+from ambrose.machine.units import DIMENSIONS, read_quantity
 
 GRAVITY = 9.81  # m/s^2
 COVERAGE = 1.96  # standard deviations to either side: 95 % of a normal distribution
@@ -53,14 +54,26 @@ class LawRow:
         return bool(abs(self.found - self.expected) <= self.half_width)
 
 
+def current_scale(unit: str) -> float | None:
+    """What one ``unit`` is in A; None where it is no unit of current."""
+    try:
+        return read_quantity(f"1 {unit}", DIMENSIONS["current"])
+    except ValueError:
+        return None
+
+
 def compare_law(
     law: ForceLaw, stiffness: float, gain: float, covariance: np.ndarray, unit: str
 ) -> tuple[LawRow, ...]:
     """What the law expects beside what was found.
 
     stiffness a [1/s^2], gain b [m/s^2 per unit] (its sign: how y and u are counted), covariance
-    (2, 2) of both.
+    (2, 2) of both; unit: of the drive, one of current.
     """
+    # b per ampere, and its row and column of the covariance
+    scale = current_scale(unit) or 1.0
+    gain, per_ampere = gain / scale, np.array([1.0, 1 / scale])
+    covariance = covariance * per_ampere * per_ampere[:, None]
     ratio = stiffness / abs(gain)
     slope = np.array([1 / abs(gain), -stiffness / (gain * abs(gain))])
     rows = [
@@ -69,7 +82,7 @@ def compare_law(
             law.current / law.gap,
             ratio,
             COVERAGE * float(np.sqrt(slope @ covariance @ slope)),
-            f"{unit}/m",
+            "A/m",
         )
     ]
     if law.hanging:
@@ -83,7 +96,7 @@ def compare_law(
                 2 * GRAVITY / law.current,
                 abs(gain),
                 float(halves[1]),
-                f"m/s^2/{unit}",
+                "m/s^2/A",
             )
         )
     return tuple(rows)

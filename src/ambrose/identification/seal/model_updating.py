@@ -14,7 +14,7 @@ from ambrose.identification.parameters import half_width
 from ambrose.identification.seal.result import COEFFICIENTS, SealFit, averaged, line
 from ambrose.machine.description import Tolerance
 from ambrose.machine.machine import Machine
-from ambrose.machine.parameters import parse_parameter
+from ambrose.machine.parameters import parse_parameter, settled
 from ambrose.machine.seals import Seal, SealTable
 from ambrose.model.assemble import seal_coefficients
 
@@ -87,7 +87,8 @@ def update_seal(machine: Machine, fit: SealFit, form: str = "line") -> Machine:
         if not stated:
             tolerances.append(Tolerance(f"seal.{fit.seal}.{letter}", absolute=width))
     seals = tuple(changed if one is item else one for one in machine.seals)
-    return replace(machine, seals=seals, tolerances=tuple(tolerances))
+    updated = replace(machine, seals=seals, tolerances=tuple(tolerances))
+    return replace(updated, assumed=settled(machine, updated))
 
 
 _Made = tuple[SealTable, np.ndarray]

@@ -21,6 +21,10 @@ from ambrose.machine.parameters import CONTROLLER_DELAY, TIMING, parse_parameter
 
 _MISSED = 0.3
 _FAR = 2.0  # factor by which a value may leave the file's
+# the same of the one lag that takes in every other one of the chain; assumed: an amplifier's data
+# sheet is nearer, and a filter that the file lacks is a lag of the same order
+_FAR_LAG = 1.5
+_KNOWN = {"bearing", "amplifier"}  # tables of what designers know
 _MOVED = 0.04  # relative; a mean change below is none
 _SURELY = 3.0  # standard deviations of a mean, by which its change is none of the single ratios'
 _ALIKE = 0.02  # relative, by which two means of one cause differ at least
@@ -47,21 +51,38 @@ def diagnose_result(
     for every record. A tone that hides nothing, for the residual tests see what is missing from 2 %
     of a response on, is none.
     """
-    power = power_of(result.tests).values()
-    sharp = bool(power) and max(power) <= _HIDDEN
     findings = [
+        *diagnose_values(machine, result, outputs),
+        *diagnose_fit(machine, result, outputs),
+    ]
+    return tuple(sorted(findings, key=lambda finding: finding.severity != ERROR))
+
+
+def diagnose_values(
+    machine: Machine, result: ParameterEstimate, outputs: Sequence[SimulatedOutput]
+) -> tuple[Finding, ...]:
+    """The part of ``diagnose_result`` about the values and their intervals: to be asked again where
+    these became wider.
+    """
+    return (
         *_signs(result),
+        *_chain_lag(machine, result, outputs),
         *_sizes(machine, result),
         *_stiffness_alone(machine, result),
         *_common_factor(result),
         *_thrust(machine, result, outputs),
-        *(
-            item
-            for item in diagnose_outputs(machine, outputs)
-            if item.code != Code.TONE or not sharp
-        ),
-    ]
-    return tuple(sorted(findings, key=lambda finding: finding.severity != ERROR))
+    )
+
+
+def diagnose_fit(
+    machine: Machine, result: ParameterEstimate, outputs: Sequence[SimulatedOutput]
+) -> tuple[Finding, ...]:
+    """The part of ``diagnose_result`` about what the model leaves of the records."""
+    power = power_of(result.tests).values()
+    sharp = bool(power) and max(power) <= _HIDDEN
+    return tuple(
+        item for item in diagnose_outputs(machine, outputs) if item.code != Code.TONE or not sharp
+    )
 
 
 def _thrust(
@@ -121,13 +142,77 @@ def _signs(result: ParameterEstimate) -> Iterator[Finding]:
             yield Finding(Code.NOT_DESTABILISING, WARNING, what, evidence, remedy)
 
 
+def chain_lags(machine: Machine, result: ParameterEstimate) -> list[tuple[int, float, float]]:
+    """The places of the amplifier's lags in an estimate, with the time constants [s] found and of
+    the start; none where the values are none of a lag.
+
+    Of bandwidth/(s + bandwidth) it is 1/bandwidth, of w^2/(s^2 + d s + w^2) at low frequency d/w^2.
+    """
+    damping = machine.amplifier.damping or 0.0
+    found = []
+    for k, path in enumerate(result.paths):
+        value, start = float(result.values[k]), float(result.start[k])
+        if path.startswith("amplifier.") and not path.endswith("damping") and min(value, start) > 0:
+            second = path.endswith("natural_frequency")
+            found.append((k, *(damping / w**2 if second else 1 / w for w in (value, start))))
+    return found
+
+
+def _chain_lag(
+    machine: Machine, result: ParameterEstimate, outputs: Sequence[SimulatedOutput]
+) -> Iterator[Finding]:
+    """A lag far from the file's: what the chain from displacement to force has of lags and delays
+    beside those that the file states is in this one number.
+    """
+    for k, lag, stated in chain_lags(machine, result):
+        path, value, start = result.paths[k], float(result.values[k]), float(result.start[k])
+        beyond = abs(value - start) - COVERAGE * float(result.standard_deviations[k])
+        told = _stated(machine, result, path, start)
+        if 1 / _FAR_LAG < value / start < _FAR_LAG or beyond <= (told if np.isfinite(told) else 0):
+            continue
+        what = f"{path}, the lag of the whole chain, is {value / start:.3g} times its start"
+        evidence = (
+            f"{1e6 * lag:.3g} us where the file has {1e6 * stated:.3g} us: filters and delays that "
+            "the file does not state are in this number"
+        )
+        yield Finding(
+            Code.FAR_FROM_FILE, WARNING, what, evidence, _stating(machine, lag - stated, outputs)
+        )
+
+
+def _stating(machine: Machine, extra: float, outputs: Sequence[SimulatedOutput]) -> str:
+    """What to look for, and how to state it; extra [s]: by how much the lag is longer."""
+    if extra <= 0:
+        return (
+            "look for a delay, filter or sensor lag that the file states and the machine does not "
+            "have (--delay-samples, bandwidth of [[sensor]]), or another amplifier"
+        )
+    # sqrt(2)/w_c: the delay at low frequencies of a Butterworth filter of second order
+    corner = np.sqrt(2) / extra / (2 * np.pi)
+    own = [item.bandwidth for item in getattr(machine, "sensors", ()) if item.bandwidth]
+    sensor = 1 / (extra + (1 / min(own) if own else 0.0)) / (2 * np.pi)
+    samples = f", {extra / outputs[0].record.dt:.2g} samples" if outputs else ""
+    return (
+        "suspect an anti-alias or sensor filter first (one of second order at "
+        f"{_hertz(corner)} has these {1e6 * extra:.3g} us): state it as the bandwidth of every "
+        f'[[sensor]], "{_hertz(sensor)}", and identify again; else a longer delay of computing or '
+        f"hold{samples} (--unknown delay), or another amplifier or current loop"
+    )
+
+
+def _hertz(value: float) -> str:
+    """Three significant digits of a frequency [Hz]."""
+    return f"{value / 1e3:.3g} kHz" if value >= 1e3 else f"{value:.3g} Hz"
+
+
 def _sizes(machine: Machine, result: ParameterEstimate) -> list[Finding]:
     """Values far from where they began, of parameters that designers know or whose tolerance the
     machine states.
     """
     far = []
+    lags = [result.paths[k] for k, _, _ in chain_lags(machine, result)]
     for path, value, start in zip(result.paths, result.values, result.start, strict=True):
-        known = path not in TIMING and parse_parameter(path).table in {"bearing", "amplifier"}
+        known = path not in (*TIMING, *lags) and parse_parameter(path).table in _KNOWN
         if known and start > 0 and value > 0 and not 1 / _FAR < value / start < _FAR:
             far.append(f"{path} is {value / start:.3g} times its start")
     rows = zip(result.paths, result.values, result.start, result.standard_deviations, strict=True)

@@ -14,11 +14,14 @@ the effect, no bound.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ambrose.core.checks import AmbroseError
+from ambrose.core.sampling import Method, c2d
+from ambrose.core.statespace import StateSpace
 from ambrose.identification.findings import WARNING, Code, Finding
 from ambrose.identification.output_error.closed_loop import (
     LeastSquares,
@@ -27,6 +30,7 @@ from ambrose.identification.output_error.closed_loop import (
 )
 from ambrose.identification.output_error.lagged_products import coloured_products
 from ambrose.identification.output_error.loop_model import LoopModel
+from ambrose.identification.output_error.magnetic_force import MagneticForce
 from ambrose.identification.output_error.normal_equations import (
     jacobian_pieces,
     normal_equations,
@@ -35,9 +39,10 @@ from ambrose.identification.output_error.normal_equations import (
 from ambrose.identification.output_error.problem import Experiment, FitOptions, build_experiment
 from ambrose.identification.output_error.residual_analysis import residual_scores
 from ambrose.identification.output_error.statistics import step_with_prior, verdict_of
-from ambrose.identification.parameters import magnet_paths, unit_of
+from ambrose.identification.parameters import magnet_paths, plant_at, unit_of
 from ambrose.identification.validation.channel_faults import Fault, faulty_loop
 from ambrose.law.law import LawLike
+from ambrose.law.loop import match_controller
 from ambrose.machine.axial import AxialMachine
 from ambrose.machine.description import AMPLIFIER_PARAMETERS
 from ambrose.machine.machine import Machine
@@ -54,6 +59,14 @@ _NOT_THESE = (  # what is left once every suspect was tried in vain
     "likeliest first: magnets beyond their linear range, a different controller"
 )
 BENDING_MODES = "bending modes"
+SAMPLING = "controller sampled by"
+_SAMPLINGS: tuple[Method, ...] = ("backward-euler", "zoh", "matched")
+# part of what the model leaves that another structure must explain to be told by the records, or
+# leave over to be excluded by them; assumed: far beyond what noise makes of some thousand samples
+_TELLS = 0.01
+# a response over what the magnets' nonlinearity made, below which it may be the rest of that;
+# assumed: loop and terms are known to less, the second order of a series
+_REST = 0.2
 # of a number that the machine file gives and the fit takes, one standard deviation; assumed
 FILE = 0.03
 # bending modes beyond those modelled, which are tried together; assumed: each further one is
@@ -108,17 +121,14 @@ def suspects(
 
     Tried are the delays of controller and excitation, the amplifier's other parameters, gains and
     stiffnesses of bearings and couplings, the seals' coefficients and the first two bending modes,
-    as far as the fit took them as known; and the faults of channels and magnets
-    (channel_faults.py). prior (q,): the standard deviations about ``result.start`` with which its
+    as far as the fit took them as known; the faults of channels and magnets (channel_faults.py);
+    further bending modes; and other samplings of a continuous controller that nothing recorded
+    checks. prior (q,): the standard deviations about ``result.start`` with which its
     values were held in the fit (None: they were free).
     """
     options = replace(options, period=None)
+    otherwise = _structures(machine, records, controller, result, options, prior)
     modes = min(options.bending_modes + _FURTHER, bending_modes_of_mesh(machine))
-    cut = (
-        None
-        if modes <= options.bending_modes
-        else _further_modes(machine, records, controller, result, options, modes, prior)
-    )
     options = replace(options, bending_modes=max(modes, options.bending_modes))
     paths = [
         path
@@ -146,61 +156,163 @@ def suspects(
         *scored(timing),
         *scored(rest),
         *_faults(machine, records, controller, result, options),
-        *([] if cut is None else [cut]),
+        *otherwise,
     ]
     return tuple(sorted(suspected, key=lambda item: (item.held, -item.explains)))
 
 
-def _further_modes(
+@dataclass(frozen=True, slots=True, eq=False)
+class _Trial:
+    """One step of Gauss and Newton (q,) from fitted values in a loop of another structure, and the
+    cost that it leaves.
+    """
+
+    step: np.ndarray
+    cost: float
+
+
+def _trial(
     machine: Machine,
     records: Sequence[Record],
     controller: LawLike,
     result: ParameterEstimate,
     options: FitOptions,
-    modes: int,
-    prior: np.ndarray | None,
-) -> Suspect | None:
-    """What ``modes`` bending modes would do to the values, by one step of Gauss and Newton; None
-    where noise hides it.
-
-    With each count of modes the step is d = H^-1 g (with ``prior`` by ``step_with_prior``) and the
-    cost falls to r'r - g'd; the modes explain 1 less the ratio of the two costs that are left.
+    prior: np.ndarray | None = None,
+) -> _Trial | None:
+    """d = H^-1 g (with ``prior`` by ``step_with_prior``), after which the cost is r'r - g'd; None
+    where the loop cannot be built, or shows nothing of a parameter.
     """
-    costs, step = [], np.zeros(0)
-    for count in (options.bending_modes, modes):
-        try:
-            experiment = build_experiment(
-                machine, records, controller, result.paths, replace(options, bending_modes=count)
-            )
-        except AmbroseError:
-            return None
+    try:
+        experiment = build_experiment(machine, records, controller, result.paths, options)
         H, g, cost, middle = equations_at(experiment, result.values, coloured=prior is not None)
         size = np.sqrt(np.diag(H))
-        if not (size > 0).all():  # a model of so many modes shows nothing of a parameter
+        if not (size > 0).all():
             return None
         if prior is None:
             # H d = g with rows and columns scaled to a diagonal of ones
             step = np.linalg.solve(H / size / size[:, None], g / size) / size
         else:
-            off = result.values - result.start
-            try:
-                step = step_with_prior(H, g, middle, prior, off)[0]
-            except AmbroseError:
-                return None
-        costs.append(cost - float(g @ step))
-    if not np.any(np.abs(step) > _SEEN * result.standard_deviations):
+            step = step_with_prior(H, g, middle, prior, result.values - result.start)[0]
+    except (AmbroseError, np.linalg.LinAlgError):
         return None
-    return Suspect(f"{modes} {BENDING_MODES}", 0.0, np.inf, max(1 - costs[1] / costs[0], 0.0), step)
+    return _Trial(step, cost - float(g @ step))
 
 
-def judged(result: ParameterEstimate, suspected: Sequence[Suspect], dt: float) -> ParameterEstimate:
+def chosen_modes(
+    machine: Machine,
+    records: Sequence[Record],
+    controller: LawLike,
+    result: ParameterEstimate,
+    options: FitOptions,
+) -> int:
+    """How many bending modes per plane the records tell: those of ``options``, and a few more as
+    long as they explain a part of what is left (_TELLS) and move a value (_SEEN).
+    """
+    options = replace(options, period=None)
+    fewest, most = options.bending_modes, bending_modes_of_mesh(machine)
+    trials: dict[int, _Trial] = {}
+
+    def tried(count: int) -> _Trial:
+        if count not in trials:
+            how = replace(options, bending_modes=count)
+            found = _trial(machine, records, controller, result, how)
+            nothing = _Trial(np.zeros(len(result.paths)), np.inf)
+            trials[count] = nothing if found is None or np.isnan(found.cost) else found
+        return trials[count]
+
+    count = fewest
+    while count < most:
+        now, further = tried(count), tried(min(count + _FURTHER, most))
+        moved = np.abs(further.step - now.step) > _SEEN * result.standard_deviations
+        if not further.cost < (1 - _TELLS) * now.cost or not moved.any():
+            break
+        count = min(count + _FURTHER, most)
+    # the last few may hold some that explain nothing
+    first = max(count - max(_FURTHER - 1, 0), fewest)
+    return min(range(first, count + 1), key=lambda count: tried(count).cost)
+
+
+def _structures(
+    machine: Machine,
+    records: Sequence[Record],
+    controller: LawLike,
+    result: ParameterEstimate,
+    options: FitOptions,
+    prior: np.ndarray | None,
+) -> list[Suspect]:
+    """What further bending modes, and where u is not recorded another sampling of a continuous
+    controller, would do to the values; those that noise hides, or that leave clearly more of the
+    records than the model does, are none.
+    """
+    others: list[tuple[str, LawLike, FitOptions]] = []
+    modes = min(options.bending_modes + _FURTHER, bending_modes_of_mesh(machine))
+    if modes > options.bending_modes:
+        name = f"{modes} {BENDING_MODES}"
+        others.append((name, controller, replace(options, bending_modes=modes)))
+    others += [
+        (f"{SAMPLING} {method}", law, options)
+        for method, law in _other_samplings(machine, records, controller)
+    ]
+    own = _trial(machine, records, controller, result, options, prior) if others else None
+    found = []
+    for name, law, how in others if own is not None else ():
+        assert own is not None
+        tried = _trial(machine, records, law, result, how, prior)
+        if tried is None or not tried.cost < (1 + _TELLS) * own.cost:
+            continue
+        if np.any(np.abs(tried.step) > _SEEN * result.standard_deviations):
+            explains = max(1 - tried.cost / own.cost, 0.0)
+            found.append(Suspect(name, 0.0, np.inf, explains, tried.step, held=not explains))
+    return found
+
+
+def _other_samplings(
+    machine: Machine, records: Sequence[Record], controller: LawLike
+) -> list[tuple[str, StateSpace]]:
+    """A continuous controller sampled otherwise than by Tustin's map, which the model takes; none
+    where every u is recorded, for it is checked then.
+    """
+    if all(is_checked(machine, record) for record in records):
+        return []
+    try:
+        law = match_controller(controller, plant_at(machine, records[0].point, {}))
+    except AmbroseError:
+        return []
+    found = []
+    for method in _SAMPLINGS if law.dt is None else ():
+        with suppress(AmbroseError):
+            found.append((method, c2d(law, records[0].dt, method)))
+    return found
+
+
+def is_checked(machine: Machine, record: Record) -> bool:
+    """Whether a record has what the controller's file is checked against: every u_<axis>."""
+    return all(f"u_{axis}" in record.signals for axis in machine.axes)
+
+
+def rest_of(magnets: MagneticForce | None) -> float:
+    """Which part of the residuals' energy may be the rest of the magnets' nonlinearity that was
+    taken out of the records.
+
+    With E of the linear model's residuals explained by it, 1 - E is left; a response of _REST times
+    its size has the energy _REST^2 E.
+    """
+    if magnets is None:
+        return 0.0
+    return _REST**2 * magnets.explains / max(1 - magnets.explains, _TINY)
+
+
+def judged(
+    result: ParameterEstimate, suspected: Sequence[Suspect], dt: float, rest: float = 0.0
+) -> ParameterEstimate:
     """The result with intervals that hold the largest move that a suspect would make; the verdict
     names cause and effect.
 
     Where no value would move by more than 2 % (a delay: of a sample ``dt`` [s]) and more than its
     standard deviation, what the residuals hold is no doubt about the values: the warning goes,
     unless a fault of a channel or a magnet is as large: one step from the wrong structure does not
-    tell where the values end in the right one.
+    tell where the values end in the right one. Nor is a doubt what explains no more than ``rest``
+    of the residuals (rest_of): the interval holds it.
     """
     # what the file holds and the records hardly see: as much as it may be off, all independent
     held = np.sum([item.shift**2 for item in suspected if item.held], axis=0)
@@ -222,6 +334,7 @@ def judged(result: ParameterEstimate, suspected: Sequence[Suspect], dt: float) -
     ]
     # what noise hides is in the interval, whatever it is of a value near zero
     significant = moves > result.standard_deviations
+    significant &= np.array([item.explains > rest for item in suspected])[:, None]
     relative = np.where(significant, moves / np.maximum(sizes, _TINY), 0.0)
     k = int(relative.max(axis=0).argmax())
     effect = float(relative[:, k].max())
@@ -230,11 +343,13 @@ def judged(result: ParameterEstimate, suspected: Sequence[Suspect], dt: float) -
         f"the values move by up to {100 * effect:.2g} % ({result.paths[k]}), which the intervals "
         "hold"
     )
-    moved = (
-        moved
-        if effect
-        else "no value moves by more than its standard deviation, and the intervals hold that"
-    )
+    if not effect:
+        moved = "no value moves by more than its standard deviation, and the intervals hold that"
+        if (moves > result.standard_deviations).any():
+            moved = (
+                "what moves is no more than the rest of the magnets' nonlinearity may make, and "
+                "the intervals hold that"
+            )
     lacking = (
         f"one more unknown would explain a part of what is left, the likeliest first: {named}; "
         f"with it {moved}"
@@ -273,6 +388,8 @@ def causes(suspected: Sequence[Suspect]) -> str:
 def _sized(item: Suspect) -> str:
     if item.unit:
         return f"{item.step:+.3g} {item.unit}"
+    if item.path.startswith(SAMPLING):
+        return "instead of Tustin's rule"
     if item.path.endswith(BENDING_MODES):
         return f"instead of {int(item.path.split()[0]) - _FURTHER}"
     return (

@@ -15,7 +15,7 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.file.parse import called
+from ambrose.machine.messages import called
 
 _Place = tuple[str | int, ...]
 

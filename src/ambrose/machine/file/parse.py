@@ -15,13 +15,12 @@ from ambrose.machine.attachment import attachments
 from ambrose.machine.description import MachineDescription
 from ambrose.machine.file.tables import Table, machine_file, table_below
 from ambrose.machine.machine import Machine
-from ambrose.machine.messages import SHOWN, listed, shown, suggestion
+from ambrose.machine.messages import SHOWN, called, listed, shown, suggestion
 from ambrose.machine.rotor_model import Material, ShaftSection
 from ambrose.machine.validation.machine import InvalidMachine
 
 # keys of the file whose parts are a field of the machine
 _FIELDS = {item.metadata.get("key", item.name) for item in fields(MachineDescription)}
-_LABELS = ("name", "label", "bearing", "parameter")
 
 
 def machine_from_document(document: Mapping[str, Any], name: str, text: str = "") -> Machine:
@@ -215,17 +214,3 @@ def _place(
         if i == len(loc) - 1 or (not isinstance(loc[i + 1], int) and places):
             places.append(_brackets(".".join(path), many=False))
     return ", ".join(places), model
-
-
-def called(entry: object, table: str, number: int) -> str:
-    """An entry by its name where it has one, else by its number; labels are free text and stand
-    after the number.
-    """
-    name = (
-        next((entry[key] for key in _LABELS if isinstance(entry.get(key), str)), "")
-        if isinstance(entry, Mapping)
-        else ""
-    )
-    if table in {"shaft", "point"} and name:
-        return f'{number} "{name}"'
-    return f"{number} {name}".rstrip() if table == "tolerance" else name or str(number)

@@ -8,7 +8,6 @@ become places for magnets; seals, supports and forces are left out, and named.
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -18,6 +17,7 @@ from typing import Any
 
 from ambrose.core.checks import InvalidInput, invalid
 from ambrose.machine.file.toml import parse_toml, written, written_key
+from ambrose.machine.json_text import parse_json
 from ambrose.machine.limits import TOML_BYTES
 from ambrose.machine.machine import Machine
 from ambrose.machine.mesh import mesh, node_positions, stations
@@ -38,11 +38,9 @@ def parse_ross(text: str, name: str, suffix: str) -> dict[str, Any]:
             f"{name}: it is larger, or has more brackets, than any rotor; is it the right file?"
         )
     try:
-        document = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise InvalidInput(
-            f"{name}: not valid JSON: {error}; a cut-off file ends like this too"
-        ) from None
+        document = parse_json(text, "save the rotor again; a cut-off file ends like this too")
+    except InvalidInput as error:
+        raise InvalidInput(f"{name}: {error}") from None
     return document if isinstance(document, dict) else {}
 
 

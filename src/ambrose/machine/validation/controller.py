@@ -250,7 +250,9 @@ def chain(machine: MachineDescription) -> Iterator[str]:
                 where, "order", str(element.order), f"from 1 to {MOST_ORDER}", "2 is usual"
             )
     pid = machine.controller
-    usable = all(1 <= e.order <= MOST_ORDER and (e.corner or 1.0) > 0 for e in machine.chain)
+    usable = all(
+        1 <= e.order <= MOST_ORDER and (e.corner is None or e.corner > 0) for e in machine.chain
+    )
     if not seen or not usable or pid is None or pid.delay is None:
         return
     total = sum(element.dead_time for element in machine.chain)

@@ -46,7 +46,7 @@ def _around(
     machine: MachineDescription, where: str, key: str, radius: float, place: float, factor: int = 1
 ) -> Iterator[str]:
     """A surface of the rotor, that lies on the shaft or on a sleeve over it."""
-    shaft, section = _least_radius(machine, place)
+    shaft, section = least_radius(machine, place)
     if 0 < radius < _ROUNDING * shaft:
         least = f"at least the shaft's there, {factor * shaft:g} m ({section})"
         yield complaint(
@@ -56,7 +56,7 @@ def _around(
 
 def _thrust(machine: MachineDescription, part: ThrustBearing) -> Iterator[str]:
     where = f"[[thrust_bearing]] {part.name}"
-    shaft, section = _least_radius(machine, part.position)
+    shaft, section = least_radius(machine, part.position)
     if 0 < part.collar_radius <= shaft:
         above = f"above the shaft's radius there, {shaft:g} m ({section})"
         value = number(part.collar_radius, "m")
@@ -114,7 +114,7 @@ def _largest_radius(machine: MachineDescription, low: float, high: float) -> tup
     return best
 
 
-def _least_radius(machine: MachineDescription, place: float) -> tuple[float, str]:
+def least_radius(machine: MachineDescription, place: float) -> tuple[float, str]:
     """The shaft's radius [m] at a place, at a step the smaller one, and the section; laminations
     are left out: a sleeve may end before them.
     """

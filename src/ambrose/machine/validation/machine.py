@@ -18,6 +18,7 @@ import numpy as np
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.attachment import attached, attachments, by_table
 from ambrose.machine.description import BEAM_THEORIES, BEARING_TERMS, MachineDescription
+from ambrose.machine.file.ranges import impossible
 from ambrose.machine.limits import SEAL_POLES, excess
 from ambrose.machine.messages import complaint, listed, number, shown, suggestion
 from ambrose.machine.parameters import Parameter, find_uncertain
@@ -54,8 +55,8 @@ def check_machine(machine: MachineDescription) -> None:
 
 
 def problems(machine: MachineDescription) -> tuple[str, ...]:
-    """Everything that is wrong with a machine, one line each; numbers that are not finite hide all
-    else.
+    """Everything that is wrong with a machine, one line each; numbers that are not finite, or that
+    no machine can have, hide all else.
     """
     checks = (
         *(
@@ -84,7 +85,7 @@ def problems(machine: MachineDescription) -> tuple[str, ...]:
             _weights,
         ),
     )
-    first = tuple(_sizes(machine)) or tuple(_not_finite(machine, ""))
+    first = tuple(_sizes(machine)) or tuple(_not_finite(machine, "")) or tuple(impossible(machine))
     return first or tuple(line for check in checks for line in check(machine))
 
 

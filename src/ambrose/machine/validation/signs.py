@@ -37,12 +37,13 @@ def not_positive(
 @lru_cache(maxsize=256)
 def unit_and_names(part: type, key: str) -> tuple[str, list[str]]:
     """The unit of a field ("" for a ratio or a count), and the names of a pair's two values."""
-    kind = next(_dimensional(hints_of(part)[key]), None)
+    kind = next(dimensional(hints_of(part)[key]), None)
     unit = "" if kind is None else DIMENSIONS[kind.dimension].unit
     return "" if unit == "-" else unit, kind.names.split(", ") if isinstance(kind, PairOf) else []
 
 
-def _dimensional(hint: Any) -> Iterator[Any]:
+def dimensional(hint: Any) -> Iterator[Any]:
+    """The kinds with a dimension that an annotation holds, at any depth."""
     yield from (kind for kind in getattr(hint, "__metadata__", ()) if hasattr(kind, "dimension"))
     for inner in get_args(hint):
-        yield from _dimensional(inner)
+        yield from dimensional(inner)

@@ -381,8 +381,7 @@ def residual_modes(rotor: Rotor, kept: int, loads: np.ndarray) -> tuple[np.ndarr
     # Each X to norm one; directions that depend on the others drop out. Rayleigh-Ritz in the rest.
     left, size, _ = np.linalg.svd(X / np.linalg.norm(X, axis=0), full_matrices=False)
     X = left[:, size > _DEPENDENT * size[0]]
-    squares, mix = sla.eigh(_strain_energy(rotor, X), X.T @ M @ X)
-    return np.sqrt(squares), X @ mix
+    return _modes_within(rotor, X)
 
 
 def _plane_bending(rotor: Rotor, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -419,32 +418,44 @@ def _lowest_bending(rotor: Rotor, count: int) -> tuple[np.ndarray, np.ndarray]:
         frequencies, lowest = _lowest_bending(rotor, FINE_MESH_MODES)
         known, shapes = np.hstack([known, lowest]), shapes[:, FINE_MESH_MODES:]
 
-    # M-orthogonal to what is known, then Rayleigh-Ritz with the strain energy element by element;
-    # the left end moves in the positive direction.
-    shapes = shapes - known @ (known.T @ (M @ shapes))
-    squares, mix = sla.eigh(_strain_energy(rotor, shapes), shapes.T @ M @ shapes)
-    shapes = np.hstack([known[:, 2:], shapes @ mix])
-    return np.append(frequencies, np.sqrt(squares)), shapes * np.where(shapes[0] < 0, -1.0, 1.0)
+    # M-orthogonal to what is known; the left end moves in the positive direction.
+    found, shapes = _modes_within(rotor, shapes - known @ (known.T @ (M @ shapes)))
+    shapes = np.hstack([known[:, 2:], shapes])
+    return np.append(frequencies, found), shapes * np.where(shapes[0] < 0, -1.0, 1.0)
 
 
-def _strain_energy(rotor: Rotor, shapes: np.ndarray) -> np.ndarray:
-    """shapes^T K shapes (k, k), element by element: K itself has rounding errors that many short
-    elements make large.
+def _modes_within(rotor: Rotor, shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies (k,) [rad/s], ascending, and mass-orthonormal shapes (2N, k) that the rotor has
+    within the span of ``shapes`` (2N, k), which holds the corrected modes or is orthogonal to them.
+
+    The frequencies are the singular values of the elements' strains, not roots of eigenvalues of K:
+    rounding leaves eps times the highest frequency in the lowest, not eps times its square. A disc
+    or a sensor near a node leaves a piece whose modes are 1e7 times as high as the first.
+    """
+    # shapes^T M shapes = L L^T, Q = shapes L^-T, F Q = U diag(w) V^T, modes Q V
+    L = np.linalg.cholesky(shapes.T @ rotor.plane_mass @ shapes)
+    basis = sla.solve_triangular(L, shapes.T, lower=True).T
+    _, own, Vt = np.linalg.svd(_strains(rotor, basis), full_matrices=False)
+    own, modes = own[::-1], basis @ Vt[::-1].T
+
+    # a corrected mode keeps its shape and has w_0^2 + (w^2 - w_0^2); (M phi)^T modes is 1 for it
+    share = (rotor.corrected.T @ modes) ** 2
+    return np.sqrt(own**2 + rotor.correction @ share), modes
+
+
+def _strains(rotor: Rotor, shapes: np.ndarray) -> np.ndarray:
+    """F shapes (2 (N - 1), k) [J^1/2], with K = F^T F for shaft and discs: every element's two
+    deformations, formed from differences of ``shapes`` (2N, k), so that rigid motions give none.
     """
     w = shapes[0::2]
     theta = shapes[1::2]
     length = np.diff(rotor.positions)[:, None]
     left, right = theta[:-1], theta[1:]
 
-    # theta_2 - theta_1 and theta_1 + theta_2 - 2 (w_2 - w_1)/L, as ``bending`` takes them
+    # theta_2 - theta_1 and theta_1 + theta_2 - 2 (w_2 - w_1)/L, as ``bending`` = R R^T takes them
     e = np.stack([right - left, right + left - 2 * np.diff(w, axis=0) / length], axis=1)
-
-    # phi^T M shapes of the corrected modes
-    strained = rotor.corrected.T @ shapes
-    return np.asarray(
-        np.tensordot(e, rotor.bending @ e, ([0, 1], [0, 1]))
-        + strained.T @ (rotor.correction[:, None] * strained)
-    )
+    root = np.linalg.cholesky(rotor.bending)
+    return (root.swapaxes(1, 2) @ e).reshape(-1, shapes.shape[1])
 
 
 def _rigid_modes(rotor: Rotor) -> np.ndarray:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ambrose.core.frequency import frequency_response
 from ambrose.judge.checks import Checks, Curve
+from ambrose.judge.sensitivity import ALL_AXES
 from ambrose.machine.machine import Machine
 from ambrose.report import theme, units
 from ambrose.report.comparison.envelope import NOT_EVALUATED
@@ -268,7 +269,7 @@ def _time_figure(
     first = responses[0][3]
     axes = tuple(dict.fromkeys(label for *_, curve in responses for label in curve.labels))
     labels = [*points, *(point for _, point, _, _ in responses)]
-    calm = tuple((point, curve) for _, point, trace, curve in responses if _is_calm(trace))
+    calm = tuple((point, curve) for _, point, trace, curve in responses if trace.passed)
     span = _lively(calm)
     rows = []
     for block in wrapped(candidates):
@@ -282,9 +283,7 @@ def _time_figure(
                 lines = tuple(
                     (point, _drawable(curve, axis, trace, span)) for _, point, trace, curve in mine
                 )
-                notes = [
-                    (point, _ending(trace)) for _, point, trace, _ in mine if not _is_calm(trace)
-                ]
+                notes = [(point, _ending(trace)) for _, point, trace, _ in mine if not trace.passed]
                 notes += [
                     (point, f"{point}: {NOT_EVALUATED}")
                     for point in points
@@ -320,7 +319,7 @@ def _drawable(curve: Curve, axis: str, trace: Trace, span: tuple[float, float] |
     """
     i = curve.labels.index(axis)
     row = curve.y[i : i + 1]
-    if not _is_calm(trace):
+    if not trace.passed:
         both = np.vstack([_growth(curve.x, row[0]), -_growth(curve.x, -row[0])])
         keep = np.unique(np.linspace(0, row.shape[1] - 1, _OUTLINE).astype(int))
         return replace(curve, x=curve.x[keep], y=both[:, keep], labels=(axis, axis))
@@ -344,10 +343,6 @@ def _growth(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     tops = np.flatnonzero(~rises & np.append(True, rises[:-1]))
     at = np.unique(np.r_[0, int(rises.argmax()), tops, len(x) - 1])  # flat before the first
     return np.interp(x, x[at], highest[at])
-
-
-def _is_calm(trace: Trace) -> bool:
-    return trace.stable and trace.outcome == "completed"
 
 
 def _ending(trace: Trace) -> str:
@@ -391,9 +386,12 @@ def _curve(checks: Checks | None, name: str) -> Curve | None:
 
 
 def _line(curve: Curve, label: str) -> Curve:
-    """One line of the curve alone."""
+    """One line of the curve alone, with the limits that judge it: zones are of axes."""
     i = curve.labels.index(label)
-    return replace(curve, y=curve.y[i : i + 1], labels=(label,))
+    limits = curve.limits
+    if label == ALL_AXES:
+        limits = tuple(limit for limit in limits if not limit[0].startswith("zone"))
+    return replace(curve, y=curve.y[i : i + 1], labels=(label,), limits=limits)
 
 
 def _with(words: str, hidden: str) -> str:

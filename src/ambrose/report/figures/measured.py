@@ -5,6 +5,7 @@ critical point, the residual system of an identification.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -53,11 +54,11 @@ def panels(
     low: np.ndarray,
     high: np.ndarray,
     models: dict[str, np.ndarray],
-    limits: Sequence[tuple[str, float]],
+    limits: Sequence[tuple[tuple[str, float], ...]],
     told: np.ndarray,
 ) -> Any:
-    """Moduli (w, n) with their intervals over frequency, a panel each, models (w, n) over them;
-    nothing is drawn where ``told`` (w, n) is False.
+    """Moduli (w, n) with their intervals over frequency, a panel each with its own limits, models
+    (w, n) over them; nothing is drawn where ``told`` (w, n) is False.
     """
     value = np.where(told, value, np.nan)
     figure, places = _grid(len(titles), titles)
@@ -74,12 +75,12 @@ def panels(
                 tuple(titles),
                 "rad/s",
                 "-",
-                tuple(limits),
+                (),
             ),
         )
     ]
     axes = axes_of(curves)
-    levels, line = limit_levels(curves, axes), {"color": _MEASURED, "width": 1.8}
+    line = {"color": _MEASURED, "width": 1.8}
     for i, place in enumerate(places):
         bottom = np.maximum(low[:, i], axes.y_range[0] / 10)
         for number, part in enumerate(_runs(told[:, i])):
@@ -98,7 +99,9 @@ def panels(
                 shown=i == 0,
                 line=looks[label].line,
             )
-        draw_limits(figure, place, levels, axes, size=(410, _HEIGHT - 60), named=i == 0)
+        levels = limit_levels([("measured", replace(curves[0][1], limits=limits[i]))], axes)
+        named = i == 0 or limits[i] != limits[i - 1]
+        draw_limits(figure, place, levels, axes, size=(410, _HEIGHT - 60), named=named)
     theme.dress(figure, _HEIGHT * places[-1]["row"], legend=True)
     set_ranges(figure, axes)
     figure.update_xaxes(title_text=axes.x_text, row=places[-1]["row"])

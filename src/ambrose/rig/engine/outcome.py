@@ -6,13 +6,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ambrose.machine.criteria import CLEARANCE
 from ambrose.machine.limits import LARGEST_SAMPLE
 from ambrose.rig.engine.inputs import Plan
 from ambrose.rig.engine.state import Rig
 from ambrose.rig.scenario import LEVITATED, Scenario
 
-# a rotor that stays [s] within this part of the touchdown gap counts as lifted
-_CLEAR, _OFF = 0.05, 0.9
+# a rotor that stays [s] within this part of the touchdown gaps, where zone C of ISO 14839-2 ends,
+# counts as levitated
+_CLEAR = 0.05
+LEVITATED_WITHIN = CLEARANCE.limits[-1].value
 _BEFORE = 0.05  # [s] before a touchdown in which currents at their limit count as its cause
 _AT_LIMIT = 0.999  # of the limit: reached, but for rounding
 
@@ -31,19 +34,55 @@ def within_bounds(log: np.ndarray) -> int:
 
 
 @dataclass(slots=True)
+class Lift:
+    """Since when a rotor that starts in contact is levitated, told stretch by stretch.
+
+    near [s]: since when it is within ``LEVITATED_WITHIN`` without a break; share: the last one.
+    """
+
+    near: float | None = None
+    share: float = 1.0
+
+    def follow(self, time: np.ndarray, share: np.ndarray) -> float | None:
+        """The time [s] from which it is levitated, None: not by the end of these samples. share
+        (k,): of the way to the nearest touchdown bearing at the times (k,) [s].
+        """
+        if not len(time):
+            return None
+        self.share = float(share[-1])
+        # runs of samples that are near: from after one that is far to before the next
+        far = np.flatnonzero(share > LEVITATED_WITHIN)
+        first, last = np.append(0, far + 1), np.append(far, len(time)) - 1
+        begin = time[np.minimum(first, len(time) - 1)]
+        begin[0] = begin[0] if self.near is None else self.near
+        for i in np.flatnonzero((last >= first) & (time[last] - begin >= _CLEAR * (1 - 1e-9))):
+            return float(begin[i])
+        self.near = float(begin[-1]) if last[-1] >= first[-1] else None
+        return None
+
+    @property
+    def missing(self) -> str:
+        """Why it is not levitated, in words."""
+        return (
+            f"not within {LEVITATED_WITHIN:.0%} of the way to the touchdown bearings for "
+            f"{1e3 * _CLEAR:g} ms; at the end at {self.share:.0%} of it"
+        )
+
+
+@dataclass(slots=True)
 class Watch:
     """Follows a run stretch by stretch: contact in the touchdown bearings, controller outputs at
     their limit.
 
-    lifted_at [s]: since when the rotor is free of the touchdown bearings (0: from the start; None:
-    not yet). touched_at [s] and where: the first contact after that. contact [s]: how long any was
+    lifted_at [s]: since when the rotor is levitated (``Lift``; 0: from the start; None: not
+    yet). touched_at [s] and where: the first contact after that. contact [s]: how long any was
     touched after that, and when last. deepest [m]: the largest displacement in a touchdown bearing
     beyond its gap. ended [s]: the last sample that was followed.
     """
 
     rig: Rig
     lifted_at: float | None
-    free_since: float | None = None
+    lift: Lift = field(default_factory=Lift)
     touched_at: float | None = None
     where: str = ""
     contact: float = 0.0
@@ -73,7 +112,7 @@ class Watch:
             )
         touching = (depth > 0).any(axis=0)
         if self.lifted_at is None:
-            self._lift(time, (distance > _OFF * gaps[:, None]).any(axis=0))
+            self.lifted_at = self.lift.follow(time, (distance / gaps[:, None]).max(axis=0))
         after = (
             np.zeros(0, dtype=int)
             if self.lifted_at is None
@@ -111,16 +150,6 @@ class Watch:
     def stopped_at(self, overflow: float | None) -> float | None:
         """When [s] the run ended early; overflow: when the motion left all bounds."""
         return overflow if self.inside is None else self.inside[0]
-
-    def _lift(self, time: np.ndarray, touching: np.ndarray) -> None:
-        for t, contact in zip(time, touching, strict=True):
-            if contact:
-                self.free_since = None
-            elif self.free_since is None:
-                self.free_since = float(t)
-            elif t - self.free_since >= _CLEAR:
-                self.lifted_at = self.free_since
-                return
 
 
 def watch(rig: Rig, scenario: Scenario) -> Watch:
@@ -164,7 +193,7 @@ def classify_outcome(
     if monitor.lifted_at is None:
         return (
             "not levitated",
-            f"not levitated: the rotor did not get free of the touchdown bearings{side}",
+            f"not levitated: the rotor is {monitor.lift.missing}{side}",
         )
     lifted = (
         "" if scenario.initial == LEVITATED else f", levitated since t = {monitor.lifted_at:.4g} s"

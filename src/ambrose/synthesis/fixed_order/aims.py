@@ -29,6 +29,7 @@ from ambrose.model.unbalance import residual_unbalance
 _BANDWIDTH, _STIFF = 2.0, 0.01
 _GAIN = 1.5  # assumed: times the largest gain of the controller that tuning starts from
 _GUARD = 0.3  # assumed: of the rotor's modal damping, for modes above the top speed
+DAMPING_GUARD = "damping_above"  # the ratio of that guard
 _MARGIN = 1.05  # of the log decrement, which is judged on the full plant
 _ROLLED = 8.0  # the grid reaches this many times past the roll-off
 _BEYOND = 2.4  # the grid reaches this many times past the range of ISO 14839-3
@@ -44,7 +45,9 @@ class Aims:
     inductance [H]) of a coil. compliance [m/N]. settling [s] after the current pulse. damping [-]
     of modes below ``damped_to`` [rad/s], guard [-] of those above. running [rad/s]: lowest and
     highest speed, near which modes are damped as API 617's separation margin asks. highest [rad/s]:
-    end of the grid.
+    end of the grid. gain_asked, damping_asked: whether the machine file asks for the
+    gain and for the damping of modes above; tame [A/m]: the
+    guard of it where the file does not.
     """
 
     sensitivity: float
@@ -64,7 +67,26 @@ class Aims:
     stiff: float = _STIFF
     roll_off: float | None = None
     running: tuple[float, float] | None = None
+    gain_asked: bool = False
+    damping_asked: bool = False
+    tame: float = np.inf
     voltage: tuple[float, float] | None = None
+
+    @property
+    def guards(self) -> dict[str, str]:
+        """The ratios that no requirement asks for, each in words: what a search is kept from."""
+        words = {}
+        if not self.damping_asked:
+            words[DAMPING_GUARD] = (
+                f"damping of modes above the top speed, {_GUARD:g} of the rotor's own; a "
+                "damping_above of the file replaces it"
+            )
+        if not self.gain_asked:
+            words["gain"] = (
+                f"gain of K S_o, {_GAIN:g} times the largest of the start's; a control_gain of the "
+                "file replaces it"
+            )
+        return words
 
     def sensitivity_limit(self, omega: np.ndarray) -> np.ndarray:
         """The limit of sigma_max(S_o) at omega (w,) [rad/s]."""
@@ -110,17 +132,20 @@ def aims_of(machine: Machine, start: StateSpace) -> Aims:
     bearings = machine.axis_bearings
     allowed = [wanted.max_current or b.max_current for b in bearings]
     coil = machine.amplifier
+    largest = np.abs(frequency_response(start, np.geomspace(1, 1e6, 60)).values).max()
+    tame = _GAIN * float(largest)
+    above = wanted.damping_above
     modes = free_modes(finite_element_rotor(machine), 1)
     bending = modes.frequencies[-1]
     return Aims(
         sensitivity=min(margins),
-        gain=wanted.control_gain
-        or _GAIN * float(np.abs(frequency_response(start, np.geomspace(1, 1e6, 60)).values).max()),
+        gain=wanted.control_gain or tame,
+        tame=tame,
         currents=tuple(np.nan if value is None else float(value) for value in allowed),
         forces=tuple(np.nan if b.max_force is None else float(b.max_force) for b in bearings),
         damping=damping,
-        damped_to=max(1.1 * top, 0.5 * float(bending)),
-        guard=_GUARD * float(modes.damping_ratios(machine)[-1]),
+        damped_to=max(1.1 * top, 0.5 * float(bending)) if above is None else top,
+        guard=_GUARD * float(modes.damping_ratios(machine)[-1]) if above is None else above,
         highest=max(_BEYOND * highest_verified(machine), _ROLLED * (wanted.roll_off or 0.0)),
         unbalance=0.0 if residual is None else residual.moment,
         unbalance_to=wanted.unbalance_to or top or (0.0 if residual is None else residual.speed),
@@ -132,6 +157,8 @@ def aims_of(machine: Machine, start: StateSpace) -> Aims:
         else max(_BANDWIDTH, 1 / wanted.settling_time),
         roll_off=wanted.roll_off,
         running=wanted.running_speeds,
+        damping_asked=above is not None,
+        gain_asked=wanted.control_gain is not None,
         voltage=None
         if coil.max_voltage is None or coil.inductance is None
         else (coil.max_voltage, coil.inductance),

@@ -58,6 +58,7 @@ class Job:
     fastest: float  # pole of a filter bank [rad/s]
     structure: str
     most_states: int | None = None  # the order may grow to so many
+    narrowed: bool = False  # the unknowns are those of the structure that was asked for
     extra: list[float] = field(default_factory=list)  # frequencies of true peaks [rad/s]
     members: set[tuple[str, tuple[tuple[str, float], ...]]] = field(default_factory=set)
 

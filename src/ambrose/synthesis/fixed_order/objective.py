@@ -25,7 +25,7 @@ from ambrose.core.frequency import frequency_response, largest_gain
 from ambrose.core.statespace import StateSpace
 from ambrose.model.separation import needed_damping, runs_within
 from ambrose.synthesis.fixed_order.active import Active, ActiveScaled, active
-from ambrose.synthesis.fixed_order.aims import Aims
+from ambrose.synthesis.fixed_order.aims import DAMPING_GUARD, Aims
 from ambrose.synthesis.fixed_order.bank import FilterBank
 from ambrose.synthesis.fixed_order.channels import (
     S_O,
@@ -368,12 +368,18 @@ class Objective:
             )
         read = self._read(self.structure.theta(x))
         for (values, aliased), (members, _) in zip(read, self._stacks, strict=True):
-            ratio, _ = self._damping(values, aliased, members)
-            i, j = np.unravel_index(int(ratio.argmax()), ratio.shape)
-            here = Ratio(
-                float(ratio[i, j]), self.models[members[i]].label, float(np.abs(values[i, j]))
-            )
-            found["damping"] = max(here, found.get("damping", here), key=lambda item: item.value)
+            both, _ = self._damping(values, aliased, members)
+            # what is asked for by the guard alone, and by requirements
+            size = np.maximum(np.abs(values), 1e-9)
+            asked = both * np.maximum(-values.real / size, 1e-9)
+            guarded = (size >= self.aims.damped_to) & (asked <= self.aims.guard * (1 + 1e-9))
+            for name, mine in (("damping", ~guarded), (DAMPING_GUARD, guarded)):
+                ratio = np.where(mine, both, 0.0)
+                i, j = np.unravel_index(int(ratio.argmax()), ratio.shape)
+                here = Ratio(
+                    float(ratio[i, j]), self.models[members[i]].label, float(np.abs(values[i, j]))
+                )
+                found[name] = max(here, found.get(name, here), key=lambda item: item.value)
         if self.reference is not None:
             found["match"] = Ratio(self._mismatch(x)[0], "", float("nan"))
         return found

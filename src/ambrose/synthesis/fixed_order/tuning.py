@@ -12,7 +12,7 @@ the full plants and on all the members that were found by the end, and the best 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -62,6 +62,7 @@ _TUNED, _JUDGED = 22, 80  # points per decade
 _APART, _SAME = 2e-3, 2e-4  # relative distances of two points, and of two known peaks
 # points around a peak that is judged, which are those so high beside the model's highest
 _AROUND, _HIGH = 15, 0.9
+_BINDS = 0.99  # of a guard, which then decides what is found
 _MISSED = 1.01  # times a ratio on the grid that is tuned on: its peak lies between two points
 _ROUNDING, _DRIFT = 1e-9, 0.1  # rad/s; of an integrator that is set back
 _BEYOND = 1.02  # of the fastest pole allowed: where its barrier is infinite
@@ -114,7 +115,40 @@ def tune_controller(
         plants, start, timing, order, structure, bending_modes, reference, time_limit, progress
     )
     law, *otherwise = first_laws(job, start, order, structure)
-    return tuned(job, law, structure, otherwise=otherwise)
+    found = tuned(job, law, structure, otherwise=otherwise)
+    if found.gamma <= 1 or found.stopped_early:
+        return found
+    return _better(job, found, law, otherwise, structure)
+
+
+def _better(
+    job: Job, found: Synthesis, first: Law, others: Sequence[Law], structure: str
+) -> Synthesis:
+    """The best of what was found and of what other starts lead to, within the time that is left: a
+    descent ends in the minimum next to its start. Other starts: the ``others``, and, where the file
+    allows more gain than the guard would, what the guard's gain leads to, since more freedom may
+    not give less.
+    """
+    trials = [(job.aims, law) for law in others]
+    if job.aims.gain > job.aims.tame:
+        trials.append((replace(job.aims, gain=job.aims.tame), first))
+    for aims, start in trials:
+        # the members that were found count for all
+        groups = axis_groups(job.full[0].machine, "plane" if structure == "free" else structure)
+        again, law = replace(job, aims=aims, groups=groups, narrowed=False), start
+        try:
+            if aims is not job.aims:
+                tame = tuned(again, law, structure)
+                law = tame.controller if tame.filters is None else tame.filters
+            other = tuned(replace(again, aims=job.aims), law, structure)
+        except NumericalFailure as error:
+            job.say(str(error))
+            continue
+        if other.gamma < found.gamma:
+            found = other
+        if found.gamma <= 1 or job.clock.left <= 0:
+            break
+    return found
 
 
 def tuned(
@@ -130,8 +164,9 @@ def tuned(
     best: _Round | None = None
     try:
         law = _first_holding(job, (law, *otherwise))
-        if again:
-            rounds.append(_judged(job, law, job.models))
+        # what it begins with is the first that the best is chosen from
+        rounds.append(_judged(job, law, job.models))
+        job.narrowed = again
         while best is None:
             reason = _improve(job, law, structure, powers, rounds, history)
             best = _best(job, rounds)
@@ -166,10 +201,11 @@ def _improve(
     where they did not.
     """
     for place, power in enumerate(powers):
-        if rounds:  # fewer unknowns first
+        if job.narrowed:  # fewer unknowns first
             job.groups = axis_groups(job.full[0].machine, structure)
         law, used = _descended(job, law, power)
         rounds.append(_judged(job, law, job.models))
+        job.narrowed = True
         number = len(history) + 1
         history.append(_row(job, number, power, used, rounds[-1]))
         job.say(
@@ -379,7 +415,7 @@ def _unseen(judged: Mapping[str, Ratio], tuned_on: Mapping[str, Ratio]) -> list[
         ratio.frequency
         for name, ratio in judged.items()
         if np.isfinite(ratio.frequency)
-        and name != "damping"  # of poles, on no grid
+        and not name.startswith("damping")  # of poles, on no grid
         and ratio.value > max(1.0, _MISSED * tuned_on[name].value)
     ]
 
@@ -559,30 +595,36 @@ def _result(
     ratios["sensitivity"] = max(ratios["sensitivity"], exact, key=lambda ratio: ratio.value)
     final = _in_words(_Round(best.law, ratios))
     job.say(f"certificate, on all reduced models and the full plants: {final}")
+    guards = {name: words for name, words in job.aims.guards.items() if name in ratios}
     certificate = Certificate(
         all(item.stable for item in found),
         max(item.spectral_abscissa for item in found),
         found[worst].closed_loop_norm,
         fastest_pole(controller),
         {"bending_modes": float(job.small[0].bending_modes or 0)}
-        | {f"ratio_{name}": r.value for name, r in ratios.items()},
+        | {f"ratio_{name}": r.value for name, r in ratios.items()}
+        | {f"guard_{name}": ratios[name].value for name in guards},
         f"{machine.name}, full plant at {len(found)} operating points",
     )
     binding = max(ratios, key=lambda name: ratios[name].value)
     at = ratios[binding]
     where = f" at {at.frequency / (2 * np.pi):.4g} Hz" if np.isfinite(at.frequency) else ""
     notes = [f"{binding} binds: {at.value:.3f} of its limit at {at.label}{where}"]
-    missed = [f"{name} ({ratio.value:.3f})" for name, ratio in ratios.items() if ratio.value > 1]
+    missed = [
+        f"{name} ({ratio.value:.3f})"
+        for name, ratio in ratios.items()
+        if ratio.value > 1 and name not in guards
+    ]
     if missed:
         remedy = f"{advice(job.structure)}, or relax a requirement"
         if tried is not None:
             remedy = f"up to {tried} states were tried, relax a requirement"
         notes.append(f"not met with {controller.n_states} states: {', '.join(missed)}; {remedy}")
-    if ratios["gain"].value > 1 and machine.requirements.control_gain is None:
-        notes.append(
-            "the limit of the gain is a guard, 1.5 times the largest of the start: a control_gain "
-            "of the file replaces it"
-        )
+    notes += [
+        f"a guard of the search binds, no requirement: {words} ({ratios[name].value:.3f} of it)"
+        for name, words in guards.items()
+        if ratios[name].value >= _BINDS
+    ]
     if isinstance(best.law, PidSettings) and (ends := at_limits(best.law, machine, job.fastest)):
         notes.append(f"at a limit of the search: {'; '.join(ends)}")
     status = Status.VERIFIED if certificate.stable else Status.UNSTABLE

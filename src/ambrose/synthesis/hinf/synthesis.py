@@ -27,6 +27,7 @@ from ambrose.core.hinf.riccati import (
     balancing_states,
     central_controller,
     normal_form,
+    proved_lower,
     search_gamma,
 )
 from ambrose.core.hinf.scaling import (
@@ -72,11 +73,12 @@ def hinf_synthesis(
     Where an assumption of the Riccati equations fails, the plant is regularised with the smallest
     useful epsilon; where they fail all the same, up to 50 states, the matrix inequalities take over
     if their solver is installed. The result's ``notes`` say so. ``gamma`` is the closed-loop norm
-    recomputed on the original plant; certificate.margins hold "gamma_optimal" (reachable, and at
-    most ``tolerance`` above the optimum of the plant that was solved), "gamma_lower" (no controller
-    comes below it on the plant as given; without regularisation within ``tolerance`` of
-    gamma_optimal, with it what no controller can change at single frequencies), "gamma_designed"
-    and "epsilon" (0 without regularisation); history has one row for each gamma tried.
+    recomputed on the original plant; certificate.margins hold "gamma_optimal" (reachable; of
+    "riccati" at most ``tolerance`` above the optimum of the plant that was solved, of "lmi" where
+    its solver ended), "gamma_lower" (no controller comes below it on the plant as given: by Riccati
+    equations where nothing was regularised and rounding spoiled no level, else what no controller
+    can change at single frequencies), "gamma_designed" and "epsilon" (0 without regularisation);
+    history has one row for each gamma tried.
 
     Raises InvalidInput (no controller can stabilise the plant, with the mode; sampled plants; bad
     arguments) and NumericalFailure (no verified controller, with the reason). Sources: see
@@ -234,7 +236,7 @@ def _by_riccati(job: _Job, scaled: ScaledPlant, epsilon: float) -> _Design:
             return _Design(
                 controller,
                 certificate,
-                search.lower,
+                float("nan") if search.inaccurate else search.lower,
                 search.best.gamma,
                 gamma,
                 epsilon,
@@ -276,10 +278,11 @@ def _by_lmi(job: _Job, scaled: ScaledPlant, epsilon: float) -> _Design:
             job.say(reason)
         else:
             row = {"gamma": optimal, "feasible": 1.0, "rho": float("nan"), "epsilon": epsilon}
+            # where the solver ended is no bound: it may stop short of the smallest gamma
             return _Design(
                 controller,
                 certificate,
-                optimal,
+                proved_lower(scaled),
                 optimal,
                 gamma,
                 epsilon,

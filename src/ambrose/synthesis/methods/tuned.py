@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Self
 
@@ -10,6 +11,8 @@ from ambrose.synthesis.methods.method import Method, Progress
 
 if TYPE_CHECKING:
     from ambrose.judge.result import Synthesis
+    from ambrose.law.timing import Timing
+    from ambrose.machine.machine import Machine
     from ambrose.model.plant import Plant
 
 
@@ -89,4 +92,25 @@ class Tuned(Method):
         if machine.reference is not None:
             margins["direct_gain_mismatch"] = direct_gain_mismatch(result.controller, reference)[0]
         certificate = replace(result.certificate, margins={**result.certificate.margins, **margins})
-        return replace(result, certificate=certificate)
+        return with_capacity(replace(result, certificate=certificate), machine, self.timing())
+
+
+def with_capacity(result: Synthesis, machine: Machine, timing: Timing | None) -> Synthesis:
+    """A synthesis, with what residual unbalance and loads of the file take of the magnets among its
+    ratios, as ``size`` counts it.
+    """
+    from ambrose.judge.capacity import capacity_margin
+    from ambrose.machine.axial import AxialMachine
+
+    if isinstance(machine, AxialMachine) or not result.certificate.stable:
+        return result
+    margin, words = capacity_margin(machine, result.controller, timing)
+    if not words:
+        return result
+    ratio = 1 / margin if margin > 0 else math.inf
+    margins = {**result.certificate.margins, "ratio_load_capacity": ratio}
+    notes = result.notes
+    if ratio > 1:
+        notes = (*notes, f"load capacity is exceeded ({ratio:.3f}): {words}; enlarge the magnets")
+    certificate = replace(result.certificate, margins=margins)
+    return replace(result, gamma=max(result.gamma, ratio), certificate=certificate, notes=notes)

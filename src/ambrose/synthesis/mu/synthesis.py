@@ -31,7 +31,7 @@ from ambrose.core.lft import Block, FullBlock, GeneralizedPlant, design_grid, lf
 from ambrose.core.mu.all_frequencies import proved_below
 from ambrose.core.mu.bounds import mu_bounds
 from ambrose.core.norms import hinf_norm
-from ambrose.core.statespace import StateSpace, spectral_abscissa
+from ambrose.core.statespace import StateSpace, poles, spectral_abscissa
 from ambrose.core.time_limit import TimeLimit
 from ambrose.judge.certificate import generalized_certificate
 from ambrose.judge.result import Certificate, Status, Synthesis
@@ -55,6 +55,8 @@ _GAIN = 1e-3  # a step that lowers the best bound by less than this fraction end
 _STRIDES = (4.0, 16.0, 64.0)  # how much further than the D-step says D may be moved
 _FACTOR = 2.0  # of one step in the search for the first D's level
 _FURTHEST = 40  # steps
+_TIGHTEST = 1.5e-3  # back-off less 1, below which it is not made smaller
+_RUN_AWAY = 4.0  # times the fastest pole of the controller before
 _PROOF = (1.01, 1.03, 1.1)  # levels, in mixed peaks, at which an interval proof is tried
 
 
@@ -79,7 +81,8 @@ def mu_synthesis(
     at most ``fit_tolerance`` [-] above the upper bound of mu; of the iterates within that tolerance
     of the best, the one with the fewest states is then returned. structure: d(s) I ("scalar") or a
     matrix D(s) ("full") for repeated blocks; a D of order n costs 2 r n states of the controller
-    for a block of size r either way. backoff [-]: see hinf_synthesis. omega (w,) [rad/s]: grid of
+    for a block of size r either way. backoff [-]: see hinf_synthesis; once D has settled smaller
+    ones are tried, too, and kept where gamma falls and poles stay slow. omega (w,) [rad/s]: grid of
     the D-step, default: the plant's poles and a decade around them; resonances and peaks are added.
     time_limit [s] of computing, and five times that on the wall (``core.time_limit``); progress:
     called with one line of text per step.
@@ -131,6 +134,7 @@ def mu_synthesis(
                 if order != "auto" or max(orders) < lowest or lowest >= HIGHEST_ORDER:
                     break
                 lowest = 1 + max(orders)
+        _tightened(job, iterates)
     except (KeyboardInterrupt, AmbroseError, np.linalg.LinAlgError) as stop:
         # not the time that was left to an inner step
         late = job.clock.reached if job.clock.left <= 0 else str(stop)
@@ -398,6 +402,43 @@ def _mu(job: _Job, step: DStep) -> dict[str, float]:
         "mu_mixed_lower": min(float(lower), mixed),
         "mu_frequency": float(step.omega[at[0]]),
     }
+
+
+def _tightened(job: _Job, iterates: list[_Iterate]) -> None:
+    """Once D has settled, the back-off is what keeps gamma up: K-steps with a quarter of it, and a
+    quarter of that, go on from the best iterate as long as gamma falls.
+
+    Added to ``iterates`` where gamma falls and no pole is four times as fast as before the first of
+    them: nearer to the optimum the controller's poles run away.
+    """
+    if len(iterates) < 2:
+        return
+    backoff, allowed = job.backoff, _RUN_AWAY * _fastest(_best(job, iterates))
+    while backoff - 1 > _TIGHTEST and job.clock.left > 0:
+        backoff = 1 + (backoff - 1) / 4
+        best = _best(job, iterates)
+        for scaling in (best.fitted, best.used):
+            if scaling is None:
+                continue
+            try:
+                made = hinf_synthesis(
+                    scaled_plant(job.plant, scaling.scaling),
+                    backoff=backoff,
+                    tolerance=min(1e-3, (backoff - 1) / 3),
+                    time_limit=job.left,
+                )
+                found = _evaluate(job, made.controller, scaling, len(iterates))
+            except AmbroseError as failure:
+                job.say(f"back-off {backoff:.4g}: {failure}")
+                continue
+            if found.gamma < best.gamma * (1 - _GAIN) and _fastest(found) <= allowed:
+                job.say(f"back-off {backoff:.4g}: gamma {found.gamma:.4f} from {best.gamma:.4f}")
+                iterates.append(found)
+                break
+
+
+def _fastest(iterate: _Iterate) -> float:
+    return float(np.abs(poles(iterate.controller)).max(initial=0.0))
 
 
 def _settled(job: _Job, iterates: Sequence[_Iterate]) -> bool:

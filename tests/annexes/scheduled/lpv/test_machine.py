@@ -27,8 +27,6 @@ from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 from ambrose.synthesis.methods.choice import methods
 from coarse import coarse
 
-pytestmark = pytest.mark.campaign  # minutes
-
 HZ = 2 * np.pi
 
 
@@ -151,6 +149,7 @@ def test_the_certificate_is_the_worst_of_the_full_plant_at_every_pressure(rig, m
     }
 
 
+@pytest.mark.study
 def test_nearer_to_the_optimum_the_sensitivity_falls_and_poles_are_faster(rig, made):
     near = design(rig, "lpv", pressures=(0.0, 4.08e5), backoff=1.04)
     margins = [result.certificate.margins for result in (near, made)]

@@ -18,8 +18,6 @@ from ambrose.core.sampling import c2d
 from ambrose.core.statespace import StateSpace, spectral_abscissa
 from ambrose.synthesis.hinf.synthesis import hinf_synthesis
 
-pytestmark = pytest.mark.campaign  # minutes
-
 GRID = np.linspace(1.0, 5.0, 4)
 
 

@@ -115,7 +115,6 @@ def test_stiffness_and_damping_apart():
     )
 
 
-@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("path", "kind"),
     [
@@ -305,7 +304,6 @@ def test_of_two_seals_one_is_watched_and_the_other_is_at_its_pressure():
     assert found.values[-1, 0] == pytest.approx(5e5, rel=5e-3)
 
 
-@pytest.mark.campaign
 def test_a_seal_with_states_is_watched_by_its_pressure_and_refused_without():
     machine, law = setting()
     grid = (0.0, 200.0, 400.0, 800.0, 1600.0, 3200.0)

@@ -259,7 +259,6 @@ def test_tables_without_a_common_speed_are_no_change(loop, tmp_path):
         balanced(loop, now, then)
 
 
-@pytest.mark.campaign
 @needs("C compiler")
 def test_one_hold_on_the_rig_falls_by_30_db_and_tells_93_percent_of_the_unbalance():
     """Nonlinear rig with noise, C block, key phasor: 1x current by 30 dB, and what balancing

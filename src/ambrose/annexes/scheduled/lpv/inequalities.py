@@ -22,14 +22,24 @@ from ambrose.annexes.scheduled.lpv.family import Family
 from ambrose.core.checks import NumericalFailure
 from ambrose.core.hinf.lmi import coupling, existence
 from ambrose.core.hinf.scaling import ScaledPlant
-from ambrose.core.matrix_inequalities.semidefinite import Inequality, minimise, side, smat, svec
+from ambrose.core.matrix_inequalities.semidefinite import (
+    Inequality,
+    Minimum,
+    minimise,
+    side,
+    smat,
+    svec,
+)
 
 Varying = Literal["none", "R", "S"]
-_LARGEST = 1e6  # R and S while gamma is minimised, in balanced states
+# R and S while gamma is minimised, in balanced states: the next one where gamma rests on it, by
+# more than a share of gamma for each factor of e
+_LARGEST = (1e6, 1e8, 1e10)
+_RESTS = 1e-3
 _TOLERANCE = 1e-5  # of gamma
 _TIGHT = 1e-4  # residual of an iterate that is looked at although the method ended early
 # (slack, largest R and S) of the second pass
-_MARGINS = ((1e-4, 1e3), (1e-4, 1e4), (1e-5, 1e5), (1e-6, 1e6))
+_MARGINS = ((1e-4, 1e3), (1e-4, 1e4), (1e-5, 1e5), (1e-6, 1e6), (1e-6, 1e8), (1e-6, 1e10))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,15 +105,23 @@ class Shape:
 
 def smallest_gamma(
     family: Family, shape: Shape, time_limit: float
-) -> tuple[float, float, Lyapunov]:
-    """The smallest gamma in the family's units, a lower bound of it, and R and S there. Raises
-    NumericalFailure.
+) -> tuple[tuple[float, ...], float]:
+    """The smallest gamma in the family's units within wider and wider bounds of R and S, ascending,
+    and the bound that the first of them rests on all the same (0: none). Raises NumericalFailure.
     """
-    cost, items = program(family, shape)
-    minimum = minimise(cost, items, tolerance=_TOLERANCE, time_limit=time_limit)
-    inexact = minimum.status == "inexact" and minimum.primal_error < _TIGHT and minimum.value > 0
+    minimum, rests = _within(family, shape, _LARGEST[0], time_limit)
+    found, active = _usable(minimum), _LARGEST[0] if rests else 0.0
+    values = [minimum.value]
+    for largest in _LARGEST[1:]:
+        if not (found and active):
+            break
+        wider, rests = _within(family, shape, largest, time_limit)
+        if not _usable(wider):
+            break
+        values.append(wider.value)
+        active = largest if rests else 0.0
     # an inexact end will do: everything is recomputed at the end
-    if not (minimum.status == "optimal" or inexact):
+    if not found:
         what = f"gamma cannot be minimised over the {len(family.plants)} grid points"
         if minimum.status == "time limit":
             raise NumericalFailure(
@@ -114,8 +132,32 @@ def smallest_gamma(
             f"{what} (the solver ended {minimum.status} with a residual of "
             f"{minimum.primal_error:.2g})"
         )
-    bound = minimum.bound if minimum.dual_error < _TIGHT else float("nan")
-    return minimum.value, bound, _lyapunov(minimum.x, family.n, shape)
+    return tuple(sorted(values)), active
+
+
+def _within(
+    family: Family, shape: Shape, largest: float, time_limit: float
+) -> tuple[Minimum, bool]:
+    """The minimum with R and S at most ``largest``, and whether it rests on that bound."""
+    cost, items = program(family, shape, largest=largest)
+    minimum = minimise(cost, items, tolerance=_TOLERANCE, time_limit=time_limit)
+
+    # d gamma / d ln largest = -largest tr Z, Z the multipliers of largest I - R >= 0 and of S alike
+    n = family.n
+    ceiling = largest * svec(np.eye(n))
+    share = sum(
+        largest * float(np.trace(Z))
+        for item, Z in zip(
+            [item for item in items if len(item.constant)], minimum.multipliers, strict=True
+        )
+        if np.array_equal(item.constant, ceiling)
+    )
+    return minimum, share > _RESTS * abs(minimum.value)
+
+
+def _usable(minimum: Minimum) -> bool:
+    inexact = minimum.status == "inexact" and minimum.primal_error < _TIGHT and minimum.value > 0
+    return minimum.status == "optimal" or inexact
 
 
 def well_conditioned(family: Family, shape: Shape, time_limit: float) -> Lyapunov:
@@ -128,7 +170,8 @@ def well_conditioned(family: Family, shape: Shape, time_limit: float) -> Lyapuno
             f"slack {strict:g}, R and S up to {largest:g}: {minimum.status}, "
             f"t = {-minimum.value:.4g}"
         )
-        if minimum.primal_error < 1e-8 and -minimum.value > 1:
+        # what is found is verified at every point; wide bounds leave a solver fewer digits
+        if minimum.primal_error < max(1e-8, 1e-14 * largest) and -minimum.value > 1:
             return _lyapunov(minimum.x, family.n, shape)
         reasons.append(reason)
     raise NumericalFailure(
@@ -147,7 +190,7 @@ def program(
     shape: Shape,
     gamma: float | None = None,
     strict: float = 0.0,
-    largest: float = _LARGEST,
+    largest: float = _LARGEST[0],
 ) -> tuple[np.ndarray, list[Inequality]]:
     """Cost and inequalities of the first pass (gamma None), or the second; variables svec(R_j),
     svec(S_j), then gamma or t.

@@ -33,7 +33,14 @@ from ambrose.core.checks import (
     invalid,
     named_failure,
 )
-from ambrose.core.hinf.scaling import ScaledPlant, check_plant, original_matrices
+from ambrose.core.hinf.riccati import proved_lower
+from ambrose.core.hinf.scaling import (
+    ScaledPlant,
+    check_plant,
+    original_matrices,
+    scale_plant,
+    unavoidable,
+)
 from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.realisation.balancing import balance_system
 from ambrose.core.scheduled import AND, ScheduledSystem, check_axes, grid_points, interval_points
@@ -87,8 +94,9 @@ def lpv_synthesis(
     the grid); ``scheduled`` is the whole one. time_limit [s]: of each call of the solver.
 
     ``gamma`` bounds the gain from w to z along every trajectory within the range (and rate), as
-    verified at all these points. certificate.margins: gamma_optimal and gamma_lower of the
-    inequalities, gamma_designed, pointwise_largest (of the grid points' own optimal H-infinity
+    verified at all these points. certificate.margins: gamma_optimal of the inequalities,
+    gamma_lower (that no controller comes below at one of the grid points alone), gamma_designed,
+    pointwise_largest (of the grid points' own optimal H-infinity
     values), guaranteed_between (the largest gamma needed at a point between). history: a row for
     each verified value. Raises InvalidInput and NumericalFailure; nothing unverified is returned.
     """
@@ -181,8 +189,8 @@ class _Job:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Design:
-    """family: in units of the designed gamma; optimal and lower bound of it; pointwise (k,): the
-    grid points' own optima.
+    """family: in units of the designed gamma; optimal: of the inequalities; lower: of any scheduled
+    controller; pointwise (k,): the grid points' own optima.
     """
 
     scheduled: ScheduledSystem
@@ -205,16 +213,54 @@ def _design(job: _Job, axes: tuple[np.ndarray, ...]) -> _Design:
     pointwise = np.array(
         [_optimum(plant, family, value) for plant, value in zip(family.plants, values, strict=True)]
     )
+    # a parameter that rests at a grid point is one of the motions; regularised plants bound nothing
+    alone = [
+        unavoidable(scale_plant(plant))
+        if family.notes
+        else float(np.fmax(family.unit * proved_lower(own), 0.0))
+        for plant, own in zip(plants, family.plants, strict=True)
+    ]
     job.say(
         f"{len(values)} points, {family.n} states; the largest pointwise H-infinity value is "
         f"{pointwise.max():.6g}"
     )
     shape = job.shape(family)
     begun = time.monotonic()
-    smallest, bound, _ = smallest_gamma(family, shape, job.time_limit)
-    optimal, lower = smallest * family.unit, bound * family.unit
+    reached, active = smallest_gamma(family, shape, job.time_limit)
+    optimal = reached[0] * family.unit
     job.say(f"smallest gamma {optimal:.6g} ({time.monotonic() - begun:.1f} s)")
+    notes = family.notes
+    if active:
+        notes += (
+            f"gamma_optimal {optimal:.4g} is not the smallest of the inequalities: R or S is at "
+            f"its bound {active:g}. Bring the poles of plant and weights closer together",
+        )
+    reasons = []
+    for smallest in reached:
+        try:
+            scheduled, chosen, at_points, backoff = _near(job, family, shape, smallest)
+        except NumericalFailure as failure:
+            reasons.append(str(failure))
+            continue
+        if reasons:
+            notes += (
+                f"designed for gamma {chosen.unit:.4g}, the smallest {optimal:.4g} needs larger R "
+                "and S than a controller can be computed from. Bring the poles of plant and "
+                "weights closer together",
+            )
+        return _Design(scheduled, chosen, at_points, optimal, max(alone), pointwise, backoff, notes)
+    raise NumericalFailure(
+        f"no scheduled controller passed its verification ({reasons[0]}); narrow the range, take "
+        "more grid points, or give a rate"
+    )
 
+
+def _near(
+    job: _Job, family: Family, shape: Shape, smallest: float
+) -> tuple[ScheduledSystem, Family, tuple[Frozen, ...], float]:
+    """Schedule, family in units of its gamma, what was found of it, and its back-off. Raises
+    NumericalFailure with the last reason.
+    """
     # gamma = (1 + step) times the smallest: away from the optimum, where R and S are nearly
     # singular and the controller's poles run away; twice the step where the verification fails
     step, reason = job.backoff - 1, ""
@@ -233,13 +279,8 @@ def _design(job: _Job, axes: tuple[np.ndarray, ...]) -> _Design:
             f"gamma {chosen.unit:.6g}: verified at {len(at_points)} points, fastest pole "
             f"{fastest:.3g} rad/s"
         )
-        return _Design(
-            scheduled, chosen, at_points, optimal, lower, pointwise, 1 + step, family.notes
-        )
-    raise NumericalFailure(
-        f"no scheduled controller passed its verification ({reason}); narrow the range, take more "
-        "grid points, or give a rate"
-    )
+        return scheduled, chosen, at_points, 1 + step
+    raise NumericalFailure(reason)
 
 
 def _optimum(plant: ScaledPlant, family: Family, value: Any) -> float:

@@ -452,7 +452,7 @@ def _changed(chain: _Chain) -> None:
         chain.say("designed", title, False, str(error))
         return
     chain.made["new"] = new
-    words = "; ".join([new.verdict, *new.notes]) if new.missed else new.verdict
+    words = designed_in_words(new)
     good: bool | None = new.status is Status.VERIFIED and not new.lost
     if good and new.missed:
         good = None  # some aims are guards of the search: the limits are judged by what follows
@@ -474,6 +474,16 @@ def _changed(chain: _Chain) -> None:
     if not _coded(chain, new, done.machine):
         return
     _switched(chain, new, done.machine)
+
+
+def designed_in_words(new: Synthesis) -> str:
+    """What the search ended with, and nothing of requirements where its aims, which are stricter,
+    are not all met: whether those are is the verification's word.
+    """
+    if not new.missed or new.status is not Status.VERIFIED or new.lost or new.lost_as_assumed:
+        return new.verdict
+    ended = f"; the search ended at {new.gamma:.3g} of its aims" if new.method == "tuned" else ""
+    return f"certified as stable{ended}; the limits are judged next"
 
 
 def _beside(before: Verification, after: Verification) -> str:

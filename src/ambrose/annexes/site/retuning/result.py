@@ -84,7 +84,7 @@ class Switch:
     @property
     def passed(self) -> bool:
         """Whether the rotor stayed free; on the way forward, and hardly moved."""
-        return self.trace.outcome == "completed" and (
+        return self.trace.passed and (
             not self.forward or self.bump <= max(self.before, self.allowed)
         )
 

@@ -20,7 +20,6 @@ from ambrose.annexes.workbench.screens import Screen
 from ambrose.annexes.workbench.sliders import fields_of, values_of
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.controller_file import read_controller, write_controller
-from ambrose.judge.criteria import zone
 from ambrose.judge.glance import Glance, glance
 from ambrose.judge.plants import campbell_map, full_plants
 from ambrose.law.law import Law, law_of
@@ -158,13 +157,13 @@ def _glance(law: Law, plant: Plant, machine: Machine, settings: PidSettings | No
 
 
 def _table(seen: Mapping[str, Sequence[Glance]], plants: Sequence[Plant], note: str) -> Block:
-    """Peak and zone of every controller at every point."""
+    """Peaks of every controller at every point; the zone is of axes."""
     labels = [plant.point.label for plant in plants]
     rows = []
     for name, looks in seen.items():
         cells = {look.stability.label: _cell(look) for look in looks}
         rows.append((name, *(cells.get(label, Cell("not covered", "muted")) for label in labels)))
-    title = "Largest sensitivity, zone of ISO 14839-3"
+    title = "Largest sensitivity of an axis, with its zone of ISO 14839-3; of all axes together"
     known = blocks.rows_table(title, ("controller", *labels), rows)
     return blocks.table("peaks", replace(known, note=note))
 
@@ -173,8 +172,9 @@ def _cell(look: Glance) -> Cell:
     if look.sensitivity is None:
         rate = look.stability.abscissa
         return Cell(f"unstable, {rate:+.3g} 1/s", "fail")
-    letter = zone(SENSITIVITY, look.peak)
-    return Cell(f"{look.peak:.3g}, zone {letter}", "pass" if letter in {"A", "B"} else "fail")
+    axis, together = look.checks
+    text = f"{axis.value:.3g}, zone {axis.zone}; all {together.value:.3g}"
+    return Cell(text, "pass" if look.passed else "fail")
 
 
 def _pictures(

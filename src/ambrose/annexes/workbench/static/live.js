@@ -25,7 +25,7 @@ export function live(place) {
 
 function build(place, rig, act) {
   const orbits = rig.stations.map((station, s) => orbit(rig, station, s, act));
-  const currents = canvas("Currents in the coils of every axis against their limits", 34 * rig.axes.length);
+  const currents = canvas("Control currents in the coils, against their limits", 34 * rig.axes.length);
   const [watch, facts] = [scope(rig), make("p", { className: "facts" })];
   const forms = rig.controls.map((block) => form(block, act));
   const panel = make("aside", { className: "panel" },
@@ -35,7 +35,7 @@ function build(place, rig, act) {
       make("div", { className: "tiles" }, ...orbits.map((o) => o.figure)),
       make("p", { className: "muted" },
         "Click an orbit to knock the rotor there, in that direction; with the keyboard, arrow keys.")),
-    titled("Currents in the coils", currents), watch.panel), panel));
+    titled("Control currents", currents), watch.panel), panel));
   let [drawn, since, rate, told] = [0, -1, 0, -1]; // by the clock of the rig, which comes with a frame
   const trail = []; // samples of the frames before, the newest at the end
   return { show: (head, samples) => {
@@ -122,19 +122,19 @@ function orbit(rig, station, s, act) {
 
 function bars(element, rig, samples) {
   const { g, width } = begin(element);
-  const first = 2 * rig.stations.length + rig.axes.length; // what flows in the coils, not what is commanded
   rig.axes.forEach((axis, a) => {
     const most = rig.limits[a] || 1;
-    const [low, high] = extent(samples, first + a, rig.columns.length);
-    const full = Math.max(-low, high) >= 0.99 * most;
+    const [low, high] = extent(samples, rig.currents[a], rig.columns.length);
+    const [least, largest] = extent(samples, rig.commands[a], rig.columns.length);
     const [y, half] = [34 * a + 20, (width - 24) / 2];
     const X = (v) => 12 + half * (1 + Math.max(-1.02, Math.min(1.02, v / most)));
+    const full = Math.max(-least, largest) >= 0.999 * most;
     g.fillStyle = ink.faint;
     g.fillRect(12, y, 2 * half, 10);
     g.fillStyle = full ? ink.limit : ink.line;
     g.fillRect(X(low), y, Math.max(X(high) - X(low), 2), 10);
     path(g, 2, () => X(0), (i) => y - 2 + 14 * i, ink.muted);
-    const limit = rig.limits[a] ? `of ±${short(most, "A")}${full ? ", at the limit" : ""}` : "no limit";
+    const limit = rig.limits[a] ? `of ±${short(most, "A")}${full ? ", command at the limit" : ""}` : "no limit";
     write(g, `${axis}: ${low.toFixed(2)} to ${high.toFixed(2)} A ${limit}`, 12, y - 5, "left", ink.ink);
   });
 }
