@@ -173,7 +173,8 @@ def tour(chromium, server):
 
         patch.setattr(viewers, "LiveSession", held)
         page.goto(server.address())
-        until(page, "document.querySelector('#note').textContent.includes('it is compiled')")
+        starts = "document.querySelector('#note').textContent.includes('it is compiled')"
+        until(page, f"{starts} || document.querySelector('canvas') !== null")
         first = page.locator("nav a").count(), page.locator("canvas").count()
         building.set()
         page.wait_for_selector("canvas")

@@ -134,7 +134,7 @@ function bars(element, rig, samples) {
     g.fillStyle = full ? ink.limit : ink.line;
     g.fillRect(X(low), y, Math.max(X(high) - X(low), 2), 10);
     path(g, 2, () => X(0), (i) => y - 2 + 14 * i, ink.muted);
-    const limit = rig.limits[a] ? `of ±${short(most, "A")}${full ? ", command at the limit" : ""}` : "no limit";
+    const limit = rig.limits[a] ? `of ±${short(most, "A")}${full ? ", told the limit" : ""}` : "no limit";
     write(g, `${axis}: ${low.toFixed(2)} to ${high.toFixed(2)} A ${limit}`, 12, y - 5, "left", ink.ink);
   });
 }
