@@ -6,6 +6,7 @@ import errno
 import io
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -520,6 +521,34 @@ def test_an_inherited_deafness_to_interruptions_stays():
         ).returncode
         == 0
     )
+
+
+TERMINATED = """
+import ambrose.cli, sys, time
+from ambrose.machine.claim import claimed
+def main():
+    with claimed(sys.argv[1], "file"):
+        print("held", flush=True)
+        time.sleep(3600)
+ambrose.cli.main = main
+from ambrose.__main__ import main as start
+start()
+"""
+
+
+@POSIX
+def test_a_command_that_is_terminated_leaves_no_lock(tmp_path):
+    """SIGTERM, as a service manager or `kill` sends it, left the lock file there."""
+    command = [sys.executable, "-c", TERMINATED, str(tmp_path / "out.toml")]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as run:
+        assert run.stdout.readline() == "held\n"
+        assert list(tmp_path.iterdir()) == [tmp_path / ".out.toml.lock"]
+        run.send_signal(signal.SIGTERM)
+        said = run.communicate(timeout=300)[1]
+    assert run.returncode == 143 and "interrupted" in said and "Traceback" not in said
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

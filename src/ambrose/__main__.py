@@ -1,9 +1,9 @@
 """The start of the command `ambrose`, also as `python -m ambrose`: from here on SIGINT ends it with
-status 130 and one line.
+status 130 and one line, SIGTERM with 143.
 
 An interruption is an exception where Python runs. Libraries can lose it (in a callback, in a
-destructor), and an import that it breaks may fail in other words: the status is 130 all the same,
-at once or after some seconds.
+destructor), and an import that it breaks may fail in other words: the status is the same, at once
+or after some seconds.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
+_ENDS = (signal.SIGINT, signal.SIGTERM)
 _PATIENCE = 5.0  # s for what is open to be closed
 # objects made until cycles are looked for: what an import makes stays, and looking through it every
 # 700 objects is a tenth of a short command
@@ -35,20 +36,28 @@ def main() -> None:
     def interrupt(number: int, frame: Any) -> None:
         if not asked:  # once: what is being closed is not to be disturbed
             asked.append(number)
-            _thread.start_new_thread(_end, (_PATIENCE,))
+            _thread.start_new_thread(_end, (number, _PATIENCE))
             raise KeyboardInterrupt
 
     try:
         _run(interrupt, asked)
     except KeyboardInterrupt:  # as _run was left
-        os._exit(130)
+        os._exit(128 + asked[0] if asked else 130)
 
 
 def _run(interrupt: Callable[[int, Any], None], asked: list[int]) -> None:
     try:
-        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-            signal.signal(signal.SIGINT, interrupt)
-        sys.unraisablehook = _lost
+        for number in _ENDS:
+            if signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, interrupt)
+
+        def lost(what: Any) -> None:
+            """An exception that Python reports and forgets."""
+            if asked and issubclass(what.exc_type, KeyboardInterrupt):
+                _end(asked[0])
+            sys.__unraisablehook__(what)
+
+        sys.unraisablehook = lost
         from ambrose.cli import main as command
 
         command()
@@ -59,25 +68,19 @@ def _run(interrupt: Callable[[int, Any], None], asked: list[int]) -> None:
             _say()
         # SystemExit would end as a death by SIGINT where the interruption passed through exec() on
         # its way
-        os._exit(130)
+        os._exit(128 + asked[0])
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        for number in _ENDS:
+            signal.signal(number, signal.SIG_IGN)
         # memory goes back with the process: to look through all of it for cycles first is a fifth
         # of a short command
         gc.freeze()
 
 
-def _lost(what: Any) -> None:
-    """An exception that Python reports and forgets."""
-    if issubclass(what.exc_type, KeyboardInterrupt):
-        _end()
-    sys.__unraisablehook__(what)
-
-
-def _end(after: float = 0.0) -> None:
+def _end(number: int, after: float = 0.0) -> None:
     time.sleep(after)
     _say()
-    os._exit(130)
+    os._exit(128 + number)
 
 
 def _say() -> None:

@@ -43,13 +43,13 @@ else:
 
 
 @contextmanager
-def claimed(path: str | os.PathLike[str], what: str) -> Iterator[None]:
+def claimed(path: str | os.PathLike[str], what: str, held: str = "") -> Iterator[None]:
     """Holds the file or folder ``path`` against every other run that claims it, until the block
     ends.
 
-    what: the kind of file, for the message. The lock file is ``.<name>.lock`` beside it; ``.lock``
-    in a folder whose own cannot be written. Raises InvalidInput where another run holds it, and
-    where no file can be made there.
+    what: the kind of file, for the message; held: what is said where another run holds it. The lock
+    file is ``.<name>.lock`` beside it; ``.lock`` in a folder whose own cannot be written. Raises
+    InvalidInput where another run holds it, and where no file can be made there.
     """
     target = Path(os.path.realpath(path))
     lock = target.with_name(f".{target.name}.lock")
@@ -62,7 +62,7 @@ def claimed(path: str | os.PathLike[str], what: str) -> Iterator[None]:
             descriptor = _hold(lock := target / ".lock")
     except BlockingIOError:
         remedy = f"wait until it ends, or write the {what} elsewhere"
-        raise InvalidInput(f"another run is writing {path}; {remedy}") from None
+        raise InvalidInput(held or f"another run is writing {path}; {remedy}") from None
     except OSError as error:
         reason = error.strerror or str(error)
         raise InvalidInput(

@@ -12,13 +12,13 @@ import time
 
 import pytest
 
-pytest.importorskip("starlette", reason="the extra workbench is not installed")
+pytest.importorskip("starlette", reason="no starlette: install the extra workbench")
 
 from ambrose.annexes.workbench import server as served
 from ambrose.annexes.workbench.project import Project
 from asgi_client import HOST, Client
 
-SOON = 10.0  # [s] for any answer, on a computer that does other work; an unanswered one takes 30
+SOON = 300.0  # [s] for any answer: a hang, whatever else the computer does
 HANDSHAKE = (
     "GET /live HTTP/1.1\r\nHost: {host}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
     "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
@@ -80,8 +80,21 @@ def running(tmp_path_factory):
     made.folder = folder
     yield made
     made.process.terminate()
-    made.process.wait(30)
+    made.process.wait(SOON)
     made.process.stdout.close()
+
+
+def test_connections_without_a_word_lock_nobody_out(running):
+    """1,010 of them did: the oldest makes room for the newest."""
+    idle = [socket.create_connection(("127.0.0.1", running.port), SOON) for _ in range(150)]
+    try:
+        assert running.serves()
+        assert idle[0].recv(1) == b""  # closed by the server
+        idle[-1].sendall(running.own("GET", "/api/state"))  # the newest is served
+        assert b" 200 " in idle[-1].recv(15)
+    finally:
+        for wire in idle:
+            wire.close()
 
 
 # what a handshake with the owner's cookie must not hold

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-pytest.importorskip("starlette", reason="the extra workbench is not installed")
+pytest.importorskip("starlette", reason="no starlette: install the extra workbench")
 
 from ambrose.annexes.workbench import sliders
 from ambrose.annexes.workbench.blocks import Refusal

@@ -3,18 +3,19 @@
 import asyncio
 import json
 import struct
-import time
+import threading
 
 import numpy as np
 import pytest
 
-pytest.importorskip("starlette", reason="the extra workbench is not installed")
+pytest.importorskip("starlette", reason="no starlette: install the extra workbench")
 
-from ambrose.annexes.workbench import server
+from ambrose.annexes.workbench import server, viewers
+from ambrose.annexes.workbench.clock import Clock
 from ambrose.annexes.workbench.live import SAMPLES, LiveSession, packed
 from ambrose.annexes.workbench.project import Project, begin
 from ambrose.annexes.workbench.server import build
-from ambrose.annexes.workbench.viewers import _Viewer
+from ambrose.annexes.workbench.viewers import LiveRoom, _Viewer
 from ambrose.core.checks import InvalidInput
 from ambrose.core.listening import listening, names_of
 from ambrose.judge.controller_file import write_controller
@@ -38,20 +39,37 @@ def project(tmp_path_factory):
     return made
 
 
+class Ticking(Clock):
+    """Goes on by 20 ms from frame to frame; ``busy`` [s] of a processor were used."""
+
+    def __init__(self):
+        self.frames, self.busy = 0, 0.0
+
+    def now(self):
+        self.frames += 1
+        return 0.02 * self.frames
+
+    def used(self):
+        return self.busy
+
+
+@pytest.fixture
+def clock():
+    return Ticking()
+
+
 @pytest.fixture(scope="module")
 def lasting(project):
     """One that goes on from test to test."""
-    made = LiveSession(project)
+    made = LiveSession(project, clock=Ticking())
     made.frame()
     return made
 
 
 @pytest.fixture
-def session(project, monkeypatch):
+def session(project, clock):
     """A live rig whose clock goes on by 20 ms from frame to frame."""
-    clock = iter(np.arange(0.0, 1e6, 0.02))
-    monkeypatch.setattr(time, "perf_counter", lambda: float(next(clock)))
-    made = LiveSession(project)
+    made = LiveSession(project, clock=clock)
     made.frame()
     return made
 
@@ -82,17 +100,16 @@ def test_it_goes_slower_and_as_fast_as_it_can(session):
     assert len(samples) <= SAMPLES * len(session.columns)
 
 
-def test_what_takes_long_is_shown_slower_and_not_in_jerks(session, monkeypatch):
+def test_what_takes_long_is_shown_slower_and_not_in_jerks(session, clock, monkeypatch):
     """A rotor in its touchdown bearings takes two to three seconds of a processor for one."""
-    used, cost = [0.0], [3e-4]
+    cost = [3e-4]
     advance = session.rig.advance
 
     def slow(count):
-        used[0] += count * cost[0]
+        clock.busy += count * cost[0]
         return advance(count)
 
     monkeypatch.setattr(session.rig, "advance", slow)
-    monkeypatch.setattr(time, "thread_time", lambda: used[0])
     rows = [len(session.frame()[1]) for _ in range(4)]
     assert rows == [200, 66, 66, 66]  # 20 ms of a processor each
     for _ in range(40):  # frames of 20 ms in which a third of that time passes
@@ -155,8 +172,13 @@ def test_all_that_can_be_done_shows_in_the_head(session, project):
 def test_what_makes_no_sense_is_refused_and_it_lives_on(lasting, order):
     with pytest.raises(InvalidInput):
         lasting.do(order)
-    time.sleep(0.002)
     assert len(opened(packed(*lasting.frame()))[1])
+
+
+async def turns(count):
+    """Others come to their turn, so many times."""
+    for _ in range(count):
+        await asyncio.sleep(0)
 
 
 def test_what_was_sampled_in_frames_that_a_page_missed_comes_with_the_next():
@@ -172,9 +194,9 @@ def test_what_was_sampled_in_frames_that_a_page_missed_comes_with_the_next():
         rows = iter(np.arange(6000.0).reshape(-1, 1))
         for length, wait in ((3, True), (2, True), (4, False), (5, False)):
             viewer.offer({"of": length}, np.array([next(rows) for _ in range(length)]))
-            await asyncio.sleep(0.01 if wait else 0)
+            await turns(3 if wait else 1)
         viewer.confirmed.set()
-        await asyncio.sleep(0.01)
+        await turns(3)
         sender.cancel()
 
     asyncio.run(watched())
@@ -214,8 +236,8 @@ def test_a_screen_waits_for_what_the_rig_was_told(project, monkeypatch):
             return {"blocks": [], "jobs": [], "whole": False}
 
     class Room(server.LiveRoom):
-        def __init__(self, at):
-            super().__init__(at)
+        def __init__(self, *given):
+            super().__init__(*given)
             rooms.append(self)
 
     monkeypatch.setattr(server, "LiveRoom", Room)
@@ -223,16 +245,233 @@ def test_a_screen_waits_for_what_the_rig_was_told(project, monkeypatch):
     browser = Client(build(project, [HOST], tokens.append, Desk()))
     browser.enter(tokens[0])
 
+    may_end = threading.Event()
+
     def end_the_record():
-        time.sleep(0.3)
+        may_end.wait()
         done.append("ended")
 
     async def run():
         rooms[0]._thread.submit(end_the_record)
-        return await browser.request("POST", "/api/screens/records", b"{}")
+        asked = asyncio.create_task(browser.request("POST", "/api/screens/records", b"{}"))
+        await turns(50)
+        may_end.set()
+        return await asked
 
     assert asyncio.run(run()).status == 200
     assert done == ["ended", "records"]
+
+
+class Page:
+    """A page of the tests' own: what it says, and what it was told since (frames by their head)."""
+
+    def __init__(self):
+        self.inbox = asyncio.Queue()
+        self.told = []
+
+    async def accept(self):
+        pass
+
+    async def receive(self):
+        return await self.inbox.get()
+
+    async def send_text(self, text):
+        self.told.append(json.loads(text))
+
+    async def send_bytes(self, message):
+        self.told.append(opened(message)[0])
+        self.inbox.put_nowait({"type": "websocket.receive", "text": "ok"})
+
+    def say(self, **message):
+        self.inbox.put_nowait({"type": "websocket.receive", "text": json.dumps(message)})
+
+    def leave(self):
+        self.inbox.put_nowait({"type": "websocket.disconnect"})
+
+
+class Free(Clock):
+    """Time that goes by as soon as all others had their turn."""
+
+    async def until(self, due):
+        await asyncio.sleep(0)
+
+
+@pytest.fixture
+def room(monkeypatch):
+    """A live room whose rigs stand in for true ones: each is built, and does what it is told, when
+    it may.
+    """
+    made = LiveRoom(None, Free())
+    made.built, made.may_build, made.may_do = [], threading.Semaphore(1), threading.Semaphore(1000)
+
+    class Rig:
+        def __init__(self, project, controller, initial, clock):
+            made.built.append(self)
+            self.number, self.controller, self.done = len(made.built), controller, []
+            made.may_build.acquire()
+
+        def describe(self):
+            return {"number": self.number}
+
+        def frame(self):
+            return {"of": self.number}, np.zeros((3, self.number))
+
+        def do(self, message):
+            self.done.append(message)
+            made.may_do.acquire()
+
+        def pause(self):
+            pass
+
+    monkeypatch.setattr(viewers, "LiveSession", Rig)
+    monkeypatch.setattr(viewers, "starting_form", lambda project: {})
+    return made
+
+
+async def so(condition):
+    while not condition():
+        await asyncio.sleep(0.001)
+
+
+def watched(room, act, pages=1):
+    """What ``act`` does with pages that look at the room's first rig."""
+
+    async def run():
+        looking = [Page() for _ in range(pages)]
+        joined = [asyncio.create_task(room.join(page)) for page in looking]
+        await so(lambda: all(any("of" in m for m in page.told) for page in looking))
+        await act(*looking)
+        for page in looking:
+            page.leave()
+        await asyncio.gather(*joined, return_exceptions=True)
+        await room.close()
+
+    asyncio.run(run())
+
+
+@pytest.mark.parametrize("other", ["b.json", "a.json"])
+def test_two_pages_that_start_again_within_one_build_see_the_rig_that_is_told(room, other):
+    """Two rigs were driven, or one was driven and the other one knocked."""
+
+    async def act(one, two):
+        one.say(do="restart", controller="a.json")
+        await so(lambda: len(room.built) == 2)
+        two.say(do="restart", controller=other)
+        await so(two.inbox.empty)
+        await turns(20)
+        for _ in range(4):
+            room.may_build.release()
+        newest = 2 + (other != "a.json")
+        await so(lambda: {"rig": {"number": newest}} in two.told)
+        await so(lambda: not room._build or room._build.done())
+        one.told, two.told = [], []
+        one.say(do="knock")
+        await so(lambda: room.built[-1].done)
+        await so(lambda: len(one.told) > 9 and len(two.told) > 9)
+        assert len(room.built) == newest and room.built[-1].controller == other
+        assert {m["of"] for m in one.told + two.told} == {newest}
+
+    watched(room, act, pages=2)
+
+
+def test_a_rig_that_cannot_be_built_by_a_mistake_leaves_the_one_before(room, monkeypatch):
+    async def act(page):
+        monkeypatch.setattr(viewers, "LiveSession", lambda *given: 1 / 0)
+        page.say(do="restart", controller="a.json")
+        await so(lambda: any("ZeroDivisionError" in m.get("failed", "") for m in page.told))
+        page.told = []
+        await so(lambda: {"of": 1} in page.told)
+
+    watched(room, act)
+
+
+def test_a_page_that_leaves_within_a_build_does_not_take_the_rig_along(room):
+    async def act(one, two):
+        one.say(do="restart")
+        await so(lambda: len(room.built) == 2)
+        one.leave()
+        await so(lambda: len(room._viewers) == 1)
+        room.may_build.release()
+        await so(lambda: {"rig": {"number": 2}} in two.told)
+        await so(lambda: {"of": 2} in two.told)
+
+    watched(room, act, pages=2)
+
+
+def test_what_is_forgotten_as_it_is_about_to_be_sent_ends_no_sender():
+    """A rig that began anew between a frame and its sending: the page stood still for ever."""
+    page = Page()
+
+    async def run():
+        viewer = _Viewer(page)
+        sender = asyncio.create_task(viewer.send_frames())
+        await turns(3)
+        viewer.offer({"of": 1}, np.zeros((3, 1)))
+        viewer.forget()
+        await turns(3)
+        viewer.offer({"of": 2}, np.zeros((3, 2)))
+        await turns(3)
+        sender.cancel()
+
+    asyncio.run(run())
+    assert [head["of"] for head in page.told] == [2]
+
+
+def test_a_sender_that_fails_ends_the_socket_so_that_the_page_comes_back(room):
+    async def run():
+        page = Page()
+        page.send_bytes = None  # no function: a mistake
+        with pytest.raises(TypeError):
+            await room.join(page)
+        assert not room._viewers
+        await room.close()
+
+    asyncio.run(run())
+
+
+def test_of_a_slider_the_newest_alone_is_done(room):
+    """Each of hundred values was set, one after the other."""
+
+    async def act(page):
+        while room.may_do.acquire(blocking=False):
+            pass
+        page.say(do="speed", value=-1.0)
+        await so(lambda: room.built[0].done)  # and lasts
+        for value in range(100):
+            page.say(do="speed", value=value)
+            page.say(do="gain", value=value)
+        page.say(do="knock")
+        for value in range(200, 210):
+            page.say(do="speed", value=value)
+        await so(page.inbox.empty)
+        room.may_do.release(1000)
+        await so(lambda: len(room.built[0].done) >= 5)
+        await turns(50)
+        done = [(m["do"], m.get("value")) for m in room.built[0].done]
+        assert done == [
+            ("speed", -1.0),
+            ("speed", 99),
+            ("gain", 99),
+            ("knock", None),
+            ("speed", 209),
+        ]
+
+    watched(room, act)
+
+
+def test_a_page_that_asks_for_too_much_at_once_is_told(room):
+    async def act(page):
+        while room.may_do.acquire(blocking=False):
+            pass
+        for _ in range(200):
+            page.say(do="knock")
+        await so(lambda: any("the rig is busy" in m.get("refused", "") for m in page.told))
+        room.may_do.release(1000)
+        page.told = []
+        await so(lambda: {"of": 1} in page.told)
+        assert len(room.built[0].done) < 100
+
+    watched(room, act)
 
 
 KNOWN = ("machine.toml", "controllers", "pid.json", "records", "mine.h5", "live.h5")

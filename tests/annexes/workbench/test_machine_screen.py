@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-pytest.importorskip("starlette", reason="the extra workbench is not installed")
+pytest.importorskip("starlette", reason="no starlette: install the extra workbench")
 
 from ambrose.annexes.workbench.blocks import Refusal
 from ambrose.annexes.workbench.desk import Desk
@@ -188,7 +188,7 @@ def test_what_is_no_screen_is_refused(project, screen, action):
         answer(project, screen, action, {})
 
 
-def test_the_desk_answers_refuses_and_begins_anew(project):
+def test_the_desk_answers_refuses_and_begins_anew(project, monkeypatch):
     async def run():
         desk = Desk(project)
         with pytest.raises(Refusal, match="there is no screen"):
@@ -196,8 +196,16 @@ def test_the_desk_answers_refuses_and_begins_anew(project):
         first = desk.process.pid
         # it is alive when it is asked, and dies over the question
         os.kill(first, signal.SIGSTOP)
+        sent = asyncio.Event()
+        loop, send = asyncio.get_running_loop(), desk.process._pipe.send
+
+        def told(question):
+            send(question)
+            loop.call_soon_threadsafe(sent.set)
+
+        monkeypatch.setattr(desk.process._pipe, "send", told)
         asked = asyncio.create_task(desk.ask("nothing", "", {}))
-        await asyncio.sleep(0.3)
+        await sent.wait()
         os.kill(first, signal.SIGKILL)
         with pytest.raises(Refusal, match="ended suddenly"):
             await asked

@@ -10,7 +10,7 @@ import pytest
 
 from needs import needs
 
-pytest.importorskip("starlette", reason="the extra workbench is not installed")
+pytest.importorskip("starlette", reason="no starlette: install the extra workbench")
 
 import ambrose as amb
 from ambrose.annexes.workbench.blocks import Refusal

@@ -15,8 +15,8 @@ from click.testing import CliRunner
 
 from ambrose.cli import main
 from ambrose.code.c.code import generate
-from ambrose.code.processor import machines
-from ambrose.code.processor.build import build
+from ambrose.code.processor import link, machines
+from ambrose.code.processor.build import Program, build
 from ambrose.code.processor.link import Link
 from ambrose.code.processor.machines import PROCESSORS
 from ambrose.code.processor.stimulus import stimulus
@@ -294,3 +294,31 @@ def test_the_command_tries_what_it_writes(tmp_path):
     page = (tmp_path / "code" / "small_cortex-m7.md").read_text()
     assert "| self-test on the target | passed |" in page
     assert "with contraction of multiply and add" in page
+
+
+@pytest.mark.parametrize("said", ["", "printf '\\004\\003\\002\\001aaaa'; "])
+def test_an_emulator_that_hangs_is_ended(tmp_path, monkeypatch, said):
+    """Before its first word or after; it was waited for without an end."""
+    monkeypatch.setattr(link, "_PATIENCE", 0.2)
+    monkeypatch.setattr(link, "_LOOK", 0.01)
+    words = ("sh", "-c", f"{said}exec sleep 3600", "{program}")
+    m7 = replace(PROCESSORS[M7], emulator=words, kind="linux")
+    program = Program(tmp_path / "program", None, {})
+    unit = unit_of(small_block(), "float")
+    late = pytest.raises(InvalidInput, match=r"did not answer within 0\.2 s and was ended")
+    if said:
+        with Link(unit, m7, program) as running, late:
+            running.self_test()
+    else:
+        with late:
+            Link(unit, m7, program)
+
+
+def test_a_program_that_does_not_tell_its_version_is_named(tmp_path, monkeypatch):
+    path = tmp_path / "quiet"
+    path.write_text("#!/bin/sh\nexec sleep 3600\n")
+    path.chmod(0o755)
+    monkeypatch.setattr(machines, "_PROBE_TIME", 0.1)
+    for command in (str(path), str(tmp_path / "absent")):
+        with pytest.raises(InvalidInput, match="does not answer"):
+            machines.version_of(command)

@@ -24,7 +24,7 @@ from typing import Any
 from ambrose.annexes.workbench import blocks
 from ambrose.annexes.workbench.project import KINDS as FOLDERS
 from ambrose.annexes.workbench.project import MACHINE, Project
-from ambrose.core.checks import InvalidInput
+from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.machine.atomic_write import make_folder, write_json
 from ambrose.machine.json_text import parse_json
 
@@ -97,7 +97,7 @@ _CHILD = "ambrose.annexes.workbench.child"
 class Job:
     """One job; said: the form that it was started with. state: "waiting", "running", "done",
     "failed", "cancelled" or "stopped" (the server ended first). status: of the command, None while
-    it has none; times in seconds since 1970.
+    it has none; times in seconds since 1970; why: it could not be run, in words.
     """
 
     name: str
@@ -107,6 +107,7 @@ class Job:
     status: int | None = None
     begun: float | None = None
     ended: float | None = None
+    why: str = ""
 
 
 class Jobs:
@@ -118,6 +119,7 @@ class Jobs:
         self._jobs: dict[str, Job] = {}
         self._processes: dict[str, asyncio.subprocess.Process] = {}
         self._tasks: set[asyncio.Task[None]] = set()
+        self._unwritten: dict[str, str] = {}  # states that are on no disk yet, and why
         found = []
         for path in project.root.glob("jobs/*/job.json"):
             with suppress(InvalidInput, OSError, ValueError, TypeError, KeyError, RecursionError):
@@ -155,7 +157,8 @@ class Jobs:
         command = f"ambrose {shlex.join(job.words)}"
         # 1: it was computed, and something that was asked does not hold
         tone = {"done": "bad" if job.status else "good", "failed": "bad", "stopped": "bad"}
-        log = _wrapped(self._log(job.name))
+        why = [text for text in (job.why, self._unwritten.get(job.name)) if text]
+        log = "\n".join([_wrapped(self._log(job.name)), *why]).strip("\n")
         same = {"Command line": command}
         return blocks.form(
             f"job-{job.name}", (), [way], title, tone=tone.get(job.state, ""), log=log, same=same
@@ -176,8 +179,8 @@ class Jobs:
             number += 1  # something of that name, but no job
         kept = {name: said[name] for name in _names(said["kind"]) if name in said}
         job = Job(f"{words[0]}-{number}", words, {"kind": said["kind"], **kept})
-        make_folder(self._project.folder("jobs") / job.name)
-        self._keep(job)
+        self._write(job)
+        self._jobs[job.name] = job
         self._fill()
 
     def _words(self, said: Mapping[str, Any]) -> tuple[str, ...]:
@@ -224,9 +227,10 @@ class Jobs:
         process = self._processes.get(job.name)
         if job.state == "waiting":
             self._keep(replace(job, state="cancelled", ended=time.time()))
-        elif process is not None:
+        elif job.state == "running":
             self._keep(replace(job, state="cancelled"))
-            await self._end(process)
+            if process is not None:  # else it ends as soon as it begins
+                await self._end(process)
 
     async def close(self) -> None:
         """The server ends: nothing runs on."""
@@ -256,7 +260,24 @@ class Jobs:
             task.add_done_callback(self._tasks.discard)
 
     async def _run(self, name: str) -> None:
-        with (self._folder(name) / "log.txt").open("wb") as log:
+        """A job from its start to its end; whatever becomes of it, the next one has its turn."""
+        status, why = None, ""
+        try:
+            status = await self._executed(name)
+        except (AmbroseError, OSError) as error:
+            why = f"the job could not be run: {error}; start it again"
+        job = self._jobs[name]
+        if job.state == "running":
+            job = replace(job, state="done" if status in {0, 1} else "failed")
+        self._keep(replace(job, status=status, ended=time.time(), why=why))
+        if job.state != "stopped":
+            self._fill()
+
+    async def _executed(self, name: str) -> int:
+        """The exit status of a job's command. Raises InvalidInput and OSError where it cannot
+        begin.
+        """
+        with (self._place(name) / "log.txt").open("wb") as log:
             process = await asyncio.create_subprocess_exec(
                 *(sys.executable, "-m", _CHILD, *self._jobs[name].words),
                 cwd=self._project.root,
@@ -272,16 +293,26 @@ class Jobs:
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, signal.SIGKILL)
         del self._processes[name]
-        job = self._jobs[name]
-        if job.state == "running":
-            job = replace(job, state="done" if status in {0, 1} else "failed")
-        self._keep(replace(job, status=status, ended=time.time()))
-        if job.state != "stopped":
-            self._fill()
+        return status
 
     def _keep(self, job: Job) -> None:
+        """A job's new state, onto the disk with those that found no room there before."""
         self._jobs[job.name] = job
-        write_json(self._folder(job.name) / "job.json", asdict(job), "job's state")
+        for name in (*self._unwritten, job.name):
+            try:
+                self._write(self._jobs[name])
+            except InvalidInput as error:
+                self._unwritten[name] = str(error)
+            else:
+                self._unwritten.pop(name, None)
+
+    def _write(self, job: Job) -> None:
+        """Raises InvalidInput."""
+        write_json(self._place(job.name) / "job.json", asdict(job), "job's state")
+
+    def _place(self, name: str) -> Path:
+        """A job's folder, made anew where it disappeared. Raises InvalidInput."""
+        return make_folder(self._project.inside(self._project.folder("jobs") / name))
 
     def _folder(self, name: str) -> Path:
         return self._project.root / "jobs" / name
@@ -325,7 +356,8 @@ def _read(path: Path) -> Job:
     known = job.name == path.parent.name and _NAME.fullmatch(job.name) and job.state in _STATES
     if not known or not job.words or not all(isinstance(word, str) for word in job.words):
         raise InvalidInput(f"{path.name} is no job's state")
-    if not isinstance(job.said, dict) or not all(isinstance(n, int | float) for n in numbers):
+    known = isinstance(job.said, dict) and isinstance(job.why, str)
+    if not known or not all(isinstance(n, int | float) for n in numbers):
         raise InvalidInput(f"{path.name} is no job's state")
     return job
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 import struct
-import time
 from collections.abc import Callable, Mapping
 from datetime import datetime
 from typing import TYPE_CHECKING, Any
@@ -20,6 +19,7 @@ import numpy as np
 
 from ambrose.annexes.workbench import blocks
 from ambrose.annexes.workbench.blocks import Block
+from ambrose.annexes.workbench.clock import Clock
 from ambrose.annexes.workbench.given import number, word
 from ambrose.annexes.workbench.project import Project, slug
 from ambrose.core.checks import InvalidInput
@@ -46,10 +46,17 @@ class LiveSession:
     """The live rig of a project's machine under one of its controllers.
 
     controller: a name of the project ("": its first one, or a PID made now and kept); initial:
-    "levitated" or "resting". Raises InvalidInput and NumericalFailure. Not for several threads.
+    "levitated" or "resting"; clock: by which it is advanced (None: this computer's). Raises
+    InvalidInput and NumericalFailure. Not for several threads.
     """
 
-    def __init__(self, project: Project, controller: str = "", initial: str = "levitated") -> None:
+    def __init__(
+        self,
+        project: Project,
+        controller: str = "",
+        initial: str = "levitated",
+        clock: Clock | None = None,
+    ) -> None:
         from ambrose.chain.first_controller import why_lost
         from ambrose.judge.controller_file import read_controller
         from ambrose.machine.file.toml import load_machine
@@ -69,7 +76,8 @@ class LiveSession:
         self.ranges = ranges_of(self.rig, self.machine)
         self.pace = "real"
         self.realtime = 1.0
-        self._clock: float | None = None
+        self._clock = clock or Clock()
+        self._last: float | None = None  # of the clock, when the frame before began
         self._owed = 0.0  # samples, the part of one that is left
         self._able = 1000  # samples that are computed in that time
         self._unbalance = ("", 0.0)
@@ -163,12 +171,12 @@ class LiveSession:
 
     def frame(self) -> tuple[dict[str, Any], np.ndarray]:
         """The rig advanced by what went by since the last frame: head and samples of a message."""
-        now, begun = time.perf_counter(), time.thread_time()
-        gone = 0.0 if self._clock is None else now - self._clock
-        self._clock = now
+        now, begun = self._clock.now(), self._clock.used()
+        gone = 0.0 if self._last is None else now - self._last
+        self._last = now
         count = self._due(gone)
         told = self.rig.advance(count)
-        spent = time.thread_time() - begun
+        spent = self._clock.used() - begun
         if count:
             able = count * _BUSY / max(spent, 1e-6)
             self._able = int(min(max(able, 50), 2 * self._able, 100_000))
@@ -178,6 +186,7 @@ class LiveSession:
             self.realtime += share * (count * self.rig.dt / gone - self.realtime)
         head = {
             "time": self.rig.time,
+            "clock": round(now, 4),
             "speed": told.speed,
             "contact": told.contact,
             "ended": told.ended,
@@ -254,7 +263,7 @@ class LiveSession:
 
     def pause(self) -> None:
         """Nobody looks: the time that passes until the next frame does not count."""
-        self._clock = None
+        self._last = None
         self.stop()
 
     def do(self, message: Any) -> None:
@@ -363,10 +372,10 @@ class LiveSession:
         self.pace = pace
 
 
-_TURNED = ["speed", "pressure", "unbalance", "gain", "strength", "near"]
+TURNED = ["speed", "pressure", "unbalance", "gain", "strength", "near"]
 _DONE = ["knock", "switch", "drop", "lift", "fail", "excite", "record", "stop"]
 ACTIONS: dict[str, Callable[[LiveSession, Mapping[str, Any]], None]] = {
-    **{name: getattr(LiveSession, name) for name in (*_TURNED, *_DONE)},
+    **{name: getattr(LiveSession, name) for name in (*TURNED, *_DONE)},
     "pace": LiveSession.change_pace,
 }
 

@@ -26,6 +26,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from ambrose.annexes.workbench import blocks, uploads
 from ambrose.annexes.workbench.blocks import Refusal
+from ambrose.annexes.workbench.clock import Clock
 from ambrose.annexes.workbench.desk import Desk
 from ambrose.annexes.workbench.guard import BODY, PAGE_POLICY, App, Guard
 from ambrose.annexes.workbench.jobs import Jobs
@@ -34,6 +35,7 @@ from ambrose.annexes.workbench.screens import TITLES
 from ambrose.annexes.workbench.viewers import THREAD, LiveRoom
 from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.core.listening import names_of
+from ambrose.machine.claim import claimed
 
 if TYPE_CHECKING:
     import h11
@@ -47,9 +49,13 @@ _TYPES = {
 ALL_JOBS = blocks.content(
     [blocks.words("lead", "What was started on the other screens, the newest first.")], jobs=["*"]
 )
+_SERVED = (
+    "another workbench serves this folder; open the address that it printed last, or end it first"
+)
 _MESSAGE = 65_536  # bytes of a socket's message
 _LINES, _LINE = 100, 8000  # headers of a socket's handshake, bytes of each
 _CONTROL = re.compile(rb"[\x00-\x08\x0a-\x1f\x7f]").search
+_STRANGERS = 100  # connections that have asked for nothing yet
 _ENDS = (signal.SIGINT, signal.SIGTERM)
 _PATIENCE = 2  # [s] for open requests when the server ends
 
@@ -59,13 +65,15 @@ def build(
     hosts: list[str],
     announce: Callable[[str], None],
     desk: Desk | None = None,
+    clock: Clock | None = None,
 ) -> App:
     """The whole server as an ASGI application behind its guard.
 
     hosts: "address:port" that it answers to; announce(token): told the first token and every next;
-    desk: where screens are computed (None: a process beside it).
+    desk: where screens are computed (None: a process beside it); clock: of the live rig (None: this
+    computer's).
     """
-    live = LiveRoom(project)
+    live = LiveRoom(project, clock)
     jobs = Jobs(project)
     desk = desk or Desk(project)
 
@@ -224,11 +232,21 @@ def _state(project: Project) -> dict[str, Any]:
 def serve(project: Project, listener: socket.socket, announce: Callable[[str], None]) -> None:
     """Serve a project until the process is asked to end (SIGINT, SIGTERM).
 
-    announce(address): told the address to open, and every next one.
+    announce(address): told the address to open, and every next one. Raises InvalidInput where
+    another server has the project.
     """
     hosts = names_of(listener)
-    app = build(project, hosts, lambda token: announce(f"http://{hosts[0]}/?token={token}"))
-    config = uvicorn.Config(
+    # its jobs are this server's alone: another one would take them for stopped
+    with claimed(project.root / "jobs", "jobs", _SERVED):
+        app = build(project, hosts, lambda token: announce(f"http://{hosts[0]}/?token={token}"))
+        asyncio.run(_Server(settings(app)).serve([listener]))
+    if any(thread.name.startswith(THREAD) for thread in threading.enumerate()):
+        os._exit(0)  # a rig that is compiled cannot be told to stop, and nothing is lost with it
+
+
+def settings(app: App) -> uvicorn.Config:
+    """How uvicorn serves the application."""
+    return uvicorn.Config(
         app,
         http=_Http,
         log_level="warning",
@@ -241,14 +259,35 @@ def serve(project: Project, listener: socket.socket, announce: Callable[[str], N
         ws_ping_timeout=30.0,  # a rig that is compiled leaves little time for answers
         timeout_graceful_shutdown=_PATIENCE,
         lifespan="on",
+        backlog=_STRANGERS,
     )
-    asyncio.run(_Server(config).serve([listener]))
-    if any(thread.name.startswith(THREAD) for thread in threading.enumerate()):
-        os._exit(0)  # a rig that is compiled cannot be told to stop, and nothing is lost with it
 
 
 class _Http(H11Protocol):
-    """uvicorn's, which also answers a handshake that the reader of sockets leaves unanswered."""
+    """uvicorn's, which also answers a handshake that the reader of sockets leaves unanswered, and
+    has room for a new connection whoever holds others open without a word.
+    """
+
+    @property
+    def _silent(self) -> dict[_Http, asyncio.Transport]:
+        """The connections that have not asked for anything yet, the oldest first."""
+        found: dict[_Http, asyncio.Transport] = self.app_state.setdefault("silent", {})
+        return found
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        self._silent[self] = transport
+        if len(self._silent) > _STRANGERS:
+            self._silent.pop(next(iter(self._silent))).close()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._silent.pop(self, None)
+        super().connection_lost(exc)
+
+    def handle_events(self) -> None:
+        super().handle_events()
+        if self.headers is not None:  # a request: who has no token is answered and goes
+            self._silent.pop(self, None)
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
         lines = [event.target, *(value for _, value in event.headers)]

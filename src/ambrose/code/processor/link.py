@@ -4,9 +4,12 @@ currents to.
 
 from __future__ import annotations
 
+import math
 import re
 import subprocess
 import tempfile
+import threading
+import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -19,6 +22,8 @@ from ambrose.code.processor.machines import COUNT_SHIFT, Processor
 from ambrose.code.processor.unit import Unit
 from ambrose.core.checks import InvalidInput
 
+_PATIENCE = 60.0  # [s] for one answer, which takes a tenth of a second
+_LOOK = 1.0  # [s] between two looks at it
 _AT_ONCE = 64  # samples on the way: less than a pipe holds
 _LEAVE, _INIT, _SELF_TEST, _STEPS, _STATES, _IDENTITY, _STEPS_ALONE = range(7)
 _HELLO = (
@@ -62,6 +67,9 @@ class Link:
             bufsize=0,
         )
         self._program = program
+        self._due, self._late = math.inf, False
+        self._over = threading.Event()
+        threading.Thread(target=self._watch, daemon=True).start()
         try:
             if self._asked() != _HELLO:
                 raise InvalidInput(
@@ -85,6 +93,7 @@ class Link:
 
     def close(self) -> None:
         """End the program."""
+        self._over.set()
         process = self._process
         if process.poll() is None:
             try:
@@ -158,26 +167,43 @@ class Link:
 
     def _write(self, content: bytes) -> None:
         stream: Any = self._process.stdin
+        self._due = time.monotonic() + _PATIENCE
         try:
             while content:
                 content = content[stream.write(content) :]
+            self._due = math.inf
         except OSError as error:
             raise InvalidInput(self._ended()) from error
 
     def _read(self, count: int) -> bytes:
         stream: Any = self._process.stdout
         content = b""
+        self._due = time.monotonic() + _PATIENCE
         while len(content) < count:
             part = stream.read(count - len(content))
             if not part:
                 raise InvalidInput(self._ended())
             content += part
+        self._due = math.inf
         return content
 
+    def _watch(self) -> None:
+        """Ends a program that owes an answer for too long: who waits for it reads its end."""
+        while not self._over.wait(_LOOK):
+            if time.monotonic() > self._due:
+                self._late = True
+                self._process.kill()
+                return
+
     def _ended(self) -> str:
+        runs = self.processor.emulator[0] if self.processor.emulator else "this computer"
+        if self._late:
+            return (
+                f"the program on {self.processor.name} did not answer within {_PATIENCE:g} s and "
+                f"was ended; see that {runs} runs here"
+            )
         self._errors.seek(0)
         said = self._errors.read().decode("utf-8", "replace").strip()[-300:]
-        runs = self.processor.emulator[0] if self.processor.emulator else "this computer"
         return (
             f"the program on {self.processor.name} ended too soon ({said or 'without a word'}); "
             f"see that {runs} runs here"

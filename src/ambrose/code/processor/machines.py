@@ -89,10 +89,15 @@ def mantissa(compiler: str, flags: tuple[str, ...], kind: str) -> int:
 
 
 def version_of(command: str) -> str:
-    """The first line that a program says of its version."""
-    told = subprocess.run(
-        [command, "--version"], capture_output=True, text=True, timeout=_PROBE_TIME, check=False
-    )
+    """The first line that a program says of its version. Raises InvalidInput for one that does not
+    answer.
+    """
+    try:
+        told = subprocess.run(
+            [command, "--version"], capture_output=True, text=True, timeout=_PROBE_TIME, check=False
+        )
+    except (OSError, subprocess.SubprocessError) as error:
+        raise InvalidInput(f"{command} does not answer ({error}); install it anew") from error
     return (told.stdout.splitlines() or [command])[0].strip()
 
 

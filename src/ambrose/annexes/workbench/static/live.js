@@ -25,7 +25,7 @@ export function live(place) {
 
 function build(place, rig, act) {
   const orbits = rig.stations.map((station, s) => orbit(rig, station, s, act));
-  const currents = canvas("Control currents in the coils of every axis against their limits", 34 * rig.axes.length);
+  const currents = canvas("Control currents in the coils, against their limits", 34 * rig.axes.length);
   const [watch, facts] = [scope(rig), make("p", { className: "facts" })];
   const forms = rig.controls.map((block) => form(block, act));
   const panel = make("aside", { className: "panel" },
@@ -36,15 +36,15 @@ function build(place, rig, act) {
       make("p", { className: "muted" },
         "Click an orbit to knock the rotor there, in that direction; with the keyboard, arrow keys.")),
     titled("Control currents", currents), watch.panel), panel));
-  let [drawn, since, rate, told] = [0, performance.now(), 0, 0];
+  let [drawn, since, rate, told] = [0, -1, 0, -1]; // by the clock of the rig, which comes with a frame
   const trail = []; // samples of the frames before, the newest at the end
   return { show: (head, samples) => {
     drawn += 1;
-    const now = performance.now();
-    if (now - since > 1000) [rate, drawn, since] = [(1000 * drawn) / (now - since), 0, now];
+    const now = head.clock;
+    if (now - since > 1) [rate, drawn, since] = [drawn / (now - since), 0, now];
     if (samples.length || !trail.length) trail.push(samples);
     if (trail.length > 6) trail.shift();
-    const fresh = now - told > 200; // words change five times a second
+    const fresh = told < 0 || now - told > 0.199; // words change five times a second
     orbits.forEach((o) => o.show(head, trail, fresh));
     if (samples.length && !currents.away) bars(currents, rig, samples);
     watch.add(head, samples);
@@ -62,9 +62,9 @@ function orbit(rig, station, s, act) {
   const [element, caption] = [canvas(`Orbit at ${station}; click to knock`), make("figcaption", {})];
   element.tabIndex = 0;
   const [gap, columns] = [rig.gaps[s], rig.columns.length];
-  let [arrow, strength, reach] = [null, 0, rig.scale];
+  let [arrow, strength, reach, clock] = [null, 0, rig.scale, 0];
   const knock = (x, y) => {
-    arrow = { x, y, until: performance.now() + 250 };
+    arrow = { x, y, until: clock + 0.25 };
     act("knock", { station, x: x * strength, y: y * strength });
   };
   element.addEventListener("pointerdown", (event) => {
@@ -82,7 +82,7 @@ function orbit(rig, station, s, act) {
       most = Math.max(most, Math.hypot(newest[k], newest[k + 1]));
     const full = 1.15 * (gap || Math.max(rig.scale, most));
     reach = head.set.near ? Math.min(full, Math.max(rounded(1.2 * most), reach * 0.98, full / 200)) : full;
-    strength = head.set.strength;
+    [strength, clock] = [head.set.strength, head.clock];
     const { g, width } = begin(element);
     const [half, unit] = [width / 2, (width / 2 - 4) / reach];
     path(g, 2, (i) => [0, width][i], () => half, ink.faint);
@@ -108,7 +108,7 @@ function orbit(rig, station, s, act) {
     g.globalAlpha = 1;
     const end = newest.length - columns + 2 * s; // where it is now, also when it stands still
     if (end >= 0) circle(g, half + unit * newest[end], half - unit * newest[end + 1], 2, ink.line);
-    if (arrow && performance.now() < arrow.until) {
+    if (arrow && head.clock < arrow.until) {
       g.lineWidth = 3;
       path(g, 2, (i) => half + i * arrow.x * half, (i) => half - i * arrow.y * half, ink.line2);
     }
@@ -134,7 +134,7 @@ function bars(element, rig, samples) {
     g.fillStyle = full ? ink.limit : ink.line;
     g.fillRect(X(low), y, Math.max(X(high) - X(low), 2), 10);
     path(g, 2, () => X(0), (i) => y - 2 + 14 * i, ink.muted);
-    const limit = rig.limits[a] ? `of ±${short(most, "A")}${full ? ", command at the limit" : ""}` : "no limit";
+    const limit = rig.limits[a] ? `of ±${short(most, "A")}${full ? ", told the limit" : ""}` : "no limit";
     write(g, `${axis}: ${low.toFixed(2)} to ${high.toFixed(2)} A ${limit}`, 12, y - 5, "left", ink.ink);
   });
 }

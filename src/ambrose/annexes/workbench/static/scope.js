@@ -25,7 +25,7 @@ export function scope(rig) {
   const fall = canvas("Spectra one below the other, the newest on top", 150);
   const none = new Float32Array(0);
   const chosen = form(rig.scope, () => { kept = none; });
-  let [shown, kept, expected, last, seen] = [{}, none, 0, 0, 0];
+  let [shown, kept, expected, last, seen] = [{}, none, 0, -1, -1];
   const top = Math.min(LINES / 2, Math.max(100, Math.round((LINES * rig.dt * 3 * rig.speed) / 6)));
   const panel = titled(rig.scope.title, chosen, time, lines, fall);
 
@@ -43,8 +43,8 @@ export function scope(rig) {
   }
 
   function draw(head) {
-    if (!kept.length || performance.now() - last < 90 || (time.away && lines.away && fall.away)) return;
-    last = performance.now();
+    if (!kept.length || head.clock - last < 0.09 || (time.away && lines.away && fall.away)) return;
+    last = head.clock;
     const unit = /^[ui] /.test(shown.signal) ? "A" : "m";
     const width = Math.min(Math.round(Number(shown.span) / rig.dt), kept.length);
     let start = kept.length - width;
@@ -57,7 +57,7 @@ export function scope(rig) {
     const [middle, half] = [(low + high) / 2, rounded(Math.max((high - low) / 2, 1e-8))];
     curve(time, y, rig.dt, { x: [0, Number(shown.span)],
       y: [middle - half, middle + half], names: ["time [s]", `[${unit}]`] });
-    if (kept.length < LINES || last - seen < 240) return;
+    if (kept.length < LINES || last - seen < 0.24) return;
     seen = last;
     const amplitudes = spectrum(kept.subarray(-LINES), top);
     const [step, peak] = [1 / (LINES * rig.dt), rounded(Math.max(...amplitudes, 1e-8))];
