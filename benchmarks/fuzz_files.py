@@ -379,7 +379,7 @@ def judge(kind: str, path: Path, folder: Path, *, apart: bool = False) -> str:
     )
     untried = mock.patch.object(process, "try_record", lambda path: None)
     with nullcontext() if apart else here, nullcontext() if apart else untried:
-        result = CliRunner().invoke(main, arguments)
+        result = CliRunner(env={"AMBROSE_TRACEBACK": "1"}).invoke(main, arguments)
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         return f"traceback: {result.exception!r:.150}"
     if result.exit_code == 2:

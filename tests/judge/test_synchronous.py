@@ -289,7 +289,7 @@ def test_a_design_is_proved_and_leaves_the_forbidden_band_out(designed, flywheel
     # what it costs in S beside the speed: before, after, and the largest is what is judged
     _, on = curves["sensitivity"].y
     assert on.max() == checks["synchronous.sensitivity"].value
-    assert len(on) > 60  # every speed that was looked at
+    assert len(on) > 40  # every speed that was looked at
     assert curves["sensitivity"].limits == (("limit", checks["synchronous.sensitivity"].limit),)
 
 
@@ -330,7 +330,7 @@ def test_the_plain_notch_is_refused_with_where_it_is_unstable_and_what_would_be_
 
 
 def test_a_gain_beyond_the_exact_poles_is_refused(flywheel, designed):
-    with pytest.raises(InvalidInput, match="exact poles become unstable"):
+    with pytest.raises(InvalidInput, match="too near to instability with the block"):
         design_synchronous(*flywheel, band=(600.0, 640.0), time_constant=1e-3)
     hot = replace(designed.blocks[1], time_constant=1e-3)
     checks = check_block(block_loops(*flywheel, (hot,))[0])
