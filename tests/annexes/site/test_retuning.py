@@ -301,7 +301,10 @@ def designed(monkeypatch, folder, made):
     def design(plant, method, path, progress):
         asked.append(method.order)
         more = with_states(law().controller, 4 if method.order is None else 0, ((0, 1, 2, 3),))
-        found = replace(law(), controller=more, gamma=made[method.order])
+        gamma = made[method.order]
+        margins = law().certificate.margins | {"ratio_sensitivity": gamma}
+        shown = replace(law().certificate, margins=margins)
+        found = replace(law(), controller=more, gamma=gamma, certificate=shown)
         return amb.read_controller(write_controller(path, found))
 
     def identified(made, *given, **options):
@@ -348,7 +351,7 @@ def test_more_states_where_as_many_as_before_miss_a_limit(tmp_path, monkeypatch)
 def test_a_design_that_misses_a_limit_says_so_and_is_not_proved(tmp_path, monkeypatch):
     steps, _, _, judged = designed(monkeypatch, tmp_path, {8: 1.54, None: 1.2})
     assert steps["designed"].passed is None and steps["proved"].passed is False
-    assert "not every requirement is met" in steps["designed"].words
+    assert "ended at 1.2 of its aims; the limits are judged next" in steps["designed"].words
     assert not re.search(r"\bverified\b", steps["designed"].words)
     assert judged == [False]  # nothing between the points where these miss already
 
