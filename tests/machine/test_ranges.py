@@ -1,4 +1,4 @@
-"""One table of what the numbers of a machine file may be (machine/file/ranges.toml): complete against
+"""One table of what the numbers of a machine file may be (machine/validation/ranges.toml): complete against
 the models of the tables, and every number outside of it is doubted or refused.
 """
 
@@ -9,7 +9,7 @@ import pytest
 
 from ambrose.chain.check_entries import entry_doubts
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.file.ranges import implausible, impossible, numbers_of, ranges
+from ambrose.machine.validation.ranges import implausible, impossible, numbers_of, ranges
 from ambrose.machine.file.tables import machine_file, table_below
 from ambrose.machine.file.toml import bundled_machines, load_machine, loads_machine
 from ambrose.machine.units import DIMENSIONS, read_quantity

@@ -12,7 +12,7 @@ from ambrose.judge.static_stiffness import below_stiffness, stiffness_margin
 from ambrose.judge.unavoidable import beyond_reach, unavoidable_sensitivity
 from ambrose.machine.axial import AxialMachine, in_file
 from ambrose.machine.criteria import demand
-from ambrose.machine.file.ranges import implausible
+from ambrose.machine.validation.ranges import implausible
 from ambrose.machine.machine import Machine
 from ambrose.machine.thrust import ThrustBearing
 from ambrose.model.assemble import assemble

@@ -14,7 +14,7 @@ from functools import partial
 from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.machine.attachment import attached
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.file.ranges import implausible
+from ambrose.machine.validation.ranges import implausible
 from ambrose.machine.machine import Machine
 from ambrose.machine.seals import Seal
 from ambrose.machine.validation.fits import least_radius

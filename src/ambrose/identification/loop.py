@@ -122,6 +122,7 @@ def identify_loop(
     )
 
     def identify_alone(record: Record, begin: Mapping[str, float]) -> ParameterEstimate:
+        assert options is not None  # set above; with the bending modes that were chosen since
         if method == "youla":
             return youla.identify(
                 machine, record, controller, unknown, start=begin, **asdict(options)

@@ -149,13 +149,14 @@ def chain_lags(machine: Machine, result: ParameterEstimate) -> list[tuple[int, f
     Of bandwidth/(s + bandwidth) it is 1/bandwidth, of w^2/(s^2 + d s + w^2) at low frequency d/w^2.
     """
     damping = machine.amplifier.damping or 0.0
-    found = []
+    lags: list[tuple[int, float, float]] = []
     for k, path in enumerate(result.paths):
         value, start = float(result.values[k]), float(result.start[k])
         if path.startswith("amplifier.") and not path.endswith("damping") and min(value, start) > 0:
             second = path.endswith("natural_frequency")
-            found.append((k, *(damping / w**2 if second else 1 / w for w in (value, start))))
-    return found
+            lag, stated = (damping / w**2 if second else 1 / w for w in (value, start))
+            lags.append((k, lag, stated))
+    return lags
 
 
 def _chain_lag(

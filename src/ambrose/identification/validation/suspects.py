@@ -278,11 +278,11 @@ def _other_samplings(
         law = match_controller(controller, plant_at(machine, records[0].point, {}))
     except AmbroseError:
         return []
-    found = []
+    sampled: list[tuple[str, StateSpace]] = []
     for method in _SAMPLINGS if law.dt is None else ():
         with suppress(AmbroseError):
-            found.append((method, c2d(law, records[0].dt, method)))
-    return found
+            sampled.append((method, c2d(law, records[0].dt, method)))
+    return sampled
 
 
 def is_checked(machine: Machine, record: Record) -> bool:

@@ -18,7 +18,7 @@ import numpy as np
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.attachment import attached, attachments, by_table
 from ambrose.machine.description import BEAM_THEORIES, BEARING_TERMS, MachineDescription
-from ambrose.machine.file.ranges import impossible
+from ambrose.machine.validation.ranges import impossible
 from ambrose.machine.limits import SEAL_POLES, excess
 from ambrose.machine.messages import complaint, listed, number, shown, suggestion
 from ambrose.machine.parameters import Parameter, find_uncertain

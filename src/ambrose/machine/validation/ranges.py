@@ -71,7 +71,7 @@ class Entry:
 @lru_cache
 def ranges() -> tuple[Mapping[str, Any], Mapping[str, Any], Mapping[str, Any]]:
     """The rows of the file, as written: (usual, physics) by path, most by dimension."""
-    text = files("ambrose.machine.file").joinpath("ranges.toml").read_text(encoding="utf-8")
+    text = files("ambrose.machine.validation").joinpath("ranges.toml").read_text(encoding="utf-8")
     document = tomllib.loads(text)
     return dict(_rows(document["usual"])), dict(_rows(document["physics"])), document["most"]
 
