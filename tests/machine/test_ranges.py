@@ -9,10 +9,10 @@ import pytest
 
 from ambrose.chain.check_entries import entry_doubts
 from ambrose.core.checks import InvalidInput
-from ambrose.machine.validation.ranges import implausible, impossible, numbers_of, ranges
 from ambrose.machine.file.tables import machine_file, table_below
 from ambrose.machine.file.toml import bundled_machines, load_machine, loads_machine
 from ambrose.machine.units import DIMENSIONS, read_quantity
+from ambrose.machine.validation.ranges import implausible, impossible, numbers_of, ranges
 
 SMALL = Path(__file__).with_name("small.toml").read_text()
 

@@ -12,9 +12,9 @@ from ambrose.judge.static_stiffness import below_stiffness, stiffness_margin
 from ambrose.judge.unavoidable import beyond_reach, unavoidable_sensitivity
 from ambrose.machine.axial import AxialMachine, in_file
 from ambrose.machine.criteria import demand
-from ambrose.machine.validation.ranges import implausible
 from ambrose.machine.machine import Machine
 from ambrose.machine.thrust import ThrustBearing
+from ambrose.machine.validation.ranges import implausible
 from ambrose.model.assemble import assemble
 from ambrose.model.axial.half_order import CORNER
 from ambrose.model.axial.magnet import at_point, core_lags, sides, tilt_stiffness

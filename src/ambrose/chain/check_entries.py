@@ -14,10 +14,10 @@ from functools import partial
 from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.machine.attachment import attached
 from ambrose.machine.description import OperatingPoint
-from ambrose.machine.validation.ranges import implausible
 from ambrose.machine.machine import Machine
 from ambrose.machine.seals import Seal
 from ambrose.machine.validation.fits import least_radius
+from ambrose.machine.validation.ranges import implausible
 from ambrose.model.assemble import constant_coefficients, named_point, seal_coefficients
 from ambrose.model.effect import Effect
 from ambrose.model.effects.gas_seal import celsius_for_kelvin

@@ -18,7 +18,6 @@ import numpy as np
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.attachment import attached, attachments, by_table
 from ambrose.machine.description import BEAM_THEORIES, BEARING_TERMS, MachineDescription
-from ambrose.machine.validation.ranges import impossible
 from ambrose.machine.limits import SEAL_POLES, excess
 from ambrose.machine.messages import complaint, listed, number, shown, suggestion
 from ambrose.machine.parameters import Parameter, find_uncertain
@@ -26,6 +25,7 @@ from ambrose.machine.validation import parts, thrust
 from ambrose.machine.validation import seals as validate_seals
 from ambrose.machine.validation.controller import chain, controller
 from ambrose.machine.validation.fits import fits
+from ambrose.machine.validation.ranges import impossible
 from ambrose.machine.validation.signs import not_positive
 from ambrose.machine.validation.synchronous import synchronous
 from ambrose.machine.validation.touchdown import coast_down
