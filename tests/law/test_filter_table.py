@@ -127,7 +127,7 @@ WRONG = {
     "400 digits": (
         "k.json",
         '{"channels": {"A": {"sos": [[1' + "0" * 400 + ", 0, 0, 1, 0, 0]]}}}",
-        "no finite number",
+        "must be finite",
     ),
     "overflow": ("k.csv", "channel,zeros,poles,gain\nA,,1e300 1e300,1e300\n", "finite"),
     "no name": ("k.csv", "channel,zeros,poles,gain\n,,-5,1\n", "a channel has no name"),
@@ -160,7 +160,7 @@ WRONG = {
     "infinite": (
         "k.json",
         '{"channels": {"A": {"sos": [[1e999, 0, 0, 1, 0, 0]]}}}',
-        "inf is no finite number",
+        "a number is '1e999', but must be finite",
     ),
     "too many": (
         "k.json",

@@ -317,6 +317,7 @@ def test_every_value_of_the_small_machine():
             2.0,
             30 * deg,
             0.1,
+            0.002,
             4.0,
             9e4,
             1500 * hz,

@@ -274,7 +274,7 @@ class LoopIdentification(Identification):
             )
         remarks = remarks if self.magnets is None else (self.magnets.words, *remarks)
         remarks = (self.provenance.part, *remarks) if self.provenance.part else remarks
-        remarks = (*self.notes, *remarks)
+        remarks = (*remarks, *self.notes)
         return remarks if self.seal is None or not self.seal.note else (*remarks, self.seal.note)
 
     @property

@@ -39,7 +39,7 @@ def parse_json(text: str | bytes, again: str, largest: float = LARGEST_NUMBER) -
         value = float(digits)
         if not abs(value) <= largest:
             most = f"finite, at most {largest:g} in size"
-            raise invalid("a number", digits, most, again)
+            raise invalid("a number", quoted(digits), most, again)
         return value
 
     def whole(digits: str) -> int:

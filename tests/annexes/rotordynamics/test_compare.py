@@ -276,7 +276,7 @@ def test_an_analysis_with_a_spoiled_value_is_refused(analysis, tmp_path, case, f
 
 
 def test_a_negative_amplitude_of_a_table_is_refused():
-    with pytest.raises(InvalidInput, match="row 2: amplitude is negative"):
+    with pytest.raises(InvalidInput, match="line 2: amplitude is negative"):
         read_table("kind;speed [rpm];amplitude [um p-p]\ncritical;4000;-1\n", "t.csv")
 
 

@@ -132,7 +132,8 @@ def _entries(part: Part, path: str, above: str, seen: set[int]) -> Iterator[Entr
     """
     where = above if above.rpartition("[[")[2].startswith(f"{path}]]") else _joined(above, path)
     if isinstance(part, SealTable):
-        for key, values in (*part.axes, *part.values):
+        known = [item for item in (*part.axes, *part.values) if item[0] in _SEAL_TABLE]
+        for key, values in known:  # one that is unknown is named by the table itself
             yield Entry(where, f"{path}.{key}", _SEAL_TABLE[key], _flat(values))
         return
     yield from _own(part, path, where)

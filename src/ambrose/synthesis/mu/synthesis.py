@@ -56,7 +56,9 @@ _STRIDES = (4.0, 16.0, 64.0)  # how much further than the D-step says D may be m
 _FACTOR = 2.0  # of one step in the search for the first D's level
 _FURTHEST = 40  # steps
 _TIGHTEST = 1.5e-3  # back-off less 1, below which it is not made smaller
-_RUN_AWAY = 4.0  # times the fastest pole of the controller before
+_RUN_AWAY = (
+    2.0  # times the fastest pole of the controller before: the seal rig's still runs at 10 kHz
+)
 _PROOF = (1.01, 1.03, 1.1)  # levels, in mixed peaks, at which an interval proof is tried
 
 
@@ -408,7 +410,7 @@ def _tightened(job: _Job, iterates: list[_Iterate]) -> None:
     """Once D has settled, the back-off is what keeps gamma up: K-steps with a quarter of it, and a
     quarter of that, go on from the best iterate as long as gamma falls.
 
-    Added to ``iterates`` where gamma falls and no pole is four times as fast as before the first of
+    Added to ``iterates`` where gamma falls and no pole is twice as fast as before the first of
     them: nearer to the optimum the controller's poles run away.
     """
     if len(iterates) < 2:
