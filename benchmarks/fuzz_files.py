@@ -6,7 +6,10 @@ message, or read.
 A kind's files are read in a worker, so that a crash, a hang and memory without end are seen as
 such; the worker goes on behind them. Counted as a breach of the contract: a traceback, an exit
 status other than 0 and 2 (1 of verify and check), the end of the process by a signal, more than 30
-s. What kills the reader of a MATLAB, LabVIEW or HDF5 file in the worker is tried again the way the
+s. "lateral" (lateral.json), "their table" (of compare) and "rows" (rows.jsonl of a campaign) are
+made where they are asked for; "absurd" sets one number of every table of a machine file to what no
+machine has: one that neither check nor the reader says a word about is counted as silent. What
+kills the reader of a MATLAB, LabVIEW or HDF5 file in the worker is tried again the way the
 command does it, in a process of its own.
 """
 
@@ -26,7 +29,17 @@ from unittest import mock
 
 SECONDS = 30
 EVERY_TABLE = Path("tests", "machine", "small.toml")
-TEXTS = {"machine", "every table", "controller", "csv", "plan", "scenario", "log"}
+# made by runs of their own, where they are asked for
+MADE = ("lateral", "their table", "rows")
+TEXTS = {"machine", "every table", "controller", "csv", "plan", "scenario", "log", *MADE}
+NOTHING_HAS = ("1e300", "-1e300", "1e-300", "-1e-300", "1e70", "-1e70")
+THEIRS = """kind;speed [rpm];amplitude [um p-p];amplification [-];log_decrement [-];whirl;label
+critical;5230;34.1;6.2;;;first
+mode;5411;;;0.34;forward;
+mode;2000;;;1.2;backward;rigid
+response;4000;12.5;;;;
+response;5000;10;;;;
+"""
 MACHINE = """[machine]
 schema = 1
 name = "tiny"
@@ -360,6 +373,9 @@ def judge(kind: str, path: Path, folder: Path, *, apart: bool = False) -> str:
         "every table": ["check", str(path)],
         "controller": ["verify", tiny, "--controller", str(path)],
         "plan": ["campaign", str(path), "--workers", "1", "--most", "2", *out_folder(folder)],
+        "lateral": ["compare", str(path), str(folder / "lateral.0.original.json")],
+        "their table": ["compare", str(folder / "lateral.0.original.json"), str(path)],
+        "rows": ["campaign", str(folder / "rows.toml"), *rows_taken(kind, path, folder)],
         "scenario": ["simulate", tiny, *running, "--scenario", str(path), "--linear", *out],
         "log": random.Random(path.read_bytes()).choice(
             [
@@ -400,10 +416,87 @@ def out_folder(folder: Path) -> list[str]:
     return ["-o", tempfile.mkdtemp(dir=folder), "--pages", "0"]
 
 
+def rows_taken(kind: str, path: Path, folder: Path) -> list[str]:
+    """A folder of its own that holds the damaged rows, for the campaign to take up."""
+    if kind != "rows":
+        return []
+    out = out_folder(folder)
+    (Path(out[1]) / "rows.jsonl").write_bytes(path.read_bytes())
+    return [*out, "--workers", "1", "--most", "2"]
+
+
+def made(kind: str, folder: Path) -> None:
+    """The sound files of a kind that a run makes."""
+    from click.testing import CliRunner
+
+    from ambrose.cli import main
+
+    def run(*words: str) -> None:
+        done = CliRunner().invoke(main, list(words))
+        assert done.exit_code in {0, 1}, done.output
+
+    tiny, law = str(folder / "tiny.toml"), str(folder / "k.json")
+    data = folder / "lateral.0.original.json"
+    if kind in {"lateral", "their table"} and not data.exists():
+        run("lateral", tiny, "--controller", law, "--data", str(data))
+        (folder / "lateral.0.original").write_bytes(data.read_bytes())
+    if kind == "their table":
+        (folder / f"{kind}.0.original").write_text(THEIRS)
+    if kind == "rows":
+        (folder / "rows.toml").write_text(PLAN)
+        out = out_folder(folder)
+        run("campaign", str(folder / "rows.toml"), *out, "--workers", "1", "--most", "2")
+        rows = (Path(out[1]) / "rows.jsonl").read_bytes()
+        (folder / f"{kind}.0.original").write_bytes(rows)
+
+
+def absurd(text: str, chance: random.Random) -> tuple[str, str]:
+    """The machine file with one number that nothing has, and its line."""
+    lines = text.splitlines()
+    from ambrose.machine.validation.ranges import ranges
+
+    keys = {path.rpartition(".")[2] for path in ranges()[0]}
+    number = re.compile(r"(?<![\w.])-?\d[\d.]*(?:e[+-]?\d+)?(?![\w.])")
+    places = [
+        (i, match)
+        for i, line in enumerate(lines)
+        if line.partition(" =")[0] in keys and not line.startswith("number")
+        for match in number.finditer(line.partition("#")[0])
+    ]
+    i, match = chance.choice(places)
+    lines[i] = lines[i][: match.start()] + chance.choice(NOTHING_HAS) + lines[i][match.end() :]
+    return "\n".join(lines), lines[i]
+
+
+def unnoticed(count: int, seed: int) -> tuple[Counter[str], list[str]]:
+    """How many numbers that no machine has are refused and doubted, and the lines of the others."""
+    from ambrose.chain.check_entries import entry_doubts
+    from ambrose.core.checks import InvalidInput
+    from ambrose.machine.file.toml import loads_machine
+
+    text = (Path(__file__).parent.parent / EVERY_TABLE).read_text()
+    tally: Counter[str] = Counter()
+    lines: list[str] = []
+    sound = set(entry_doubts(loads_machine(text)))
+    for k in range(count):
+        other, line = absurd(text, random.Random(f"absurd {seed} {k}"))
+        try:
+            told = set(entry_doubts(loads_machine(other))) - sound
+            verdict = "doubted" if told else "silent"
+        except InvalidInput:
+            verdict = "refused"
+        except Exception as error:
+            verdict = f"traceback: {error!r:.80}"
+        tally[verdict if verdict in {"refused", "doubted", "silent"} else "breach"] += 1
+        lines += [f"{k}: {verdict}: {line:.120}"] if verdict not in {"refused", "doubted"} else []
+    return tally, lines
+
+
 def place(kind: str, folder: Path) -> Path:
     """Where the damaged file goes."""
     suffixes = {"machine": "toml", "every table": "toml", "plan": "toml", "scenario": "toml"}
     suffixes |= {"controller": "json", "hdf5": "h5", "log": "csv"}
+    suffixes |= {"lateral": "json", "their table": "csv", "rows": "jsonl"}
     return folder / f"damaged.{suffixes.get(kind, kind)}"
 
 
@@ -490,7 +583,14 @@ def run(count: int, seed: int, kinds: Sequence[str] = ()) -> int:
     total = 0
     with tempfile.TemporaryDirectory() as name:
         every = prepare(Path(name))
-        for kind in kinds or every:
+        for kind in kinds or (*every, *MADE, "absurd"):
+            if kind in MADE:
+                made(kind, Path(name))
+            if kind == "absurd":
+                tally, breaches = unnoticed(count, seed)
+                print(f"{kind:12s}", dict(tally), *breaches, sep="\n  ", flush=True)
+                total += len(breaches)
+                continue
             tally, breaches = campaign(kind, Path(name), seed, count)
             print(f"{kind:12s}", dict(tally), flush=True)
             print("".join(f"  {line}\n" for line in breaches), end="", flush=True)

@@ -14,6 +14,7 @@ from click.testing import CliRunner
 import ambrose as amb
 from ambrose.chain import plants
 from ambrose.chain.check import critical_speeds, shares
+from ambrose.chain.check_entries import block_doubts
 from ambrose.chain.facts_in_words import rows_of
 from ambrose.chain.plants import facts
 from ambrose.cli import main
@@ -22,6 +23,7 @@ from ambrose.judge.unavoidable import unavoidable_sensitivity
 from ambrose.machine.description import Amplifier, OperatingPoint, Operation, Tolerance
 from ambrose.machine.file.toml import read_machine_text
 from ambrose.machine.rotor_model import BendingMode, Material
+from ambrose.machine.synchronous import Synchronous
 from ambrose.machine.touchdown import Touchdown, TouchdownRace
 from ambrose.machine.units import DIMENSIONS, read_quantity
 from ambrose.model.effects.clearance import Clearance
@@ -368,6 +370,15 @@ def test_every_point_outside_a_table_is_named_in_the_units_of_the_file(tmp_path)
         named = f'operating point "{label}": the pressure of seal balance-piston is {pressure}, but'
         assert (named in said) == (pressure is not None)
     assert said.count("must be within its table, 5 to 15 bar; extend the table") == 3
+
+
+def test_a_block_turned_by_180_degrees_is_doubted(rig):
+    """T = 1 converges where S is near 1, far above the loop's bandwidth; -T nowhere there."""
+    for angle, said in ((0.0, []), (math.pi, ["[[controller.synchronous]] 1: current-free"])):
+        block = Synchronous("current-free", (600.0, 900.0), 0.5, phase=(angle,))
+        settings = replace(rig.controller, synchronous=(block,), sample_time=1e-4)
+        lines = list(block_doubts(replace(rig, controller=settings)))
+        assert [line.partition(" with this T drives away")[0] for line in lines] == said
 
 
 def test_what_is_missing_is_noted_but_no_doubt(rig):

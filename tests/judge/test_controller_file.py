@@ -212,7 +212,7 @@ BAD_CONTENT = {
     "text for a number": (put("1.0", "A", 0, 0), r"A\[1\]\[1\] is '1.0', but must be a number"),
     "null for a number": (put(None, "D", 3, 3), r"D\[4\]\[4\] is None"),
     "true for a number": (put(True, "A", 0, 0), r"A\[1\]\[1\] is True"),
-    "a huge whole number": (put(10**400, "A", 0, 0), r"A\[1\]\[1\] is int, but must be a number"),
+    "a huge whole number": (put(10**400, "A", 0, 0), r"must be finite, at most 1\.79769e\+308"),
     "no inputs": (put([], "inputs"), "inputs"),
     "a signal without unit": (put({"name": "err_A_zeta"}, "inputs", 0), "lacks the key 'unit'"),
     "another unit": (put("um", "inputs", 2, "unit"), r"inputs\[3\].unit is 'um', but must be 'm'"),

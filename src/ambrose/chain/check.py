@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg as sla
 
-from ambrose.chain.check_entries import corner_doubts, entry_doubts, load_doubts
+from ambrose.chain.check_entries import block_doubts, corner_doubts, entry_doubts, load_doubts
 from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.judge.rotor_modes import PLANAR, whirl_measure
 from ambrose.judge.stability import judge_stability
@@ -252,6 +252,7 @@ def insight(plant: Plant) -> dict[str, Any]:
             *_operation(machine, critical),
             *_timing(machine, rotor, least, pole, delay),
             *corner_doubts(machine, critical[0] if critical else pole),
+            *block_doubts(machine),
         ],
         "remarks": [*_remarks(machine), *_not_held(machine)],
     }

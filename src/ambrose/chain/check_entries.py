@@ -12,6 +12,9 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 from ambrose.core.checks import AmbroseError, InvalidInput
+from ambrose.core.synchronous import convergence
+from ambrose.judge.synchronous import block_loops
+from ambrose.law.pid import pid_controller
 from ambrose.machine.attachment import attached
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
@@ -103,6 +106,33 @@ def corner_doubts(machine: Machine, slowest: float) -> Iterator[str]:
                 f"bandwidth of {name} means {corner / _HERTZ:.4g} Hz, less than {_ABOVE:g} times "
                 f"the {slowest / _HERTZ:.3g} Hz at which the rotor moves as a rigid body; a bare "
                 f'number is in rad/s: write "{corner:g} Hz" if that is meant'
+            )
+
+
+def block_doubts(machine: Machine) -> Iterator[str]:
+    """Synchronous blocks that drive away what they are to bring to zero, under the reference
+    controller at both ends and the middle of their bands: a T with the wrong sign or angle.
+    """
+    settings = machine.reference
+    if settings is None or not settings.synchronous:
+        return
+    law = pid_controller(settings, machine)
+    for i, item in enumerate(block_loops(machine, law, settings.synchronous), 1):
+        speeds = item.speeds(3).tolist()
+        try:
+            seen = [item.loop.signals(item.mode, w, item.conditions[0]) for w in speeds]
+            # da/dt = -eps T R a converges where every eigenvalue of T R has a positive real part
+            real = [
+                float(convergence(item.running.at(w), response))
+                for w, response in zip(speeds, seen, strict=True)
+            ]
+        except AmbroseError:  # no model at one of them, which verify says
+            continue
+        if max(real) < 0:
+            yield (
+                f"[[controller.synchronous]] {i}: {item.mode} with this T drives away what it is "
+                f"to bring to zero at all of {', '.join(f'{w * _RPM:,.5g}' for w in speeds)} rpm; "
+                "check the sign and the angle of T, 180 degrees are a wrong sign"
             )
 
 

@@ -88,7 +88,10 @@ class AmbroseCommand(click.Group):
     def _main(self, args: Any, prog_name: Any, standalone_mode: bool, **extra: Any) -> Any:
         if not standalone_mode:
             return super().main(args, prog_name, standalone_mode=False, **extra)
-        as_json = "--json" in (sys.argv[1:] if args is None else args)
+        given = sys.argv[1:] if args is None else args
+        as_json = "--json" in given
+        if any("\0" in str(word) for word in given):  # of a program that calls this command
+            stop("an argument holds a null character; leave it out", as_json=as_json)
         with streams_settled(), _no_path_of_the_source():
             try:
                 status = super().main(args, prog_name, standalone_mode=False, **extra)

@@ -256,7 +256,7 @@ def check_place(directory: str | os.PathLike[str], names: Iterable[str] = ()) ->
     """``directory`` as a path, after refusing one that cannot become or hold these files. Raises
     InvalidInput.
     """
-    target = Path(directory)
+    target = check_path(directory, "folder")
     if os.path.lexists(target) and not target.is_dir():
         raise InvalidInput(f"cannot write to {target}: it is no folder; give the path of one")
     if not target.parent.is_dir():

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from ambrose.core.checks import InvalidInput
+from ambrose.core.checks import InvalidInput, check_path
 
 _ATTEMPTS = 100  # to open a lock file that others are removing
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0)
@@ -51,7 +51,7 @@ def claimed(path: str | os.PathLike[str], what: str, held: str = "") -> Iterator
     file is ``.<name>.lock`` beside it; ``.lock`` in a folder whose own cannot be written. Raises
     InvalidInput where another run holds it, and where no file can be made there.
     """
-    target = Path(os.path.realpath(path))
+    target = Path(os.path.realpath(check_path(path, what)))
     lock = target.with_name(f".{target.name}.lock")
     try:
         try:

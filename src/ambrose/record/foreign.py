@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, invalid
+from ambrose.core.checks import InvalidInput, check_path, invalid
 from ambrose.machine.limits import NUMBERS
 from ambrose.record.apart import variables_of
 from ambrose.record.column_map import Column, ColumnMap, load_columns, read_columns
@@ -33,7 +33,7 @@ def read_foreign(path: str | Path, columns: ColumnMap | Mapping[str, Any] | str 
     missing or wrong unit, NaN, a gap in time, no or contradictory sample rates, signals of
     different length, a truncated file. Reading TDMS needs the extra "tdms".
     """
-    path = Path(path)
+    path = check_path(path, "record")
     if not isinstance(columns, ColumnMap):
         columns = read_columns(columns) if isinstance(columns, Mapping) else load_columns(columns)
     try:
@@ -44,7 +44,7 @@ def read_foreign(path: str | Path, columns: ColumnMap | Mapping[str, Any] | str 
 
 def variables_in_words(path: str | Path) -> str:
     """What a file holds that may become signals, or why it cannot be read, in a sentence."""
-    path = Path(path)
+    path = check_path(path, "record")
     try:
         # the refusal of a name that is in no file lists those that are
         with variables_of(path, ["?"]):

@@ -10,8 +10,10 @@ from click.testing import CliRunner
 from scipy.integrate import solve_ivp
 
 import ambrose as amb
+from ambrose.annexes.touchdown import analysis
 from ambrose.annexes.touchdown.analysis import usual_duration
 from ambrose.annexes.touchdown.campaign import draw, drops
+from ambrose.annexes.touchdown.drop import build
 from ambrose.annexes.touchdown.fallen import fallen_rotor
 from ambrose.annexes.touchdown.run_down import run_down
 from ambrose.annexes.touchdown.thrust_face import (
@@ -246,12 +248,47 @@ def test_a_drop_lasts_until_the_races_turn():
     assert usual_duration(replace(fallen, bearings=(bush, light[1]))) == 1.0
 
 
+ABSURD = {  # what is written beside a sound race and mount
+    "a race of 300 kg": ("race", {"mass": 300.0}, "race.*mass is 300 kg.*50 kg is usual"),
+    "a flywheel for a race": ("race", {"inertia": 1.0}, "race.*inertia is 1 kg m.*whole rotor"),
+    "hard elements": ("race", {"element_stiffness": 1e15}, "element_stiffness is 1e.15 N/m"),
+    "a load of nothing": ("race", {"element_load": 1e-29}, "element_load is 1e-29 N"),
+    "a mount of air": ("mount", {"stiffness": 1e-3}, "mount.*stiffness is 0.001 N/m"),
+    "limits of a planet": ("limits", {"max_force": 1e11}, "limits.*max_force is 1e.11 N"),
+}
+
+
+@pytest.mark.parametrize("case", ABSURD)
+def test_no_verdict_rests_on_an_absurd_number(case, monkeypatch):
+    """Each of these passed: no limit is exceeded where the race is as heavy as a car."""
+
+    def begun(*arguments, **options):
+        raise AssertionError("begun")
+
+    monkeypatch.setattr("ambrose.annexes.touchdown.analysis.build", begun)
+    part, change, words = ABSURD[case]
+    machine = blower(max_force=1e6)
+    table = machine.bearings[0].touchdown
+    odd = replace(table, **{part: replace(getattr(table, part), **change)})
+    first = replace(machine.bearings[0], touchdown=odd)
+    with pytest.raises(InvalidInput, match=words):
+        amb.landing(replace(machine, bearings=(first, *machine.bearings[1:])))
+
+
+def test_no_race_is_heavier_than_its_rotor():
+    """Of a rotor of 1 kg the same race is refused; of its own it is not."""
+    fallen = fallen_rotor(blower(), amb.load_machine("overhung-blower").operation.nominal)
+    analysis._check_races(fallen)
+    with pytest.raises(InvalidInput, match=r"race\]: mass is 0\.3 kg, .*whole rotor, 0\.2 kg"):
+        analysis._check_races(replace(fallen, mass=0.2))
+
+
 def test_refusals():
     with pytest.raises(InvalidInput, match="a drop would need steps of"):
         machine = blower()
-        tiny = Touchdown(race=TouchdownRace(1e-9, 1e-12, 1e8, 1e3))
-        bearings = tuple(replace(item, touchdown=tiny) for item in machine.bearings)
-        amb.landing(replace(machine, bearings=bearings))
+        fallen = fallen_rotor(machine, machine.operation.nominal)
+        tiny = tuple(item._replace(race_mass=1e-9, race_inertia=1e-12) for item in fallen.bearings)
+        build(machine, replace(fallen, bearings=tiny))
     with pytest.raises(InvalidInput, match="duration of a drop is 0 s"):
         amb.landing(blower(), duration=0.0)
     with pytest.raises(InvalidInput, match=r"friction is -0\.1"):

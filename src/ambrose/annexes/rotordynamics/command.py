@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from hashlib import sha256
 from math import isfinite
@@ -28,8 +29,10 @@ from ambrose.terminal import (
 )
 
 if TYPE_CHECKING:
-    from ambrose.annexes.rotordynamics.comparison import Comparison
+    from ambrose.annexes.rotordynamics.comparison import Comparison, Pair
     from ambrose.annexes.rotordynamics.result import Item
+
+_MOST_ROWS = 200  # of a comparison in a terminal
 
 
 @click.command("lateral")
@@ -174,8 +177,13 @@ def print_comparison(result: Comparison) -> None:
     print_table(
         f"{result.machine} beside {result.theirs_name}",
         ("where", "quantity", "theirs", "ours", "ours less theirs", ""),
-        [comparison_texts(pair) for pair in result.pairs],
+        [comparison_texts(pair) for pair in foremost(result.pairs)],
     )
+    if len(result.pairs) > _MOST_ROWS:
+        say(
+            f"{_MOST_ROWS} of {len(result.pairs):,} rows: first those without a partner, then the "
+            "largest differences; --json has all"
+        )
     if not result.compared:
         what = f"none of the {len(result.pairs)} rows has a partner" if result.pairs else "no row"
         say(f"nothing was compared: {what}; see the remarks beside them, and their units")
@@ -184,6 +192,18 @@ def print_comparison(result: Comparison) -> None:
         say(f"largest difference {result.largest_percent:.3g} %")
     if result.unpaired:
         say(f"{len(result.unpaired)} rows without a partner")
+
+
+def foremost(pairs: Sequence[Pair], most: int = _MOST_ROWS) -> list[Pair]:
+    """At most so many pairs, in their order: first those without a partner, then those with the
+    largest differences in per cent.
+    """
+
+    def rank(i: int) -> tuple[bool, float]:
+        return pairs[i].ours is not None, -abs(pairs[i].percent or 0.0)
+
+    kept = sorted(sorted(range(len(pairs)), key=rank)[:most])
+    return [pairs[i] for i in kept]
 
 
 def value_in_words(item: Item) -> str:

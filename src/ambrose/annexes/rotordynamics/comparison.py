@@ -241,10 +241,10 @@ def _beside_table(ours: Mapping[str, Any], table: Sequence[TheirRow]) -> list[Pa
         groups.setdefault((row.probe, row.case), []).append(row)
     for (probe, case), rows in groups.items():
         peaks = _peaks(ours, probe, case)
-        chosen = _assign(rows, _at(peaks))
-        for row, k in zip(rows, chosen, strict=True):
+        at = _at(peaks)
+        for row, k in zip(rows, _assign(rows, at), strict=True):
             peak = None if k is None else peaks[k]
-            said = "" if peak is not None else _nobody(row, "critical speed", _at(peaks), trip)
+            said = "" if peak is not None else _nobody(row, "critical speed", at, trip)
             pairs += _critical_pairs(row, peak, said)
     rows = [row for row in table if row.kind == "mode"]
     modes = [(m["frequency_rad_per_s"], _whirl(m["whirl"])) for m in ours["modes"]]

@@ -47,6 +47,7 @@ from ambrose.law.timing import Timing, check_clock, timing_of
 from ambrose.machine.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, TWO_PI, Demand, demand
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
+from ambrose.machine.ordinary_file import check_source
 from ambrose.model.assemble import assemble
 from ambrose.model.plant import Plant, top_speed
 from ambrose.record.files import read_record
@@ -250,8 +251,9 @@ def _told(findings: Sequence[Finding]) -> list[Check]:
 def _named(item: Record | str | Path, number: int) -> tuple[str, str]:
     """The name of a record and its SHA-256."""
     if not isinstance(item, Record):
-        with Path(item).open("rb") as file:
-            return Path(item).name, hashlib.file_digest(file, "sha256").hexdigest()
+        path = check_source(item, "record")
+        with path.open("rb") as file:
+            return path.name, hashlib.file_digest(file, "sha256").hexdigest()
     digest = hashlib.sha256(repr((item.signals, item.units, item.sample_rate_hz)).encode())
     digest.update(np.ascontiguousarray(item.values).tobytes())
     return f"record {number}", digest.hexdigest()

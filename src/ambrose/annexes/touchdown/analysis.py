@@ -38,7 +38,9 @@ from ambrose.core.presentation import Presented
 from ambrose.law.law import LawLike
 from ambrose.machine.description import OperatingPoint
 from ambrose.machine.machine import Machine
+from ambrose.machine.messages import listed
 from ambrose.machine.parameters import operating_point
+from ambrose.machine.validation.ranges import implausible
 from ambrose.model.effects.rotor import STANDARD_GRAVITY
 from ambrose.model.effects.touchdown import Bearing
 from ambrose.model.unbalance import residual_unbalance
@@ -61,6 +63,14 @@ HEADS = (
 )
 LONGEST = 30.0  # [s] of a drop
 _USUAL = (0.4, 1.0)  # [s]
+# the keys that a landing rests on, beside the rotor's own
+_RESTS_ON = (
+    "bearing.touchdown",  # its gap and its tables
+    "bearing.gap",
+    "coast_down.",
+    "thrust_bearing.touchdown_gap",
+    "thrust_bearing.stop_",
+)
 _LOG = 6000  # rows of the one drop
 _LOWEST = 2 * np.pi  # [rad/s]
 _HIGHEST = 6000 * np.pi  # [rad/s] unless the rotor rolls at less
@@ -241,7 +251,8 @@ def landing(
     with the rotor's place, motion and speed at that time of a record (``trip.state_at``).
     workers: processors (None: all).
     progress: is told every stage. Raises InvalidInput where a bearing has no touchdown_gap, a seal
-    is narrower than it, or the rotor does not turn.
+    is narrower than it, the rotor does not turn, or a number that a landing rests on is outside of
+    its usual range: no limit that is met says anything then.
     """
     if drops < 0 or bending_modes < 0:
         raise InvalidInput("drops and bending_modes must not be negative; 0 drops are none")
@@ -274,8 +285,11 @@ def landing(
             raise InvalidInput(
                 f"the rotor of the record does not turn at {trip:g} s; give the time of a trip"
             )
+    if absurd := list(implausible(machine, _RESTS_ON)):
+        raise InvalidInput(listed(f"{machine.name} gives no verdict on a landing", absurd))
     progress("the rotor without its magnets")
     fallen = fallen_rotor(machine, chosen)
+    _check_races(fallen)
     moving = fallen_rotor(machine, chosen, bending_modes)
     rig, dt = build(machine, moving)
     lasts = usual_duration(moving) if duration is None else duration
@@ -347,6 +361,21 @@ def landing(
         rows,
         along,
     )
+
+
+def _check_races(fallen: FallenRotor) -> None:
+    """Raises InvalidInput for a race that is heavier than the rotor that is to spin it up."""
+    for name, item in zip(fallen.names, fallen.bearings, strict=True):
+        for key, own, whole, unit in (
+            ("mass", item.race_mass, fallen.mass, "kg"),
+            ("inertia", item.race_inertia, fallen.polar_inertia, "kg m^2"),
+        ):
+            if item.race_mass and own >= whole:
+                raise InvalidInput(
+                    f"[[bearing]] {name}, [bearing.touchdown.race]: {key} is {own:.4g} {unit}, but "
+                    f"must be below that of the whole rotor, {whole:.4g} {unit}; correct its unit "
+                    "or its exponent"
+                )
 
 
 def _recovered(

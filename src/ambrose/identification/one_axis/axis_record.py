@@ -18,11 +18,12 @@ from ambrose.core.checks import InvalidInput, check_path, check_positive, invali
 from ambrose.machine.ordinary_file import check_source
 from ambrose.machine.units import DIMENSIONS, in_si
 from ambrose.record.files import read_record
-from ambrose.record.record import Record
+from ambrose.record.record import Record, check_samples
 from ambrose.record.text_uff import text_table
 from ambrose.record.timing import uniform_rate
 
 LEAST = 500  # samples
+_LEAST_SPAN = 1e-18  # of a signal, in its SI unit: no sensor resolves a part of it; assumed
 _TABLES = {".txt", ".dat", ".asc", ".csv"}
 # what a column may be called, in lower case, without its unit
 _KNOWN = {
@@ -237,13 +238,14 @@ def _checked(
         rows["drive"] = rows["current"]
         unit = unit or "A"
     for what, values in rows.items():
-        if not np.isfinite(values).all():
-            place = int(np.argmin(np.isfinite(values)))
+        check_samples(f"the {what}", values, 0, start, rate)
+        span = float(np.ptp(values))
+        if 0 < span < _LEAST_SPAN:
             raise invalid(
-                f"the {what} at sample {place}",
-                values[place],
-                "finite",
-                "cut the record before it, or measure again",
+                f"the span of the {what}",
+                f"{span:.3g}",
+                f"0 or at least {_LEAST_SPAN:g}",
+                "correct its unit, or leave its column out",
             )
     count = len(rows["displacement"])
     if count < LEAST:

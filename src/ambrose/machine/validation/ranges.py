@@ -219,10 +219,14 @@ def impossible(machine: MachineDescription) -> Iterator[str]:
                 break
 
 
-def implausible(machine: MachineDescription) -> Iterator[str]:
-    """Every key with a number that hardly any machine has, a doubt each; zero passes."""
+def implausible(machine: MachineDescription, under: tuple[str, ...] = ("",)) -> Iterator[str]:
+    """Every key with a number that hardly any machine has, a doubt each; zero passes. under: starts
+    of the paths that are asked, such as "bearing.touchdown.".
+    """
     found: dict[str, list[str]] = {}
     for entry in numbers_of(machine):
+        if not entry.path.startswith(under):
+            continue
         row, kind = ranges()[0].get(entry.of or entry.path), DIMENSIONS[entry.dimension]
         span = usual(entry.of or entry.path, entry.dimension)
         if span is None or row is None:

@@ -14,6 +14,7 @@ lag is minus it.) Several lines of one axis and speed are readings of the same v
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,7 +23,9 @@ from pathlib import Path
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
+from ambrose.machine.atomic_write import write_text
 from ambrose.machine.messages import suggestion
+from ambrose.machine.ordinary_file import read_text
 
 COLUMNS = ("speed_rpm", "axis", "amplitude_um_0p", "angle_deg")
 _PEAK_TO_PEAK = "amplitude_um_pp"  # in place of the third
@@ -69,10 +72,10 @@ def read_amplitudes(path: str | Path, axes: Sequence[str]) -> AmplitudeTable:
     none, another head, an axis that the machine does not have or that a speed lacks.
     """
     name = Path(path).name
+    text = read_text(path, "table of amplitudes")
     try:
-        with Path(path).open(newline="", encoding="utf-8-sig") as file:
-            lines = list(csv.DictReader(line for line in file if not line.startswith("#")))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        lines = list(csv.DictReader(x for x in text.splitlines() if not x.startswith("#")))
+    except csv.Error as error:
         raise InvalidInput(
             f"the amplitudes {name} cannot be read ({error}); give a text file with the columns "
             f"{', '.join(COLUMNS)}"
@@ -125,19 +128,15 @@ def read_amplitudes(path: str | Path, axes: Sequence[str]) -> AmplitudeTable:
 
 def write_amplitudes(table: AmplitudeTable, axes: Sequence[str], path: str | Path) -> None:
     """The table as a file that ``read_amplitudes`` takes."""
-    with Path(path).open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(COLUMNS)
-        for speed, row in zip(table.speeds, table.values, strict=True):
-            for axis, value in zip(axes, row, strict=True):
-                writer.writerow(
-                    [
-                        f"{speed / _RPM:.9g}",
-                        axis,
-                        f"{1e6 * abs(value):.9g}",
-                        f"{math.degrees(math.atan2(value.imag, value.real)):.9g}",
-                    ]
-                )
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for speed, row in zip(table.speeds, table.values, strict=True):
+        for axis, value in zip(axes, row, strict=True):
+            angle = math.degrees(math.atan2(value.imag, value.real))
+            figures = (f"{1e6 * abs(value):.9g}", f"{angle:.9g}")
+            writer.writerow([f"{speed / _RPM:.9g}", axis, *figures])
+    write_text(path, file.getvalue(), "table of amplitudes")
 
 
 def _half(text: str | None) -> str | None:
