@@ -153,7 +153,6 @@ def test_a_controller_that_cannot_be_written_in_the_end_is_written_elsewhere(tmp
             raise InvalidInput("cannot write the controller file: No space left on device")
         return real(place, result)
 
-    monkeypatch.setattr("ambrose.judge.plants.plant_at", lambda *arguments: None)
     monkeypatch.setattr("ambrose.synthesis.design.design", lambda *arguments, **options: made)
     monkeypatch.setattr("ambrose.judge.controller_file.write_controller", full)
     done = call("synthesize", "seal-rig", "--method", "pid", "-o", path, "--json")

@@ -607,7 +607,8 @@ def magnets(draw):
         return Magnet("heteropolar", **sizes, poles=poles, polarity=polarity)
     if draw(st.booleans()):
         return Magnet("homopolar", **sizes, bias_turns=draw(positive))
-    permanent = {key: draw(positive) for key in ("remanence", "magnet_length", "magnet_area")}
+    permanent = {key: draw(positive) for key in ("magnet_length", "magnet_area")}
+    permanent["remanence"] = draw(physical(0.1, 1.9))
     return Magnet("homopolar", **sizes, bias="permanent-magnet", **permanent)
 
 

@@ -179,7 +179,7 @@ def _trial(
     options: FitOptions,
     prior: np.ndarray | None = None,
 ) -> _Trial | None:
-    """d = H^-1 g (with ``prior`` by ``step_with_prior``), after which the cost is r'r - g'd; None
+    """d = H^-1 g (with ``prior`` by ``step_with_prior``) and the cost after it; None
     where the loop cannot be built, or shows nothing of a parameter.
     """
     try:
@@ -195,7 +195,8 @@ def _trial(
             step = step_with_prior(H, g, middle, prior, result.values - result.start)[0]
     except (AmbroseError, np.linalg.LinAlgError):
         return None
-    return _Trial(step, cost - float(g @ step))
+    # |r - J d|^2, which is r'r - g'd for the step of the data alone and no less with a prior's
+    return _Trial(step, cost - float(2 * g @ step - step @ H @ step))
 
 
 def chosen_modes(

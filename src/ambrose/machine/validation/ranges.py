@@ -29,6 +29,7 @@ from ambrose.machine.seals import SealTable
 from ambrose.machine.units import DIMENSIONS, Dimension, read_quantity
 from ambrose.machine.validation.signs import dimensional
 
+_MOST = 1e60  # in SI: what is larger overflows in its powers
 _LEAST = 1e-30  # in SI: what is nearer to zero is no figure, and a division by its square overflows
 COUNT = "plain number"  # what a whole number is to this table
 _SEAL_TABLE = {
@@ -69,11 +70,11 @@ class Entry:
 
 
 @lru_cache
-def ranges() -> tuple[Mapping[str, Any], Mapping[str, Any], Mapping[str, Any]]:
-    """The rows of the file, as written: (usual, physics) by path, most by dimension."""
+def ranges() -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+    """The rows of the file, as written: (usual, physics) by path."""
     text = files("ambrose.machine.validation").joinpath("ranges.toml").read_text(encoding="utf-8")
     document = tomllib.loads(text)
-    return dict(_rows(document["usual"])), dict(_rows(document["physics"])), document["most"]
+    return dict(_rows(document["usual"])), dict(_rows(document["physics"]))
 
 
 def _rows(table: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
@@ -98,9 +99,7 @@ def usual(path: str, dimension: str) -> tuple[float, float] | None:
 def _most(path: str, dimension: str) -> tuple[float, str]:
     """The largest size of a key in SI, and why it has that."""
     kind, row = DIMENSIONS[dimension], ranges()[1].get(path)
-    if row is not None:
-        return read_quantity(row[0], kind), row[1]
-    return read_quantity(ranges()[2][dimension], kind), "no machine has more"
+    return (_MOST, "no machine has more") if row is None else (read_quantity(row[0], kind), row[1])
 
 
 def numbers_of(machine: MachineDescription) -> Iterator[Entry]:
