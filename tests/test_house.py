@@ -11,6 +11,7 @@ from pathlib import Path
 
 import grimp
 import pytest
+from benchmarks.reverted_defects import read_table
 
 import ambrose
 
@@ -161,6 +162,17 @@ def test_every_folder_of_modules_is_a_package():
 )
 def test_every_benchmark_finds_what_it_imports(name):
     import_module(f"benchmarks.{name}")
+
+
+def test_every_mended_defect_can_still_be_put_back():
+    """``benchmarks/reverted_defects.toml``: its snippets stand once, its tests are there."""
+    table = read_table()
+    assert len({defect.name for defect in table}) == len(table) >= 30
+    for defect in table:
+        file = defect.place(SOURCE)
+        assert defect.put_into(file) != file.read_text(encoding="utf-8"), defect.name
+        files = [part for part in defect.tests if part.startswith("tests/")]
+        assert files and all((SOURCE.parents[1] / file).exists() for file in files), defect.name
 
 
 LAW_KINDS = {

@@ -148,6 +148,8 @@ def test_scaling_the_control_weight_keeps_its_shape():
             2.5 * gain(weights.control, omega)
         )
     assert scale_control(weights, 2.5).performance is weights.performance
+    # the factor goes with them: lowering an order designs with the same weights again
+    assert scale_control(scale_control(weights, 2.5), 0.5).control_factor == 1.25
 
 
 @pytest.mark.parametrize(
