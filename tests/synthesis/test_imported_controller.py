@@ -246,7 +246,7 @@ WRONG = {
     ),
     "unit": (
         {"input_unit": "kg", "channels": {"a": {"b": [1], "a": [1]}}},
-        "input_unit is "kg", but must be a unit of length",
+        'input_unit is "kg", but must be a unit of length',
     ),
     "input": (
         {"input": "force", "channels": {"a": {"b": [1], "a": [1]}}},
