@@ -374,7 +374,10 @@ def judge(kind: str, path: Path, folder: Path, *, apart: bool = False) -> str:
         "controller": random.Random(path.read_bytes()).choice(
             [
                 ["verify", tiny, "--controller", str(path)],
-                ["export", str(path), "--to", "mat", "--machine", tiny, *out_folder(folder)[:2]],
+                [
+                    *("export", str(path), "--to", "mat", "--machine", tiny),
+                    *("--error-limit", "3e-4", "--current-limit", "2", *out_folder(folder)[:2]),
+                ],
             ]
         ),
         "plan": ["campaign", str(path), "--workers", "1", "--most", "2", *out_folder(folder)],
