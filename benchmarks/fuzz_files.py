@@ -371,7 +371,15 @@ def judge(kind: str, path: Path, folder: Path, *, apart: bool = False) -> str:
     commands = {
         "machine": ["check", str(path)],
         "every table": ["check", str(path)],
-        "controller": ["verify", tiny, "--controller", str(path)],
+        "controller": random.Random(path.read_bytes()).choice(
+            [
+                ["verify", tiny, "--controller", str(path)],
+                [
+                    *("export", str(path), "--to", "mat", "--machine", tiny),
+                    *("--error-limit", "3e-4", "--current-limit", "2", *out_folder(folder)[:2]),
+                ],
+            ]
+        ),
         "plan": ["campaign", str(path), "--workers", "1", "--most", "2", *out_folder(folder)],
         "lateral": ["compare", str(path), str(folder / "lateral.0.original.json")],
         "their table": ["compare", str(folder / "lateral.0.original.json"), str(path)],
@@ -384,6 +392,7 @@ def judge(kind: str, path: Path, folder: Path, *, apart: bool = False) -> str:
                 ["accept", tiny, running[1], str(path)],
                 ["calibrate", tiny, "--levitated", str(path)],
                 ["frf", tiny, str(path), *running],
+                ["retune", tiny, str(path), *running, *out_folder(folder)[:2]],
             ]
         ),
     }
@@ -462,6 +471,7 @@ def absurd(text: str, chance: random.Random) -> tuple[str, str]:
         for i, line in enumerate(lines)
         if line.partition(" =")[0] in keys and not line.startswith("number")
         for match in number.finditer(line.partition("#")[0])
+        if "degC" not in line  # 1e-300 of it are 273.15 K
     ]
     i, match = chance.choice(places)
     lines[i] = lines[i][: match.start()] + chance.choice(NOTHING_HAS) + lines[i][match.end() :]

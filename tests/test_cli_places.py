@@ -11,13 +11,17 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from ambrose.annexes.site import acceptance
+from ambrose.annexes.site.balancing.amplitude_table import read_amplitudes
 from ambrose.cli import main
 from ambrose.core.checks import InvalidInput
 from ambrose.core.statespace import static_gain
 from ambrose.judge.controller_file import read_controller, write_controller
 from ambrose.judge.result import Synthesis
+from ambrose.machine import atomic_write, claim
 from ambrose.machine.claim import claimed
 from ambrose.machine.file.toml import bundled_machines
+from ambrose.record import foreign
 
 AXES = ("A_zeta", "A_eta", "B_zeta", "B_eta")
 
@@ -192,3 +196,25 @@ def test_what_nothing_refused_ends_in_one_sentence(monkeypatch, fault, words):
     assert "Traceback" not in result.output and ".py" not in result.output
     monkeypatch.setenv("AMBROSE_TRACEBACK", "1")
     assert not isinstance(call("machines").exception, SystemExit)
+
+
+@pytest.mark.parametrize(
+    "call_with",
+    [
+        claim.claimed("a\0b", "folder").__enter__,
+        lambda: atomic_write.check_place("a\0b"),
+        lambda: read_amplitudes("a\0b", AXES),
+        lambda: foreign.variables_in_words("a\0b"),
+        lambda: acceptance._named("a\0b", 1),
+    ],
+)
+def test_a_path_with_a_null_character_is_refused(call_with):
+    """Each ended in a ValueError of the system's: embedded null byte."""
+    with pytest.raises(InvalidInput, match="free of null characters; give the name of a file"):
+        call_with()
+
+
+@pytest.mark.parametrize("words", [["study", "seal-rig", "-o", "a\0b"], ["check", "a\0b"]])
+def test_an_argument_with_a_null_character_is_refused(words):
+    done = call(*words)
+    assert done.exit_code == 2 and "an argument holds a null character" in done.stderr

@@ -15,6 +15,7 @@ from scipy.optimize import minimize_scalar
 from tests.annexes.rotordynamics.test_lateral import RPM, C, K, films, mass_of
 
 import ambrose as amb
+from ambrose.annexes.rotordynamics.command import foremost
 from ambrose.annexes.rotordynamics.comparison import Comparison, Pair, Theirs, _assign
 from ambrose.annexes.rotordynamics.page import lateral_page
 from ambrose.annexes.rotordynamics.standard import rpm
@@ -292,3 +293,18 @@ def test_thousands_of_rows_are_compared_in_a_second(analysis):
     begun = time.process_time()
     compared = amb.compare(analysis, Theirs("t.csv", theirs))
     assert len(compared.pairs) == 4000 and time.process_time() - begun < 1.0
+
+
+def test_of_many_rows_those_are_printed_that_decide(analysis, tmp_path):
+    """60,000 rows took 90 s, nearly all of it to draw their table."""
+    pairs = [Pair(f"row {i}", "speed", 100.0, 100.0 + i, "rpm") for i in range(5)]
+    pairs.append(Pair("lost", "speed", 100.0, None, "rpm"))
+    assert [p.where for p in foremost(pairs, 3)] == ["row 3", "row 4", "lost"]
+    assert foremost(pairs) == pairs
+    rows = "".join(f"response;{3000 + 0.5 * i:g};1\n" for i in range(1000))
+    data, theirs = tmp_path / "lateral.json", tmp_path / "t.csv"
+    data.write_text(json.dumps(analysis.to_dict()))
+    theirs.write_text("kind;speed [rpm];amplitude [um p-p]\n" + rows)
+    done = CliRunner().invoke(main, ["compare", str(data), str(theirs)])
+    assert "200 of 1,000 rows: first those without a partner" in done.output
+    assert done.output.count("um p-p") == 3 * 200  # theirs, ours and the difference

@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 
 from ambrose.code.c.code import generate
+from ambrose.code.c.literals import literal
 from ambrose.code.c.run import generate_run
+from ambrose.core.checks import InvalidInput
 from example_blocks import rig_block
 from needs import needs
 
@@ -76,3 +78,12 @@ def test_a_broken_rule_is_found(tmp_path):
     files = LAWS["fixed"]()
     source = files["rig.c"].replace("u[o] = 0.0;", "if (o) u[o] = 0.0;", 1)
     assert {"14.4", "10.4"} & broken({**files, "rig.c": source}, tmp_path)
+
+
+@pytest.mark.parametrize("value", [1e39, -1e60, 1e149, 3.41e38])
+def test_no_number_is_written_that_single_precision_does_not_hold(value):
+    """ "inff" was written, which no compiler reads, or a warning with a line of the source."""
+    with pytest.raises(InvalidInput, match=r"at most 3\.4e\+38 in single precision"):
+        literal(value, "float")
+    assert float(literal(value, "double")) == value
+    assert literal(3.4e38, "float") == "3.39999995e+38f"

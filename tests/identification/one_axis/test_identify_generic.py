@@ -45,6 +45,17 @@ def driven(tmp_path_factory):
     return table(folder / "axis.txt", time, y[:, 0], u[:, 0], r[:, 0])
 
 
+@pytest.mark.parametrize(
+    ("scale", "words"),
+    [(1e290, "the displacement at sample .* at most 1e.15 in its SI unit"), (1e-40, "the span of")],
+)
+def test_a_displacement_that_nothing_measures_is_refused(driven, scale, words, tmp_path):
+    """Of 1e285 m the first look overflowed, with a warning and a line of the source."""
+    time, y, u, r = np.loadtxt(driven, skiprows=1).T
+    with pytest.raises(InvalidInput, match=words):
+        read_axis(table(tmp_path / "axis.txt", time, scale * y, u, r))
+
+
 @pytest.mark.parametrize("lag", [0.0, 1.7])
 def test_the_step_between_samples_is_exact(lag):
     """Against scipy's zero-order hold, the delay as so many small steps."""

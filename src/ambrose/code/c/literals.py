@@ -8,13 +8,26 @@ from typing import Any
 import numpy as np
 
 from ambrose.code.block.cost import diagonals_of
+from ambrose.core.checks import invalid
 
 _WIDTH = 118
 
 
 def digits(value: float, arithmetic: str) -> str:
-    """A number with all the digits of double or single precision."""
-    return f"{value:.17g}" if arithmetic == "double" else f"{float(np.float32(value)):.9g}"
+    """A number with all the digits of double or single precision. Raises InvalidInput where it is
+    larger than that precision holds.
+    """
+    if arithmetic == "double":
+        return f"{value:.17g}"
+    largest = float(np.finfo(np.float32).max)
+    if abs(value) > largest:
+        raise invalid(
+            "a number of the controller",
+            f"{value:.3g}",
+            f"at most {largest:.3g} in single precision",
+            "export it in double precision, or correct the exponent in its file",
+        )
+    return f"{float(np.float32(value)):.9g}"
 
 
 def literal(value: float, arithmetic: str) -> str:
