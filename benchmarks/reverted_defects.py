@@ -90,7 +90,7 @@ def run_tests(checkout: Path, folder: Path, tests: tuple[str, ...]) -> tuple[str
     paths = [str(folder), os.environ.get("PYTHONPATH", "")]
     own = {"PYTHONPATH": os.pathsep.join(filter(None, paths)), "PYTHONDONTWRITEBYTECODE": ""}
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider"]
-    command += ["-m", "not study and not source", "--junitxml", str(report), *tests]
+    command += ["-m", "not study", "--junitxml", str(report), *tests]
     environment = {"OPENBLAS_NUM_THREADS": "1", **os.environ, **own}
     try:
         done = subprocess.run(
