@@ -320,7 +320,7 @@ BAD = {
     ),
     "a record as rotor": (
         ["convert", "{tmp}/record.csv", "-o", "{tmp}/m.toml"],
-        "names no column of a table of stations",
+        "the column 'time' is unknown",
     ),
     "a record's ending": (
         ["convert", "{tmp}/x.xls", "-o", "{tmp}/x.h5"],

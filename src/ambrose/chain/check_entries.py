@@ -12,8 +12,6 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 from ambrose.core.checks import AmbroseError, InvalidInput
-from ambrose.core.synchronous import convergence
-from ambrose.judge.synchronous import block_loops
 from ambrose.law.pid import pid_controller
 from ambrose.machine.attachment import attached
 from ambrose.machine.description import OperatingPoint
@@ -116,6 +114,9 @@ def block_doubts(machine: Machine) -> Iterator[str]:
     settings = machine.reference
     if settings is None or not settings.synchronous:
         return
+    from ambrose.core.synchronous import convergence
+    from ambrose.judge.synchronous import block_loops
+
     law = pid_controller(settings, machine)
     for i, item in enumerate(block_loops(machine, law, settings.synchronous), 1):
         speeds = item.speeds(3).tolist()
