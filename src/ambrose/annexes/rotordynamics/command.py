@@ -91,7 +91,7 @@ def lateral_command(
     Unbalance response with API's amounts placed for every mode, separation margins, vibration
     limit, clearances up to trip, stability Level I and II with each component's share, and
     load capacity. Clauses are recalled, not read from the standards, and marked so. Exit status 1:
-    a judged row fails.
+    a row fails, or one that the standard asks for was not done.
     """
     from ambrose.annexes.rotordynamics.analysis import lateral
     from ambrose.annexes.rotordynamics.comparison import compare, read_theirs
