@@ -18,7 +18,7 @@ TESTS = Path(__file__).parent
 ROOT = TESTS.parent
 DURATIONS = TESTS / "durations.json"
 NOTED = 0.1
-SLOW = 0.4  # of the computer that the file names by its seconds for 10^7 additions
+SLOW = 0.25  # seconds of processor time, as the file says
 # whoever imports one of these may reach any file of the package
 DOORS = {"ambrose.__main__", "ambrose.cli"}
 EVERYTHING = (

@@ -733,6 +733,6 @@ def test_a_server_that_is_killed_comes_back_with_what_there_was(chromium, tmp_pa
     page.reload()
     page.wait_for_selector("h2:has-text('synthesize-')")
     words = page.locator("h2").all_text_contents()
-    assert [w for w in words if w.startswith("synthesize-") and ": stopped" in w]
-    assert [w for w in words if w.startswith("check-") and ": done" in w]
+    assert [w for w in words if w.startswith("synthesize-") and ": stopped" in w], words
+    assert [w for w in words if w.startswith("check-") and ": done" in w], words
     page.context.close()
