@@ -101,9 +101,20 @@ def wheel(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def installed(wheel, tmp_path_factory):
-    """A virtual environment that holds the wheel and sees the dependencies, but not the checkout:
-    run(*command) -> output.
+def source_archive(tmp_path_factory):
+    """The sdist, built as a release is."""
+    directory = tmp_path_factory.mktemp("sdist")
+    command = [sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", str(directory)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    (path,) = directory.glob("*.tar.gz")
+    return path
+
+
+@pytest.fixture(scope="module", params=["wheel", "source_archive"])
+def installed(request, tmp_path_factory):
+    """A virtual environment that holds the wheel, or what pip makes of the sdist where there is no
+    compiler, and sees the dependencies, but not the checkout: run(*command) -> output.
 
     The dependencies come through a path file, and path files within such a folder (the editable
     install) are not read.
@@ -117,23 +128,6 @@ def installed(wheel, tmp_path_factory):
         [sys.executable, "-m", "venv", "--without-pip", str(directory / "venv")], check=True
     )
     python = directory / "venv" / SCRIPTS / "python"
-    subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "pip",
-            "--python",
-            str(python),
-            "install",
-            "--quiet",
-            "--disable-pip-version-check",
-            "--no-deps",
-            "--no-index",
-            str(wheel),
-        ],
-        check=True,
-        env=environment,
-    )
     code = "import sysconfig; print(sysconfig.get_path('purelib'))"
     site = Path(
         subprocess.run(
@@ -144,6 +138,18 @@ def installed(wheel, tmp_path_factory):
         path for path in sys.path if Path(path).name in {"site-packages", "dist-packages"}
     ]
     (site / "dependencies.pth").write_text("\n".join(dependencies) + "\n", encoding="utf-8")
+    command = f"-m pip --python {python} install --quiet --disable-pip-version-check --no-deps"
+    subprocess.run(
+        [
+            sys.executable,
+            *command.split(),
+            "--no-index",
+            "--no-build-isolation",
+            str(request.getfixturevalue(request.param)),
+        ],
+        check=True,
+        env=environment | {"PATH": "", "CC": "no compiler"},
+    )
 
     def run(command, *arguments, status=0):
         path = directory / "venv" / SCRIPTS / command
