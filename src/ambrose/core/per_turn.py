@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ambrose.core.statespace import StateSpace
-from ambrose.core.synchronous import largest_gain, largest_stable
+from ambrose.core.synchronous import largest_stable
 
 _MOST = 20_000  # samples of a turn; slower turning is taken as at that many
 
@@ -89,20 +89,3 @@ def largest_turn_gain(
     return largest_stable(
         lambda gain: bool(np.abs(over.multipliers(gain, leak)).max() < 1), highest, tolerance
     )
-
-
-def largest_block_gain(
-    closed: StateSpace,
-    T: np.ndarray,
-    speed: float,
-    harmonic: int,
-    update: str,
-    highest: float,
-    leak: float = 0.0,
-) -> float:
-    """The largest eps [1/s], up to the highest, with which a block is stable in a closed loop from
-    c to what it reads, exactly, within 5 %; update: "sample" or "turn", when its amplitudes move.
-    """
-    if update == "turn":
-        return largest_turn_gain(closed, T, speed, highest, 0.05, leak, harmonic)
-    return largest_gain(closed, T, harmonic * speed, highest, 0.05, leak)

@@ -81,11 +81,6 @@ class Layout:
         return int(np.argmin(np.abs(self.positions - position)))
 
     @property
-    def overhang_left(self) -> np.ndarray:
-        """Which stations (s,) lie outboard of the leftmost journal."""
-        return self.positions < min(j.position for j in self.journals)
-
-    @property
     def overhang_right(self) -> np.ndarray:
         """Which stations (s,) lie outboard of the rightmost journal."""
         return self.positions > max(j.position for j in self.journals)

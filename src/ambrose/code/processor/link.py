@@ -10,7 +10,7 @@ import subprocess
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -217,11 +217,3 @@ def _traced(path: Path) -> Iterator[int]:
             found = _PC.match(line)
             if found:
                 yield int(found[1], 16)
-
-
-def as_samples(unit: Unit, columns: dict[str, Sequence[Any] | np.ndarray]) -> np.ndarray:
-    """Samples of this computer's byte order from columns by the names of ``Unit.given``."""
-    rows = np.zeros(len(columns["error"]), unit.given("="))
-    for name, values in columns.items():
-        rows[name] = values
-    return rows

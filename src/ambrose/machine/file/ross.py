@@ -49,10 +49,6 @@ def parse_ross(text: str, name: str, suffix: str) -> dict[str, Any]:
     return document if isinstance(document, dict) else {}
 
 
-def is_ross(document: Mapping[str, Any]) -> bool:
-    return any(str(key).startswith("ShaftElement") for key in document)
-
-
 GIVE = (
     "a machine file is made of what Rotor.save of ROSS wrote (*.toml, *.json) or of a table of "
     "stations (*.csv)"

@@ -14,7 +14,6 @@ lag is minus it.) Several lines of one axis and speed are readings of the same v
 from __future__ import annotations
 
 import csv
-import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,7 +22,6 @@ from pathlib import Path
 import numpy as np
 
 from ambrose.core.checks import InvalidInput, invalid
-from ambrose.machine.atomic_write import write_text
 from ambrose.machine.messages import suggestion
 from ambrose.machine.ordinary_file import read_text
 
@@ -124,19 +122,6 @@ def read_amplitudes(path: str | Path, axes: Sequence[str]) -> AmplitudeTable:
     means = [[complex(np.mean(by_axis[axis])) for axis in axes] for by_axis in readings]
     noise = [[_variance(by_axis[axis]) for axis in axes] for by_axis in readings]
     return AmplitudeTable(np.array(speeds)[order], np.array(means)[order], np.array(noise)[order])
-
-
-def write_amplitudes(table: AmplitudeTable, axes: Sequence[str], path: str | Path) -> None:
-    """The table as a file that ``read_amplitudes`` takes."""
-    file = io.StringIO()
-    writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for speed, row in zip(table.speeds, table.values, strict=True):
-        for axis, value in zip(axes, row, strict=True):
-            angle = math.degrees(math.atan2(value.imag, value.real))
-            figures = (f"{1e6 * abs(value):.9g}", f"{angle:.9g}")
-            writer.writerow([f"{speed / _RPM:.9g}", axis, *figures])
-    write_text(path, file.getvalue(), "table of amplitudes")
 
 
 def _half(text: str | None) -> str | None:
