@@ -193,6 +193,27 @@ def test_a_mode_that_is_overdamped_without_cross_coupling_is_judged_at_q_a():
     assert max(np.nanmax(curve.y) for curve in drawn) < OVERDAMPED
 
 
+def test_the_log_decrement_at_q_a_is_the_least_of_followed_and_late_modes():
+    """m z'' + c z' + (k - j Q) z = 0 at 0.72 of the critical damping: nothing rings at Q = 0 and
+    nothing crosses up to 10 Q_A = 0.83 Q0, but at Q_A the parallel mode rings. Without an
+    anticipated value the least of the modes followed counts, at Q = 0: tilting on the ends has
+    sqrt(3) times the damping ratio.
+    """
+    m, k = mass_of(films()), 2 * K
+    c = 0.72 * 2 * math.sqrt(k * m)
+    one = amb.lateral(films(STAGE.replace("400 kW", "1340 kW"), damping=c / 2)).level_one
+    assert not one.branches and math.isinf(one.border)
+    root = max(np.roots([m, c, k - 1j * one.anticipated]), key=lambda s: s.real)
+    expected = 2 * math.pi * -root.real / abs(root.imag)
+    assert one.at_anticipated == pytest.approx(expected, rel=1e-3) and expected < 0.95 * OVERDAMPED
+    bare = amb.lateral(films()).level_one
+    root = np.roots([m, 2 * C, k])[0]
+    assert bare.anticipated is None and len(bare.branches) > 1
+    assert bare.at_anticipated == pytest.approx(
+        2 * math.pi * -root.real / abs(root.imag), rel=1e-3
+    )
+
+
 def test_critical_speed_amplitude_and_factor_of_one_mass():
     machine = films()
     result = amb.lateral(machine, trip=6300 * RPM)

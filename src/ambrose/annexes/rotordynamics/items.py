@@ -273,10 +273,10 @@ def _minor(one: tuple[Separation, str, str], other: tuple[Separation, str, str])
 
 
 def _grouped(rows: _Group) -> list[_Group]:
-    """Readings by speed, those of one critical speed together."""
+    """Readings by speed, those of one critical speed together: none is far from its row's."""
     groups: list[_Group] = []
     for row in sorted(rows, key=lambda row: row[0].critical.speed):
-        if groups and _beside(groups[-1][-1], row):
+        if groups and _beside(groups[-1][0], row):
             groups[-1].append(row)
         else:
             groups.append([row])
@@ -369,19 +369,21 @@ def level_one(one: LevelOne | None, density: float | None = None, why: str = "")
         if math.isnan(one.crossing)
         else f"; unstable beyond: mode at {standard.rpm(one.crossing)} rpm"
     )
+    met = math.isfinite(one.border)
+    swept = f"({len(one.cross_coupling)} values{', refined' if met else ''})"
     if one.anticipated is None:
         yield Item(
             "level_one.border",
-            "Level I: cross-coupling at the stability threshold, Q0",
+            f"Level I: cross-coupling at the stability threshold, Q0 {swept}",
             standard.EDITION,
             _LEVEL_ONE,
             RECALLED,
-            one.border if math.isfinite(one.border) else one.end,
+            one.border if met else one.end,
             "N/m",
             ">=",
-            note="no anticipated value: the machine file has no [[stage]]"
-            + (crossing if math.isfinite(one.border) else f"; {level_one_beyond(one)}"),
-            bound="" if math.isfinite(one.border) else ">",
+            note="not judged: no anticipated value, the machine file has no [[stage]]"
+            + (crossing if met else f"; {level_one_beyond(one)}"),
+            bound="" if met else ">",
         )
         yield from _screening(one, density)
         return
@@ -398,12 +400,11 @@ def level_one(one: LevelOne | None, density: float | None = None, why: str = "")
         one.at_anticipated >= standard.LEAST_LOG_DECREMENT,
         f"Q_A {one.anticipated:.4g} N/m at {where}; least of all oscillatory forward modes{rings}",
     )
-    met = math.isfinite(one.border)
     ratio = (one.border if met else one.end) / one.anticipated
     reasons = one.screening.reasons if one.screening is not None else ()
     yield Item(
         "level_one.border",
-        "Level I: threshold cross-coupling relative to the anticipated one, Q0/Q_A",
+        f"Level I: threshold cross-coupling relative to the anticipated one, Q0/Q_A {swept}",
         standard.EDITION,
         _LEVEL_ONE,
         RECALLED,

@@ -1,0 +1,129 @@
+"""``lateral`` on random rotors against an analysis of the tests' own (``own_rotor``): no verdict is
+green where a fine grid of speeds finds a separation margin that is missed, and no critical speed
+is without a row.
+"""
+
+import math
+
+import numpy as np
+import pytest
+
+import ambrose as amb
+from ambrose.law.pid import pid_controller
+from ambrose.machine.file.toml import loads_machine
+from own_rotor import Journal, Magnet, OwnRotor, judge, written
+
+def random_shaft(rng):
+    """Nodes, diameters and discs; bearings stand on nodes 1 and -2 (or 2, of an overhung end)."""
+    spans = rng.uniform(0.05, 0.25, int(rng.integers(5, 8)))
+    nodes = tuple(float(x) for x in np.concatenate([[0.0], np.cumsum(spans)]))
+    diameters = tuple(float(d) for d in rng.uniform(0.045, 0.1, len(spans)))
+    discs = []
+    for node in rng.choice(len(nodes), int(rng.integers(1, 4)), replace=False):
+        mass, radius = float(rng.uniform(2, 20)), float(rng.uniform(0.08, 0.16))
+        polar = mass * radius**2 / 2
+        discs.append((int(node), mass, polar, float(rng.uniform(0.5, 0.8) * polar)))
+    return nodes, diameters, tuple(discs)
+
+
+def films(rng, places):
+    K, made = float(10 ** rng.uniform(6.5, 8.0)), []
+    ratio, cross = float(rng.uniform(0.4, 1.0)), float(rng.choice([0.0, 0.15]))
+    zeta = float(10 ** rng.uniform(-1.7, -0.3))
+    for at in places:
+        stiff = K * np.array([[ratio, cross * rng.random()], [-cross * rng.random(), 1.0]])
+        C = 2 * zeta * K / 500 * np.diag([ratio, 1.0])
+        made.append(Journal(at, stiff, C))
+    return tuple(made)
+
+
+def magnets(rng, nodes, places, mass):
+    k_i, k_s = float(rng.uniform(100, 400)), float(10 ** rng.uniform(5.3, 6.3))
+    net = float(10 ** rng.uniform(5.8, 7.0))
+    gain = (k_s + net) / k_i
+    zeta = float(rng.uniform(0.1, 0.5))
+    T_d = zeta * mass * math.sqrt(2 * net / mass) / (k_i * gain)
+    made = []
+    for at in places:
+        made.append(Magnet(at, at, k_i, k_s, gain, 0.5, T_d))
+    return tuple(made)
+
+
+def random_machine(seed):
+    """An own rotor, its machine file, probes and running range; critical speeds stand near it."""
+    rng = np.random.default_rng([49, 1, seed])
+    while True:
+        nodes, diameters, discs = random_shaft(rng)
+        right = len(nodes) - 1 - int(rng.choice([0, 1, 2]))
+        places = nodes[int(rng.choice([0, 1]))], nodes[right]
+        rotor = OwnRotor(nodes, diameters, discs, (), float(rng.choice([0.0, 0.005])))
+        magnetic = seed % 3 == 2
+        bearings = magnets(rng, nodes, places, rotor.mass) if magnetic else films(rng, places)
+        rotor = OwnRotor(nodes, diameters, discs, bearings, rotor.damping)
+        values = rotor.poles(300.0)[0]
+        near = sorted(values.imag[(values.imag > 80) & (values.imag < 2500)])[:6]
+        if not near:
+            continue
+        highest = float(rng.choice(near) * rng.uniform(0.7, 1.4))
+        kind = int(rng.integers(0, 3))
+        lowest = highest if kind == 0 else float(highest * rng.uniform(0.5, 0.95))
+        if rotor.stable([0.06 * highest, lowest, highest, 1.06 * highest, 1.65 * highest]):
+            break
+    if not magnetic and rng.random() < 0.15:
+        table = (0.01 * highest, float(highest * rng.uniform(1.06, 1.8)))
+        bearings = tuple(Journal(item.at, item.K, item.C, table) for item in bearings)
+        rotor = OwnRotor(nodes, diameters, discs, bearings, rotor.damping)
+    probes = []
+    for _ in range(int(rng.integers(0, 3))):
+        probes.append((float(rng.choice(nodes)), float(rng.uniform(0, math.pi))))
+    # kind 0: one point, 1: two points, 2: the file says the range
+    points = (highest,) if kind == 0 else (lowest, highest)
+    running = (lowest, highest) if kind == 2 else None
+    machine = loads_machine(written(rotor, points, running, probes, highest), "random")
+    if magnetic:
+        probes += [(item.sensor_at, turn) for item in rotor.bearings for turn in (0, math.pi / 2)]
+    return rotor, machine, probes, (lowest, highest)
+
+
+def verdicts(seed):
+    """What ``lateral`` says of a random rotor beside the own analysis: green, exit green, what was
+    missed, critical speeds without a row, those that fail and those found.
+    """
+    rotor, machine, probes, (lowest, highest) = random_machine(seed)
+    law = pid_controller(machine.reference, machine) if machine.bearings else None
+    result = amb.lateral(machine, law, tolerances=False)
+    own = judge(rotor, probes, lowest, highest)
+    failed = [item for item in result.items if item.passed is False]
+    names = {item.name for item in failed}
+    cut = bool(names & {"response.range", "stability"})
+    rows = [(row.critical.speed, row.passed) for row, _, _ in result.critical_speeds]
+
+    def near(peak, *, failing):
+        return any(
+            abs(speed - peak.speed) < 0.035 * peak.speed and not (failing and passed)
+            for speed, passed in rows
+        )
+
+    missed = [p for p in own.violated if not cut and not near(p, failing=True)]
+    unlisted = [p for p in own.criticals if not cut and not near(p, failing=False)]
+    green = not cut and all(passed for _, passed in rows)
+    return green, result.passed, missed, unlisted, own, rows
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_random_rotor_is_green_where_a_fine_grid_is_not(seed):
+    green, passed, missed, unlisted, own, _ = verdicts(seed)
+    assert not missed
+    assert not unlisted
+    assert not (own.violated and (green or passed))
+
+
+@pytest.mark.study
+def test_two_hundred_random_rotors():
+    found = [verdicts(seed) for seed in range(200)]
+    red = sum(bool(own.violated) for _, _, _, _, own, _ in found)
+    green = sum(row[0] for row in found)
+    print(f"green {green}, exit 0 {sum(row[1] for row in found)}, red by the grid {red}")
+    wrong = [k for k, row in enumerate(found) if row[2] or row[3] or (row[4].violated and row[1])]
+    assert wrong == []
+    assert red > 40 and green > 40
