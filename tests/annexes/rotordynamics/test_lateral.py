@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 import ambrose as amb
 from ambrose.annexes.rotordynamics.capacity import UNBALANCE, AxisCapacity
 from ambrose.annexes.rotordynamics.clearances import Reading
-from ambrose.annexes.rotordynamics.command import value_in_words
+from ambrose.annexes.rotordynamics.command import lateral_command, value_in_words
 from ambrose.annexes.rotordynamics.critical import Critical, criticals
 from ambrose.annexes.rotordynamics.figures import level_one_figure, response_figure, shapes_figure
 from ambrose.annexes.rotordynamics.items import as_it_runs, critical_speeds
@@ -293,6 +293,23 @@ def test_all_turning_operating_points_are_the_running_range():
     assert separation.margin == pytest.approx(20, abs=1) and separation.passed
 
 
+def test_the_terminal_names_what_was_not_judged(tmp_path):
+    """Rows without a value stood on the page alone; Level I's border did not say that it is none."""
+    from click.testing import CliRunner
+
+    path = tmp_path / "films.toml"
+    path.write_text(
+        FILE.format(modulus=2_100_000, first=0.0, second=1.0, stiffness=K, damping=C, more="")
+    )
+    said = CliRunner().invoke(lateral_command, [str(path)])
+    assert said.exit_code == 1, said.output
+    told = " ".join(said.output.split())
+    assert "fails: Clearances: not done" in told
+    assert "not judged: Level I: cross-coupling at the stability threshold, Q0 (21 values" in told
+    assert "refined): not judged: no anticipated value" in told
+    assert "not judged: Torsional analysis: not covered: lateral motion only" in told
+
+
 def test_the_border_of_level_one_needs_no_mode_that_rings():
     """Films beyond critical damping: no forward mode rings at Q = 0, and Level I was "not done"
     with exit status 0. Q0 = c sqrt(k/m) all the same.
@@ -390,6 +407,41 @@ def test_a_critical_speed_is_shown_as_the_placement_that_excites_it_shows_it():
     curves[1] = 20 * curves[1]
     ((row, _, case),) = critical_speeds(response, 900.0, 1000.0)
     assert case == "another" and not row.passed
+
+
+def test_a_reading_that_a_block_holds_still_has_no_peaks_but_the_shaft_has():
+    """What a vibration-free block leaves of a probe is rounding: a thousand peaks of 1e-19 m, each
+    looked at for 13 s in all. The shaft bends between the probes all the same.
+    """
+    speeds = np.linspace(50, 1050, 2001)
+    curve = curve_of_peaks(speeds, (980.0, 2e-5, 20.0))
+    circle = np.array([1.0, -1j])
+    motion = np.stack([0 * curve, curve], axis=1)[:, :, None, None] * circle[:, None]
+    response = SimpleNamespace(
+        cases=(SimpleNamespace(name="first mode"),),
+        fine=speeds,
+        curves=lambda k: [("DE zeta", 1e-19 * np.random.default_rng(49).random(2001))],
+        motion=motion,
+        at=lambda values, at: values,
+    )
+    ((row, reading, _),) = critical_speeds(response, 900.0, 1000.0)
+    assert row.critical.speed == pytest.approx(980.0, rel=1e-3) and not row.passed
+    assert reading == "largest major axis of the shaft"
+
+
+def test_every_critical_speed_has_a_row_within_three_per_cent():
+    """Readings with peaks at 480, 493, 506 and 519 rad/s, each within 3 % of the one before, were
+    one critical speed, shown at the last.
+    """
+    speeds = np.linspace(50, 1050, 2001)
+    peaks = [(at, 1e-5 * (1 + k), 10.0) for k, at in enumerate((480.0, 493.0, 506.0, 519.0))]
+    response = SimpleNamespace(
+        cases=(SimpleNamespace(name="first mode"),),
+        fine=speeds,
+        curves=lambda k: [(f"P{at}", curve_of_peaks(speeds, (at, *rest))) for at, *rest in peaks],
+    )
+    rows = [row.critical.speed for row, _, _ in critical_speeds(response, 900.0, 1000.0)]
+    assert all(min(abs(speed - at) for speed in rows) <= 0.03 * at for at, *_ in peaks)
 
 
 def test_a_row_in_the_terminal_keeps_sign_bound_and_unit():

@@ -22,6 +22,7 @@ from ambrose.annexes.rotordynamics.reach import Reach
 from ambrose.annexes.rotordynamics.response import Response
 from ambrose.annexes.rotordynamics.result import OWN, RECALLED, Item, ModeRow, Rub
 from ambrose.judge.stability import judge_assumed
+from ambrose.judge.unbalance import orbit
 from ambrose.law.law import LawLike
 from ambrose.law.timing import DEFAULT, STATE_RATE, Timing
 from ambrose.machine.criteria import demand
@@ -36,6 +37,7 @@ _STABILITY = "6.8.5 and 6.8.6, stability"
 _LEVEL_ONE, _LEVEL_TWO = "6.8.5, stability, Level I", "6.8.6, stability, Level II"
 ONE_SIDED = " (half-power point on one side only: bandwidth taken as twice that side)"
 _FOR = "unbalance for the "
+_STILL = 1e-6  # of the least amplitude of a critical speed: a reading below is rounding
 _SAME_SPEED = 0.03  # two probes' peaks nearer to each other than this are one critical speed
 
 
@@ -242,7 +244,7 @@ def _peaks(response: Response, lowest: float, highest: float) -> tuple[list[_Gro
     small: _Group = []
     least = standard.SMALL_PEAK * standard.vibration_limit(highest / standard.RPM) / UM / 2
     for k, case in enumerate(response.cases):
-        for name, amplitude in response.curves(k):
+        for name, amplitude in _curves(response, k, least):
             for peak in criticals(response.fine, amplitude):
                 if peak.speed > standard.MARGIN_TO * highest:
                     continue
@@ -256,6 +258,18 @@ def _peaks(response: Response, lowest: float, highest: float) -> tuple[list[_Gro
         row for row in kept if not any(_minor(row, other) for other in kept if _beside(row, other))
     ]
     return _grouped(major), _grouped(alone)
+
+
+def _curves(response: Response, case: int, least: float) -> list[tuple[str, np.ndarray]]:
+    """Readings (v,) [m] of a placement; in the place of those that a block holds still, where
+    rounding alone has peaks, the largest major axis of the whole shaft. least [m]: of a peak.
+    """
+    curves = response.curves(case)
+    moved = [(name, curve) for name, curve in curves if curve.max() >= _STILL * least]
+    if len(moved) < len(curves):
+        xy = response.at(response.motion[..., case], response.fine)
+        moved.append(("largest major axis of the shaft", orbit(xy[..., 0], xy[..., 1]).max(axis=1)))
+    return moved
 
 
 def _beside(one: tuple[Separation, str, str], other: tuple[Separation, str, str]) -> bool:
