@@ -12,11 +12,12 @@ Tustin's rule, its delay and hold, amplifier and sensor. API 617 as /shared's no
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from independent_rig import free_modes
+from scipy.optimize import brentq
 
 RPM = math.pi / 30
 STEEL = {"density": 7800.0, "youngs_modulus": 2.1e11, "poisson_ratio": 0.3}
@@ -239,6 +240,22 @@ class OwnRotor:
         planes = vectors[: 2 * n, kept].T.reshape(-1, 2, n)
         return values[kept], planes @ shapes.T, float(values.real.max())
 
+    def border(self, speed):
+        """The first cross-coupling Q [N/m] at the node half way between the bearings, f_x = -Q y,
+        f_y = Q x, with which the loop is unstable; inf: none up to 1e11.
+        """
+        middle = 0.5 * sum(item.at for item in self.bearings)
+
+        def worst(q):
+            cross = Journal(middle, q * np.array([[0.0, 1.0], [-1.0, 0.0]]), np.zeros((2, 2)))
+            return replace(self, bearings=(*self.bearings, cross)).poles(speed)[2]
+
+        grid = np.geomspace(1e3, 1e11, 97)
+        for low, high in zip(grid[:-1], grid[1:], strict=True):
+            if worst(high) >= 0:
+                return float(brentq(worst, low, high, rtol=1e-6))
+        return math.inf
+
     def stable(self, speeds):
         return all(self.poles(w)[2] < 0 for w in speeds)
 
@@ -258,6 +275,10 @@ class OwnRotor:
             for case in self.placed((z / z[np.argmax(np.abs(z))]).real, speed):
                 if case not in found:
                     found.append(case)
+        if not found:  # no mode rings: the rigid rotor in parallel and tilting
+            arm = np.array(self.nodes) - 0.5 * sum(item.at for item in self.bearings)
+            for line in (np.ones_like(arm), arm):
+                found += self.placed(line, speed)
         return found
 
     def placed(self, line, speed):
@@ -361,10 +382,12 @@ def margins(speed, factor, lowest, highest):
 
 @dataclass(frozen=True)
 class Findings:
-    """criticals: peaks with AF of 2.5 and more that no reading dwarfs; violated: those of them that
-    miss their margin, by half a per cent and more.
+    """sized: all peaks of 0.9 % of the vibration limit and more; criticals: those of 2 % with AF of
+    2.5 and more that no reading dwarfs; violated: those of them that miss their margin, by half a
+    per cent and more.
     """
 
+    sized: list
     criticals: list
     violated: list
 
@@ -394,7 +417,7 @@ def judge(rotor, probes, lowest, highest, count=4001, most=2.0):
         margin, asked = margins(peak.speed, peak.factor, lowest, highest)
         if margin < asked - 0.5:
             violated.append(peak)
-    return Findings(criticals, violated)
+    return Findings([p for p in found if 2 * p.amplitude >= 0.009 * limit], criticals, violated)
 
 
 def written(rotor, points, running, probes, top):

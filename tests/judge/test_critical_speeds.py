@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import ambrose as amb
 from ambrose.judge.checks import Curve
 from ambrose.judge.critical_speeds import critical_speeds, separation_check
 from ambrose.judge.nominal import check
@@ -141,7 +140,7 @@ def test_a_machine_without_running_speeds_runs_at_all_its_turning_points_and_bet
         checks = check(assemble(one, point), law).checks
         return [item for item in checks if item.name == "unbalance.separation"]
 
-    for point in machine.operation.envelope:
+    for point in (one for one in machine.operation.envelope if one.speed > 0):
         (own,) = row(machine, point)
         (told,) = row(stated, point)
         assert (own.value, own.title, own.passed) == (told.value, told.title, told.passed)
@@ -152,5 +151,3 @@ def test_a_machine_without_running_speeds_runs_at_all_its_turning_points_and_bet
         )
     assert row(machine, OperatingPoint(0.0)) == []
     assert running_range(None, [0.0]) is None
-    # as lateral takes it
-    assert amb.lateral(machine, law, tolerances=False).speeds[:2] == running_range(None, turning)

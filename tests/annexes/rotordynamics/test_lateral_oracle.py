@@ -9,12 +9,16 @@ import numpy as np
 import pytest
 
 import ambrose as amb
+from ambrose.annexes.rotordynamics.analysis import _level_one
+from ambrose.annexes.rotordynamics.stations import lay_out
+from ambrose.law.law import law_of
 from ambrose.law.pid import pid_controller
+from ambrose.law.timing import timing_of
 from ambrose.machine.file.toml import loads_machine
 from own_rotor import Journal, Magnet, OwnRotor, judge, written
 
 def random_shaft(rng):
-    """Nodes, diameters and discs; bearings stand on nodes 1 and -2 (or 2, of an overhung end)."""
+    """Nodes, diameters, discs and the places of two bearings, with a node half way between."""
     spans = rng.uniform(0.05, 0.25, int(rng.integers(5, 8)))
     nodes = tuple(float(x) for x in np.concatenate([[0.0], np.cumsum(spans)]))
     diameters = tuple(float(d) for d in rng.uniform(0.045, 0.1, len(spans)))
@@ -23,7 +27,15 @@ def random_shaft(rng):
         mass, radius = float(rng.uniform(2, 20)), float(rng.uniform(0.08, 0.16))
         polar = mass * radius**2 / 2
         discs.append((int(node), mass, polar, float(rng.uniform(0.5, 0.8) * polar)))
-    return nodes, diameters, tuple(discs)
+    right = len(nodes) - 1 - int(rng.choice([0, 1, 2]))
+    places = nodes[int(rng.choice([0, 1]))], nodes[right]
+    middle = 0.5 * (places[0] + places[1])
+    k = int(np.searchsorted(nodes, middle))
+    if min(abs(middle - x) for x in nodes) > 1e-3:
+        nodes = (*nodes[:k], middle, *nodes[k:])
+        diameters = (*diameters[:k], *diameters[k - 1 :])
+        discs = [(node + (node >= k), *rest) for node, *rest in discs]
+    return nodes, diameters, tuple(discs), places
 
 
 def films(rng, places):
@@ -53,10 +65,8 @@ def random_machine(seed):
     """An own rotor, its machine file, probes and running range; critical speeds stand near it."""
     rng = np.random.default_rng([49, 1, seed])
     while True:
-        nodes, diameters, discs = random_shaft(rng)
-        right = len(nodes) - 1 - int(rng.choice([0, 1, 2]))
-        places = nodes[int(rng.choice([0, 1]))], nodes[right]
-        rotor = OwnRotor(nodes, diameters, discs, (), float(rng.choice([0.0, 0.005])))
+        nodes, diameters, discs, places = random_shaft(rng)
+        rotor = OwnRotor(nodes, diameters, discs, (), 0.005)
         magnetic = seed % 3 == 2
         bearings = magnets(rng, nodes, places, rotor.mass) if magnetic else films(rng, places)
         rotor = OwnRotor(nodes, diameters, discs, bearings, rotor.damping)
@@ -76,8 +86,8 @@ def random_machine(seed):
     probes = []
     for _ in range(int(rng.integers(0, 3))):
         probes.append((float(rng.choice(nodes)), float(rng.uniform(0, math.pi))))
-    # kind 0: one point, 1: two points, 2: the file says the range
-    points = (highest,) if kind == 0 else (lowest, highest)
+    # kind 0: one point, 1: two points, 2: the file says a narrower range than its points
+    points = (highest,) if kind == 0 else (lowest if kind == 1 else 0.4 * highest, highest)
     running = (lowest, highest) if kind == 2 else None
     machine = loads_machine(written(rotor, points, running, probes, highest), "random")
     if magnetic:
@@ -116,6 +126,33 @@ def test_no_random_rotor_is_green_where_a_fine_grid_is_not(seed):
     assert not missed
     assert not unlisted
     assert not (own.violated and (green or passed))
+
+
+def borders(seed):
+    """Q0 of Level I [N/m] by the package and by the own loop; None where it was not found."""
+    rotor, machine, _, (_, highest) = random_machine(seed)
+    law = law_of(pid_controller(machine.reference, machine)) if machine.bearings else None
+    timing = None if law is None else timing_of(machine, law)
+    point = max(machine.operation.envelope, key=lambda item: item.speed)
+    layout = lay_out(machine)
+    one, why, _ = _level_one(machine, layout, point, law, timing, 1.3125 * highest, None)
+    return (None if one is None else one.border), rotor.border(highest), why
+
+
+@pytest.mark.parametrize("seed", [1, 3, 9, 5])  # films, and magnets
+def test_the_border_of_level_one_is_that_of_the_own_loop(seed):
+    found, own, _ = borders(seed)
+    assert found == pytest.approx(own, rel=1e-3)
+
+
+@pytest.mark.study
+def test_two_hundred_borders():
+    found = [borders(seed) for seed in range(200)]
+    known = [(one, own) for one, own, _ in found if one is not None]
+    print(f"{len(known)} borders, {sum(math.isinf(own) for _, own in known)} beyond 1e11 N/m")
+    wrong = [k for k, (one, own, _) in enumerate(found) if one is None or abs(one / own - 1) > 1e-3]
+    print([(k, *found[k]) for k in wrong])
+    assert len(known) > 150 and wrong == []
 
 
 @pytest.mark.study
