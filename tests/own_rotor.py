@@ -14,10 +14,12 @@ Tustin's rule, its delay and hold, amplifier and sensor. API 617 as /shared's no
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
-from independent_rig import free_modes
 from scipy.optimize import brentq
+
+from independent_rig import free_modes
 
 RPM = math.pi / 30
 STEEL = {"density": 7800.0, "youngs_modulus": 2.1e11, "poisson_ratio": 0.3}
@@ -77,7 +79,6 @@ derivative_filter = {eps!r}
 sample_time = {dt!r}
 """
 CLEARANCE = '[[clearance]]\nname = "lab"\nposition = {at!r}\ndiametral = "4 mm"\n'
-
 
 
 @dataclass(frozen=True)
@@ -251,7 +252,7 @@ class OwnRotor:
             return replace(self, bearings=(*self.bearings, cross)).poles(speed)[2]
 
         grid = np.geomspace(1e3, 1e11, 97)
-        for low, high in zip(grid[:-1], grid[1:], strict=True):
+        for low, high in pairwise(map(float, grid)):
             if worst(high) >= 0:
                 return float(brentq(worst, low, high, rtol=1e-6))
         return math.inf
@@ -301,7 +302,12 @@ class OwnRotor:
         outer = [(end, at) for end, at in ends if abs(line[end]) >= 0.5 * largest]
         if outer:
             outboard = [
-                (end, sum(m for x, m in self.masses if (x < nodes[at] if end == 0 else x > nodes[at])))
+                (
+                    end,
+                    sum(
+                        m for x, m in self.masses if (x < nodes[at] if end == 0 else x > nodes[at])
+                    ),
+                )
                 for end, at in outer
             ]
             sets.append(outboard)
@@ -342,7 +348,9 @@ class OwnRotor:
         found = {}
         for at, direction in probes:
             x, y = np.moveaxis(motion[..., int(np.argmin(np.abs(nodes - at)))], -1, 0)
-            found[f"{at:.4g} {direction:.3g}"] = np.abs(math.cos(direction) * x + math.sin(direction) * y)
+            found[f"{at:.4g} {direction:.3g}"] = np.abs(
+                math.cos(direction) * x + math.sin(direction) * y
+            )
         for at in {at for at, _ in probes} or {item.at for item in self.bearings}:
             x, y = np.moveaxis(motion[..., int(np.argmin(np.abs(nodes - at)))], -1, 0)
             found[f"orbit {at:.4g}"] = 0.5 * (np.abs(x + 1j * y) + np.abs(x - 1j * y))
@@ -409,9 +417,7 @@ def judge(rotor, probes, lowest, highest, count=4001, most=2.0):
         # twice what is left out as too small by the package's rules
         return 2 * peak.amplitude >= 0.02 * limit and peak.amplitude >= 0.2 * max(beside)
 
-    criticals = [
-        p for p in found if p.factor >= 2.55 and p.speed <= 1.3 * highest and counts(p)
-    ]
+    criticals = [p for p in found if p.factor >= 2.55 and p.speed <= 1.3 * highest and counts(p)]
     violated = []
     for peak in criticals:
         margin, asked = margins(peak.speed, peak.factor, lowest, highest)

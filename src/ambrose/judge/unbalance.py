@@ -19,7 +19,7 @@ pulls with F = U W^2 (ISO 21940-11). How U is spread is unknown, so that three c
 | unbalance.current_0p | worst-case control current of the axis nearest to its limit | A |
 | unbalance.force_0p | worst-case force k_i i + k_s q of the axis nearest to its limit | N |
 | unbalance.voltage_0p | worst-case voltage w L i of a coil, with a max_voltage | V |
-| unbalance.separation | amplification factor over the allowed near the running speeds (API 617) | - |
+| unbalance.separation | amplification factor over the allowed near running speeds (API 617) | - |
 | unbalance.assembled_0p | worst-case orbit with the rotor assembled anew at every speed | m |
 
 The curves are "unbalance" (frozen at the plant's speed), "unbalance.assembled_0p" and

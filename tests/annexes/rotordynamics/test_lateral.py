@@ -209,9 +209,7 @@ def test_the_log_decrement_at_q_a_is_the_least_of_followed_and_late_modes():
     bare = amb.lateral(films()).level_one
     root = np.roots([m, 2 * C, k])[0]
     assert bare.anticipated is None and len(bare.branches) > 1
-    assert bare.at_anticipated == pytest.approx(
-        2 * math.pi * -root.real / abs(root.imag), rel=1e-3
-    )
+    assert bare.at_anticipated == pytest.approx(2 * math.pi * -root.real / abs(root.imag), rel=1e-3)
 
 
 def test_critical_speed_amplitude_and_factor_of_one_mass():

@@ -18,6 +18,7 @@ from ambrose.law.timing import timing_of
 from ambrose.machine.file.toml import loads_machine
 from own_rotor import Journal, Magnet, OwnRotor, judge, written
 
+
 def random_shaft(rng):
     """Nodes, diameters, discs and the places of two bearings, with a node half way between."""
     spans = rng.uniform(0.05, 0.25, int(rng.integers(5, 8)))
