@@ -292,7 +292,9 @@ class OwnRotor:
             np.arange(a, b + 1), np.flatnonzero(np.diff(np.sign(line[a : b + 1]))) + 1
         ):
             size = np.abs(line[stretch])
-            flat = nodes[stretch[size >= 0.95 * size.max()]]
+            # where it is largest, or of a plateau that reaches an end the middle
+            clear = 0.95 * size.max() > max(size[0], size[-1])
+            flat = nodes[stretch[size >= (1.0 if clear else 0.95) * size.max()]]
             inner.append(int(np.argmin(np.abs(nodes - 0.5 * (flat[0] + flat[-1])))))
         largest = max(abs(line[k]) for k in (*inner, *(end for end, _ in ends)))
         inner = [k for k in inner if abs(line[k]) >= 0.1 * largest]
