@@ -7,7 +7,7 @@ mesh), and in them
     (s^2 + 2 zeta w s + w^2 + s W [[0, g], [-g, 0]] + bearings(s)) q = f,    s = j W,
 
 where a journal adds K + s C, a magnet -k_s and k_i H(s) from the sensor, with H the sampled PID by
-Tustin's rule, its delay and hold, amplifier and sensor. API 617 as /shared's notes quote it: twice
+Tustin's rule, its delay and hold, amplifier and sensor. API 617 as open code quotes it: twice
 6350 W/N, placed by the shape of every forward mode; AF = N/(N2 - N1) at 0.707 of the peak.
 """
 
