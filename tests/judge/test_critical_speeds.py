@@ -1,12 +1,18 @@
 """Critical speeds and amplification factors against the closed form of one mass on a spring."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from ambrose.judge.checks import Curve
 from ambrose.judge.critical_speeds import critical_speeds, separation_check
-from ambrose.machine.description import Requirements
-from ambrose.model.separation import allowed_amplification, needed_damping
+from ambrose.judge.nominal import check
+from ambrose.law.pid import pid_controller
+from ambrose.machine.description import OperatingPoint, Requirements
+from ambrose.model.assemble import assemble
+from ambrose.model.separation import allowed_amplification, needed_damping, running_range
+from coarse import coarse
 
 
 def response(speeds, *modes):
@@ -116,3 +122,32 @@ def test_the_critical_speed_that_binds_is_named_first():
     first, *others = found.detail.split("; ")
     assert found.value == pytest.approx(10, rel=0.05) and first.endswith("allowed 2.5")
     assert any(other.endswith("far enough") for other in others)
+
+
+def test_a_machine_without_running_speeds_runs_at_all_its_turning_points_and_between():
+    """Separation was judged with ``running_speeds`` alone: without them verify was silent, and the
+    two-disc rotor's critical speed at 59 Hz, AF 3.1 within its running range, in no row.
+    """
+    machine = coarse("two-disc-rotor")
+    law = pid_controller(machine.reference, machine)
+    turning = [point.speed for point in machine.operation.envelope if point.speed > 0]
+    stated = replace(
+        machine,
+        requirements=replace(machine.requirements, running_speeds=(min(turning), max(turning))),
+    )
+
+    def row(one, point):
+        checks = check(assemble(one, point), law).checks
+        return [item for item in checks if item.name == "unbalance.separation"]
+
+    for point in (one for one in machine.operation.envelope if one.speed > 0):
+        (own,) = row(machine, point)
+        (told,) = row(stated, point)
+        assert (own.value, own.title, own.passed) == (told.value, told.title, told.passed)
+        assert own.passed is False
+        assert own.detail == told.detail + (
+            "; no running_speeds in the machine file: taken to run from its slowest to its fastest "
+            "turning operating point"
+        )
+    assert row(machine, OperatingPoint(0.0)) == []
+    assert running_range(None, [0.0]) is None

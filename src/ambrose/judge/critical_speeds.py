@@ -19,6 +19,10 @@ from ambrose.machine.criteria import TWO_PI, demand
 from ambrose.machine.description import Requirements
 from ambrose.model.separation import LEAST_AMPLIFICATION, allowed_amplification
 
+_TAKEN = (
+    "; no running_speeds in the machine file: taken to run from its slowest to its fastest turning "
+    "operating point"
+)
 _SAME = 0.03  # peaks of two lines this near to each other are one critical speed
 
 
@@ -69,7 +73,8 @@ def separation_check(
         float(ratio.max(initial=0.0)),
         "-",
         wanted,
-        listed or f"no peak has a factor of {LEAST_AMPLIFICATION:g}: no critical speed",
+        (listed or f"no peak has a factor of {LEAST_AMPLIFICATION:g}: no critical speed")
+        + ("" if requirements.running_speeds else _TAKEN),
     )
 
 

@@ -71,7 +71,7 @@ _SPEEDS = 61  # at which curves are drawn
 _LINES = "without the block", "block converged"
 _GRID = 49  # speeds between which borders of stability are looked for
 _NOTHING = 1e-15  # A, N, m: below it a signal is called zero
-_VANISHED = 1e-6  # of the signal without the block, -120 dB: below it nothing is left but rounding
+VANISHED = 1e-6  # of the signal without the block, -120 dB: below it nothing is left but rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -507,7 +507,7 @@ def _change_check(
     told as -120 dB.
     """
     ratio = after / np.maximum(before, _NOTHING)
-    change = 20 * np.log10(np.maximum(ratio, _VANISHED))
+    change = 20 * np.log10(np.maximum(ratio, VANISHED))
     k = int(np.argmax(change))
     m = int(np.argmax(before))
     detail = (
@@ -515,7 +515,7 @@ def _change_check(
         "largest, at "
         f"{speeds[m]:.4g} rad/s, {before[m]:.3g} to {after[m]:.3g} {unit}"
     )
-    if ratio[k] <= _VANISHED:
+    if ratio[k] <= VANISHED:
         detail = (
             f"it vanishes in the model; without the block up to {before[m]:.3g} {unit}, at "
             f"{speeds[m]:.4g} rad/s"

@@ -19,7 +19,7 @@ pulls with F = U W^2 (ISO 21940-11). How U is spread is unknown, so that three c
 | unbalance.current_0p | worst-case control current of the axis nearest to its limit | A |
 | unbalance.force_0p | worst-case force k_i i + k_s q of the axis nearest to its limit | N |
 | unbalance.voltage_0p | worst-case voltage w L i of a coil, with a max_voltage | V |
-| unbalance.separation | amplification factor over the allowed near running_speeds (API 617) | - |
+| unbalance.separation | amplification factor over the allowed near running speeds (API 617) | - |
 | unbalance.assembled_0p | worst-case orbit with the rotor assembled anew at every speed | m |
 
 The curves are "unbalance" (frozen at the plant's speed), "unbalance.assembled_0p" and
@@ -44,7 +44,7 @@ from ambrose.machine.criteria import TWO_PI, demand, machine_limit
 from ambrose.machine.description import Requirements
 from ambrose.machine.machine import Machine
 from ambrose.model.plant import Plant, top_speed
-from ambrose.model.separation import runs_within
+from ambrose.model.separation import running_range, runs_within
 from ambrose.model.static_load import magnet_coefficients
 from ambrose.model.unbalance import Unbalance, residual_unbalance
 
@@ -169,7 +169,8 @@ def unbalance_checks(
         ),
         *_voltage(plant, response, evaluator, residual, within),
     ]
-    running = requirements.running_speeds
+    points = machine.operation.envelope
+    running = running_range(requirements.running_speeds, (point.speed for point in points))
     if running is not None and runs_within(plant.point.speed, running):
         near = response.omega <= _NEAR * running[1]
         turning = np.vstack([case(response)[:, near] for case in cases[1:3]])

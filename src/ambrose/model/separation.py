@@ -12,12 +12,24 @@ amplification factor.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 LEAST_AMPLIFICATION = 2.5  # below it a peak is critically damped: no critical speed
 _OFFSET, _SPAN = 1.5, 0.17  # of SM = 17 % (1 - 1/(AF - 1.5))
 # margin from which more than 2.5 is allowed, and from which anything is
 _BELOW, _ABOVE = (0.0, 0.16), (0.10, 0.26)
+
+
+def running_range(
+    stated: tuple[float, float] | None, speeds: Iterable[float]
+) -> tuple[float, float] | None:
+    """Between which speeds [rad/s] a machine runs: as stated, else from the slowest to the fastest
+    of its turning operating points' ``speeds``; None: none turns.
+    """
+    turning = [speed for speed in speeds if speed > 0]
+    return stated or ((min(turning), max(turning)) if turning else None)
 
 
 def runs_within(speed: float, running: tuple[float, float]) -> bool:

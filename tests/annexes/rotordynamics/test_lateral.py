@@ -12,12 +12,13 @@ from types import SimpleNamespace
 import jsonschema
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.optimize import brentq
 
 import ambrose as amb
 from ambrose.annexes.rotordynamics.capacity import UNBALANCE, AxisCapacity
 from ambrose.annexes.rotordynamics.clearances import Reading
-from ambrose.annexes.rotordynamics.command import value_in_words
+from ambrose.annexes.rotordynamics.command import lateral_command, value_in_words
 from ambrose.annexes.rotordynamics.critical import Critical, criticals
 from ambrose.annexes.rotordynamics.figures import level_one_figure, response_figure, shapes_figure
 from ambrose.annexes.rotordynamics.items import as_it_runs, critical_speeds
@@ -193,6 +194,25 @@ def test_a_mode_that_is_overdamped_without_cross_coupling_is_judged_at_q_a():
     assert max(np.nanmax(curve.y) for curve in drawn) < OVERDAMPED
 
 
+def test_the_log_decrement_at_q_a_is_the_least_of_followed_and_late_modes():
+    """m z'' + c z' + (k - j Q) z = 0 at 0.72 of the critical damping: nothing rings at Q = 0 and
+    nothing crosses up to 10 Q_A = 0.83 Q0, but at Q_A the parallel mode rings. Without an
+    anticipated value the least of the modes followed counts, at Q = 0: tilting on the ends has
+    sqrt(3) times the damping ratio.
+    """
+    m, k = mass_of(films()), 2 * K
+    c = 0.72 * 2 * math.sqrt(k * m)
+    one = amb.lateral(films(STAGE.replace("400 kW", "1340 kW"), damping=c / 2)).level_one
+    assert not one.branches and math.isinf(one.border)
+    root = max(np.roots([m, c, k - 1j * one.anticipated]), key=lambda s: s.real)
+    expected = 2 * math.pi * -root.real / abs(root.imag)
+    assert one.at_anticipated == pytest.approx(expected, rel=1e-3) and expected < 0.95 * OVERDAMPED
+    bare = amb.lateral(films()).level_one
+    root = np.roots([m, 2 * C, k])[0]
+    assert bare.anticipated is None and len(bare.branches) > 1
+    assert bare.at_anticipated == pytest.approx(2 * math.pi * -root.real / abs(root.imag), rel=1e-3)
+
+
 def test_critical_speed_amplitude_and_factor_of_one_mass():
     machine = films()
     result = amb.lateral(machine, trip=6300 * RPM)
@@ -270,6 +290,22 @@ def test_all_turning_operating_points_are_the_running_range():
     )
     separation = amb.lateral(stated).critical_speeds[0][0]
     assert separation.margin == pytest.approx(20, abs=1) and separation.passed
+
+
+def test_the_terminal_names_what_was_not_judged(tmp_path, monkeypatch):
+    """Rows without a value stood on the page alone; Level I's border did not say that it is none."""
+    path, told = tmp_path / "films.toml", []
+    path.write_text(
+        FILE.format(modulus=2_100_000, first=0.0, second=1.0, stiffness=K, damping=C, more="")
+    )
+    monkeypatch.setattr("ambrose.annexes.rotordynamics.command.say", told.append)
+    assert CliRunner().invoke(lateral_command, [str(path)]).exit_code == 1
+    named = {text.split(": not ")[0] for text in told}
+    assert "fails: Clearances" in named and "not judged: Torsional analysis" in named
+    (border,) = [text for text in told if "stability threshold, Q0 (" in text]
+    assert (
+        border.startswith("not judged: Level I: ") and " values, refined): not judged: " in border
+    )
 
 
 def test_the_border_of_level_one_needs_no_mode_that_rings():
@@ -369,6 +405,41 @@ def test_a_critical_speed_is_shown_as_the_placement_that_excites_it_shows_it():
     curves[1] = 20 * curves[1]
     ((row, _, case),) = critical_speeds(response, 900.0, 1000.0)
     assert case == "another" and not row.passed
+
+
+def test_a_reading_that_a_block_holds_still_has_no_peaks_but_the_shaft_has():
+    """What a vibration-free block leaves of a probe is rounding: a thousand peaks of 1e-19 m, each
+    looked at for 13 s in all. The shaft bends between the probes all the same.
+    """
+    speeds = np.linspace(50, 1050, 2001)
+    curve = curve_of_peaks(speeds, (980.0, 2e-5, 20.0))
+    circle = np.array([1.0, -1j])
+    motion = np.stack([0 * curve, curve], axis=1)[:, :, None, None] * circle[:, None]
+    response = SimpleNamespace(
+        cases=(SimpleNamespace(name="first mode"),),
+        fine=speeds,
+        curves=lambda k: [("DE zeta", 1e-19 * np.random.default_rng(49).random(2001))],
+        motion=motion,
+        at=lambda values, at: values,
+    )
+    ((row, reading, _),) = critical_speeds(response, 900.0, 1000.0)
+    assert row.critical.speed == pytest.approx(980.0, rel=1e-3) and not row.passed
+    assert reading == "largest major axis of the shaft"
+
+
+def test_every_critical_speed_has_a_row_within_three_per_cent():
+    """Readings with peaks at 480, 493, 506 and 519 rad/s, each within 3 % of the one before, were
+    one critical speed, shown at the last.
+    """
+    speeds = np.linspace(50, 1050, 2001)
+    peaks = [(at, 1e-5 * (1 + k), 10.0) for k, at in enumerate((480.0, 493.0, 506.0, 519.0))]
+    response = SimpleNamespace(
+        cases=(SimpleNamespace(name="first mode"),),
+        fine=speeds,
+        curves=lambda k: [(f"P{at}", curve_of_peaks(speeds, (at, *rest))) for at, *rest in peaks],
+    )
+    rows = [row.critical.speed for row, _, _ in critical_speeds(response, 900.0, 1000.0)]
+    assert all(min(abs(speed - at) for speed in rows) <= 0.03 * at for at, *_ in peaks)
 
 
 def test_a_row_in_the_terminal_keeps_sign_bound_and_unit():

@@ -44,6 +44,7 @@ from ambrose.machine.machine import Machine
 from ambrose.machine.parameters import operating_point
 from ambrose.model.effects.journal_bearing import JournalBearing
 from ambrose.model.effects.stage import Stage, rated_cross_coupling
+from ambrose.model.separation import running_range
 
 TRIP = 1.05  # times the maximum continuous speed, where nothing is said
 _LOOPS = 64  # kept by speed
@@ -92,8 +93,8 @@ def lateral(
     across_the_shaft(machine, "a lateral analysis is of the motion across it")
     chosen = _point(machine, point)
     running = machine.requirements.running_speeds
-    turning = [item.speed for item in (*machine.operation.envelope, chosen) if item.speed > 0]
-    lowest, highest = running or (min(turning), max(turning))
+    turning = (item.speed for item in (*machine.operation.envelope, chosen))
+    lowest, highest = running_range(running, turning) or (chosen.speed, chosen.speed)
     stated, trip = trip, _trip(trip, highest)
     if density is not None and not 0 < density < math.inf:
         raise invalid("the mean gas density", density, "more than 0 kg/m3", "it screens Level I")

@@ -26,7 +26,7 @@ from ambrose.annexes.rotordynamics.response import Response, Solve, respond
 from ambrose.annexes.rotordynamics.result import OWN, Item
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.capacity import together
-from ambrose.judge.synchronous import BlockLoop, block_loops, check_block
+from ambrose.judge.synchronous import VANISHED, BlockLoop, block_loops, check_block
 from ambrose.law.law import Law
 from ambrose.law.synchronous import at_bearings
 from ambrose.machine.machine import Machine
@@ -145,18 +145,19 @@ def _capacity(loop: ShaftLoop, response: Response, words: str) -> Item:
         ),
         key=lambda row: row[0].value,
     )
+    asked = worst.value < np.inf
     return Item(
         "capacity.unbalance",
         f"Load capacity divided by the demand of unbalance{words}",
         standard.EDITION,
         "annex E, load capacity",
         OWN,
-        worst.value,
+        worst.value if asked else None,
         "-",
         ">=",
-        1.0,
+        1.0 if asked else None,
         worst.value >= 1.0,
-        f"axis {axis}: {binding(worst)}",
+        f"axis {axis}: {binding(worst)}" if asked else "the block leaves no current to carry",
     )
 
 
@@ -187,6 +188,7 @@ def _solve(item: BlockLoop) -> Solve:
         else:
             D = item.gain(loop.point.speed)
             c = np.linalg.solve(np.eye(len(D)) - D @ Z, D @ z_f)
-        return x_f + x_c @ c, i_f + i_c @ c
+        i = i_f + i_c @ c
+        return x_f + x_c @ c, np.where(np.abs(i) <= VANISHED * np.abs(i_f), 0.0, i)
 
     return solve

@@ -138,8 +138,9 @@ def lateral_command(
         if comparison is not None:
             print_comparison(comparison)
         for item in result.items:
-            if item.passed is False:
-                say(f"fails: {item.title}: {item.note}")
+            if item.passed is False or item.left_out:
+                verdict = "not judged" if item.left_out else "fails"
+                say(f"{verdict}: {item.title}: {item.note}")
         for note in result.notes:
             say(note)
     if failure is not None:

@@ -22,6 +22,7 @@ from ambrose.annexes.rotordynamics.reach import Reach
 from ambrose.annexes.rotordynamics.response import Response
 from ambrose.annexes.rotordynamics.result import OWN, RECALLED, Item, ModeRow, Rub
 from ambrose.judge.stability import judge_assumed
+from ambrose.judge.unbalance import orbit
 from ambrose.law.law import LawLike
 from ambrose.law.timing import DEFAULT, STATE_RATE, Timing
 from ambrose.machine.criteria import demand
@@ -36,6 +37,7 @@ _STABILITY = "6.8.5 and 6.8.6, stability"
 _LEVEL_ONE, _LEVEL_TWO = "6.8.5, stability, Level I", "6.8.6, stability, Level II"
 ONE_SIDED = " (half-power point on one side only: bandwidth taken as twice that side)"
 _FOR = "unbalance for the "
+_STILL = 1e-6  # of the least amplitude of a critical speed: a reading below is rounding
 _SAME_SPEED = 0.03  # two probes' peaks nearer to each other than this are one critical speed
 
 
@@ -242,7 +244,7 @@ def _peaks(response: Response, lowest: float, highest: float) -> tuple[list[_Gro
     small: _Group = []
     least = standard.SMALL_PEAK * standard.vibration_limit(highest / standard.RPM) / UM / 2
     for k, case in enumerate(response.cases):
-        for name, amplitude in response.curves(k):
+        for name, amplitude in _curves(response, k, least):
             for peak in criticals(response.fine, amplitude):
                 if peak.speed > standard.MARGIN_TO * highest:
                     continue
@@ -256,6 +258,18 @@ def _peaks(response: Response, lowest: float, highest: float) -> tuple[list[_Gro
         row for row in kept if not any(_minor(row, other) for other in kept if _beside(row, other))
     ]
     return _grouped(major), _grouped(alone)
+
+
+def _curves(response: Response, case: int, least: float) -> list[tuple[str, np.ndarray]]:
+    """Readings (v,) [m] of a placement; in the place of those that a block holds still, where
+    rounding alone has peaks, the largest major axis of the whole shaft. least [m]: of a peak.
+    """
+    curves = response.curves(case)
+    moved = [(name, curve) for name, curve in curves if curve.max() >= _STILL * least]
+    if len(moved) < len(curves):
+        xy = response.at(response.motion[..., case], response.fine)
+        moved.append(("largest major axis of the shaft", orbit(xy[..., 0], xy[..., 1]).max(axis=1)))
+    return moved
 
 
 def _beside(one: tuple[Separation, str, str], other: tuple[Separation, str, str]) -> bool:
@@ -273,10 +287,10 @@ def _minor(one: tuple[Separation, str, str], other: tuple[Separation, str, str])
 
 
 def _grouped(rows: _Group) -> list[_Group]:
-    """Readings by speed, those of one critical speed together."""
+    """Readings by speed, those of one critical speed together: none is far from its row's."""
     groups: list[_Group] = []
     for row in sorted(rows, key=lambda row: row[0].critical.speed):
-        if groups and _beside(groups[-1][-1], row):
+        if groups and _beside(groups[-1][0], row):
             groups[-1].append(row)
         else:
             groups.append([row])
@@ -369,19 +383,21 @@ def level_one(one: LevelOne | None, density: float | None = None, why: str = "")
         if math.isnan(one.crossing)
         else f"; unstable beyond: mode at {standard.rpm(one.crossing)} rpm"
     )
+    met = math.isfinite(one.border)
+    swept = f"({len(one.cross_coupling)} values{', refined' if met else ''})"
     if one.anticipated is None:
         yield Item(
             "level_one.border",
-            "Level I: cross-coupling at the stability threshold, Q0",
+            f"Level I: cross-coupling at the stability threshold, Q0 {swept}",
             standard.EDITION,
             _LEVEL_ONE,
             RECALLED,
-            one.border if math.isfinite(one.border) else one.end,
+            one.border if met else one.end,
             "N/m",
             ">=",
-            note="no anticipated value: the machine file has no [[stage]]"
-            + (crossing if math.isfinite(one.border) else f"; {level_one_beyond(one)}"),
-            bound="" if math.isfinite(one.border) else ">",
+            note="not judged: no anticipated value, the machine file has no [[stage]]"
+            + (crossing if met else f"; {level_one_beyond(one)}"),
+            bound="" if met else ">",
         )
         yield from _screening(one, density)
         return
@@ -398,12 +414,11 @@ def level_one(one: LevelOne | None, density: float | None = None, why: str = "")
         one.at_anticipated >= standard.LEAST_LOG_DECREMENT,
         f"Q_A {one.anticipated:.4g} N/m at {where}; least of all oscillatory forward modes{rings}",
     )
-    met = math.isfinite(one.border)
     ratio = (one.border if met else one.end) / one.anticipated
     reasons = one.screening.reasons if one.screening is not None else ()
     yield Item(
         "level_one.border",
-        "Level I: threshold cross-coupling relative to the anticipated one, Q0/Q_A",
+        f"Level I: threshold cross-coupling relative to the anticipated one, Q0/Q_A {swept}",
         standard.EDITION,
         _LEVEL_ONE,
         RECALLED,

@@ -63,6 +63,12 @@ class Item:
         unknown = self.value is not None and not np.isfinite(self.value)
         return self.passed is None and self.limit is not None and unknown
 
+    @property
+    def left_out(self) -> bool:
+        """Whether no verdict was given of what a reviewer looks for, as the note says."""
+        said = ("not covered", "not done", "not judged")
+        return self.passed is None and any(words in self.note for words in said)
+
     def to_dict(self) -> dict[str, Any]:
         """Plain data; infinite values as text."""
         row = {name: getattr(self, name) for name in self.__slots__}
