@@ -64,6 +64,7 @@ _APART, _SAME = 2e-3, 2e-4  # relative distances of two points, and of two known
 _AROUND, _HIGH = 15, 0.9
 # times that the points around the largest ratios are taken seven times closer
 _CLOSER = 3
+_ALIKE = 1e-10  # relative: frequencies so near are one
 _BINDS = 0.99  # of a guard, which then decides what is found
 _MISSED = 1.01  # times a ratio on the grid that is tuned on: its peak lies between two points
 _ROUNDING, _DRIFT = 1e-9, 0.1  # rad/s; of an integrator that is set back
@@ -521,9 +522,10 @@ def _judged(job: Job, law: Law, models: Sequence[LoopModel]) -> _Round:
     # the largest of every channel between its neighbours on the grid; settling needs all of it
     aims = replace(job.aims, settling=None)
     for _ in range(_CLOSER):
-        places = {r.frequency for name, r in ratios.items() if _on_grid(name, r)}
-        around = _around(grid, np.searchsorted(grid, sorted(places)))
+        at = [r.frequency for name, r in ratios.items() if _on_grid(name, r)]
+        around = _around(grid, np.abs(grid - np.array(at)[:, None]).argmin(axis=1))
         grid = np.union1d(grid, around)
+        grid = grid[np.diff(grid, append=np.inf) > _ALIKE * grid]
         for name, ratio in Objective(structure, models, around, aims).ratios(x).items():
             if _on_grid(name, ratio):
                 ratios[name] = max(ratio, ratios[name], key=lambda item: item.value)
