@@ -1,4 +1,4 @@
-"""A gain from w to z that no controller comes below, shown by disturbances that can be written down.
+"""A gain from w to z that no controller comes below, shown by disturbances that are written down.
 
 Two kinds. At one frequency, what the control does not reach or the measurement does not show
 (``unavoidable`` beside this file). And in time: up to t = 0 a disturbance that the measurement does
@@ -94,9 +94,7 @@ def _in_time(plant: ScaledPlant, gamma: float, X: np.ndarray, Y: np.ndarray) -> 
     return float(np.sqrt(max(kept - _ROUNDING * size, 0.0) / (given * (1 + _ROUNDING))))
 
 
-def _after(
-    plant: ScaledPlant, gamma: float, X: np.ndarray
-) -> tuple[list[np.ndarray], np.ndarray]:
+def _after(plant: ScaledPlant, gamma: float, X: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
     """Terms (n, n) whose sum is min_u int |z|^2 from x0 on, while w is the game's worst, fixed
     beforehand; and its energy int |w|^2.
     """

@@ -417,8 +417,7 @@ def _unseen(judged: Mapping[str, Ratio], tuned_on: Mapping[str, Ratio]) -> list[
     return [
         ratio.frequency
         for name, ratio in judged.items()
-        if _on_grid(name, ratio)
-        and ratio.value > max(1.0, _MISSED * tuned_on[name].value)
+        if _on_grid(name, ratio) and ratio.value > max(1.0, _MISSED * tuned_on[name].value)
     ]
 
 
@@ -515,7 +514,8 @@ def _judged(job: Job, law: Law, models: Sequence[LoopModel]) -> _Round:
         return _Round(law, {}, len(models))
     grid = _grid(job, rough, x, _JUDGED)
     peaks = _peaks(Objective(structure, models, grid, job.aims), x)
-    grid = np.union1d(grid, _around(grid, peaks))
+    end = np.clip(job.aims.unbalance_to, grid[0], grid[-1])  # up to where unbalance is looked at
+    grid = np.union1d(grid, np.append(_around(grid, peaks), end))
     cost = Objective(structure, models, grid, job.aims, job.reference)
     ratios = cost.ratios(x)
 

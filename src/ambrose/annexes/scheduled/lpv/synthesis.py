@@ -215,9 +215,7 @@ def _design(job: _Job, axes: tuple[np.ndarray, ...]) -> _Design:
     )
     # a parameter that rests at a grid point is one of the motions; regularised plants bound nothing
     alone = [
-        unavoidable(scale_plant(plant))
-        if family.notes
-        else family.unit * lower_bound(own)
+        unavoidable(scale_plant(plant)) if family.notes else family.unit * lower_bound(own)
         for plant, own in zip(plants, family.plants, strict=True)
     ]
     job.say(
