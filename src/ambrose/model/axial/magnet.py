@@ -251,8 +251,8 @@ def left_out(
         "core_scale": machine.thrust.core_scale,
     }
     for name, value in factors.items():
-        factors[name] = 1 + sum(
-            delta * (item.relative if item.absolute is None else item.absolute / value)
+        factors[name] = 1.0 + sum(
+            delta * ((item.relative or 0.0) + (item.absolute or 0.0) / value)
             for item, delta in offsets
             if item.parameter == f"thrust_bearing.{machine.thrust.name}.{name}"
         )

@@ -2,13 +2,17 @@
 controllers of the Riccati equations, on random and badly scaled plants.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from ambrose import ComplexBlock, GeneralizedPlant, StateSpace, hinf_synthesis, mu_synthesis
 from ambrose.annexes.scheduled.lpv.synthesis import lpv_synthesis
 from ambrose.core.checks import AmbroseError
+from ambrose.core.hinf import lower_bound, riccati
 from ambrose.core.lft import lft
+from ambrose.synthesis.hinf import synthesis as hinf
 
 ROUNDING = 1 + 1e-6
 
@@ -94,6 +98,33 @@ def check_dk(seed: int) -> None:
     true = exact_mu(loop, np.concatenate([grid, moduli, [margins["mu_frequency"]]])).max()
     assert true <= margins["mu_mixed_proved"] * ROUNDING <= found.gamma * ROUNDING**2, seed
     assert margins["mu_mixed_lower"] <= true * 1.001, seed
+
+
+@pytest.mark.parametrize(
+    ("way", "seed"), [("riccati", 3), ("riccati", 7), ("lmi", 3), ("lmi", 7), ("lpv", 7)]
+)
+def test_a_level_that_only_rounding_failed_is_no_bound(monkeypatch, way, seed):
+    """The highest level that failed was the bound, whatever had made it fail."""
+    plant = badly_scaled(seed)
+    reached = hinf_synthesis(plant, backoff=1.001).gamma
+
+    def spoiled(*arguments):
+        search = riccati.search_gamma(*arguments)
+        return replace(search, lower=1.02 * search.best.gamma)
+
+    for module in (hinf, lower_bound):
+        monkeypatch.setattr(module, "search_gamma", spoiled)
+    if way == "lpv":
+        made = lpv_synthesis([plant, plant], [0.0, 1.0])
+    else:
+        made = hinf_synthesis(plant, method=way)
+    lower = made.certificate.margins["gamma_lower"]
+    assert 0.99 * reached < lower <= reached * ROUNDING
+
+
+def test_nothing_is_said_of_a_bound_that_its_own_controller_refutes(monkeypatch):
+    monkeypatch.setattr(hinf, "shown_bound", lambda *arguments: 1e9)
+    assert hinf_synthesis(badly_scaled(3)).certificate.margins["gamma_lower"] == 0.0
 
 
 @pytest.mark.parametrize("seed", range(12))
