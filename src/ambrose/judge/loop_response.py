@@ -156,12 +156,12 @@ def _with_cores(plant: Plant, omega: np.ndarray, P: Matrices) -> Matrices:
     """
     if not isinstance(plant.machine, AxialMachine) or not solid_cores(plant):
         return P
-    f, q, i = slice(1, 2), slice(1, 2), slice(2, 3)  # of u, f -> y, q, i
+    # P: u, f -> y, q, i of the one axis
     per_current, per_place = left_out(plant.machine, plant.point, omega, plant.offsets)[
         :, :, None, None
     ]
-    extra = per_current * P[:, i] + per_place * P[:, q]
-    return np.asarray(P + P[:, :, f] @ extra / (1 - extra[:, :, f]))
+    extra = per_current * P[:, 2:] + per_place * P[:, 1:2]
+    return np.asarray(P + P[:, :, 1:] @ extra / (1 - extra[:, :, 1:]))
 
 
 def _parted(axes: tuple[str, ...], omega: np.ndarray, P: Matrices, K: Matrices) -> LoopResponse:
