@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+import ambrose as amb
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.file.toml import loads_machine
 
@@ -127,3 +129,9 @@ def test_a_rotor_without_a_shaft_is_refused_for_that_alone():
     with pytest.raises(InvalidInput, match=r"\[\[shaft\]\]") as told:
         loads_machine(text)
     assert "stator" not in str(told.value)
+
+
+def test_without_a_shaft_nothing_cuts_into_it():
+    """A machine that is put together in Python; in a file the table itself is asked for."""
+    with pytest.raises(InvalidInput, match="there is no section"):
+        replace(amb.load_machine("turboexpander"), shaft=())

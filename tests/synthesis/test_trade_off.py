@@ -68,6 +68,19 @@ def test_a_value_that_was_not_met_is_no_start_for_the_next(monkeypatch):
     assert begun == [(12, False), (16, False), (20, True)]
 
 
+@pytest.mark.parametrize(("guards", "met"), [({}, False), ({"guard_gain": 1.4}, True)])
+def test_a_guard_of_the_search_is_no_requirement_that_is_not_met(monkeypatch, guards, met):
+    def tuned(job, law, structure, *, again=False):
+        margins = {"ratio_sensitivity": 1.0, "ratio_orbit": 0.9, "ratio_gain": 1.4, **guards}
+        certificate = Certificate(True, -1.0, margins=margins)
+        return amb.Synthesis(law, "tuned", 1.0, Status.VERIFIED, certificate)
+
+    monkeypatch.setattr(module, "tuned", tuned)
+    result = trade_off(coarse("seal-rig"), "order", [12, 16], Tuned(rate=1e4))
+    assert result.met == (met, met)
+    assert result.binding == (("sensitivity",) if met else ("gain",)) * 2
+
+
 def test_a_value_in_another_unit_is_refused():
     with pytest.raises(amb.InvalidInput, match=r"a value of settling_time .*time"):
         read_value("settling_time", "20 mm")

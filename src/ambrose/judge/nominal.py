@@ -17,7 +17,14 @@ from numpy.typing import ArrayLike
 from ambrose.core.checks import check_shape, invalid, named_failure
 from ambrose.judge.campbell import speed_stability_check
 from ambrose.judge.checks import Check, Checks, Curve
-from ambrose.judge.loop_response import add_poles, frequency_grid, loop_evaluator
+from ambrose.judge.loop_response import (
+    Evaluator,
+    LoopResponse,
+    add_poles,
+    frequency_grid,
+    loop_evaluator,
+    solid_cores,
+)
 from ambrose.judge.margins import margin_checks
 from ambrose.judge.rotor_modes import modes, pole_checks, pole_curve
 from ambrose.judge.sensitivity import sensitivity_checks
@@ -80,7 +87,7 @@ def check(
     response = evaluator(grid)
     tell("sensitivity and compliance", 0.35)
     within = (float(grid[0]), min(highest, float(grid[-1])))
-    _extend(checks, curves, sensitivity_checks(response, evaluator, requirements, within))
+    _extend(checks, curves, _sensitivities(plant, response, evaluator, within, requirements))
     tell("margins", 0.55)
     _extend(checks, curves, margin_checks(response, evaluator, requirements))
     tell("unbalance", 0.7)
@@ -122,8 +129,23 @@ def check_sensitivity(plant: Plant, controller: LawLike) -> Checks:
     grid = _grid(eigenmodes.poles, None, highest, controller.dt)
     evaluator = loop_evaluator(plant, controller)
     within = (float(grid[0]), min(highest, float(grid[-1])))
-    found, _ = sensitivity_checks(evaluator(grid), evaluator, requirements, within)
+    found, _ = _sensitivities(plant, evaluator(grid), evaluator, within, requirements)
     return Checks(label, True, (*checks, *found), ())
+
+
+def _sensitivities(
+    plant: Plant,
+    response: LoopResponse,
+    evaluator: Evaluator,
+    within: tuple[float, float],
+    requirements: Requirements,
+) -> tuple[list[Check], list[Curve]]:
+    """``sensitivity_checks``, which say where solid cores count with their half order itself."""
+    checks, curves = sensitivity_checks(response, evaluator, requirements, within)
+    if solid_cores(plant):
+        words = ", with the cores' exact half order"
+        checks = [replace(check, detail=check.detail + words) for check in checks]
+    return checks, curves
 
 
 def _sensitivity_range(speed: float, dt: float | None) -> float:

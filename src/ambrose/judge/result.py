@@ -229,14 +229,16 @@ class Synthesis(Presented, Law):
         )
         unmet = margins.get("unmet_checks", 0.0) > 0
         too_large = self.method == "tuned" and self.gamma > 1
-        if too_large and (ratios := self._ratios):  # guards are no requirements
-            too_large = any(v > 1 for name, v in ratios.items() if name not in self.guards)
+        if too_large and self.ratios:  # gamma counts guards, which are no requirements
+            too_large = any(value > 1 for value in self.ratios.values())
         return beyond or unmet or too_large or self.lost_as_assumed
 
     @property
-    def _ratios(self) -> dict[str, float]:
+    def ratios(self) -> dict[str, float]:
+        """Each requirement over its limit, of a tuned controller; guards of the search are none."""
         margins = self.certificate.margins.items()
-        return {n.removeprefix("ratio_"): v for n, v in margins if n.startswith("ratio_")}
+        found = {n.removeprefix("ratio_"): v for n, v in margins if n.startswith("ratio_")}
+        return {name: value for name, value in found.items() if name not in self.guards}
 
     @property
     def guards(self) -> dict[str, float]:

@@ -49,6 +49,7 @@ from ambrose.core.worst_case.loop import (
 from ambrose.core.worst_case.search import BoxGain, peak_at, worst_gain
 from ambrose.judge.checks import Check, Checks, Curve
 from ambrose.judge.criteria import information, judge, required_line
+from ambrose.judge.loop_response import half_order_share, solid_cores
 from ambrose.law.design_problem import design_plant, unit_problem, with_performance_block
 from ambrose.law.law import LawLike, law_of
 from ambrose.law.loop import match_axes, match_controller
@@ -56,7 +57,7 @@ from ambrose.law.weights import Weights
 from ambrose.machine.criteria import TWO_PI, Demand, demand
 from ambrose.machine.description import OperatingPoint, Requirements, Tolerance
 from ambrose.model.plant import Plant
-from ambrose.model.uncertainty import in_tolerances
+from ambrose.model.uncertainty import in_tolerances, perturbed
 
 # values of delta at which the curves over one tolerance are drawn
 FAMILY = (-1.0, -0.5, 0.0, 0.5, 1.0)
@@ -66,6 +67,7 @@ _LOWEST, _HIGHEST = 0.1 * TWO_PI, 5e3 * TWO_PI  # rad/s, of the curves
 _BOUND_POINTS = 60  # frequencies of the proved curve, beside those near the peak; assumed
 
 Progress = Callable[[str, float], None]
+CoreShare = Callable[[BoxLoop, BoxGain], tuple[float, str]]
 
 
 @named_failure("the checks over the tolerances")
@@ -125,7 +127,10 @@ def check(
     notes = []
     box_holds = all(check.passed is not False for check in checks)
     tell("sensitivity over the box", 0.4)
-    sensitivity_checks, curves, worst = _sensitivity(output, input_, grid, requirements, box_holds)
+    share = _core_share(plant, controller, tolerances)
+    sensitivity_checks, curves, worst = _sensitivity(
+        output, input_, grid, requirements, box_holds, share
+    )
     checks += sensitivity_checks
     if not box_holds:
         notes.append(
@@ -158,8 +163,25 @@ def examine(
     counted, unstable = _corner_check(output)
     margin = _margin_check(output, box_margin(output, also=unstable if len(unstable) else None))
     worst = worst_gain(output) if counted.passed and margin.passed else None
-    checks = (counted, margin, _worst_check(output, worst, plant.machine.requirements))
+    share = _core_share(plant, controller, tolerances)
+    checks = (counted, margin, _worst_check(output, worst, plant.machine.requirements, share))
     return Checks(_label(plant), True, checks, (), (), _points(output, worst))
+
+
+def _core_share(
+    plant: Plant | GeneralizedPlant,
+    controller: LawLike,
+    tolerances: Sequence[Tolerance] | None,
+) -> CoreShare:
+    """``half_order_share`` at the point of the box where a gain was found."""
+
+    def share(loop: BoxLoop, found: BoxGain) -> tuple[float, str]:
+        if not isinstance(plant, Plant) or not solid_cores(plant):
+            return 1.0, ""
+        (at,) = _points(loop, found)
+        return half_order_share(perturbed(plant, at, tolerances), controller)
+
+    return share
 
 
 def _points(loop: BoxLoop, worst: BoxGain | None) -> tuple[dict[str, float], ...]:
@@ -328,18 +350,26 @@ def _margin_check(loop: BoxLoop, margin: BoxMargin) -> Check:
 
 
 def _sensitivity(
-    output: BoxLoop, input_: BoxLoop, grid: np.ndarray, requirements: Requirements, box_holds: bool
+    output: BoxLoop,
+    input_: BoxLoop,
+    grid: np.ndarray,
+    requirements: Requirements,
+    box_holds: bool,
+    share: CoreShare,
 ) -> tuple[list[Check], list[Curve], BoxGain | None]:
     members = _members(output)
     stable = np.ones(len(members), bool) if box_holds else unstable_poles(output, members) == 0
     worst, bound = _worst_and_bound(output, grid) if box_holds else (None, None)
-    checks = [_worst_check(output, worst, requirements)]
+    checks = [_worst_check(output, worst, requirements, share)]
     if worst is not None and bound is not None:
-        checks.append(bound)
+        factor, words = share(output, worst)
+        checks.append(replace(bound, value=factor * bound.value, detail=bound.detail + words))
         drive = worst_gain(input_)
         detail = f"{_named(input_, drive.delta)}, {drive.frequency / TWO_PI:.4g} Hz"
         title = "Worst-case input sensitivity over the box, found by search"
-        checks.append(information("robust.sensitivity.input", title, drive.value, "-", detail))
+        factor, words = share(input_, drive)
+        value, detail = factor * drive.value, detail + words
+        checks.append(information("robust.sensitivity.input", title, value, "-", detail))
     if output.parameters == 1:
         checks += [
             information(
@@ -366,13 +396,16 @@ def _sensitivity(
     return checks, curves, worst
 
 
-def _worst_check(loop: BoxLoop, worst: BoxGain | None, requirements: Requirements) -> Check:
+def _worst_check(
+    loop: BoxLoop, worst: BoxGain | None, requirements: Requirements, share: CoreShare
+) -> Check:
     rule = demand("maximum singular value of a sensitivity", requirements)
     value, detail = np.inf, "the loop is unstable in the box"
     if worst is not None:
+        factor, words = share(loop, worst)
         value, detail = (
-            worst.value,
-            f"{_named(loop, worst.delta)}, {worst.frequency / TWO_PI:.4g} Hz",
+            factor * worst.value,
+            f"{_named(loop, worst.delta)}, {worst.frequency / TWO_PI:.4g} Hz{words}",
         )
     title = "Worst-case output sensitivity over the box, found by search"
     return judge("robust.sensitivity.worst", title, value, "-", rule, detail)

@@ -222,11 +222,8 @@ def lowest(
             break
         if found.stopped_early == INTERRUPTED:  # the value at work has not come to its end
             raise KeyboardInterrupt
-        ratios = {
-            k.removeprefix("ratio_"): v
-            for k, v in found.certificate.margins.items()
-            if k.startswith("ratio_")
-        }
+        # the lever itself may be a guard of the search; of the others requirements count
+        ratios = found.ratios | {lever: found.certificate.margins[f"ratio_{lever}"]}
         peak = aim * ratios[lever]
         others = max(value for name, value in ratios.items() if name != lever)
         here = peak, others <= 1 + _EXACT, max(ratios, key=lambda name: ratios[name]), found

@@ -3,13 +3,16 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import ambrose as amb
+from ambrose.annexes.sizing import guarantee
 from ambrose.annexes.sizing.guarantee import CAPACITY, attempt
 from ambrose.annexes.sizing.magnets import Size, resized
 from ambrose.judge.capacity import capacity_margin
 from ambrose.judge.result import Certificate, Status, Synthesis
+from ambrose.law.pid import first_settings, pid_controller
 from ambrose.model.effects.load import Load
 from ambrose.synthesis.methods.tuned import Tuned, with_capacity
 
@@ -51,6 +54,28 @@ def test_a_size_that_cannot_carry_its_loads_fails_for_them():
     assert not found.met and found.binding == CAPACITY
     assert found.capacity == pytest.approx(1 / found.ratios[CAPACITY])
     assert resized(heavy, Size()).bearings == resized(rig, Size()).bearings
+
+
+@pytest.mark.parametrize(("guards", "met"), [({}, False), ({"guard_gain": 1.4}, True)])
+def test_a_guard_of_the_search_is_no_requirement_of_a_size(monkeypatch, guards, met):
+    """A size was "not enough", for 1.35 of a gain that its file does not limit."""
+    rig = amb.load_machine("seal-rig-k-only")
+    point = rig.operation.nominal
+    operation = replace(rig.operation, points=(point,), ranges=(), design_point=None)
+    rig = replace(rig, operation=operation)
+    margins = {"ratio_sensitivity": 0.9, "ratio_gain": 1.4, **guards}
+    shown = Certificate(True, -1.0, margins=margins)
+
+    def searched(job, law, structure, **more):
+        controller = pid_controller(first_settings(rig), rig)
+        return Synthesis(controller, "tuned", 1.4, Status.VERIFIED, shown)
+
+    monkeypatch.setattr(guarantee, "tuned", searched)
+    found = attempt(rig, Size(), Tuned(rate=10_000, order=8).on(rig))
+    assert found.met is met
+    assert (found.binding == "gain") is not met
+    assert ("gain" in found.ratios) is not met
+    assert np.isfinite(found.gain)
 
 
 @pytest.mark.parametrize("force", [100.0, 1e6])

@@ -26,7 +26,7 @@ from ambrose.core.presentation import json_text, to_plain
 from ambrose.core.statespace import StateSpace, poles
 from ambrose.core.worst_case.loop import BoxLoop, default_grid, gains, unstable_poles
 from ambrose.judge import nominal
-from ambrose.judge.loop_response import frequency_grid, loop_evaluator
+from ambrose.judge.loop_response import frequency_grid, loop_evaluator, solid_cores
 from ambrose.judge.robust import box_loops
 from ambrose.law.law import LawLike
 from ambrose.law.loop import closed_loop, match_controller, running_law
@@ -202,6 +202,8 @@ def _screen(group: Sequence[Subject], model: str) -> list[dict[str, Any]]:
     try:
         loop = box_loops(plant, law, tolerances)[0]
     except UnstableSystem:  # no array without a stable centre
+        loop = None
+    if loop is None or solid_cores(plant):  # whose half order no array of rational models has
         return [
             _alone(perturbed(plant, _inside(item, tolerances), tolerances), law, highest)
             for item in group

@@ -143,11 +143,7 @@ def _tuned(before: Trial, method: Tuned, near: Trial | None, time_limit: float) 
     margin, words = capacity_margin(found, synthesis.controller, timing, weight_taken=True)
 
     # what binds: the largest ratio of a value to its limit
-    ratios = {
-        name.removeprefix("ratio_"): v
-        for name, v in synthesis.certificate.margins.items()
-        if name.startswith("ratio_")
-    }
+    ratios = synthesis.ratios
     if np.isfinite(margin):
         ratios[CAPACITY] = 1 / margin if margin else float("inf")
     binding = max(ratios, key=lambda name: ratios[name])
@@ -160,7 +156,7 @@ def _tuned(before: Trial, method: Tuned, near: Trial | None, time_limit: float) 
         demand=words,
         synthesis=synthesis,
         sensitivity=ratios["sensitivity"] * job.aims.sensitivity,
-        gain=ratios["gain"] * job.aims.gain,
+        gain=synthesis.certificate.margins["ratio_gain"] * job.aims.gain,
     )
 
 

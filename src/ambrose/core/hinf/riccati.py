@@ -61,7 +61,8 @@ class Level:
 class GammaSearch:
     """The optimal gamma lies between ``lower`` and ``best.gamma``, which can be reached.
 
-    inaccurate: whether rounding spoiled a level, so that ``lower`` may be too high; vanishing:
+    lower: the highest level that failed, as computed; a bound that is shown is that of
+    lower_bound.py. inaccurate: whether rounding spoiled a level; vanishing:
     whether gamma fell to a part in 1e9 of the plant's gain, where the search ends; history: a row
     for each level.
     """
@@ -132,6 +133,12 @@ def _riccati(plant: ScaledPlant, gamma: float) -> tuple[np.ndarray, np.ndarray, 
     return A + B @ S_N, (G + G.T) / 2, (Q + Q.T) / 2
 
 
+def hamiltonian(plant: ScaledPlant, gamma: float) -> np.ndarray:
+    """H_inf (2n, 2n) of the theorem; J_inf is that of the dual plant."""
+    A, G, Q = _riccati(plant, gamma)
+    return np.block([[A, -G], [-Q, -A.T]])
+
+
 def _solve(plant: ScaledPlant, gamma: float, name: str) -> tuple[np.ndarray, str]:
     """X (n, n) and "", or the reason why there is no positive semidefinite one."""
     A, G, Q = _riccati(plant, gamma)
@@ -153,7 +160,7 @@ def _solve(plant: ScaledPlant, gamma: float, name: str) -> tuple[np.ndarray, str
     return X, ""
 
 
-def _gains(plant: ScaledPlant, gamma: float, X: np.ndarray) -> np.ndarray:
+def gains(plant: ScaledPlant, gamma: float, X: np.ndarray) -> np.ndarray:
     """F = -R^-1 (D1^T C1 + B^T X) (q + m, n): worst disturbance F1 and control F2."""
     # in the letters of _riccati: w = F1 x, u = v - C' x - E w, v = -B2^T X x
     k = len(plant.C1) - plant.B2.shape[1]
@@ -246,20 +253,6 @@ def search_gamma(
     return GammaSearch(low.gamma, high, bool(inaccurate), low.gamma == floor, tuple(history))
 
 
-def proved_lower(plant: ScaledPlant) -> float:
-    """A gamma that no controller of a scaled plant comes below, within 1e-3 of the smallest that is
-    reachable; nan where D12 or D21 lacks rank or rounding spoils a level on the way.
-    """
-    try:
-        search = search_gamma(normal_form(plant)[0], 1e-3, lambda _: None)
-        if search.inaccurate:
-            balanced = normal_form(plant)[0].in_states(*balancing_states(search.best))
-            search = search_gamma(balanced, 1e-3, lambda _: None)
-    except (NumericalFailure, np.linalg.LinAlgError):
-        return float("nan")
-    return float("nan") if search.inaccurate else search.lower
-
-
 def _next(low: Level, high: Level, tolerance: float) -> float:
     """A gamma between: on either side of the estimated root of rho = 1 in turn, so that both bounds
     close in on it.
@@ -297,7 +290,7 @@ def central_controller(plant: ScaledPlant, gamma: float) -> Matrices:
     X, Y = level.X * scale[:, None] * scale, level.Y / scale[:, None] / scale
 
     # F = [F11; F12; F2] with q - p, p and m rows, L = [L11 L12 L2] with r - m, m and p columns
-    F, L = _gains(plant, gamma, X), _gains(plant.dual(), gamma, Y).T
+    F, L = gains(plant, gamma, X), gains(plant.dual(), gamma, Y).T
     F12 = F[q - p : q]
     F2 = F[q:]
     L12 = L[:, r - m : r]

@@ -190,13 +190,13 @@ def _gains(A: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> np.nda
     return np.abs(np.concatenate([evaluate(form, moduli * np.exp(1.3j)), D[None]]))
 
 
-def unavoidable(plant: ScaledPlant) -> float:
+def unavoidable(plant: ScaledPlant, at: Sequence[float] = ()) -> float:
     """A gain from w to z below which no controller comes, stabilising or not, whatever the rank of
     D12 and D21.
 
     At a frequency the loop is P11 + P12 R P21, with R the controller's choice: what P12 does not
     reach or P21 does not see stays, max(|N^H P11|, |P11 M|) with N, M the complements of P12 and
-    P21 (Parrott 1978); the largest over some frequencies.
+    P21 (Parrott 1978); the largest over some frequencies, those ``at`` [rad/s] among them.
     """
     q, r = plant.B1.shape[1], len(plant.C1)
     D = np.block(
@@ -212,7 +212,7 @@ def unavoidable(plant: ScaledPlant) -> float:
         else np.zeros(0)
     )
     largest = 0.0
-    for P in np.concatenate([evaluate(form, 1j * omega), D[None]]):
+    for P in np.concatenate([evaluate(form, 1j * np.append(omega, at)), D[None]]):
         # N and M: bases of what P12 does not reach and of what P21 does not see
         P11 = P[:r, :q]
         P12 = P[:r, q:]

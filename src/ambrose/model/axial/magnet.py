@@ -20,6 +20,7 @@ Both come late by h = 1/(1 + tau sqrt(s)), tau = c/R. Leakage and fringing are l
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -28,9 +29,9 @@ import numpy as np
 from ambrose.core.bracketed_root import bracketed_root
 from ambrose.core.checks import InvalidInput
 from ambrose.machine.axial import AxialMachine, Condition
-from ambrose.machine.description import OperatingPoint
+from ambrose.machine.description import OperatingPoint, Tolerance
 from ambrose.machine.thrust import Pair, ThrustBearing, ThrustStator
-from ambrose.model.axial.half_order import CORNER, Lags, core_constant, lags
+from ambrose.model.axial.half_order import CORNER, Lags, core_constant, half_order, lags
 from ambrose.model.magnetics.vacuum import VACUUM_PERMEABILITY
 
 _LARGEST = 20.0  # times the bias: up to where the control current is looked for without a limit
@@ -230,6 +231,46 @@ def closed_lags(model: Lags, ratio: float) -> tuple[np.ndarray, np.ndarray, np.n
     p, g = model.poles, model.weights
     A = -np.diag(p) - (ratio - 1) * np.outer(p, g)
     return A, ratio * p, g.copy()
+
+
+def left_out(
+    machine: AxialMachine,
+    point: OperatingPoint,
+    omega: np.ndarray,
+    offsets: Sequence[tuple[Tolerance, float]] = (),
+) -> np.ndarray:
+    """What the exact half-order cores add to the plant's rational ones at omega (w,) [rad/s], (2,
+    w): force per current [N/A], and per displacement [N/m]; offsets: as of the plant.
+    """
+    at = at_point(machine, point)
+
+    # what tolerances make of both forces and of c, as factors
+    factors = {
+        "force_per_current": at.force_per_current,
+        "negative_stiffness": at.stiffness,
+        "core_scale": machine.thrust.core_scale,
+    }
+    for name, value in factors.items():
+        factors[name] = 1.0 + sum(
+            delta * ((item.relative or 0.0) + (item.absolute or 0.0) / value)
+            for item, delta in offsets
+            if item.parameter == f"thrust_bearing.{machine.thrust.name}.{name}"
+        )
+    by_current, by_place, by_core = factors.values()
+    added = np.zeros((2, len(omega)), complex)
+    for side, model, item in zip(
+        sides(machine.thrust), core_lags(machine.thrust), (at.left, at.right), strict=True
+    ):
+        if model is None:
+            continue
+        # 1/h - 1 = tau sqrt(s), over the ratio of the reluctance that is met
+        exact, fitted = (
+            1 / (1 + (1 / h - 1) * by_core / item.ratio)
+            for h in (half_order(omega, side.tau), model.response(omega))
+        )
+        forces = [by_current * item.force_per_current, by_place * item.stiffness]
+        added += np.outer(forces, exact - fitted)
+    return added
 
 
 def tilt_stiffness(part: ThrustBearing) -> float:

@@ -30,6 +30,8 @@ _BANDWIDTH, _STIFF = 2.0, 0.01
 _GAIN = 1.5  # assumed: times the largest gain of the controller that tuning starts from
 _GUARD = 0.3  # assumed: of the rotor's modal damping, for modes above the top speed
 DAMPING_GUARD = "damping_above"  # the ratio of that guard
+SENSITIVITY_GUARD = "sensitivity_low"  # and of the one towards zero frequency,
+FALLS = 0.99  # which stands where the limit is below this share of that of the sensitivity
 _MARGIN = 1.05  # of the log decrement, which is judged on the full plant
 _ROLLED = 8.0  # the grid reaches this many times past the roll-off
 _BEYOND = 2.4  # the grid reaches this many times past the range of ISO 14839-3
@@ -75,7 +77,10 @@ class Aims:
     @property
     def guards(self) -> dict[str, str]:
         """The ratios that no requirement asks for, each in words: what a search is kept from."""
-        words = {}
+        words = {
+            SENSITIVITY_GUARD: "sensitivity that falls towards zero frequency, so that an integral "
+            f"action is kept: to {self.stiff:g} below {self.bandwidth:.3g} rad/s"
+        }
         if not self.damping_asked:
             words[DAMPING_GUARD] = (
                 f"damping of modes above the top speed, {_GUARD:g} of the rotor's own; a "

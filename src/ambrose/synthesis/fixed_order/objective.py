@@ -25,7 +25,7 @@ from ambrose.core.frequency import frequency_response, largest_gain
 from ambrose.core.statespace import StateSpace
 from ambrose.model.separation import needed_damping, runs_within
 from ambrose.synthesis.fixed_order.active import Active, ActiveScaled, active
-from ambrose.synthesis.fixed_order.aims import DAMPING_GUARD, Aims
+from ambrose.synthesis.fixed_order.aims import DAMPING_GUARD, FALLS, SENSITIVITY_GUARD, Aims
 from ambrose.synthesis.fixed_order.bank import FilterBank
 from ambrose.synthesis.fixed_order.channels import (
     S_O,
@@ -353,11 +353,17 @@ class Objective:
         channels, settling = self._parts()
         for channel in channels:
             size = largest_gains(channel.response(S, Q))
-            if size.size:
-                i, j = np.unravel_index(int(size.argmax()), size.shape)
-                found[channel.name] = Ratio(
-                    float(size[i, j]), self.models[int(i)].label, float(self.omega[channel.at[j]])
-                )
+            parts = {channel.name: size}
+            if channel.name == "sensitivity":
+                # what is required, and what the guard asks for at low frequencies
+                share = self.aims.sensitivity_limit(self.omega) / self.aims.sensitivity
+                guarded = np.where(share < FALLS, size, 0.0)
+                parts = {channel.name: size * share, SENSITIVITY_GUARD: guarded}
+            for name, part in parts.items():
+                if part.size:
+                    i, j = np.unravel_index(int(part.argmax()), part.shape)
+                    place = float(self.omega[channel.at[j]])
+                    found[name] = Ratio(float(part[i, j]), self.models[int(i)].label, place)
         if settling is not None:
             late, _, _, _ = settling.ratios(H[:, settling.at].swapaxes(0, 1))
             worst = late.max(axis=(0, 2, 3))

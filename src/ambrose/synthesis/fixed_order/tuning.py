@@ -62,6 +62,9 @@ _TUNED, _JUDGED = 22, 80  # points per decade
 _APART, _SAME = 2e-3, 2e-4  # relative distances of two points, and of two known peaks
 # points around a peak that is judged, which are those so high beside the model's highest
 _AROUND, _HIGH = 15, 0.9
+# times that the points around the largest ratios are taken seven times closer
+_CLOSER = 3
+_ALIKE = 1e-10  # relative: frequencies so near are one
 _BINDS = 0.99  # of a guard, which then decides what is found
 _MISSED = 1.01  # times a ratio on the grid that is tuned on: its peak lies between two points
 _ROUNDING, _DRIFT = 1e-9, 0.1  # rad/s; of an integrator that is set back
@@ -414,9 +417,7 @@ def _unseen(judged: Mapping[str, Ratio], tuned_on: Mapping[str, Ratio]) -> list[
     return [
         ratio.frequency
         for name, ratio in judged.items()
-        if np.isfinite(ratio.frequency)
-        and not name.startswith("damping")  # of poles, on no grid
-        and ratio.value > max(1.0, _MISSED * tuned_on[name].value)
+        if _on_grid(name, ratio) and ratio.value > max(1.0, _MISSED * tuned_on[name].value)
     ]
 
 
@@ -513,13 +514,33 @@ def _judged(job: Job, law: Law, models: Sequence[LoopModel]) -> _Round:
         return _Round(law, {}, len(models))
     grid = _grid(job, rough, x, _JUDGED)
     peaks = _peaks(Objective(structure, models, grid, job.aims), x)
-    near = [
-        np.geomspace(grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)], _AROUND) for i in peaks
-    ]
-    cost = Objective(
-        structure, models, np.unique(np.concatenate([grid, *near])), job.aims, job.reference
-    )
-    return _Round(law, cost.ratios(x), len(models))
+    end = np.clip(job.aims.unbalance_to, grid[0], grid[-1])  # up to where unbalance is looked at
+    grid = np.union1d(grid, np.append(_around(grid, peaks), end))
+    cost = Objective(structure, models, grid, job.aims, job.reference)
+    ratios = cost.ratios(x)
+
+    # the largest of every channel between its neighbours on the grid; settling needs all of it
+    aims = replace(job.aims, settling=None)
+    for _ in range(_CLOSER):
+        at = [r.frequency for name, r in ratios.items() if _on_grid(name, r)]
+        around = _around(grid, np.abs(grid - np.array(at)[:, None]).argmin(axis=1))
+        grid = np.union1d(grid, around)
+        grid = grid[np.diff(grid, append=np.inf) > _ALIKE * grid]
+        for name, ratio in Objective(structure, models, around, aims).ratios(x).items():
+            if _on_grid(name, ratio):
+                ratios[name] = max(ratio, ratios[name], key=lambda item: item.value)
+    return _Round(law, ratios, len(models))
+
+
+def _around(grid: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Frequencies (k,) between the neighbours of these places in the grid."""
+    ends = ((grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]) for i in places)
+    return np.unique([np.geomspace(low, high, _AROUND) for low, high in ends])
+
+
+def _on_grid(name: str, ratio: Ratio) -> bool:
+    """Whether it is read on a grid of frequencies: not of poles, and not in time."""
+    return bool(np.isfinite(ratio.frequency)) and not name.startswith("damping")
 
 
 def _add_members(job: Job, law: Law) -> Law:
@@ -606,7 +627,7 @@ def _result(
         | {f"guard_{name}": ratios[name].value for name in guards},
         f"{machine.name}, full plant at {len(found)} operating points",
     )
-    binding = max(ratios, key=lambda name: ratios[name].value)
+    binding = max(ratios.keys() - guards.keys(), key=lambda name: ratios[name].value)
     at = ratios[binding]
     where = f" at {at.frequency / (2 * np.pi):.4g} Hz" if np.isfinite(at.frequency) else ""
     notes = [f"{binding} binds: {at.value:.3f} of its limit at {at.label}{where}"]
@@ -631,7 +652,7 @@ def _result(
     return Synthesis(
         controller,
         "tuned",
-        at.value,
+        max(ratio.value for ratio in ratios.values()),
         status,
         certificate,
         history,

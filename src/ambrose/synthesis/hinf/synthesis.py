@@ -21,13 +21,13 @@ from ambrose.core.checks import (
     named_failure,
 )
 from ambrose.core.hinf.assumptions import Assumptions, check_assumptions, full_regularisation
+from ambrose.core.hinf.lower_bound import lower_bound, shown_bound
 from ambrose.core.hinf.riccati import (
     GammaSearch,
     Level,
     balancing_states,
     central_controller,
     normal_form,
-    proved_lower,
     search_gamma,
 )
 from ambrose.core.hinf.scaling import (
@@ -48,6 +48,7 @@ _WIDEST = 2.0  # the back-off less 1 is doubled up to this before giving up
 # states up to which the matrix inequalities take over by themselves; their cost grows with the
 # sixth power
 _LARGEST_LMI = 50
+_NORM_ERROR = 1e-6  # relative, of a computed H-infinity norm
 _EPSILONS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)  # of the regularisation, in the scaled plant's units
 
 
@@ -75,9 +76,10 @@ def hinf_synthesis(
     if their solver is installed. The result's ``notes`` say so. ``gamma`` is the closed-loop norm
     recomputed on the original plant; certificate.margins hold "gamma_optimal" (reachable; of
     "riccati" at most ``tolerance`` above the optimum of the plant that was solved, of "lmi" where
-    its solver ended), "gamma_lower" (no controller comes below it on the plant as given: by Riccati
-    equations where nothing was regularised and rounding spoiled no level, else what no controller
-    can change at single frequencies), "gamma_designed" and "epsilon" (0 without regularisation);
+    its solver ended), "gamma_lower" (no controller comes below it on the plant as given, shown by a
+    disturbance: core/hinf/lower_bound.py, where nothing was regularised, else what no controller
+    can change at single frequencies; 0 says nothing), "gamma_designed" and "epsilon" (0 without
+    regularisation);
     history has one row for each gamma tried.
 
     Raises InvalidInput (no controller can stabilise the plant, with the mode; sampled plants; bad
@@ -236,7 +238,7 @@ def _by_riccati(job: _Job, scaled: ScaledPlant, epsilon: float) -> _Design:
             return _Design(
                 controller,
                 certificate,
-                float("nan") if search.inaccurate else search.lower,
+                shown_bound(normal, search),
                 search.best.gamma,
                 gamma,
                 epsilon,
@@ -282,7 +284,7 @@ def _by_lmi(job: _Job, scaled: ScaledPlant, epsilon: float) -> _Design:
             return _Design(
                 controller,
                 certificate,
-                proved_lower(scaled),
+                lower_bound(scaled),
                 optimal,
                 gamma,
                 epsilon,
@@ -363,13 +365,12 @@ def _finish(
     notes: tuple[str, ...] = (),
     history: tuple[dict[str, float], ...] | None = None,
 ) -> Synthesis:
-    # a bound of another plant, or one that this controller refutes, says nothing about this plant
-    holds = design.epsilon == 0 and design.lower <= design.certificate.closed_loop_norm
+    # a bound of the regularised plant says nothing about this one
+    lower = design.lower if design.epsilon == 0 else unavoidable(scaled)
+    reached = design.certificate.closed_loop_norm * (1 + _NORM_ERROR)
     margins = {
         "gamma_optimal": design.optimal,
-        "gamma_lower": design.lower
-        if holds
-        else min(unavoidable(scaled), design.certificate.closed_loop_norm),
+        "gamma_lower": lower if lower <= reached else 0.0,  # what rounding spoiled is none
         "gamma_designed": design.designed,
         "epsilon": design.epsilon,
     }

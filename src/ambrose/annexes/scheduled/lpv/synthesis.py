@@ -33,7 +33,7 @@ from ambrose.core.checks import (
     invalid,
     named_failure,
 )
-from ambrose.core.hinf.riccati import proved_lower
+from ambrose.core.hinf.lower_bound import lower_bound
 from ambrose.core.hinf.scaling import (
     ScaledPlant,
     check_plant,
@@ -215,9 +215,7 @@ def _design(job: _Job, axes: tuple[np.ndarray, ...]) -> _Design:
     )
     # a parameter that rests at a grid point is one of the motions; regularised plants bound nothing
     alone = [
-        unavoidable(scale_plant(plant))
-        if family.notes
-        else float(np.fmax(family.unit * proved_lower(own), 0.0))
+        unavoidable(scale_plant(plant)) if family.notes else family.unit * lower_bound(own)
         for plant, own in zip(plants, family.plants, strict=True)
     ]
     job.say(
