@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
+from ambrose.judge.synchronous_speeds import narrow_speeds
 from ambrose.law.synchronous import Condition, Converged, SynchronousLoop, forward_patterns
 from ambrose.machine.criteria import CLEARANCE, TWO_PI
 from ambrose.machine.machine import Machine
@@ -139,7 +140,10 @@ def forbidden_bands(
             orbit = worst_orbits(values.q, float(residual.force(speed)))
             return float(np.log(max(orbit / (share * orbit_limit(machine, speed)), 1e-12)))
 
-        speeds = np.linspace(*band, points)
+        # peaks may be narrower than the distance of even speeds
+        speeds = np.unique(
+            [*np.linspace(*band, points), *narrow_speeds(loop, mode, band, condition)]
+        )
         if machine.requirements.unbalance_to is not None:  # where the limit jumps
             step = machine.requirements.unbalance_to
             speeds = np.unique(

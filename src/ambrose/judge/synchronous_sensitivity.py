@@ -16,15 +16,15 @@ its images about other multiples of the turning are in the exact multipliers alo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ambrose.core.frequency import SchurForm, evaluate, schur_form
-from ambrose.core.per_turn import turn_map
-from ambrose.core.statespace import StateSpace, select
-from ambrose.core.synchronous import with_resonators
+from ambrose.core.per_turn import turn_map_of
+from ambrose.core.statespace import StateSpace
+from ambrose.core.synchronous import around_resonators, with_resonators
 from ambrose.judge.loop_response import frequency_grid
 from ambrose.law.synchronous import Condition, SynchronousLoop
 
@@ -269,16 +269,45 @@ def resonator(
 
 def growth(system: StateSpace, blocks: Sequence[Resonator]) -> float:
     """ln|z|/Ts [rad/s] of the outermost exact pole of a sampled loop from c to (e, y, u) with its
-    blocks; of a single block that moves once a turn of its multipliers over one.
+    blocks; with any that moves once a turn, of its multipliers over one.
     """
+    return growth_by_gain(system, blocks)(blocks[0].gain)
+
+
+def growth_by_gain(system: StateSpace, blocks: Sequence[Resonator]) -> Callable[[float], float]:
+    """``growth`` as a function of the first block's gain eps [1/s]."""
     assert system.dt is not None
-    (block, *others) = blocks
-    if block.turn and not others:
-        rows = np.flatnonzero(block.drive.any(axis=0))
-        reads = select(system, None, [system.outputs[i] for i in rows])
-        harmonic = round(block.frequency * block.turn / (2 * np.pi))
-        over = turn_map(reads, block.drive[:, rows], 2 * np.pi / block.turn, harmonic)
-        size = np.abs(over.multipliers(block.gain, block.leak)).max()
-        return float(np.log(max(size, 1e-300)) / over.time)
-    A = with_resonators(system, [(b.drive, b.frequency, b.gain, b.leak) for b in blocks])
-    return float(np.log(max(np.abs(np.linalg.eigvals(A)).max(), 1e-300)) / system.dt)
+    first, dt = blocks[0], system.dt
+    # the others that move with every sample are part of the loop
+    still = [(b.drive, b.frequency, b.gain, b.leak) for b in blocks[1:] if not b.turn]
+    turning = [b for b in blocks if b.turn]
+    if not turning:
+
+        def by_poles(gain: float) -> float:
+            own = (first.drive, first.frequency, gain, first.leak)
+            z = np.linalg.eigvals(with_resonators(system, [own, *still]))
+            return float(np.log(max(np.abs(z).max(), 1e-300)) / dt)
+
+        return by_poles
+    rows = [(b.drive, round(b.frequency * b.turn / (2 * np.pi))) for b in turning]
+    speed = 2 * np.pi / turning[0].turn
+
+    def over_a_turn(gain: float) -> Callable[[float], float]:
+        if not first.turn:
+            own = (first.drive, first.frequency, gain, first.leak)
+            closed = around_resonators(system, [own, *still])
+        else:
+            closed = around_resonators(system, still) if still else system
+        over = turn_map_of(closed, rows, speed)
+        leaks = [b.leak for b in turning]
+
+        def of(gain: float) -> float:
+            gains = [gain if b is first else b.gain for b in turning]
+            size = np.abs(over.multipliers(gains, leaks)).max()
+            return float(np.log(max(size, 1e-300)) / over.time)
+
+        return of
+
+    if first.turn:
+        return over_a_turn(first.gain)
+    return lambda gain: over_a_turn(gain)(gain)
