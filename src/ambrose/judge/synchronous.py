@@ -425,8 +425,7 @@ def _unbalance_checks(item: BlockLoop) -> tuple[list[Check], list[Curve]]:
     narrow = [
         w
         for condition in item.conditions
-        for mode in (None, item.mode)
-        for w in narrow_speeds(item.loop, mode, item.block.band, condition)
+        for w in narrow_speeds(item.loop, item.mode, item.block.band, condition)
     ]
     speeds = np.unique([*item.speeds(_SPEEDS), *narrow])
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -72,39 +73,60 @@ class Resonator:
         return np.asarray(self.gain * self.turn / 2 * mean * held / (np.exp(exponent) - keep))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class FrozenLoop:
     """A loop from c to (e, y, u), sampled, with its response made cheap: the plant of one speed,
     while the blocks' frequency may be another one near it.
 
-    omega (w,) [rad/s]: a grid packed around its poles; M (w, 3 a, a) there, S (w, a): every axis'
-    sensitivity without a block; poles (n,) [rad/s], continuous.
+    omega (w,) [rad/s]: a grid packed around its poles (n,) [rad/s], which are continuous.
     """
 
     system: StateSpace
     form: SchurForm
     poles: np.ndarray
     omega: np.ndarray
-    M: np.ndarray
-    S: np.ndarray
+
+    @cached_property
+    def M(self) -> np.ndarray:
+        """(w, 3 a, a) on the grid."""
+        return self.at(self.omega)
+
+    @cached_property
+    def S(self) -> np.ndarray:
+        """Every axis' sensitivity (w, a) on the grid without a block."""
+        n = self.M.shape[2]
+        return np.asarray(np.abs(np.einsum("waa->wa", self.M[:, :n])))
 
     def at(self, omega: np.ndarray, growth: float = 0.0) -> np.ndarray:
         """M (w, 3 a, a) at exp((growth + j omega) Ts)."""
         assert self.system.dt is not None
         return evaluate(self.form, np.exp((growth + 1j * omega) * self.system.dt))
 
+    def on_axis(self, omega: np.ndarray) -> np.ndarray:
+        """M (w, 3 a, a) at omega, from the grid where that has it."""
+        k = np.minimum(np.searchsorted(self.omega, omega), len(self.omega) - 1)
+        known = self.omega[k] == omega
+        M = np.empty((len(omega), *self.M.shape[1:]), complex)
+        M[known] = self.M[k[known]]
+        M[~known] = self.at(omega[~known])
+        return M
+
 
 def frozen(loop: SynchronousLoop, speed: float, condition: Condition) -> FrozenLoop:
-    """The loop of the plant at a speed [rad/s] and condition."""
+    """The loop of the plant at a speed [rad/s] and condition; the latest are remembered."""
+    return loop.remembered(
+        ("frozen", float(speed), condition), lambda: _frozen(loop, speed, condition)
+    )
+
+
+def _frozen(loop: SynchronousLoop, speed: float, condition: Condition) -> FrozenLoop:
     system = loop.sampled(speed, condition)
     assert system.dt is not None
     form = schur_form(system.A, system.B, system.C, system.D, expand=True)
     z = form.poles
     poles = np.log(z[np.abs(z) > 1e-6]) / system.dt
     omega = frequency_grid(poles, _LOWEST, 0.98 * np.pi / system.dt, _PER_DECADE)
-    M = evaluate(form, np.exp(1j * omega * system.dt))
-    n = len(loop.axes)
-    return FrozenLoop(system, form, poles, omega, M, np.abs(np.einsum("waa->wa", M[:, :n])))
+    return FrozenLoop(system, form, poles, omega)
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +231,7 @@ def sensitivity(frozen: FrozenLoop, blocks: Sequence[Resonator], omega: np.ndarr
     """S (w, a, a) at omega (w,) [rad/s], from a disturbance of the measured displacements to what
     the controller sees, with the blocks on (none: without).
     """
-    M = frozen.at(omega)
+    M = frozen.on_axis(omega)
     n = M.shape[2]
     S = -M[:, :n]
     if not blocks:

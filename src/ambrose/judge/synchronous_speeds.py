@@ -42,7 +42,7 @@ _EVEN = 7  # speeds around each of them, evenly
 _AROUND = np.array([-8.0, -2.5, -0.8, -0.25, 0.0, 0.25, 0.8, 2.5, 8.0])
 _LIGHT = 0.15  # damping ratio below which a pole is a narrow one
 _WORST = 2  # candidates of either kind that are refined
-_LEAST = 4  # plants of ``least`` that are refined
+_LEAST = 6  # minima of ``least`` that are refined
 _DOUBTED = 40  # looks that are repeated, about
 _WIDTHS = 1 / 4, 1 / 32  # of a base's share of the band: what a refinement looks at
 
@@ -122,6 +122,10 @@ def bases(band: tuple[float, float], count: int = _BASES) -> np.ndarray:
     return np.linspace(*band, count)
 
 
+def unstable(one: Look) -> bool:
+    return one.unstable > 0
+
+
 def survey(
     loop: SynchronousLoop,
     band: tuple[float, float],
@@ -129,7 +133,7 @@ def survey(
     blocks: Blocks,
     conditions: Sequence[Condition],
     members: bool = False,
-    doubt: Callable[[Look], bool] = lambda one: one.unstable > 0,
+    doubt: Callable[[Look], bool] = unstable,
 ) -> Survey:
     """The worst speeds of a band [rad/s] over conditions. knots: speeds of the table; blocks: those
     that are on at a speed; members: the conditions are corners of tolerances, at fewer plants;
@@ -147,17 +151,23 @@ def survey(
             for w in _grid(here, low, high, even, knots, blocks):
                 every.append((look(here, float(w), blocks(float(w)), zoom=False), condition))
 
-    # a plant of another speed may call what is stable unstable: asked again, and no worse than so
-    doubted = [i for i, (one, _) in enumerate(every) if doubt(one)]
-    for i in doubted[:: max(1, len(doubted) // _DOUBTED)]:
-        one, condition = every[i]
-        own = frozen(loop, one.speed, condition)
-        every[i] = look(own, one.speed, blocks(one.speed), zoom=False), condition
+    def refined(kind: Callable[[Look], float]) -> list[Found]:
+        return [
+            _refined(loop, band, knots, blocks, condition, found, kind, 2 * half)
+            for found, condition in _worst(every, kind, half)
+        ]
 
-    places: list[Found] = []
-    for kind in (_stability, _sensitivity):
-        for found, condition in _worst(every, kind, half):
-            places.append(_refined(loop, band, knots, blocks, condition, found, kind, 2 * half))
+    # a plant of another speed may call what is stable unstable: asked again, and no worse than so;
+    # where the worst is exactly unstable, only if somebody asks for more than that
+    places = refined(_stability)
+    doubted = [i for i, (one, _) in enumerate(every) if doubt(one)]
+    if doubted and (doubt is not unstable or all(place.stable for place in places)):
+        for i in doubted[:: max(1, len(doubted) // _DOUBTED)]:
+            one, condition = every[i]
+            own = frozen(loop, one.speed, condition)
+            every[i] = look(own, one.speed, blocks(one.speed), zoom=False), condition
+        places = refined(_stability)
+    places += refined(_sensitivity)
     drawn: dict[float, Look] = {}
     for one in (*(one for one, _ in every), *(place.look for place in places)):
         known = drawn.get(one.speed)
@@ -186,8 +196,8 @@ def least(
 
     def smallest(
         plants: Sequence[tuple[float, FrozenLoop]], condition: Condition, low: float, high: float
-    ) -> Least:
-        """With the response linear between those of two plants, or of one."""
+    ) -> list[Least]:
+        """All minima, with the response linear between those of two plants, or of one."""
         nonlocal looked
         even = np.linspace(low, high, _EVEN)
         grids = [_grid(here, low, high, even, knots, blocks) for _, here in plants]
@@ -200,24 +210,38 @@ def least(
             share = ((speeds - first) / (last - first))[:, None, None]
             R = (1 - share) * R + share * other.at(frequencies)
         values = value(np.array([block.drive for block in on]) @ -R)
-        k = int(np.argmin(values))
         looked += len(speeds)
-        return Least(float(values[k]), float(speeds[k]), condition, looked)
+        around = np.pad(values, 1, constant_values=np.inf)
+        lowest = np.flatnonzero((values <= around[:-2]) & (values <= around[2:]))
+        return [Least(float(values[k]), float(speeds[k]), condition, looked) for k in lowest]
 
+    exact: list[Least] = []
     for condition in conditions:
         plants = [(w, frozen(loop, w, condition)) for w in bases(band, count).tolist()]
+        for plant in plants:
+            exact += smallest([plant], condition, plant[0], plant[0])
         for k, (low, high) in enumerate(cells):
-            found.append(smallest(plants[k : k + 2], condition, low, high))
-    refined = []
-    for place in sorted(found, key=lambda item: item.value)[:_LEAST]:
+            found += smallest(plants[k : k + 2], condition, low, high)
+    part = (band[1] - band[0]) / (count - 1)
+    waiting = sorted(found, key=lambda item: item.value)
+    for _ in range(_LEAST):
+        if not waiting:
+            break
+        place = waiting[0]
+        # of one minimum one
+        waiting = [
+            item
+            for item in waiting
+            if item.condition != place.condition or abs(item.speed - place.speed) > part / 8
+        ]
         worst = place
         for width in (*_WIDTHS, 0.0):
-            reach, speed = width * (band[1] - band[0]) / (count - 1), worst.speed
+            reach, speed = width * part, worst.speed
             ends = max(band[0], speed - reach), min(band[1], speed + reach)
             own = [(speed, frozen(loop, speed, worst.condition))]
-            worst = smallest(own, worst.condition, *ends)
-        refined.append(worst)
-    worst = min(refined, key=lambda item: item.value)
+            worst = min(smallest(own, worst.condition, *ends), key=lambda item: item.value)
+        exact.append(worst)
+    worst = min(exact, key=lambda item: item.value)
     return Least(worst.value, worst.speed, worst.condition, looked)
 
 
