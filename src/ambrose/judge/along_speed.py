@@ -8,7 +8,8 @@ w_i v_i = 1, pole i goes on as j where |(w_i v'_j)(w'_j v_i)| is near one. An in
    ``_BEND`` times what it bends between them;
 2. where the frequencies of two light poles cross that may rise so by coupling there, within a small
    part of it;
-3. where the frequency of a light pole passes the speed itself, a critical speed.
+3. where the frequency of a light pole passes the speed itself, a critical speed, if those are
+   asked for.
 
 Nothing is proved between the speeds.
 """
@@ -22,10 +23,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ambrose.core.statespace import balance
-from ambrose.law.law import LawLike
-from ambrose.law.loop import closed_loop
-from ambrose.model.plant import Plant
+from ambrose.core.statespace import StateSpace, balance
 
 _BEND = 3.0  # times what a pole bends, by which it may rise
 _SAME = 1e-3  # of the largest real part: to what it is found
@@ -48,14 +46,16 @@ class AlongSpeed:
 
 
 def follow(
-    plant_at: Callable[[float], Plant], controller: LawLike, speeds: np.ndarray
+    loop_at: Callable[[float], StateSpace], speeds: np.ndarray, *, critical: bool = False
 ) -> AlongSpeed:
-    """The loop at every one of speeds (s,) [rad/s], ascending, and at those that are added."""
+    """A closed loop, of the same states at any speed [rad/s], at every one of speeds (s,),
+    ascending, and at those that are added. critical: whether critical speeds are looked for.
+    """
     known: dict[float, _Modes] = {}
 
     def at(speed: float) -> _Modes:
         if speed not in known:
-            known[speed] = _modes(plant_at(speed), controller)
+            known[speed] = _modes(loop_at(speed))
         return known[speed]
 
     highest = max(float(at(float(w)).poles.real.max()) for w in speeds)
@@ -87,16 +87,17 @@ def follow(
         judge_interval(low, middle)
         judge_interval(middle, high)
 
-    critical = []
-    for low, high in pairwise(sorted(known)):
+    found: list[tuple[float, float]] = []
+    for low, high in pairwise(sorted(known)) if critical else ():
         start, end = at(low).poles, _paired(at(low), at(high)).poles
-        passes = (start.imag - low > 0) & (end.imag - high <= 0)
-        for k in np.flatnonzero(passes | ((start.imag - low < 0) & (end.imag - high >= 0))):
-            found = _critical(at, (low, start[k]), (high, end[k]))
-            critical += [found] if found[1] < _LIGHT * found[0] else []
+        light = np.minimum(-start.real, -end.real) < _LIGHT * high
+        passes = (start.imag - low > 0) != (end.imag - high > 0)
+        found += [
+            _critical(at, (low, start[k]), (high, end[k])) for k in np.flatnonzero(light & passes)
+        ]
     found_at = np.array(sorted(known))
     abscissa = np.array([known[w].poles.real.max() for w in found_at])
-    return AlongSpeed(found_at, abscissa, tuple(sorted(critical)))
+    return AlongSpeed(found_at, abscissa, tuple(sorted(found)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,8 +118,7 @@ class _Modes:
         return np.asarray(np.sqrt(np.abs(moved * moved.T)))
 
 
-def _modes(plant: Plant, controller: LawLike) -> _Modes:
-    loop = closed_loop(plant, controller)
+def _modes(loop: StateSpace) -> _Modes:
     balanced, scale = balance(loop.A)
     values, right = np.linalg.eig(balanced)
     try:

@@ -188,7 +188,11 @@ def _assembled(
     low, high = plant.machine.operation.speed_range
     even = np.linspace(low, high, _STABILITY_SPEEDS)
     knots = speed_knots(plant.machine, low, high)
-    along = follow(plant_at, controller, np.unique([*even, *knots]))
+    along = follow(
+        lambda w: closed_loop(plant_at(w), controller),
+        np.unique([*even, *knots]),
+        critical=residual is not None,
+    )
     stability = speed_stability_check(along)
     if residual is None or not stability.passed:
         return [stability], []

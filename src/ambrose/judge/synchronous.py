@@ -55,7 +55,6 @@ from ambrose.judge.synchronous_speeds import (
     Survey,
     bases,
     least,
-    narrow_speeds,
     survey,
 )
 from ambrose.law.law import LawLike
@@ -421,13 +420,7 @@ def _unbalance_checks(item: BlockLoop) -> tuple[list[Check], list[Curve]]:
     machine = item.loop.machine
     residual = residual_unbalance(machine)
     assert residual is not None
-    # even ones, and where a peak may be narrower than their distance
-    narrow = [
-        w
-        for condition in item.conditions
-        for w in narrow_speeds(item.loop, item.mode, item.block.band, condition)
-    ]
-    speeds = np.unique([*item.speeds(_SPEEDS), *narrow])
+    speeds = item.speeds(_SPEEDS)
 
     # rows: orbit [m], current [A], force [N]; the worst condition at every speed
     before, after = np.zeros((3, len(speeds))), np.zeros((3, len(speeds)))
@@ -459,7 +452,8 @@ def _unbalance_checks(item: BlockLoop) -> tuple[list[Check], list[Curve]]:
     checks = [
         judge(
             "synchronous.orbit_0p",
-            f"Worst-case orbit, block converged, {len(speeds)} speeds, refined at peaks, 0-p",
+            f"Worst-case orbit, block converged, {len(speeds)} speeds, peaks above the limit "
+            "refined, 0-p",
             orbit,
             "m",
             Demand(float(limit), "<=", "required orbit, or ISO 14839-2 zone A"),

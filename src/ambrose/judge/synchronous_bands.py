@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ambrose.core.checks import InvalidInput
-from ambrose.judge.synchronous_speeds import narrow_speeds
 from ambrose.law.synchronous import Condition, Converged, SynchronousLoop, forward_patterns
 from ambrose.machine.criteria import CLEARANCE, TWO_PI
 from ambrose.machine.machine import Machine
@@ -140,10 +139,7 @@ def forbidden_bands(
             orbit = worst_orbits(values.q, float(residual.force(speed)))
             return float(np.log(max(orbit / (share * orbit_limit(machine, speed)), 1e-12)))
 
-        # peaks may be narrower than the distance of even speeds
-        speeds = np.unique(
-            [*np.linspace(*band, points), *narrow_speeds(loop, mode, band, condition)]
-        )
+        speeds = np.linspace(*band, points)
         if machine.requirements.unbalance_to is not None:  # where the limit jumps
             step = machine.requirements.unbalance_to
             speeds = np.unique(

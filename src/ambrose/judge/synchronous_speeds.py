@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,7 +29,6 @@ from ambrose.judge.synchronous_sensitivity import (
     frozen,
     growth,
     look,
-    resonator,
 )
 from ambrose.law.synchronous import Condition, SynchronousLoop
 
@@ -355,34 +354,3 @@ def zeros(here: FrozenLoop, block: Resonator, low: float, high: float) -> list[f
                 a, b = around[max(m - 1, 0)], around[min(m + 1, 11)]
             found.append(float((a + b) / 2))
     return found
-
-
-def narrow_speeds(
-    loop: SynchronousLoop, mode: str | None, band: tuple[float, float], condition: Condition
-) -> list[float]:
-    """Speeds [rad/s] of a band at which a response with a block of a mode converged (None: without
-    one) may have a narrow peak: zeros of what it drives to zero, and light poles of the loop, of
-    the plant of their own speed.
-    """
-    multiple = loop.harmonic
-
-    def places(speed: float, low: float, high: float) -> list[float]:
-        here = frozen(loop, speed, condition)
-        light = here.poles[(here.poles.imag > 0) & (-here.poles.real < _LIGHT * here.poles.imag)]
-        found = [float(w) for w in light.imag if multiple * low < w < multiple * high]
-        if mode is not None:
-            weights = loop.weights(mode, speed, replace(condition, delta=()))
-            block = resonator(loop, mode, weights, speed, 0.0)
-            found += zeros(here, block, multiple * low, multiple * high)
-        return [w / multiple for w in found]
-
-    half = (band[1] - band[0]) / (_BASES - 1) / 2
-    settled = set()
-    for base in bases(band):
-        for place in places(float(base), max(band[0], base - 2 * half), base + 2 * half):
-            near = min(max(place, band[0]), band[1])
-            own = places(near, max(0.5 * near, near - half), near + half)
-            settled |= {min(own, key=lambda w: abs(w - near))} if own else set()
-    inside = np.array(sorted(w for w in settled if band[0] <= w <= band[1]))
-    # found from two bases
-    return inside[np.diff(inside, prepend=-np.inf) > 1e-6 * inside].tolist()
