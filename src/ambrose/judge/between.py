@@ -5,6 +5,7 @@ loop changes.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -50,7 +51,7 @@ def check_range(
     point = extremes.worst(area)
     place = point.speed, point.seal_pressure
     if np.isfinite(extremes.peak).all():
-        place = _refined(lambda *at: certified(*at, modes).closed_loop_norm, extremes, place)
+        place = _refined(lambda v, p: certified(v, p, modes).closed_loop_norm, extremes, place)
     worst = certified(*place)
 
     def loop_at(speed: float, pressure: float) -> StateSpace:
@@ -61,7 +62,7 @@ def check_range(
     speeds = np.unique([*extremes.speeds, *speed_knots(machine, *area.speed)])
     count, abscissa = 0, float(extremes.abscissa.max())
     for pressure in sorted({*area.seal_pressure, place[1]}) if len(speeds) > 1 else ():
-        along = follow(lambda speed, p=pressure: loop_at(speed, p), speeds)
+        along = follow(partial(loop_at, pressure=pressure), speeds)
         count += len(along.speeds)
         k = int(np.argmax(along.abscissa))
         if along.abscissa[k] >= 0 and worst.stable:
