@@ -5,7 +5,7 @@ rate that it shares with a block that moves every sample.
 import numpy as np
 import pytest
 
-from ambrose.core.per_turn import largest_turn_gain, turn_map
+from ambrose.core.per_turn import largest_turn_gain, turn_map, turn_map_of
 from ambrose.core.statespace import StateSpace
 from ambrose.core.synchronous import largest_gain
 
@@ -21,24 +21,31 @@ def loop(seed=3, states=5):
     return StateSpace(A, B, C, 0.3 * np.eye(2), ("c_x", "c_y"), ("e_x", "e_y"), DT)
 
 
-def response(system):
-    z = np.exp(1j * SPEED * DT)
+def response(system, harmonic=1):
+    z = np.exp(1j * harmonic * SPEED * DT)
     inner = np.linalg.solve(z * np.eye(len(system.A)) - system.A, system.B)
     return system.C @ inner + system.D
 
 
-def simulated(system, T, gain, turns=60, harmonic=1):
+def simulated(system, T, gain, turns=60):
     """Size of a over turns by the equations of the block, sample by sample."""
+    return simulated_blocks(system, [(T, 1)], [gain], turns)
+
+
+def simulated_blocks(system, blocks, gains, turns):
+    """The same of blocks (T, harmonic) beside each other."""
     rng = np.random.default_rng(0)
-    x, a = np.zeros(len(system.A)), rng.standard_normal(2) + 1j * rng.standard_normal(2)
-    m, sizes = np.zeros(2, complex), []
+    x, size = np.zeros(len(system.A)), (len(blocks), 2)
+    a = rng.standard_normal(size) + 1j * rng.standard_normal(size)
+    m, sizes = np.zeros(size, complex), []
     for _ in range(turns):
-        a = a + gain * N * DT * m
-        total = np.zeros(2, complex)
+        a = a + np.array(gains)[:, None] * N * DT * m
+        total = np.zeros(size, complex)
         for k in range(N):
-            turn = np.exp(2j * np.pi * harmonic * k / N)
-            c = (turn * a).real
-            total += T @ (system.C @ x + system.D @ c) * turn.conjugate()
+            turn = [np.exp(2j * np.pi * harmonic * k / N) for _, harmonic in blocks]
+            c = sum((one * part).real for one, part in zip(turn, a, strict=True))
+            e = system.C @ x + system.D @ c
+            total += [T @ e * np.conj(one) for (T, _), one in zip(blocks, turn, strict=True)]
             x = system.A @ x + system.B @ c
         m = total / N
         sizes.append(np.linalg.norm(a))
@@ -83,3 +90,15 @@ def test_a_leak_and_a_wrong_phase():
     assert largest_turn_gain(system, turned, SPEED, 100.0) == 0.0
     assert largest_gain(system, turned, SPEED, 100.0) == 0.0
     assert np.abs(over.multipliers(1e-2, leak=1.0)).max() < 1
+
+
+def test_two_blocks_that_move_once_a_turn_have_multipliers_of_their_own():
+    """What each is alone says nothing of both: between the borders of either alone and both."""
+    system = loop(4)
+    blocks = [(-np.linalg.inv(response(system, n)), n) for n in (1, 2)]
+    over = turn_map_of(system, blocks, SPEED)
+    for gains in ([5.0, 3.0], [2.0, 8.0]):
+        largest = np.abs(over.multipliers(gains)).max()
+        sizes = simulated_blocks(system, blocks, gains, 60)
+        assert largest < 1
+        assert (sizes[-1] / sizes[30]) ** (1 / 29) == pytest.approx(largest, rel=2e-2)

@@ -94,7 +94,7 @@ def test_the_sector_angle_is_that_of_the_numerical_range(seed):
         for sign in (1, -1):
             turned = hermitian(np.exp(1j * sign * (angle - 1e-6)) * M)
             assert np.linalg.eigvalsh(turned)[0] > 0
-    assert angle <= convergence_angle(M, np.eye(3)) + 1e-9
+    assert angle <= convergence_angle(M) + 1e-9
 
 
 def test_one_matrix_for_several_responses_converges_for_each():

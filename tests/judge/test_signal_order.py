@@ -14,6 +14,7 @@ from ambrose.core.lft import GeneralizedPlant
 from ambrose.core.sampling import c2d
 from ambrose.core.statespace import connect, poles, rename, select
 from ambrose.judge import nominal, robust
+from ambrose.judge.along_speed import follow
 from ambrose.judge.campbell import speed_stability_check
 from ambrose.judge.certificate import certify, generalized_certificate
 from ambrose.judge.family.responses import loop_over_box
@@ -70,7 +71,8 @@ def test_poles_and_responses(plant, controllers):
         first, second = (give(K).output_sensitivity() for K in controllers)
         np.testing.assert_allclose(first, second, rtol=1e-9, atol=1e-9)
     first, second = (
-        speed_stability_check(lambda speed: plant, np.array([1.0, 2.0]), K) for K in controllers
+        speed_stability_check(follow(lambda _, K=K: closed_loop(plant, K), np.array([1.0, 2.0])))
+        for K in controllers
     )
     assert first.value == pytest.approx(second.value, rel=1e-9)
 

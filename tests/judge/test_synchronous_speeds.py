@@ -13,8 +13,10 @@ import pytest
 from scipy.linalg import expm
 
 from ambrose.core.checks import InvalidInput
+from ambrose.core.statespace import StateSpace
 from ambrose.judge import synchronous
-from ambrose.judge.synchronous import block_loops
+from ambrose.judge.synchronous import block_loops, member_margins
+from ambrose.judge.synchronous_sensitivity import Resonator, growth
 from ambrose.law.pid import pid_controller
 from ambrose.law.synchronous import Condition, synchronous_loop
 from ambrose.law.synchronous_table import BlockTable, block_of
@@ -164,32 +166,45 @@ class OwnLoop:
         )
         return cls(A, G, system.B[:, columns], system.C[rows], K)
 
-    def matrix(self, speed, D, eps, mode):
-        """The whole loop with the block on: states (x, u of the last sample, x_k, Re w, Im w)."""
+    def from_c(self, speed, mode):
+        """The loop without the block, from c to what it reads: A, B, C, D, of the states (x, u of
+        the last sample, x_k).
+        """
         n, a = self.B.shape
         held = expm(DT * np.block([[self.A + speed * self.G, self.B], [np.zeros((a, n + a))]]))
         Ak, Bk, Ck, Dk = self.K
         k = len(Ak)
-        size = n + a + k + 2 * a
         x, late, inner = slice(0, n), slice(n, n + a), slice(n + a, n + a + k)
-        re, im = slice(n + a + k, n + 2 * a + k), slice(n + 2 * a + k, size)
-        # rows of signals over the states: y, c, e = y - c, u = K (-e)
-        y, c = np.zeros((a, size)), np.zeros((a, size))
-        y[:, x], c[:, re] = self.C, np.eye(a)
-        u = -Dk @ (y - c)
-        u[:, inner] += Ck
-        whole = np.zeros((size, size))
-        whole[x, x], whole[x, late] = held[:n, :n], held[:n, n:]
-        whole[late] = u
-        whole[inner] = -Bk @ (y - c)
-        whole[inner, inner] += Ak
-        read = {"current-free": y - c, "force-free": np.vstack([y, u])}.get(mode, y)
-        moved = eps * DT * (D @ read)
-        w = np.zeros((a, size), complex)
-        w[:, re], w[:, im] = np.eye(a), 1j * np.eye(a)
-        after = np.exp(1j * speed * DT) * (w + moved)
-        whole[re], whole[im] = after.real, after.imag
-        return whole
+        A, B = np.zeros((n + a + k, n + a + k)), np.zeros((n + a + k, a))
+        # y = C x, e = y - c, u = K (-e)
+        y, u = np.zeros((a, n + a + k)), np.zeros((a, n + a + k))
+        y[:, x] = self.C
+        u[:, x], u[:, inner] = -Dk @ self.C, Ck
+        A[x, x], A[x, late] = held[:n, :n], held[:n, n:]
+        A[late], B[late] = u, Dk
+        A[inner, x], A[inner, inner], B[inner] = -Bk @ self.C, Ak, Bk
+        nothing, one = np.zeros((a, a)), np.eye(a)
+        C, D = {
+            "current-free": (y, -one),
+            "force-free": (np.vstack([y, u]), np.vstack([nothing, Dk])),
+        }.get(mode, (y, nothing))
+        return A, B, C, D
+
+    def signals(self, speed, mode):
+        """From c to minus what the block reads, at 1x."""
+        A, B, C, D = self.from_c(speed, mode)
+        z = np.exp(1j * speed * DT)
+        return -(C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D)
+
+    def matrix(self, speed, D, eps, mode):
+        """The whole loop with the block on: those states, then Re w, Im w."""
+        A, B, C, through = self.from_c(speed, mode)
+        m, a = B.shape
+        # c = Re w,  w+ = exp(j W Ts) (w + eps Ts D s)
+        w = np.hstack([np.zeros((a, m)), np.eye(a), 1j * np.eye(a)])
+        read = np.hstack([C, through, np.zeros((len(C), a))])
+        after = np.exp(1j * speed * DT) * (w + eps * DT * (D @ read))
+        return np.vstack([np.hstack([A, B, np.zeros((m, a))]), after.real, after.imag])
 
     def growth(self, speed, D, eps, mode):
         z = np.linalg.eigvals(self.matrix(speed, D, eps, mode))
@@ -278,6 +293,101 @@ def test_a_block_that_never_settles_fails(tip):
     assert synchronous._time_check(quick, found, None).passed is True
     # 100 rad/s at 100 rad/s^2 leave one second
     assert synchronous._time_check(quick, found, 100.0).passed is False
+
+
+def test_a_block_that_moves_once_a_turn_beside_another_is_judged_as_it_runs():
+    """At 1x once a turn, at 2x with every sample, run sample by sample: what would settle if both
+    moved with every sample grows.
+    """
+    rng = np.random.default_rng(3)
+    A = rng.standard_normal((5, 5))
+    A *= 0.8 / np.abs(np.linalg.eigvals(A)).max()
+    system = StateSpace(
+        A, rng.standard_normal((5, 2)), rng.standard_normal((2, 5)), 0.3 * np.eye(2), dt=1e-3
+    )
+    samples, dt = 40, 1e-3
+    speed = 2 * np.pi / (samples * dt)
+
+    def inverse(n):
+        inner = np.exp(1j * n * speed * dt) * np.eye(5) - A
+        return -np.linalg.inv(system.C @ np.linalg.solve(inner, system.B) + system.D)
+
+    D1, D2 = inverse(1), inverse(2)
+    for gain, settles in ((10.0, True), (100.0, False)):
+        x, w = np.zeros(5), np.array([1.0, 1j])
+        a, m, sizes = np.array([1.0, 0.5j]), np.zeros(2, complex), []
+        for _ in range(600):
+            a, total = a + gain * samples * dt * m, np.zeros(2, complex)
+            for k in range(samples):
+                turn = np.exp(1j * speed * dt * k)
+                c = (turn * a).real + w.real
+                s = system.C @ x + system.D @ c
+                total += D1 @ s / turn
+                w = np.exp(2j * speed * dt) * (w + 5.0 * dt * (D2 @ s))
+                x = A @ x + system.B @ c
+            m = total / samples
+            sizes.append(np.abs(a).max() + np.abs(w).max())
+        own = np.log(max(sizes[550:]) / max(sizes[250:300])) / (300 * samples * dt)
+        assert (own < 0) == settles
+        blocks = (
+            Resonator(D1, speed, gain, turn=samples * dt),
+            Resonator(D2, 2 * speed, 5.0),
+        )
+        for order in (blocks, blocks[::-1]):
+            assert growth(system, order) == pytest.approx(own, abs=0.01)
+        assert growth(system, (replace(blocks[0], turn=0.0), blocks[1])) < 0
+
+
+def random_item(seed, mode):
+    """A random rotor with a stable loop, its own loop, and a block of a table with few speeds."""
+    rng = np.random.default_rng([51, seed])
+    while True:
+        machine, law = rotor(random_rotor(rng))
+        own = OwnLoop.of(machine, law)
+        nothing = np.zeros((4, 4))
+        if max(own.growth(w, nothing, 0.0, "current-free") for w in (1.0, 500.0, 1000.0)) < 1e-6:
+            break
+    low = float(rng.uniform(150, 800))
+    band = (low, low + float(rng.uniform(60, 200)))
+    block = inverse_block(machine, law, mode, band, int(rng.integers(2, 9)), 0.5)
+    return machine, law, block_loops(machine, law, (block,))[0]
+
+
+def angle_and_pace(own, item, speeds):
+    """The smallest angle [rad] and real part of the eigenvalues of D R at speeds."""
+    found = [
+        np.linalg.eigvals(item.running.at(float(w)) @ own.signals(float(w), item.mode))
+        for w in speeds
+    ]
+    return np.pi / 2 - np.abs(np.angle(found)).max(), np.real(found).min()
+
+
+def judged_angle_and_pace(seed):
+    """What the judge finds and what a fine grid finds: the angle of the worst of two members, and
+    how slow the slowest direction is, over the size of D R.
+    """
+    machine, law, item = random_item(seed, MODES[seed % 3])
+    speeds = np.linspace(*item.block.band, 401)
+    member = member_margins(item, 2, seed)
+    angle, _ = angle_and_pace(OwnLoop.of(machine, law, member.condition), item, speeds)
+    slowest = item.survey(item.conditions).slowest
+    _, pace = angle_and_pace(OwnLoop.of(machine, law), item, speeds)
+    return member.value, angle, slowest.value, pace
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_members_and_the_slowest_direction_are_worst_over_the_whole_band(seed):
+    found, angle, slowest, pace = judged_angle_and_pace(seed)
+    assert found <= angle + np.radians(0.2)
+    assert slowest <= pace + 1e-3
+
+
+@pytest.mark.study
+def test_members_and_the_slowest_direction_of_sixty_random_rotors():
+    found = np.array([judged_angle_and_pace(seed) for seed in range(60)])
+    print(np.degrees(found[:, 0] - found[:, 1]).max(), (found[:, 2] - found[:, 3]).max())
+    assert (found[:, 0] <= found[:, 1] + np.radians(0.2)).all()
+    assert (found[:, 2] <= found[:, 3] + 1e-3).all()
 
 
 MODES = "vibration-free", "current-free", "force-free", "damping"

@@ -1,4 +1,4 @@
-"""A block that moves once a turn, in its loop: exact multipliers over a turn.
+"""Blocks that move once a turn, in their loop: exact multipliers over a turn.
 
 Over a turn of N samples the amplitude a stands still. With the loop x[k+1] = A x[k] + B c[k],
 s[k] = C x[k] + D c[k], c[k] = Re(e^{j n phi k} a), phi = 2 pi/N, and the mean of what it read
@@ -13,9 +13,11 @@ Everything but (2) is independent of eps and computed once.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ambrose.core.statespace import StateSpace
 from ambrose.core.synchronous import largest_stable
@@ -35,10 +37,12 @@ class TurnMap:
     m_by_a: np.ndarray
     time: float
 
-    def multipliers(self, gain: float, leak: float = 0.0) -> np.ndarray:
-        """Of the state (x, a, m) over a turn; gain eps and leak [1/s]."""
+    def multipliers(self, gain: ArrayLike, leak: ArrayLike = 0.0) -> np.ndarray:
+        """Of the state (x, a, m) over a turn; gain eps and leak [1/s], of each block or of all."""
         n, a = len(self.x_by_x), len(self.m_by_a)
-        keep, learn = (1 - leak * self.time) * np.eye(a), gain * self.time * np.eye(a)
+        # of every block's real and imaginary parts
+        eps, leaks = (np.repeat(np.atleast_1d(v), a // np.atleast_1d(v).size) for v in (gain, leak))
+        keep, learn = np.diag(1 - leaks * self.time), np.diag(eps * self.time)
         # a+ = keep a + learn m first; x+ = X x + Xa a+,  m+ = M x + Ma a+
         whole = np.block(
             [
@@ -55,21 +59,35 @@ def turn_map(loop: StateSpace, T: np.ndarray, speed: float, harmonic: int = 1) -
 
     speed [rad/s]: of the rotor; its turn is taken as the nearest whole number of samples.
     """
+    return turn_map_of(loop, [(T, harmonic)], speed)
+
+
+def turn_map_of(
+    loop: StateSpace, blocks: Sequence[tuple[np.ndarray, int]], speed: float
+) -> TurnMap:
+    """The same with several blocks on at once, (T, harmonic) of each; a and m are theirs below each
+    other.
+    """
     assert loop.dt is not None
-    samples = int(np.clip(round(2 * np.pi / (speed * loop.dt)), 2 * harmonic + 1, _MOST))
-    n, a = len(loop.A), T.shape[0]
-    # columns: unit states, then unit real and imaginary parts of a
-    x = np.hstack([np.eye(n), np.zeros((n, 2 * a))])
-    total = np.zeros((a, n + 2 * a), complex)
+    highest = max(harmonic for _, harmonic in blocks)
+    samples = int(np.clip(round(2 * np.pi / (speed * loop.dt)), 2 * highest + 1, _MOST))
+    n, a = len(loop.A), len(loop.inputs)
+    width = n + 2 * a * len(blocks)
+    # columns: unit states, then unit real and imaginary parts of every a
+    x = np.eye(n, width)
+    one = np.eye(a)
+    totals = [np.zeros((a, width), complex) for _ in blocks]
     for k in range(samples):
-        turn = np.exp(2j * np.pi * harmonic * k / samples)
-        c = np.zeros((a, n + 2 * a))
-        c[:, n : n + a] = turn.real * np.eye(a)
-        c[:, n + a :] = -turn.imag * np.eye(a)
-        total += (T @ (loop.C @ x + loop.D @ c)) * np.conj(turn)
+        turns = [np.exp(2j * np.pi * harmonic * k / samples) for _, harmonic in blocks]
+        parts = [part for turn in turns for part in (turn.real * one, -turn.imag * one)]
+        c = np.hstack([np.zeros((a, n)), *parts])
+        s = loop.C @ x + loop.D @ c
+        totals = [
+            total + (T @ s) * np.conj(turn)
+            for total, turn, (T, _) in zip(totals, turns, blocks, strict=True)
+        ]
         x = loop.A @ x + loop.B @ c
-    mean = total / samples
-    m = np.vstack([mean.real, mean.imag])
+    m = np.vstack([part for total in totals for part in (total.real, total.imag)]) / samples
     return TurnMap(x[:, :n], x[:, n:], m[:, :n], m[:, n:], samples * loop.dt)
 
 

@@ -47,11 +47,11 @@ def convergence(T: np.ndarray, R: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.eigvals(T @ R).real.min(axis=-1))
 
 
-def convergence_angle(T: np.ndarray, R: np.ndarray) -> np.ndarray:
-    """By how much all phases of T R may be off [rad], (...): pi/2 - max |arg| of its
-    eigenvalues.
+def convergence_angle(M: np.ndarray) -> np.ndarray:
+    """By how much all phases of M = T R (..., n, n) may be off [rad], (...): pi/2 - max |arg| of
+    its eigenvalues.
     """
-    return np.asarray(np.pi / 2 - np.abs(np.angle(np.linalg.eigvals(T @ R))).max(axis=-1))
+    return np.asarray(np.pi / 2 - np.abs(np.angle(np.linalg.eigvals(M))).max(axis=-1))
 
 
 def hermitian(M: np.ndarray) -> np.ndarray:
@@ -94,8 +94,16 @@ def with_resonator(
 def with_resonators(
     loop: StateSpace, blocks: Sequence[tuple[np.ndarray, float, float, float]]
 ) -> np.ndarray:
-    """The state matrix of a sampled loop with several blocks on at once: (T, frequency, gain, leak)
-    of each, as ``with_resonator`` takes them. States: the loop's, then Re w, Im w of each block.
+    """The state matrix of ``around_resonators``."""
+    return around_resonators(loop, blocks).A
+
+
+def around_resonators(
+    loop: StateSpace, blocks: Sequence[tuple[np.ndarray, float, float, float]]
+) -> StateSpace:
+    """A sampled loop with several blocks closed around it, from what is added to their c to the
+    signals: (T, frequency, gain, leak) of each, as ``with_resonator`` takes them. States: the
+    loop's, then Re w, Im w of each block.
     """
     if loop.dt is None:
         raise invalid("the loop", "continuous", "sampled", "sample it (core.sampling.c2d)")
@@ -103,7 +111,7 @@ def with_resonators(
     real_part = np.hstack([np.eye(n), np.zeros((n, n))])
     # c = sum of Re w: the blocks' columns side by side, e = C x + D c
     every = np.hstack([real_part] * len(blocks))
-    rows = [np.hstack([loop.A, loop.B @ every])]
+    rows, columns = [np.hstack([loop.A, loop.B @ every])], [loop.B]
     for k, (matrix, frequency, gain, leak) in enumerate(blocks):
         T = check_shape(matrix, "T", "(n, m)", n=n, m=len(loop.outputs))
         turn = frequency * loop.dt
@@ -115,7 +123,11 @@ def with_resonators(
         keep = drive @ loop.D @ every
         keep[:, 2 * n * k : 2 * n * (k + 1)] += np.eye(2 * n) * (1 - leak * loop.dt)
         rows.append(rotation @ np.hstack([drive @ loop.C, keep]))
-    return np.vstack(rows)
+        columns.append(rotation @ drive @ loop.D)
+    C = np.hstack([loop.C, loop.D @ every])
+    return StateSpace(
+        np.vstack(rows), np.vstack(columns), C, loop.D, loop.inputs, loop.outputs, loop.dt
+    )
 
 
 def slowest_pole(

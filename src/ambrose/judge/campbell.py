@@ -16,7 +16,7 @@ import numpy as np
 
 from ambrose.core.checks import check_shape, invalid
 from ambrose.core.presentation import Presented
-from ambrose.core.statespace import spectral_abscissa
+from ambrose.judge.along_speed import AlongSpeed
 from ambrose.judge.checks import Check, Curve
 from ambrose.judge.criteria import judge
 from ambrose.judge.rotor_modes import OSCILLATORY, Modes, damping_ratio, direction, modes
@@ -150,26 +150,22 @@ def campbell_curves(diagram: CampbellMap) -> list[Curve]:
     ]
 
 
-def speed_stability_check(
-    plant_at: Callable[[float], Plant], speeds: np.ndarray, controller: LawLike
-) -> Check:
-    """Stability of the closed loop at every one of ``speeds`` (s,) [rad/s], with the rotor
-    assembled anew.
-    """
-    values = np.array(
-        [spectral_abscissa(closed_loop(plant_at(float(speed)), controller)) for speed in speeds]
-    )
+def speed_stability_check(along: AlongSpeed) -> Check:
+    """Stability of a loop that was followed over a range of speeds, at the worst of them."""
+    speeds, values = along.speeds, along.abscissa
     k = int(np.argmax(values))
-    span = f"{len(speeds)} speeds from {speeds[0] / TWO_PI:.4g} to {speeds[-1] / TWO_PI:.4g} Hz"
-    unstable = speeds[values >= 0] / TWO_PI
-    unstable_words = (
-        "" if not unstable.size else f"; unstable at {', '.join(f'{w:.4g}' for w in unstable)} Hz"
-    )
+    span = f"from {speeds[0] / TWO_PI:.4g} to {speeds[-1] / TWO_PI:.4g} Hz"
+    lost = [
+        f"from {part[0] / TWO_PI:.4g} to {part[-1] / TWO_PI:.4g} Hz"
+        for part in np.split(speeds, np.flatnonzero(np.diff(values >= 0)) + 1)
+        if values[np.searchsorted(speeds, part[0])] >= 0
+    ]
+    unstable = "" if not lost else f"; unstable {', '.join(lost)}"
     return judge(
         "stability.speeds",
-        "Stability over the speed range",
+        f"Stability over the speed range, {len(speeds)} speeds, refined at the worst",
         values[k],
         "rad/s",
         Demand(0.0, "<", "asymptotic stability"),
-        f"largest at {speeds[k] / TWO_PI:.4g} Hz, of {span}{unstable_words}",
+        f"largest at {speeds[k] / TWO_PI:.4g} Hz, {span}{unstable}",
     )

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ambrose.core.checks import check_shape, invalid, named_failure
+from ambrose.judge.along_speed import follow
 from ambrose.judge.campbell import speed_stability_check
 from ambrose.judge.checks import Check, Checks, Curve
 from ambrose.judge.loop_response import (
@@ -36,12 +37,13 @@ from ambrose.law.loop import closed_loop, match_controller
 from ambrose.machine.axial import AxialMachine
 from ambrose.machine.criteria import SENSITIVITY_RANGE, SPEED_RANGE_FACTOR, TWO_PI
 from ambrose.machine.description import Requirements
+from ambrose.model.effect import speed_knots
 from ambrose.model.plant import Plant, top_speed
 from ambrose.model.unbalance import Unbalance, residual_unbalance
 
 _LOWEST = 0.5 * TWO_PI  # rad/s, start of the default grid
-_SPEEDS = 40  # speeds at which the rotor is assembled anew for unbalance
-_STABILITY_SPEEDS = 11  # over the range of speed
+# speeds at which the rotor is assembled anew for unbalance, and for stability, to begin with
+_SPEEDS, _STABILITY_SPEEDS = 40, 11
 _BEYOND = 5.0  # the default grid reaches this many times past the standard's range
 
 Progress = Callable[[str, float], None]
@@ -206,15 +208,22 @@ def _assembled(
     every speed.
     """
     low, high = plant.machine.operation.speed_range
-    stability = speed_stability_check(
-        plant_at, np.linspace(low, high, _STABILITY_SPEEDS), controller
+    even = np.linspace(low, high, _STABILITY_SPEEDS)
+    knots = speed_knots(plant.machine, low, high)
+    along = follow(
+        lambda w: closed_loop(plant_at(w), controller),
+        np.unique([*even, *knots]),
+        critical=residual is not None,
     )
+    stability = speed_stability_check(along)
     if residual is None or not stability.passed:
         return [stability], []
-    speeds = np.linspace(max(low, 0.02 * high), high, _SPEEDS)
+    low = max(low, 0.02 * high)
+    speeds = np.unique([*np.linspace(low, high, _SPEEDS), *speed_knots(plant.machine, low, high)])
     if requirements.unbalance_to is not None and speeds[0] < requirements.unbalance_to < high:
         speeds = np.unique(np.append(speeds, requirements.unbalance_to))
     curve = replace(
-        unbalance_curve(plant_at, speeds, controller, residual), name="unbalance.assembled_0p"
+        unbalance_curve(plant_at, speeds, controller, residual, along.critical),
+        name="unbalance.assembled_0p",
     )
     return [stability, assembled_check(curve, requirements)], [curve]

@@ -47,8 +47,16 @@ from ambrose.judge.synchronous_bands import (
     worst_orbits,
     worst_signal,
 )
-from ambrose.judge.synchronous_sensitivity import Resonator, growth, resonator
-from ambrose.judge.synchronous_speeds import MINUTE, SETTLED, Survey, bases, survey
+from ambrose.judge.synchronous_sensitivity import Resonator, growth_by_gain, resonator
+from ambrose.judge.synchronous_speeds import (
+    MINUTE,
+    SETTLED,
+    Least,
+    Survey,
+    bases,
+    least,
+    survey,
+)
 from ambrose.law.law import LawLike
 from ambrose.law.synchronous import (
     Condition,
@@ -281,45 +289,32 @@ def _box_checks(
             f"at {proof.worst:.4g} rad/s, {condition.label}; proved over the band and the whole box"
         )
         return [_angle("synchronous.margin.box", title, proof.angle, wanted, detail)]
-    angle, speed, where, unstable = member_margins(item, members, seed)
+    found = member_margins(item, members, seed)
     detail = (
-        f"at {speed:.4g} rad/s, {where.label}; not proved over the box ({reason}), found at "
-        f"{members} random members per pressure, one speed each, {unstable} of them unstable"
+        f"at {found.speed:.4g} rad/s, {found.condition.label}; not proved over the box ({reason})"
     )
-    return [_angle("synchronous.margin.box", title, angle, wanted, detail)]
+    title += f", {members} random members per pressure, {found.count} speeds, refined at the worst"
+    return [_angle("synchronous.margin.box", title, found.value, wanted, detail)]
 
 
-def member_margins(
-    item: BlockLoop, members: int, seed: int = 0
-) -> tuple[float, float, Condition, int]:
-    """The smallest convergence angle [rad] (of eigenvalues, exact for small gains) over random
-    members and speeds, its speed and member, and how many do not converge.
+def member_margins(item: BlockLoop, members: int, seed: int = 0) -> Least:
+    """The smallest convergence angle [rad] (of eigenvalues, exact for small gains) of random
+    members, half of them corners, over all speeds of the band.
     """
     rng = np.random.default_rng(seed)
-    low, high = item.block.band
-    worst = np.inf
-    at = low
-    where = item.conditions[0]
-    unstable = 0
+    chosen: list[Condition] = []
     for condition in item.conditions:
-        names = [
-            t.parameter for t in tolerances_around(item.loop.plant((low + high) / 2, condition))
-        ]
+        at = item.loop.plant(sum(item.block.band) / 2, condition)
+        names = [tolerance.parameter for tolerance in tolerances_around(at)]
         for _ in range(members):
             corner = rng.random() < 0.5
             values = (
                 rng.choice([-1.0, 1.0], len(names)) if corner else rng.uniform(-1, 1, len(names))
             )
-            member = Condition(condition.pressure, tuple(zip(names, values.tolist(), strict=True)))
-            speed = float(rng.uniform(low, high))
-            signals = item.loop.signals(item.mode, speed, member)
-            angle = float(convergence_angle(item.running.at(speed), signals))
-            unstable += angle <= 0
-            if angle < worst:
-                worst = angle
-                at = speed
-                where = member
-    return float(worst), at, where, unstable
+            moved = tuple(zip(names, values.tolist(), strict=True))
+            chosen.append(Condition(condition.pressure, moved))
+    knots = item.table.speeds.tolist()
+    return least(item.loop, item.block.band, knots, item.on, chosen, convergence_angle)
 
 
 def _pressures(count: int) -> str:
@@ -373,10 +368,12 @@ def _gain_check(item: BlockLoop, found: Survey, corners: int = 0) -> Check:
     place = found.least_stable
     speed = place.look.speed
     system = item.loop.sampled(speed, place.condition)
-    own, *others = item.on(speed)
+    own, *_ = item.on(speed)
+
+    grows = growth_by_gain(system, item.on(speed))
 
     def stable(gain: float) -> bool:
-        return growth(system, (replace(own, gain=gain), *others)) < 0
+        return grows(gain) < 0
 
     if place.stable:
         limit = largest_stable(stable, max(2 * eps, 0.1 * own.frequency), 0.05)
@@ -404,12 +401,15 @@ def _time_check(item: BlockLoop, found: Survey, speed_rate: float | None) -> Che
     """
     low, high = item.block.band
     slowest = found.slowest
-    rate = item.block.leak + item.block.gain / 2 * slowest.convergence
+    rate = item.block.leak + item.block.gain / 2 * slowest.value
     time = 1 / rate if rate > 0 else np.inf
     run_up = MINUTE if speed_rate is None else (high - low) / speed_rate
     through = "a minute" if speed_rate is None else f"{run_up:.3g} s"
     wanted = Demand(run_up / SETTLED, "<=", f"settled to 95 % in a run-up of {through}")
-    title = f"Converges within (time constant of the slowest direction), {found.count} speeds"
+    title = (
+        f"Converges within (time constant of the slowest direction), {slowest.count} speeds, "
+        "refined at the worst"
+    )
     samples = time / item.loop.timing.sample_time
     detail = f"at {slowest.speed:.5g} rad/s, {samples:.3g} samples"
     return judge("synchronous.time", title, time, "s", wanted, detail)
@@ -452,7 +452,8 @@ def _unbalance_checks(item: BlockLoop) -> tuple[list[Check], list[Curve]]:
     checks = [
         judge(
             "synchronous.orbit_0p",
-            "Worst-case orbit, block converged, 0-p",
+            f"Worst-case orbit, block converged, {len(speeds)} speeds, peaks above the limit "
+            "refined, 0-p",
             orbit,
             "m",
             Demand(float(limit), "<=", "required orbit, or ISO 14839-2 zone A"),

@@ -16,15 +16,16 @@ its images about other multiples of the turning are in the exact multipliers alo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from ambrose.core.frequency import SchurForm, evaluate, schur_form
-from ambrose.core.per_turn import turn_map
-from ambrose.core.statespace import StateSpace, select
-from ambrose.core.synchronous import with_resonators
+from ambrose.core.per_turn import turn_map_of
+from ambrose.core.statespace import StateSpace
+from ambrose.core.synchronous import around_resonators, with_resonators
 from ambrose.judge.loop_response import frequency_grid
 from ambrose.law.synchronous import Condition, SynchronousLoop
 
@@ -72,39 +73,60 @@ class Resonator:
         return np.asarray(self.gain * self.turn / 2 * mean * held / (np.exp(exponent) - keep))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class FrozenLoop:
     """A loop from c to (e, y, u), sampled, with its response made cheap: the plant of one speed,
     while the blocks' frequency may be another one near it.
 
-    omega (w,) [rad/s]: a grid packed around its poles; M (w, 3 a, a) there, S (w, a): every axis'
-    sensitivity without a block; poles (n,) [rad/s], continuous.
+    omega (w,) [rad/s]: a grid packed around its poles (n,) [rad/s], which are continuous.
     """
 
     system: StateSpace
     form: SchurForm
     poles: np.ndarray
     omega: np.ndarray
-    M: np.ndarray
-    S: np.ndarray
+
+    @cached_property
+    def M(self) -> np.ndarray:
+        """(w, 3 a, a) on the grid."""
+        return self.at(self.omega)
+
+    @cached_property
+    def S(self) -> np.ndarray:
+        """Every axis' sensitivity (w, a) on the grid without a block."""
+        n = self.M.shape[2]
+        return np.asarray(np.abs(np.einsum("waa->wa", self.M[:, :n])))
 
     def at(self, omega: np.ndarray, growth: float = 0.0) -> np.ndarray:
         """M (w, 3 a, a) at exp((growth + j omega) Ts)."""
         assert self.system.dt is not None
         return evaluate(self.form, np.exp((growth + 1j * omega) * self.system.dt))
 
+    def on_axis(self, omega: np.ndarray) -> np.ndarray:
+        """M (w, 3 a, a) at omega, from the grid where that has it."""
+        k = np.minimum(np.searchsorted(self.omega, omega), len(self.omega) - 1)
+        known = self.omega[k] == omega
+        M = np.empty((len(omega), *self.M.shape[1:]), complex)
+        M[known] = self.M[k[known]]
+        M[~known] = self.at(omega[~known])
+        return M
+
 
 def frozen(loop: SynchronousLoop, speed: float, condition: Condition) -> FrozenLoop:
-    """The loop of the plant at a speed [rad/s] and condition."""
+    """The loop of the plant at a speed [rad/s] and condition; the latest are remembered."""
+    return loop.remembered(
+        ("frozen", float(speed), condition), lambda: _frozen(loop, speed, condition)
+    )
+
+
+def _frozen(loop: SynchronousLoop, speed: float, condition: Condition) -> FrozenLoop:
     system = loop.sampled(speed, condition)
     assert system.dt is not None
     form = schur_form(system.A, system.B, system.C, system.D, expand=True)
     z = form.poles
     poles = np.log(z[np.abs(z) > 1e-6]) / system.dt
     omega = frequency_grid(poles, _LOWEST, 0.98 * np.pi / system.dt, _PER_DECADE)
-    M = evaluate(form, np.exp(1j * omega * system.dt))
-    n = len(loop.axes)
-    return FrozenLoop(system, form, poles, omega, M, np.abs(np.einsum("waa->wa", M[:, :n])))
+    return FrozenLoop(system, form, poles, omega)
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +231,7 @@ def sensitivity(frozen: FrozenLoop, blocks: Sequence[Resonator], omega: np.ndarr
     """S (w, a, a) at omega (w,) [rad/s], from a disturbance of the measured displacements to what
     the controller sees, with the blocks on (none: without).
     """
-    M = frozen.at(omega)
+    M = frozen.on_axis(omega)
     n = M.shape[2]
     S = -M[:, :n]
     if not blocks:
@@ -269,16 +291,45 @@ def resonator(
 
 def growth(system: StateSpace, blocks: Sequence[Resonator]) -> float:
     """ln|z|/Ts [rad/s] of the outermost exact pole of a sampled loop from c to (e, y, u) with its
-    blocks; of a single block that moves once a turn of its multipliers over one.
+    blocks; with any that moves once a turn, of its multipliers over one.
     """
+    return growth_by_gain(system, blocks)(blocks[0].gain)
+
+
+def growth_by_gain(system: StateSpace, blocks: Sequence[Resonator]) -> Callable[[float], float]:
+    """``growth`` as a function of the first block's gain eps [1/s]."""
     assert system.dt is not None
-    (block, *others) = blocks
-    if block.turn and not others:
-        rows = np.flatnonzero(block.drive.any(axis=0))
-        reads = select(system, None, [system.outputs[i] for i in rows])
-        harmonic = round(block.frequency * block.turn / (2 * np.pi))
-        over = turn_map(reads, block.drive[:, rows], 2 * np.pi / block.turn, harmonic)
-        size = np.abs(over.multipliers(block.gain, block.leak)).max()
-        return float(np.log(max(size, 1e-300)) / over.time)
-    A = with_resonators(system, [(b.drive, b.frequency, b.gain, b.leak) for b in blocks])
-    return float(np.log(max(np.abs(np.linalg.eigvals(A)).max(), 1e-300)) / system.dt)
+    first, dt = blocks[0], system.dt
+    # the others that move with every sample are part of the loop
+    still = [(b.drive, b.frequency, b.gain, b.leak) for b in blocks[1:] if not b.turn]
+    turning = [b for b in blocks if b.turn]
+    if not turning:
+
+        def by_poles(gain: float) -> float:
+            own = (first.drive, first.frequency, gain, first.leak)
+            z = np.linalg.eigvals(with_resonators(system, [own, *still]))
+            return float(np.log(max(np.abs(z).max(), 1e-300)) / dt)
+
+        return by_poles
+    rows = [(b.drive, round(b.frequency * b.turn / (2 * np.pi))) for b in turning]
+    speed = 2 * np.pi / turning[0].turn
+
+    def over_a_turn(gain: float) -> Callable[[float], float]:
+        if not first.turn:
+            own = (first.drive, first.frequency, gain, first.leak)
+            closed = around_resonators(system, [own, *still])
+        else:
+            closed = around_resonators(system, still) if still else system
+        over = turn_map_of(closed, rows, speed)
+        leaks = [b.leak for b in turning]
+
+        def of(gain: float) -> float:
+            gains = [gain if b is first else b.gain for b in turning]
+            size = np.abs(over.multipliers(gains, leaks)).max()
+            return float(np.log(max(size, 1e-300)) / over.time)
+
+        return of
+
+    if first.turn:
+        return over_a_turn(first.gain)
+    return lambda gain: over_a_turn(gain)(gain)

@@ -34,13 +34,14 @@ from ambrose.law.synchronous import Condition, SynchronousLoop
 
 SETTLED = 3.0  # time constants in which a block has to settle: 95 %
 MINUTE = 60.0  # s, for a run-up through the band where none is known
-_BASES = 5  # speeds of a band at which the plant is taken
-_FEWER = 2  # with tolerances
+_BASES = 7  # speeds of a band at which the plant is taken
+_FEWER = 3  # with tolerances, three of those
 _EVEN = 7  # speeds around each of them, evenly
 # beside a pole or zero, of its damping and of the block's eps
 _AROUND = np.array([-8.0, -2.5, -0.8, -0.25, 0.0, 0.25, 0.8, 2.5, 8.0])
 _LIGHT = 0.15  # damping ratio below which a pole is a narrow one
 _WORST = 2  # candidates of either kind that are refined
+_LEAST = 6  # minima of ``least`` that are refined
 _DOUBTED = 40  # looks that are repeated, about
 _WIDTHS = 1 / 4, 1 / 32  # of a base's share of the band: what a refinement looks at
 
@@ -63,15 +64,25 @@ class Found:
 
 
 @dataclass(frozen=True, slots=True)
+class Least:
+    """The smallest of a quantity and where it was found; count: of how many speeds."""
+
+    value: float
+    speed: float
+    condition: Condition
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
 class Survey:
     """What was looked at. places: the worst ones, refined; looks: ascending in speed, the most
-    sensitive of all conditions at each; slowest: the one that converges most slowly; count: how
-    many.
+    sensitive of all conditions at each; slowest: the smallest real part of D R; count: how many
+    looks.
     """
 
     places: tuple[Found, ...]
     looks: tuple[Look, ...]
-    slowest: Look
+    slowest: Least
     count: int
 
     @property
@@ -106,8 +117,12 @@ def bad_parts(
 
 
 def bases(band: tuple[float, float], count: int = _BASES) -> np.ndarray:
-    """The speeds [rad/s] of a band at which the plant is taken: the middles of as many parts."""
-    return np.asarray(band[0] + (band[1] - band[0]) * (np.arange(count) + 0.5) / count)
+    """The speeds [rad/s] of a band at which the plant is taken, its ends among them."""
+    return np.linspace(*band, count)
+
+
+def unstable(one: Look) -> bool:
+    return one.unstable > 0
 
 
 def survey(
@@ -117,7 +132,7 @@ def survey(
     blocks: Blocks,
     conditions: Sequence[Condition],
     members: bool = False,
-    doubt: Callable[[Look], bool] = lambda one: one.unstable > 0,
+    doubt: Callable[[Look], bool] = unstable,
 ) -> Survey:
     """The worst speeds of a band [rad/s] over conditions. knots: speeds of the table; blocks: those
     that are on at a speed; members: the conditions are corners of tolerances, at fewer plants;
@@ -125,7 +140,7 @@ def survey(
     """
     every: list[tuple[Look, Condition]] = []
     count = _FEWER if members else _BASES
-    half = (band[1] - band[0]) / count / 2
+    half = (band[1] - band[0]) / (count - 1) / 2
     for condition in conditions:
         for base in bases(band, count):
             here = frozen(loop, float(base), condition)
@@ -135,29 +150,102 @@ def survey(
             for w in _grid(here, low, high, even, knots, blocks):
                 every.append((look(here, float(w), blocks(float(w)), zoom=False), condition))
 
-    # a plant of another speed may call what is stable unstable: asked again, and no worse than so
-    doubted = [i for i, (one, _) in enumerate(every) if doubt(one)]
-    for i in doubted[:: max(1, len(doubted) // _DOUBTED)]:
-        one, condition = every[i]
-        own = frozen(loop, one.speed, condition)
-        every[i] = look(own, one.speed, blocks(one.speed), zoom=False), condition
+    def refined(kind: Callable[[Look], float]) -> list[Found]:
+        return [
+            _refined(loop, band, knots, blocks, condition, found, kind, 2 * half)
+            for found, condition in _worst(every, kind, half)
+        ]
 
-    places: list[Found] = []
-    for kind in (_stability, _sensitivity):
-        for found, condition in _worst(every, kind, half):
-            places.append(_refined(loop, band, knots, blocks, condition, found, kind, 2 * half))
+    # a plant of another speed may call what is stable unstable: asked again, and no worse than so;
+    # where the worst is exactly unstable, only if somebody asks for more than that
+    places = refined(_stability)
+    doubted = [i for i, (one, _) in enumerate(every) if doubt(one)]
+    if doubted and (doubt is not unstable or all(place.stable for place in places)):
+        for i in doubted[:: max(1, len(doubted) // _DOUBTED)]:
+            one, condition = every[i]
+            own = frozen(loop, one.speed, condition)
+            every[i] = look(own, one.speed, blocks(one.speed), zoom=False), condition
+        places = refined(_stability)
+    places += refined(_sensitivity)
     drawn: dict[float, Look] = {}
     for one in (*(one for one, _ in every), *(place.look for place in places)):
         known = drawn.get(one.speed)
         if known is None or one.sensitivity > known.sensitivity:
             drawn[one.speed] = one
-    # a zero moves with the speed: the slowest ones with their own plant
-    slow = [
-        look(frozen(loop, one.speed, condition), one.speed, blocks(one.speed), zoom=False)
-        for one, condition in _worst(every, lambda one: -one.convergence, half)
-    ]
-    slowest = min(slow, key=lambda one: one.convergence)
+    slowest = least(loop, band, knots, blocks, conditions, _slowest, count)
     return Survey(tuple(places), tuple(drawn[w] for w in sorted(drawn)), slowest, len(every))
+
+
+def least(
+    loop: SynchronousLoop,
+    band: tuple[float, float],
+    knots: Sequence[float],
+    blocks: Blocks,
+    conditions: Sequence[Condition],
+    value: Callable[[np.ndarray], np.ndarray],
+    count: int = _FEWER,
+) -> Least:
+    """The smallest value of D R (w, a, a) of the first block over a band [rad/s] and conditions:
+    the plant at ``count`` speeds of it, its frequency around each; the worst again, each time
+    nearer, with the plant of their own speed.
+    """
+    looked = 0
+    cells = list(itertools.pairwise(bases(band, count).tolist()))
+    found: list[Least] = []
+
+    def smallest(
+        plants: Sequence[tuple[float, FrozenLoop]], condition: Condition, low: float, high: float
+    ) -> list[Least]:
+        """All minima, with the response linear between those of two plants, or of one."""
+        nonlocal looked
+        even = np.linspace(low, high, _EVEN)
+        grids = [_grid(here, low, high, even, knots, blocks) for _, here in plants]
+        speeds = np.unique(np.concatenate(grids))
+        on = [blocks(float(w))[0] for w in speeds]
+        frequencies = np.array([block.frequency for block in on])
+        (first, here), (last, other) = plants[0], plants[-1]
+        R = here.at(frequencies)
+        if last > first:
+            share = ((speeds - first) / (last - first))[:, None, None]
+            R = (1 - share) * R + share * other.at(frequencies)
+        values = value(np.array([block.drive for block in on]) @ -R)
+        looked += len(speeds)
+        around = np.pad(values, 1, constant_values=np.inf)
+        lowest = np.flatnonzero((values <= around[:-2]) & (values <= around[2:]))
+        return [Least(float(values[k]), float(speeds[k]), condition, looked) for k in lowest]
+
+    exact: list[Least] = []
+    for condition in conditions:
+        plants = [(w, frozen(loop, w, condition)) for w in bases(band, count).tolist()]
+        for plant in plants:
+            exact += smallest([plant], condition, plant[0], plant[0])
+        for k, (low, high) in enumerate(cells):
+            found += smallest(plants[k : k + 2], condition, low, high)
+    part = (band[1] - band[0]) / (count - 1)
+    waiting = sorted(found, key=lambda item: item.value)
+    for _ in range(_LEAST):
+        if not waiting:
+            break
+        place = waiting[0]
+        # of one minimum one
+        waiting = [
+            item
+            for item in waiting
+            if item.condition != place.condition or abs(item.speed - place.speed) > part / 8
+        ]
+        worst = place
+        for width in (*_WIDTHS, 0.0):
+            reach, speed = width * part, worst.speed
+            ends = max(band[0], speed - reach), min(band[1], speed + reach)
+            own = [(speed, frozen(loop, speed, worst.condition))]
+            worst = min(smallest(own, worst.condition, *ends), key=lambda item: item.value)
+        exact.append(worst)
+    worst = min(exact, key=lambda item: item.value)
+    return Least(worst.value, worst.speed, worst.condition, looked)
+
+
+def _slowest(DR: np.ndarray) -> np.ndarray:
+    return np.asarray(np.linalg.eigvals(DR).real.min(axis=-1))
 
 
 def _stability(one: Look) -> float:
@@ -238,10 +326,11 @@ def _grid(
 
 
 def zeros(here: FrozenLoop, block: Resonator, low: float, high: float) -> list[float]:
-    """Frequencies [rad/s] where what a block reads has a transmission zero near the axis: minima of
-    its smallest singular value, each refined.
+    """Frequencies [rad/s] where what a block drives to zero has a transmission zero near the axis:
+    minima of its smallest singular value, each refined.
     """
-    rows = np.flatnonzero(block.drive.any(axis=0))
+    # D = T Z: whatever T is, an orthonormal basis of its rows is one of those of Z
+    basis = np.linalg.qr(block.drive.conj().T)[0].conj().T
     grid = np.unique(
         np.concatenate(
             [
@@ -251,17 +340,17 @@ def zeros(here: FrozenLoop, block: Resonator, low: float, high: float) -> list[f
         )
     )
 
-    def least(omega: np.ndarray) -> np.ndarray:
-        return np.asarray(np.linalg.svd(here.at(omega)[:, rows], compute_uv=False)[:, -1])
+    def smallest(omega: np.ndarray) -> np.ndarray:
+        return np.asarray(np.linalg.svd(basis @ here.at(omega), compute_uv=False)[:, -1])
 
-    values = least(grid)
+    values = smallest(grid)
     found = []
     for k in range(1, len(grid) - 1):
         if values[k] <= min(values[k - 1], values[k + 1]):
             a, b = grid[k - 1], grid[k + 1]
             for _ in range(4):
                 around = np.linspace(a, b, 12)
-                m = int(np.argmin(least(around)))
+                m = int(np.argmin(smallest(around)))
                 a, b = around[max(m - 1, 0)], around[min(m + 1, 11)]
             found.append(float((a + b) / 2))
     return found

@@ -48,6 +48,9 @@ from ambrose.model.separation import running_range, runs_within
 from ambrose.model.static_load import magnet_coefficients
 from ambrose.model.unbalance import Unbalance, residual_unbalance
 
+# from a critical speed, over its damping, where speeds are packed
+_AROUND = np.array([-8.0, -2.5, -0.8, -0.25, 0.0, 0.25, 0.8, 2.5, 8.0])
+_WORTH = 0.5  # of the largest orbit: a lower local maximum is not refined
 _NEAR = 1.4  # times the highest running speed: where critical speeds are looked for
 
 
@@ -316,12 +319,14 @@ def unbalance_curve(
     speeds: np.ndarray,
     controller: LawLike,
     residual: Unbalance | None = None,
+    critical: Sequence[tuple[float, float]] = (),
 ) -> Curve:
     """Unbalance orbits with the rotor's matrices assembled anew at every speed (gyroscopic forces,
     speed-dependent seals).
 
     plant_at: speed [rad/s] -> Plant, a stable loop with the controller; speeds (s,) [rad/s],
-    ascending, positive. residual: default that of the machine. The curve has the lines of the
+    ascending, positive. residual: default that of the machine. critical: (speed, damping) [rad/s]
+    of the loop's critical speeds, around which speeds are packed. The curve has the lines of the
     fixed-speed curve "unbalance"; at every large local maximum of the worst case a refined point is
     added. Raises InvalidInput when no balancing speed is known.
     """
@@ -354,17 +359,23 @@ def unbalance_curve(
         columns[speed] = np.concatenate([worst_orbit(response, residual), *orbits])
         return float(columns[speed][0])
 
-    # local maxima of at least half the largest are refined between their neighbours
+    packed = [speed + damping * _AROUND for speed, damping in critical]
+    every = np.unique(np.concatenate([speeds, *packed]))
+    speeds = every[(every >= speeds[0]) & (every <= speeds[-1])]
     values = np.array([worst(float(speed)) for speed in speeds])
+
+    # local maxima of at least half the largest that is judged are refined between their neighbours
+    judged = values[speeds <= (machine.requirements.unbalance_to or np.inf) * (1 + 1e-9)]
+    least = _WORTH * float(judged.max(initial=values.min()))
     kept = set(speeds.tolist())
     for k in range(1, len(speeds) - 1):
-        if values[k] >= max(values[k - 1], values[k + 1], 0.5 * values.max()):
+        if values[k] >= max(values[k - 1], values[k + 1], least):
             bounds = (float(speeds[k - 1]), float(speeds[k + 1]))
             best = minimize_scalar(
                 lambda w: -worst(float(w)),
                 bounds=bounds,
                 method="bounded",
-                options={"xatol": 1e-4 * speeds[k]},
+                options={"xatol": 1e-4 * (bounds[1] - bounds[0])},
             )
             kept.add(float(best.x))
     x = np.array(sorted(kept))
@@ -381,7 +392,8 @@ def assembled_check(curve: Curve, requirements: Requirements) -> Check:
     k = int(np.argmax(values))
     return judge(
         "unbalance.assembled_0p",
-        "Worst-case unbalance orbit, rotor assembled at every speed, 0-p",
+        f"Worst-case unbalance orbit, rotor assembled at {len(curve.x)} speeds, refined at peaks, "
+        "0-p",
         values[k],
         "m",
         demand("unbalance orbit", requirements),

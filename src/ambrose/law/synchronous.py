@@ -19,10 +19,10 @@ used where forces and orbits are reported. The response R of a mode is the trans
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -41,7 +41,8 @@ from ambrose.model.static_load import magnet_coefficients
 from ambrose.model.uncertainty import perturbed, tolerances_around
 
 MODES = ("current-free", "force-free", "vibration-free", "damping")
-_KEPT = 32  # plants, and loops, that are remembered
+_KEPT, _LOOPS = 32, 64  # plants, and what is made of them, that are remembered
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +92,7 @@ class SynchronousLoop:
     timing: Timing
     harmonic: int = 1
     _plants: dict[Any, Plant] = field(default_factory=dict)
-    _loops: dict[Any, StateSpace] = field(default_factory=dict)
+    _loops: dict[Any, Any] = field(default_factory=dict)
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -101,17 +102,18 @@ class SynchronousLoop:
         """The full plant there."""
         key = (float(speed), condition)
         if key not in self._plants:
-            point = replace(
-                self.machine.operation.design,
-                speed=float(speed),
-                seal_pressure=condition.pressure,
-                label="",
-            )
-            plant = assemble(self.machine, point)
             if condition.delta:
-                plant = perturbed(
-                    plant, dict(condition.delta), _held(self.machine, condition.delta)
+                nominal = self.plant(speed, replace(condition, delta=()))
+                held = _held(self.machine, condition.delta)
+                plant = perturbed(nominal, dict(condition.delta), held)
+            else:
+                point = replace(
+                    self.machine.operation.design,
+                    speed=float(speed),
+                    seal_pressure=condition.pressure,
+                    label="",
                 )
+                plant = assemble(self.machine, point)
             while len(self._plants) >= _KEPT:
                 self._plants.pop(next(iter(self._plants)))
             self._plants[key] = plant
@@ -129,11 +131,19 @@ class SynchronousLoop:
         sampled.
         """
         key = ("sampled", float(speed), condition)
+        return self.remembered(key, lambda: self._sampled(self.plant(speed, condition)))
+
+    def remembered(self, key: tuple[str, float, Condition], make: Callable[[], _T]) -> _T:
+        """What was made for a kind, speed [rad/s] and condition; made anew where it is too long
+        ago.
+        """
         if key not in self._loops:
-            while len(self._loops) >= _KEPT:
+            made = make()
+            while len(self._loops) >= _LOOPS:
                 self._loops.pop(next(iter(self._loops)))
-            self._loops[key] = self._sampled(self.plant(speed, condition))
-        return self._loops[key]
+            self._loops[key] = made
+        kept: _T = self._loops[key]
+        return kept
 
     def _sampled(self, plant: Plant) -> StateSpace:
         axes, dt = self.axes, self.timing.sample_time

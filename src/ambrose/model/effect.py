@@ -92,7 +92,8 @@ class Effect(Attachment):
 
     reaction(part, point): its linear force. It has the same number of states at every point, and
     they mean the same there. over_speed: whether the reaction differs from speed to speed; the
-    virtual rig then follows it while the speed changes. actions(part, point, quantity): where an
+    virtual rig then follows it while the speed changes. knots(part): speeds [rad/s] of its table,
+    at which it bends. actions(part, point, quantity): where an
     uncertain quantity of ``quantities`` acts.
 
     force(x, y, vx, vy, speed, p) -> (fx, fy): its force at the station in its axes where that
@@ -103,6 +104,7 @@ class Effect(Attachment):
 
     reaction: Callable[[Any, OperatingPoint], Reaction]
     over_speed: bool = False
+    knots: Callable[[Any], tuple[float, ...]] = lambda part: ()
     actions: Callable[[Any, OperatingPoint, str], Iterator[Action]] = _no_action
     force: Callable[..., tuple[float, float]] | None = None
     constants: Callable[[Any], tuple[float, ...]] | None = None
@@ -148,3 +150,12 @@ def joined(parts: list[Reaction]) -> Reaction:
             for name, blocks in names.items()
         }
     )
+
+
+def speed_knots(machine: MachineDescription, low: float, high: float) -> tuple[float, ...]:
+    """Speeds between two [rad/s] at which a table of an effect or a seal of the machine bends."""
+    of_seals = (
+        dict(seal.table.axes).get("speed", ()) for seal in machine.seals if seal.table is not None
+    )
+    known = {w for effect, part in parts_of(machine) for w in effect.knots(part)}
+    return tuple(sorted(w for w in known.union(*of_seals) if low < w < high))

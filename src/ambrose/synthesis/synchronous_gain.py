@@ -7,14 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from ambrose.core.statespace import StateSpace
 from ambrose.core.synchronous import largest_stable
 from ambrose.judge.synchronous_bands import Forbidden, orbit_limit
 from ambrose.judge.synchronous_sensitivity import (
     Look,
     Resonator,
     frozen,
-    growth,
+    growth_by_gain,
     resonator,
     sensitivity_peak,
 )
@@ -63,10 +62,10 @@ def gain_limit(
         place = survey(loop, band, table.speeds.tolist(), blocks, at).least_stable
         speed = place.look.speed
         system = loop.sampled(speed, place.condition)
-        (block,) = blocks(speed)
+        grows = growth_by_gain(system, blocks(speed))
 
-        def stable(trial: float, system: StateSpace = system, block: Resonator = block) -> bool:
-            return growth(system, (replace(block, gain=trial),)) < 0
+        def stable(trial: float, grows: Callable[[float], float] = grows) -> bool:
+            return grows(trial) < 0
 
         limit = largest_stable(stable, min(limit, speed), 0.05)
         if place.stable:

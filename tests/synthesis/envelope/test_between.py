@@ -13,6 +13,7 @@ from ambrose.law.pid import pid_controller
 from ambrose.law.timing import Timing
 from ambrose.machine.description import OperatingPoint, OperatingRange
 from ambrose.model.assemble import assemble
+from ambrose.model.effects.journal_bearing import JournalBearing
 from ambrose.model.reduce import reduce
 
 AREA = OperatingRange("running", (0.0, 600.0), (0.0, 0.5e5))
@@ -117,3 +118,42 @@ def test_verify_judges_the_corners_and_what_lies_between(machine):
     corners = max(checks["sensitivity.output.max"].value for checks in verdict.points)
     assert len(verdict.points) == 4
     assert inside["range.sensitivity"].value >= 0.999 * corners
+
+
+def test_the_worst_of_a_range_is_that_of_a_grid_of_its_own(machine):
+    """A range in which the peak lies inside: no point of another grid is worse by more than
+    0.1 %.
+    """
+    law, timing = pid_controller(machine.controller, machine), Timing(1e-4, 1)
+    (inside,), _ = verify_ranges(machine, law, (), lambda stage: None, timing)
+    runs = timing.in_loop(law)
+    own = [
+        certify(assemble(machine, AREA.at(speed, pressure)), runs, margins=False)
+        for speed in np.linspace(0, 600, 7)
+        for pressure in np.linspace(0, 0.5e5, 5)
+    ]
+    assert inside["range.sensitivity"].value >= 0.999 * max(item.closed_loop_norm for item in own)
+    worst = max(item.spectral_abscissa for item in own)
+    assert inside["range.abscissa"].value >= worst - 1e-3 * abs(worst)
+    for name in ("range.sensitivity", "range.abscissa"):
+        assert "speeds and pressures, refined at the worst" in inside[name].title
+
+
+def test_a_speed_of_a_range_at_which_a_table_bends_is_judged(machine):
+    """A film that drives whirl at 355 rad/s alone: between the speeds of any even grid."""
+    film = JournalBearing(
+        "film",
+        0.43,
+        *((0.0,) * 5 for _ in range(4)),
+        speed=(0.0, 350.0, 355.0, 360.0, 600.0),
+        K_xy=(0.0, 0.0, 2e7, 0.0, 0.0),
+        K_yx=(0.0, 0.0, -2e7, 0.0, 0.0),
+    )
+    driven = replace(machine, effects=(*machine.effects, film))
+    law = pid_controller(machine.controller, machine)
+    (inside,), _ = verify_ranges(driven, law, (), lambda stage: None, Timing(1e-4, 1))
+    own = Timing(1e-4, 1).in_loop(law)
+    lost = certify(assemble(driven, AREA.at(355.0, 0.5e5)), own, margins=False)
+    assert lost.spectral_abscissa > 0
+    assert inside["range.abscissa"].value >= lost.spectral_abscissa * (1 - 1e-9)
+    assert not inside.passed

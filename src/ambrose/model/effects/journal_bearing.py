@@ -117,5 +117,6 @@ JOURNAL_BEARING = Effect(
     carries=True,
     reaction=_reaction,
     over_speed=True,
+    knots=lambda bearing: bearing.speed,
     actions=_actions,
 )

@@ -1,0 +1,168 @@
+"""What is judged over a range of speeds against fine grids of this file's own: poles, and the
+unbalance response of the rotor assembled anew.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ambrose.core.statespace import StateSpace, static_gain
+from ambrose.judge import nominal
+from ambrose.machine.description import OperatingPoint, Operation, Requirements
+from ambrose.model.assemble import assemble
+from ambrose.model.effects.journal_bearing import JournalBearing
+from ambrose.model.unbalance import unbalance
+
+TOP = 1000.0
+OPEN = static_gain(np.zeros((4, 4)))
+J = np.array([[0.0, 1.0], [-1.0, 0.0]])
+
+
+class Discs:
+    """Two discs of one kilogram on springs k, each z'' + (d - j W r) z' + k z = f: forward modes
+    rise with the speed; c couples the discs, +c one way and -c the other: they flutter where their
+    frequencies meet.
+    """
+
+    def __init__(self, stiffness, ratio, damping, coupling=0.0):
+        one = np.eye(2)
+        self.K = np.kron(np.diag(stiffness), one) + coupling * np.kron(J, one)
+        self.D, self.G = np.kron(np.diag(damping), one), np.kron(np.diag(ratio), J)
+
+    def matrix(self, speed):
+        return np.block([[np.zeros((4, 4)), np.eye(4)], [-self.K, -self.D - speed * self.G]])
+
+    def growth(self, speeds):
+        return np.array([np.linalg.eigvals(self.matrix(w)).real.max() for w in speeds])
+
+    def orbits(self, speeds):
+        """Largest singular value of the compliance times W^2."""
+        q = np.array(
+            [
+                np.linalg.inv(self.K + 1j * w * (self.D + w * self.G) - w * w * np.eye(4))
+                for w in speeds
+            ]
+        )
+        return np.linalg.norm(q, 2, axis=(1, 2)) * speeds**2
+
+    def plant_at(self, template, wanted=None):
+        machine = replace(
+            template.machine,
+            operation=Operation((OperatingPoint(),), (0.0, TOP)),
+            requirements=wanted or Requirements(),
+        )
+        old = template.system
+        B = np.vstack([np.zeros((4, 8)), np.hstack([np.eye(4), np.eye(4)])])
+
+        def at(speed):
+            system = StateSpace(self.matrix(speed), B, old.C, old.D, old.inputs, old.outputs)
+            return replace(template, machine=machine, system=system)
+
+        return at
+
+
+def judged(discs, template, wanted=None):
+    """The rows over the speed range, residual unbalance 1 kg m where orbits are wanted."""
+    plant_at = discs.plant_at(template, wanted)
+    residual = None if wanted is None else unbalance(1.0, 1.0, 1.0)
+    plant = plant_at(0.0)
+    checks, _ = nominal._assembled(plant_at, plant, OPEN, plant.machine.requirements, residual)
+    return checks
+
+
+def random_discs(rng):
+    """Forward modes that cross within the range, damped by 0.2 to 2 rad/s, coupled by about as
+    much.
+    """
+    slow, fast = sorted(rng.uniform(200, 450, 2))
+    decay = 10 ** rng.uniform(-0.7, 0.3)
+    stiffness, ratio = (slow**2, fast**2), (rng.uniform(0.3, 0.9), rng.uniform(0, 0.1))
+    coupling = decay * slow * 10 ** rng.uniform(0, 0.8)
+    return Discs(stiffness, ratio, (2 * decay, 2 * decay), coupling)
+
+
+def stability_of(seed, template):
+    discs = random_discs(np.random.default_rng([49, seed]))
+    (check,) = judged(discs, template)
+    return check, discs.growth(np.linspace(0, TOP, 4001)).max()
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_worst_speed_is_found_between_even_ones(seed, single_masses):
+    check, own = stability_of(seed, single_masses())
+    assert check.value >= own - 2e-3 * abs(own)
+    assert "speeds, refined at the worst" in check.title
+
+
+@pytest.mark.study
+def test_the_worst_speed_of_three_hundred_random_rotors(single_masses):
+    template = single_masses()
+    found = [stability_of(seed, template) for seed in range(300)]
+    lost = sum(own > 0 for _, own in found)
+    assert 100 < lost < 300
+    assert not [seed for seed, (check, own) in enumerate(found) if check.passed and own > 0]
+    assert max((own - check.value) / abs(own) for check, own in found) < 2e-3
+
+
+def test_a_speed_at_which_a_table_bends_is_looked_at(rig, rig_controller):
+    """A film that drives whirl at 455 rad/s alone, in a table, between speeds of an even grid."""
+    film = JournalBearing(
+        "film",
+        0.43,
+        *((0.0,) * 5 for _ in range(4)),
+        speed=(0.0, 440.0, 455.0, 470.0, TOP),
+        K_xy=(0.0, 0.0, 2e7, 0.0, 0.0),
+        K_yx=(0.0, 0.0, -2e7, 0.0, 0.0),
+    )
+    still = replace(rig.operation.points[1], label="")
+    machine = replace(rig, effects=(*rig.effects, film), operation=Operation((still,), (0.0, TOP)))
+
+    def plant_at(speed):
+        return assemble(machine, replace(still, speed=speed))
+
+    found, _ = nominal._assembled(
+        plant_at, plant_at(0.0), rig_controller, machine.requirements, None
+    )
+    assert found[0].passed is False
+    assert "largest at 72.42 Hz" in found[0].detail
+    assert "unstable from 7" in found[0].detail
+
+
+def narrow_discs(rng):
+    """A light critical speed beside, or beneath, a broad one."""
+    light, broad = rng.uniform(60, 600), rng.uniform(200, 900)
+    ratio = rng.uniform(-0.1, 0.1, 2)
+    damping = (2 * light * 10 ** rng.uniform(-4, -2), 2 * broad * rng.uniform(0.05, 0.3))
+    return Discs((light**2, broad**2), ratio, damping), light
+
+
+def orbit_of(seed, template):
+    rng = np.random.default_rng([50, seed])
+    discs, light = narrow_discs(rng)
+    to = float(rng.uniform(light, TOP))
+    wanted = Requirements(unbalance_orbit=1e-3, unbalance_to=to)
+    _, check = judged(discs, template, wanted)
+    # and finer around every critical speed, W^2 (1 -+ r) = k
+    own = np.diag(discs.K)[::2], discs.G[::2, 1::2].diagonal(), np.diag(discs.D)[::2]
+    packed = [
+        np.sqrt(k / (1 + sign * r)) + d * np.linspace(-5, 5, 1001)
+        for k, r, d in zip(*own, strict=True)
+        for sign in (-1, 1)
+    ]
+    speeds = np.concatenate([np.linspace(0.02 * TOP, to, 4001), *packed])
+    return check, discs.orbits(speeds[(speeds >= 0.02 * TOP) & (speeds <= to)]).max()
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_largest_orbit_is_found_between_even_speeds(seed, single_masses):
+    check, own = orbit_of(seed, single_masses())
+    assert check.value >= own * (1 - 1e-3)
+    assert "speeds, refined at peaks" in check.title
+
+
+@pytest.mark.study
+def test_the_largest_orbit_of_three_hundred_random_rotors(single_masses):
+    template = single_masses()
+    found = [orbit_of(seed, template) for seed in range(300)]
+    assert max(own / check.value - 1 for check, own in found) < 1e-3
