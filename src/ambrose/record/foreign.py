@@ -89,6 +89,10 @@ def _on_one_time(
     ]
     if not known:
         return variables, 0.0, ""
+    for begun, source in known:
+        if not np.isfinite(begun):
+            remedy = "correct it in the file, or export the channels as a text table"
+            raise invalid(f"the start of the channel {source}", f"{begun} s", "finite", remedy)
     (first, early), (last, late) = min(known), max(known)
     if (last - first) * rate <= _SAME:
         return variables, last, ""
