@@ -649,7 +649,7 @@ def called(case: bytes) -> str:
             verdict, said = "refused", str(error)
         except Exception as error:
             return f"traceback: {name}({shown}): {error!r:.150}"
-    if found := INTERNAL.search(said):
+    if (found := INTERNAL.search(said)) and found[0].partition("[")[0] not in call:
         return f"speaks of the source: {name}({shown}): {said[max(found.start() - 90, 0) :]:.200}"
     if warned:
         return f"warns: {name}({shown}): {verdict}: {warned[0].message}: {warned[0].filename[-40:]}"

@@ -214,6 +214,9 @@ class OperatingPoint(Part):
     label: Annotated[Words, "its name in reports"] = ""
 
     def __post_init__(self) -> None:
+        if not isinstance(self.label, str):
+            kind = type(self.label).__name__
+            raise invalid("label of an operating point", kind, "a text", "write its name in quotes")
         for name, (largest, unit) in LARGEST_OF_A_POINT.items():
             value = getattr(self, name)
             if isinstance(value, str):
