@@ -47,7 +47,7 @@ INTERNAL = re.compile(
     r"\.py\b|Traceback|site-packages|RuntimeWarning|calculation broke down"
     r"|\b[A-Z]\w?\[\d+(?:, \d+)*\] is nan"
 )
-OF_PYTHON = re.compile(rf"{INTERNAL.pattern}|NoneType|ndarray|0x[0-9a-f]{{8}}|np\.float64")
+OF_PYTHON = re.compile(rf"{INTERNAL.pattern}|NoneType|ndarray| at 0x[0-9a-f]{{8}}|np\.float64")
 VENDOR = """Messung 17; Pruefstand
 Zeit;Weg A;Strom A;
 s;um;A;

@@ -278,6 +278,15 @@ def test_a_start_of_tdms_that_is_no_number_is_refused(tmp_path, said):
         read_foreign(path, columns)
 
 
+@pytest.mark.parametrize("kind", SOURCES)
+def test_a_scale_that_overflows_is_named_with_its_sample(tmp_path, kind):
+    """It ended convert in a traceback."""
+    path = make(kind, tmp_path)
+    columns = map_for(kind, tmp_path, lambda text: text.replace("-0.125", "1e308"))
+    with np.errstate(all="raise"), pytest.raises(InvalidInput, match=r"y_A_zeta at sample 0 .* inf"):
+        read_foreign(path, columns)
+
+
 def without(word):
     return lambda text: "\n".join(line for line in text.splitlines() if not line.startswith(word))
 
@@ -492,6 +501,7 @@ def test_packed_numbers_of_hdf5_are_unpacked(tmp_path):
     found = of_hdf5(path, units=b"mm", scale_factor=np.array([2.0]))
     np.testing.assert_allclose(found.values[0], 2e-3 * raw, rtol=1e-12)
     for more, words in (
+        ({"scale_factor": 1e308}, "y at sample 3 .* is inf, but must be finite"),
         ({"_FillValue": np.int16(-1)}, "y at sample 0"),
         ({"missing_value": 7}, "y at sample 8"),
         ({"scale_factor": np.arange(3.0)}, "must be finite|no single numbers"),

@@ -160,9 +160,9 @@ def _converted(column: Column, variable: Variable) -> tuple[np.ndarray, str]:
             f"the signal {column.name} has no unit, neither in the file nor in the column map; "
             "add unit = ... to its [[signal]]"
         )
-    return si_values(
-        column.name, unit, column.scale * variable.values.astype(float) + column.offset
-    )
+    with np.errstate(over="ignore", invalid="ignore"):  # refused by the record, with its sample
+        scaled = column.scale * variable.values.astype(float) + column.offset
+        return si_values(column.name, unit, scaled)
 
 
 def _timing(

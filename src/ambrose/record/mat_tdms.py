@@ -289,7 +289,11 @@ def _unpacked(node: Any, name: str, values: np.ndarray) -> np.ndarray:
             "unpacked"
         )
     missing = [values == stated[key] for key in ("_FillValue", "missing_value") if key in stated]
-    found = values * float(stated.get("scale_factor", 1.0)) + float(stated.get("add_offset", 0.0))
+    factor, added = (
+        float(stated.get(*key)) for key in (("scale_factor", 1.0), ("add_offset", 0.0))
+    )
+    with np.errstate(over="ignore", invalid="ignore"):  # named as not finite, with its sample
+        found = values * factor + added
     return np.where(np.any(missing, axis=0), np.nan, found) if missing else found
 
 
