@@ -669,7 +669,10 @@ def absurd(text: str, chance: random.Random) -> tuple[str, str]:
     lines = text.splitlines()
     from ambrose.machine.validation.ranges import ranges
 
-    keys = {path.rpartition(".")[2] for path in ranges()[0]}
+    rows = ranges()[0].items()
+    keys = {path.rpartition(".")[2] for path, _ in rows}
+    # those of which a number near zero is as good as none
+    signed = {path.rpartition(".")[2] for path, row in rows if str(row[0])[0] in "-0p"}
     number = re.compile(r"(?<![\w.^])-?\d[\d.]*(?:e[+-]?\d+)?(?![\w.])")
     places = [
         (i, match)
@@ -681,7 +684,8 @@ def absurd(text: str, chance: random.Random) -> tuple[str, str]:
     i, match = chance.choice(places)
     value = chance.choice(NOTHING_HAS)
     if float(match[0]) and chance.random() < 0.5:
-        value = f"{float(match[0]) * chance.choice(MILLION):.6g}"
+        key = lines[i].partition(" =")[0]
+        value = f"{float(match[0]) * chance.choice(MILLION[: 1 + (key not in signed)]):.6g}"
     lines[i] = lines[i][: match.start()] + value + lines[i][match.end() :]
     return "\n".join(lines), lines[i]
 
