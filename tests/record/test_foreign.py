@@ -283,7 +283,10 @@ def test_a_scale_that_overflows_is_named_with_its_sample(tmp_path, kind):
     """It ended convert in a traceback."""
     path = make(kind, tmp_path)
     columns = map_for(kind, tmp_path, lambda text: text.replace("-0.125", "1e308"))
-    with np.errstate(all="raise"), pytest.raises(InvalidInput, match=r"y_A_zeta at sample 0 .* inf"):
+    with (
+        np.errstate(all="raise"),
+        pytest.raises(InvalidInput, match=r"y_A_zeta at sample 0 .* inf"),
+    ):
         read_foreign(path, columns)
 
 
