@@ -173,6 +173,12 @@ TWO = amb.StateSpace([[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
             for v in (object(), [1.0], 1j, True, "140 Hz")
         ),
         *(
+            (lambda v=v: amb.OperatingPoint(label=v), "label of an operating point is")
+            for v in (object(), None, 1)
+        ),
+        (lambda: amb.hinf_norm([None]), "the constant gain[0] is None, but must be finite"),
+        (lambda: amb.poles(np.full((2, 2), np.nan)), "the constant gain[0, 0] is nan"),
+        *(
             (lambda name=name, v=v: amb.verify("seal-rig", PID, **{name: v}), f"{name} is")
             for name in ("speed_rate", "pressure_rate")
             for v in ("x", -1.0, 0.0, object(), float("nan"))

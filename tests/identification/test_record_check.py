@@ -336,6 +336,16 @@ def test_one_axis_is_tried(tmp_path):
     assert run.exit_code == 1 and "drives the loop" in run.output
 
 
+@pytest.mark.parametrize("factor", [1e12, 1e-12])
+def test_times_of_no_clock_are_refused(tmp_path, factor):
+    """Sampled every four years, or 1e16 times a second, an axis was identified with status 0."""
+    time, y, u, r = levitate(seed=2)
+    path = tmp_path / "axis.txt"
+    np.savetxt(path, np.column_stack([factor * time, y, u, r]), header="t y u r", fmt="%.9g")
+    with pytest.raises(InvalidInput, match=r"sample_rate_hz is .*, but must be 0.0001 to 1e.07 Hz"):
+        amb.check_record(path)
+
+
 def test_a_file_that_cannot_be_read(tmp_path):
     with pytest.raises(InvalidInput):
         amb.check_record(tmp_path / "nothing.h5")

@@ -323,7 +323,7 @@ def _deaf(measured: Responses, axes: Sequence[str]) -> list[Finding]:
         return []
     traces = np.quantile(measured.coherence["y"], 0.98, axis=1)
     own = measured.mix.any(axis=1)
-    deaf = [f"y_{axes[j]}" for j in np.flatnonzero((traces < measured.chance) & own)]
+    deaf = [f"y_{axes[j]}" for j in np.flatnonzero((traces < measured.chance) & own).tolist()]
     if not deaf:
         return []
     what = f"no trace of the excitation of its own axis in {', '.join(deaf)}"
@@ -335,7 +335,7 @@ def _deaf(measured: Responses, axes: Sequence[str]) -> list[Finding]:
 def _odd_axes(measured: Responses, expected: OpenLoop, axes: Sequence[str]) -> Iterator[Finding]:
     """Axes that answer otherwise than the model, where the mean over all axes does not."""
     for relation, share in shares_by_axis(measured, expected, Wiring()).items():
-        odd = [f"{relation}_{axes[j]}" for j in np.flatnonzero(share > _SUSPECT[relation])]
+        odd = [f"{relation}_{axes[j]}" for j in np.flatnonzero(share > _SUSPECT[relation]).tolist()]
         if odd:
             what = f"another response than the model's in {', '.join(odd)}"
             evidence = f"of its power {_percent(float(share.max()))} is unexplained"
