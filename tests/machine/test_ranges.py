@@ -116,6 +116,7 @@ ABSURD = {
     "stiffer than steel": ('compliance_peak = "1 um/N"', 'compliance_peak = "1e-6 um/N"'),
     "pressure of a glacier": ('pressure_rate = "20 bar/s"', 'pressure_rate = "20e-6 bar/s"'),
     "no disturbance": ("output_disturbance = 2", "output_disturbance = 2e-6"),
+    "uneven T": ("real = [[[1, 0, 0, 0]", "real = [[[1e6, 0, 0, 0]"),
     "load of a planet": ('force = "0.2 kN"', 'force = "0.2e12 kN"'),
     "clearance of a room": ('diametral = "0.4 mm"', 'diametral = "4 m"'),
     "steel like gas": ('density = "4.43 g/cm^3"', 'density = "4.43 kg/m^3"'),
