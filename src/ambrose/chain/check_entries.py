@@ -156,8 +156,8 @@ def _uneven_blocks(machine: Machine) -> Iterator[str]:
         if uneven:
             at = f"{block.speeds[uneven[0]] * _RPM:,.5g} rpm"
             yield (
-                f"[[controller.synchronous]] {i}: T at {at} is more than {_UNEVEN:g} times larger in "
-                "one direction than in another; check the exponents of real and imaginary"
+                f"[[controller.synchronous]] {i}: T at {at} is more than {_UNEVEN:g} times larger "
+                "in one direction than in another; check the exponents of real and imaginary"
             )
 
 
