@@ -1,38 +1,78 @@
-"""Random damage to every kind of file that the command line reads: refused with exit status 2 and a
-message, or read.
+"""Random damage to every kind of file that the command line reads, and to the arguments of public
+functions: refused with exit status 2 (InvalidInput and its like) and a message, or read.
 
     python -m benchmarks.fuzz_files [number of each kind, 1000] [seed, 0] [kinds, all]
 
 A kind's files are read in a worker, so that a crash, a hang and memory without end are seen as
 such; the worker goes on behind them. Counted as a breach of the contract: a traceback, an exit
 status other than 0 and 2 (1 of verify and check), the end of the process by a signal, more than 30
-s. "lateral" (lateral.json), "their table" (of compare) and "rows" (rows.jsonl of a campaign) are
-made where they are asked for; "absurd" sets one number of every table of a machine file to what no
-machine has: one that neither check nor the reader says a word about is counted as silent. What
-kills the reader of a MATLAB, LabVIEW or HDF5 file in the worker is tried again the way the
-command does it, in a process of its own.
+s, a sentence that speaks of the source (a path, an entry of a matrix). "bundled" are the bundled
+machines; "lateral" (lateral.json), "their table" (of compare) and "rows" (rows.jsonl of a campaign)
+are made where they are asked for; "calls" gives public functions what they do not expect; "absurd"
+sets one number of a machine file to what no machine has, or takes it times a million: one that
+neither check nor the reader says a word about is counted as silent. What kills the reader of a
+MATLAB, LabVIEW or HDF5 file in the worker is tried again the way the command does it, in a process
+of its own.
 """
 
 from __future__ import annotations
 
+import inspect
 import json
 import random
 import re
 import subprocess
 import sys
 import tempfile
+import warnings
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import nullcontext
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import chdir, nullcontext
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 SECONDS = 30
 EVERY_TABLE = Path("tests", "machine", "small.toml")
 # made by runs of their own, where they are asked for
 MADE = ("lateral", "their table", "rows")
-TEXTS = {"machine", "every table", "controller", "csv", "plan", "scenario", "log", *MADE}
+TEXTS = {"machine", "bundled", "every table", "controller", "csv", "plan", "scenario", "log", *MADE}
+TEXTS |= {"table", "unv", "columns"}
 NOTHING_HAS = ("1e300", "-1e300", "1e-300", "-1e-300", "1e70", "-1e70")
+MILLION = (1e6, 1e-6)  # as of a unit that was left out, twice
+# what no sentence says: a place in the source, an entry of a matrix; to a user no type of Python
+INTERNAL = re.compile(
+    r"\.py\b|Traceback|site-packages|RuntimeWarning|calculation broke down"
+    r"|\b[A-Z]\w?\[\d+(?:, \d+)*\] is nan"
+)
+OF_PYTHON = re.compile(rf"{INTERNAL.pattern}|NoneType|ndarray| at 0x[0-9a-f]{{8}}|np\.float64")
+VENDOR = """Messung 17; Pruefstand
+Zeit;Weg A;Strom A;
+s;um;A;
+0,0000;1,5;0,25;
+0,0001;2,5;-0,25;
+0,0002;-1,5;0,5;
+0,0003;0;1e-1;
+"""
+UNIVERSAL = """    -1
+    58
+y
+NONE
+NONE
+NONE
+NONE
+    1         0    0         0                    1   1                    1   1
+         4         5         1  0.00000e+00  1.00000e-04  0.00000e+00
+        17    0    0    0 Time                 s
+         8    0    0    0 NONE                 um
+         0    0    0    0 NONE                 NONE
+         0    0    0    0 NONE                 NONE
+   1.50000000000e+00  -2.25000000000e+00   3.00000000000e-03   0.00000000000e+00
+   7.00000000000e+00
+    -1
+"""
 THEIRS = """kind;speed [rpm];amplitude [um p-p];amplification [-];log_decrement [-];whirl;label
 critical;5230;34.1;6.2;;;first
 mode;5411;;;0.34;forward;
@@ -129,6 +169,23 @@ sample_rate_hz = 1000
 point = {speed = 0, seal_pressure = 0}
 signal = [{name = "y_A_zeta", source = "SOURCE", unit = "m"}]
 """
+OF_TABLE = """machine = "tiny"
+[point]
+speed = "3000 rpm"
+seal_pressure = "2 bar"
+[time]
+source = "Zeit"
+unit = "s"
+[[signal]]
+name = "y_A_zeta"
+source = "Weg A"
+unit = "um"
+scale = -1.5
+offset = 2.0
+[[signal]]
+name = "i_A_zeta"
+source = "Strom A"
+"""
 VALUES = (
     "0",
     "-1",
@@ -221,6 +278,9 @@ def originals(folder: Path) -> dict[str, list[bytes]]:
     write_controller(folder / "k.json", pid)
     # every table that a machine file can hold, five axes and synchronous blocks among them
     found["every table"] = [(Path(__file__).parent.parent / EVERY_TABLE).read_bytes()]
+    found["bundled"] = [path.read_bytes() for path in amb.bundled_machines().values()]
+    found["table"], found["unv"] = [VENDOR.encode()], [UNIVERSAL.encode()]
+    found["columns"] = [OF_TABLE.encode()]
     found["plan"] = [PLAN.encode()]
     found["scenario"] = [SCENARIO.encode()]
     found["log"] = [logged(machine, pid, folder)]
@@ -257,6 +317,10 @@ def originals(folder: Path) -> dict[str, list[bytes]]:
     with h5py.File(folder / "d.mat", "w", userblock_size=512) as file:
         file["y"] = wave[None]
     found["mat"] = [(folder / f"{name}.mat").read_bytes() for name in "abcd"]
+    with h5py.File(folder / "foreign.h5", "w") as file:
+        file["y"] = wave
+        file["y"].attrs.update(units="um", scale_factor=0.5, add_offset=1.0)
+    found["foreign"] = [(folder / "foreign.h5").read_bytes()]
     try:
         from nptdms import ChannelObject, TdmsWriter
     except ImportError:
@@ -352,7 +416,11 @@ def cases(kind: str, files: list[bytes], seed: int) -> Iterator[bytes]:
     number = 0
     while True:
         chance = random.Random(f"{kind} {seed} {number}")
-        yield mutated(chance.choice(files), chance, text=kind in TEXTS)
+        yield (
+            f"{seed} {number}".encode()
+            if kind == "calls"
+            else mutated(chance.choice(files), chance, text=kind in TEXTS)
+        )
         number += 1
 
 
@@ -369,8 +437,8 @@ def judge(kind: str, path: Path, folder: Path, *, apart: bool = False) -> str:
     running = ["--controller", str(folder / "k.json")]
     out = ["-o", str(folder / "out.h5")]
     commands = {
-        "machine": ["check", str(path)],
-        "every table": ["check", str(path)],
+        **{key: ["check", str(path)] for key in ("machine", "bundled", "every table")},
+        "columns": ["convert", str(folder / "table.0.original.csv"), "--columns", str(path), *out],
         "controller": random.Random(path.read_bytes()).choice(
             [
                 ["verify", tiny, "--controller", str(path)],
@@ -396,6 +464,9 @@ def judge(kind: str, path: Path, folder: Path, *, apart: bool = False) -> str:
             ]
         ),
     }
+    if kind == "calls":
+        with chdir(out_folder(folder)[1]):
+            return called(path.read_bytes())
     columns = folder / f"{kind}.map.toml"
     given = ["--columns", str(columns)] if columns.exists() else []
     arguments = commands.get(kind, ["convert", str(path), *given, "-o", str(folder / "out.h5")])
@@ -407,6 +478,8 @@ def judge(kind: str, path: Path, folder: Path, *, apart: bool = False) -> str:
         result = CliRunner(env={"AMBROSE_TRACEBACK": "1"}).invoke(main, arguments)
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         return f"traceback: {result.exception!r:.150}"
+    if found := OF_PYTHON.search(result.output):
+        return f"speaks of the source: {result.output[max(found.start() - 90, 0) :]:.200}"
     if result.exit_code == 2:
         return (
             "refused"
@@ -415,7 +488,7 @@ def judge(kind: str, path: Path, folder: Path, *, apart: bool = False) -> str:
         )
     return (
         "read"
-        if result.exit_code in ({0} if kind in {"csv", "hdf5", "mat", "tdms"} else {0, 1})
+        if result.exit_code in ({0} if arguments[0] == "convert" else {0, 1})
         else f"status {result.exit_code}"
     )
 
@@ -459,13 +532,148 @@ def made(kind: str, folder: Path) -> None:
         (folder / f"{kind}.0.original").write_bytes(rows)
 
 
+@cache
+def hostile() -> list[Any]:
+    """What is given to an argument in place of what it expects."""
+    import numpy as np
+
+    numbers = [-3, 0, 10**6, 10**400, 1e300, float("nan")]
+    texts = ["no", "", "\0", b"x"]
+    arrays = [np.zeros((0, 0)), np.full((2, 2), np.nan), np.array("x")]
+    return [None, *numbers, *texts, [], {}, [None], ["a"], object(), int, *arrays]
+
+
+@cache
+def sensible() -> Mapping[str, dict[str, Any]]:
+    """Calls that succeed, of functions that take milliseconds: keyword arguments by name."""
+    import numpy as np
+
+    import ambrose as amb
+
+    machine = replace(amb.load_machine("seal-rig"), tolerances=())
+    whole = amb.assemble(machine)
+    plant, law = amb.reduce(whole, 0), amb.design(machine, "pid")
+    one = amb.StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    two = amb.StateSpace(
+        -np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2)), inputs=("w", "u"), outputs=("z", "y")
+    )
+    signals = tuple(f"y_{axis}" for axis in machine.axes)
+    record = amb.Record(
+        "m", 1e4, signals, ("m",) * 4, np.random.default_rng(0).normal(0, 1e-6, (4, 500))
+    )
+    block, plan = (
+        amb.RealBlock("a", 2),
+        {"campaign": {"task": "screen", "machine": "seal-rig", "controller": "pid"}},
+    )
+    return {
+        "poles": {"system": one},
+        "select": {"system": one, "inputs": one.inputs, "outputs": one.outputs},
+        "spectral_abscissa": {"system": one},
+        "delayed": {
+            "system": amb.StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt=1e-3),
+            "samples": 2,
+        },
+        "hinf_norm": {"system": one},
+        "frequency_response": {"system": one, "omega": [1.0, 2.0]},
+        "time_response": {"system": one, "u": np.ones((1, 5)), "dt": 1e-3},
+        "minimal": {"system": one},
+        "lft": {
+            "plant": amb.GeneralizedPlant(two, ("w",), ("u",), ("z",), ("y",)),
+            "controller": one,
+        },
+        "mu_bounds": {"M": 0.5 * np.eye(2) + 0j, "blocks": [block]},
+        "mu_peak": {"system": two, "blocks": [block], "omega": [1.0]},
+        "assemble": {"machine": machine},
+        "reduce": {"plant": plant},
+        "design": {"machine": plant, "method": "pid"},
+        "verify": {"machine": plant, "controller": law, "tolerances": False},
+        "simulate": {
+            "machine": plant,
+            "controller": law,
+            "scenario": "impulse-parallel",
+            "linear": True,
+        },
+        "closed_loop": {"plant": plant},
+        "free_mode_reduction": {"plant": whole, "bending_modes": 1},
+        "perturbed": {"plant": plant, "delta": {}},
+        "Tolerance": {"parameter": "seal.center.k", "relative": 0.1},
+        "OperatingPoint": {},
+        "RealBlock": {"name": "a"},
+        "Record": {
+            "machine": "m",
+            "sample_rate_hz": 1e3,
+            "signals": ("y_A",),
+            "units": ("m",),
+            "values": np.ones((1, 3)),
+        },
+        "Scenario": {"name": "s", "duration": 0.1},
+        "load_scenario": {},
+        "save_machine": {"machine": machine, "path": "machine.toml"},
+        "write_record": {"record": record, "path": "record.h5"},
+        "plot": {"item": machine},
+        "C": {},
+        "StateSpace": {"A": [[-1.0]], "B": [[1.0]], "C": [[1.0]], "D": [[0.0]]},
+        "calibrate": {"machine": machine, "circle": record},
+        "campaign": {"plan": {**plan, "vary": {"point.speed": ["5 kg"]}}},
+    }
+
+
+def called(case: bytes) -> str:
+    """A public function with one to three arguments that it does not expect, some of them what
+    other functions take: "read", "refused", or what breaks the contract.
+    """
+    import ambrose as amb
+
+    chance, calls = random.Random(case), sensible()
+    others = [value for call in calls.values() for value in call.values()]
+    name = chance.choice([name for name in sorted(amb.__all__) if _is_called(name)])
+    known = [
+        item
+        for item in inspect.signature(getattr(amb, name)).parameters.values()
+        if item.kind not in (item.VAR_KEYWORD, item.VAR_POSITIONAL) and item.name != "progress"
+    ]
+    needed = [item.name for item in known if item.default is item.empty]
+    call = dict(calls.get(name, {}))
+    # one without a call that is sensible otherwise would take minutes if it began
+    pool = [*hostile(), *(others if name in calls else ())]
+    call |= {key: chance.choice(pool) for key in needed if key not in call}
+    for _ in range(chance.choice((1, 1, 2, 3)) if known else 0):
+        call[chance.choice(known).name] = chance.choice(pool)
+    shown = ", ".join(f"{key}={value!r:.40}" for key, value in call.items())
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        try:
+            getattr(amb, name)(**call)
+            verdict, said = "read", ""
+        except amb.AmbroseError as error:
+            verdict, said = "refused", str(error)
+        except Exception as error:
+            return f"traceback: {name}({shown}): {error!r:.150}"
+    if (found := INTERNAL.search(said)) and found[0].partition("[")[0] not in call:
+        return f"speaks of the source: {name}({shown}): {said[max(found.start() - 90, 0) :]:.200}"
+    if warned:
+        return f"warns: {name}({shown}): {verdict}: {warned[0].message}: {warned[0].filename[-40:]}"
+    return verdict
+
+
+def _is_called(name: str) -> bool:
+    import ambrose as amb
+
+    item = getattr(amb, name)
+    error = isinstance(item, type) and issubclass(item, Exception)
+    return callable(item) and not error and name != "Identification"
+
+
 def absurd(text: str, chance: random.Random) -> tuple[str, str]:
     """The machine file with one number that nothing has, and its line."""
     lines = text.splitlines()
     from ambrose.machine.validation.ranges import ranges
 
-    keys = {path.rpartition(".")[2] for path in ranges()[0]}
-    number = re.compile(r"(?<![\w.])-?\d[\d.]*(?:e[+-]?\d+)?(?![\w.])")
+    rows = ranges()[0].items()
+    keys = {path.rpartition(".")[2] for path, _ in rows}
+    # those of which a number near zero is as good as none
+    signed = {path.rpartition(".")[2] for path, row in rows if str(row[0])[0] in "-0p"}
+    number = re.compile(r"(?<![\w.^])-?\d[\d.]*(?:e[+-]?\d+)?(?![\w.])")
     places = [
         (i, match)
         for i, line in enumerate(lines)
@@ -474,7 +682,11 @@ def absurd(text: str, chance: random.Random) -> tuple[str, str]:
         if "degC" not in line  # 1e-300 of it are 273.15 K
     ]
     i, match = chance.choice(places)
-    lines[i] = lines[i][: match.start()] + chance.choice(NOTHING_HAS) + lines[i][match.end() :]
+    value = chance.choice(NOTHING_HAS)
+    if float(match[0]) and chance.random() < 0.5:
+        key = lines[i].partition(" =")[0]
+        value = f"{float(match[0]) * chance.choice(MILLION[: 1 + (key not in signed)]):.6g}"
+    lines[i] = lines[i][: match.start()] + value + lines[i][match.end() :]
     return "\n".join(lines), lines[i]
 
 
@@ -505,7 +717,8 @@ def unnoticed(count: int, seed: int) -> tuple[Counter[str], list[str]]:
 def place(kind: str, folder: Path) -> Path:
     """Where the damaged file goes."""
     suffixes = {"machine": "toml", "every table": "toml", "plan": "toml", "scenario": "toml"}
-    suffixes |= {"controller": "json", "hdf5": "h5", "log": "csv"}
+    suffixes |= {"controller": "json", "hdf5": "h5", "log": "csv", "bundled": "toml"}
+    suffixes |= {"table": "csv", "foreign": "h5", "columns": "toml", "calls": "txt"}
     suffixes |= {"lateral": "json", "their table": "csv", "rows": "jsonl"}
     return folder / f"damaged.{suffixes.get(kind, kind)}"
 
@@ -558,7 +771,7 @@ def campaign(kind: str, folder: Path, seed: int, count: int) -> tuple[Counter[st
         status = worker.returncode
         if number < count:
             verdict = f"the process ended with {status}, or took more than {SECONDS} s"
-            if kind in {"mat", "tdms", "hdf5"}:
+            if kind in {"mat", "tdms", "hdf5", "foreign"}:
                 verdict = judge(kind, place(kind, folder), folder, apart=True)
             tally["refused apart" if verdict == "refused" else "breach"] += 1
             breaches += [f"{kind} {number}: {verdict}"] if verdict != "refused" else []
@@ -583,8 +796,11 @@ def prepare(folder: Path) -> list[str]:
     for kind, files in found.items():
         for i, data in enumerate(files):
             (folder / f"{kind}.{i}.original").write_bytes(data)
-    for kind, source in (("mat", "y"), ("tdms", "g/y")):
+    for kind, source in (("mat", "y"), ("tdms", "g/y"), ("foreign", "y")):
         (folder / f"{kind}.map.toml").write_text(COLUMNS.replace("SOURCE", source))
+    (folder / "unv.map.toml").write_text(COLUMNS.replace("SOURCE", "y").replace("1000", "1e4"))
+    (folder / "table.map.toml").write_text(OF_TABLE)
+    (folder / "table.0.original.csv").write_text(VENDOR)
     return list(found)
 
 
@@ -593,7 +809,7 @@ def run(count: int, seed: int, kinds: Sequence[str] = ()) -> int:
     total = 0
     with tempfile.TemporaryDirectory() as name:
         every = prepare(Path(name))
-        for kind in kinds or (*every, *MADE, "absurd"):
+        for kind in kinds or (*every, *MADE, "calls", "absurd"):
             if kind in MADE:
                 made(kind, Path(name))
             if kind == "absurd":

@@ -493,6 +493,13 @@ def test_arguments_that_are_refused(place, arguments, words, tmp_path, monkeypat
     )
 
 
+def test_another_machine_to_compare_with_is_refused_before_a_record_is_read(place):
+    """It took the whole identification."""
+    words = (RIG, "absent.h5", "--controller", place / "pid.json", "--compare", "turboexpander")
+    done = call("identify", *words)
+    assert done.exit_code == 2 and "the machine to compare with is 'turboexpander'" in done.stderr
+
+
 def test_a_loop_is_not_modelled_without_its_controller(place, tmp_path):
     done = call("identify", RIG, place / "one.h5", "-o", tmp_path / "m.toml")
     assert done.exit_code == 2 and "--controller is missing" in done.stderr

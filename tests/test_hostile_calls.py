@@ -7,38 +7,17 @@ import signal
 import threading
 import warnings
 from contextlib import contextmanager
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.fuzz_files import hostile, sensible
 
 import ambrose as amb
 from ambrose.annexes.scheduled.lpv.method import Lpv
 from ambrose.core.checks import InvalidInput
 from ambrose.core.worst_case.search import worst_case_gain
 
-HOSTILE = [
-    None,
-    -3,
-    0,
-    10**6,
-    10**400,
-    1e300,
-    float("nan"),
-    "no",
-    "",
-    "\0",
-    b"x",
-    [],
-    {},
-    [None],
-    ["a"],
-    object(),
-    np.zeros((0, 0)),
-    np.full((2, 2), np.nan),
-    np.array("x"),
-    int,
-]
+HOSTILE = hostile()
 SECONDS = 120  # by the clock, on a busy computer; most calls take a millisecond
 ABSTRACT = {"Identification"}
 
@@ -110,84 +89,13 @@ def test_every_argument_hostile(name, tmp_path, monkeypatch):
     assert breaches(name, [dict.fromkeys(NEEDED[name], value) for value in HOSTILE]) == []
 
 
-@pytest.fixture(scope="module")
-def sensible():
-    """Calls that succeed, of functions that take milliseconds."""
-    machine = replace(amb.load_machine("seal-rig"), tolerances=())
-    whole = amb.assemble(machine)
-    plant, law = amb.reduce(whole, 0), amb.design(machine, "pid")
-    one = amb.StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
-    two = amb.StateSpace(
-        -np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2)), inputs=("w", "u"), outputs=("z", "y")
-    )
-    signals = tuple(f"y_{axis}" for axis in machine.axes)
-    record = amb.Record(
-        "m", 1e4, signals, ("m",) * 4, np.random.default_rng(0).normal(0, 1e-6, (4, 500))
-    )
-    block, plan = (
-        amb.RealBlock("a", 2),
-        {"campaign": {"task": "screen", "machine": "seal-rig", "controller": "pid"}},
-    )
-    return {
-        "poles": {"system": one},
-        "select": {"system": one, "inputs": one.inputs, "outputs": one.outputs},
-        "spectral_abscissa": {"system": one},
-        "delayed": {
-            "system": amb.StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], dt=1e-3),
-            "samples": 2,
-        },
-        "hinf_norm": {"system": one},
-        "frequency_response": {"system": one, "omega": [1.0, 2.0]},
-        "time_response": {"system": one, "u": np.ones((1, 5)), "dt": 1e-3},
-        "minimal": {"system": one},
-        "lft": {
-            "plant": amb.GeneralizedPlant(two, ("w",), ("u",), ("z",), ("y",)),
-            "controller": one,
-        },
-        "mu_bounds": {"M": 0.5 * np.eye(2) + 0j, "blocks": [block]},
-        "mu_peak": {"system": two, "blocks": [block], "omega": [1.0]},
-        "assemble": {"machine": machine},
-        "reduce": {"plant": plant},
-        "design": {"machine": plant, "method": "pid"},
-        "verify": {"machine": plant, "controller": law, "tolerances": False},
-        "simulate": {
-            "machine": plant,
-            "controller": law,
-            "scenario": "impulse-parallel",
-            "linear": True,
-        },
-        "closed_loop": {"plant": plant},
-        "free_mode_reduction": {"plant": whole, "bending_modes": 1},
-        "perturbed": {"plant": plant, "delta": {}},
-        "Tolerance": {"parameter": "seal.center.k", "relative": 0.1},
-        "OperatingPoint": {},
-        "RealBlock": {"name": "a"},
-        "Record": {
-            "machine": "m",
-            "sample_rate_hz": 1e3,
-            "signals": ("y_A",),
-            "units": ("m",),
-            "values": np.ones((1, 3)),
-        },
-        "Scenario": {"name": "s", "duration": 0.1},
-        "load_scenario": {},
-        "save_machine": {"machine": machine, "path": "machine.toml"},
-        "write_record": {"record": record, "path": "record.h5"},
-        "plot": {"item": machine},
-        "C": {},
-        "StateSpace": {"A": [[-1.0]], "B": [[1.0]], "C": [[1.0]], "D": [[0.0]]},
-        "calibrate": {"machine": machine, "circle": record},
-        "campaign": {"plan": {**plan, "vary": {"point.speed": ["5 kg"]}}},
-    }
-
-
-def test_one_argument_hostile(sensible, tmp_path, monkeypatch):
+def test_one_argument_hostile(tmp_path, monkeypatch):
     """Each argument of a call that is sensible otherwise, those with defaults, too; a caller's own
     callback may fail.
     """
     monkeypatch.chdir(tmp_path)
     found = []
-    for name, call in sensible.items():
+    for name, call in sensible().items():
         arguments = [
             p
             for p in inspect.signature(getattr(amb, name)).parameters.values()
@@ -232,11 +140,11 @@ def test_one_argument_hostile(sensible, tmp_path, monkeypatch):
     ],
 )
 def test_what_was_taken_or_ended_in_a_traceback_is_refused(
-    sensible, name, call, words, tmp_path, monkeypatch
+    name, call, words, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(amb.InvalidInput, match=words):
-        getattr(amb, name)(**{**sensible[name], **call})
+        getattr(amb, name)(**{**sensible()[name], **call})
 
 
 PARAMETER = amb.RealBlock("a")
@@ -264,6 +172,12 @@ TWO = amb.StateSpace([[-1.0]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)))
             for name in ("speed", "seal_pressure", "bias_current", "whirl_frequency")
             for v in (object(), [1.0], 1j, True, "140 Hz")
         ),
+        *(
+            (lambda v=v: amb.OperatingPoint(label=v), "label of an operating point is")
+            for v in (object(), None, 1)
+        ),
+        (lambda: amb.hinf_norm([None]), "the constant gain[0] is None, but must be finite"),
+        (lambda: amb.poles(np.full((2, 2), np.nan)), "the constant gain[0, 0] is nan"),
         *(
             (lambda name=name, v=v: amb.verify("seal-rig", PID, **{name: v}), f"{name} is")
             for name in ("speed_rate", "pressure_rate")

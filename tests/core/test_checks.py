@@ -28,7 +28,7 @@ def test_finite_names_the_first_offender():
         InvalidInput, match=r"K\[1, 0\] is nan, but must be finite; .*missing value"
     ):
         check_finite([[1.0, 2.0], [np.nan, np.inf]], "K")
-    with pytest.raises(InvalidInput, match=r"K\[0\] is nan"):
+    with pytest.raises(InvalidInput, match=r"K\[0\] is None"):
         check_finite([None, 1.0], "K")
     with pytest.raises(InvalidInput, match="K is inf"):
         check_finite(np.inf, "K")

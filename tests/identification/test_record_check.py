@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.rig_cases import CASES, CONVERTERS, Rig, as_record, excited, fresh, told, unbalanced
 from click.testing import CliRunner
 from docs_build import DOCS
 
@@ -113,6 +114,114 @@ MUTATIONS = {
 }
 
 
+def changed(change):
+    """A change of the rows: y, u, i, e of A_zeta, A_eta, B_zeta, B_eta."""
+    return lambda record: with_rows(record, change)
+
+
+def one_by_one(values, factors):
+    values *= np.asarray(factors)[:, None]
+
+
+def times(**factors):
+    """Kinds of signal, or y0 and the like, times a number."""
+    rows = np.ones(16)
+    for name, factor in factors.items():
+        start = 4 * "yuie".index(name[0])
+        rows[slice(start, start + 4) if len(name) == 1 else start + int(name[1])] = factor
+    return changed(lambda values: one_by_one(values, rows))
+
+
+def rolled(rows, count):
+    return changed(lambda v: v.__setitem__(rows, np.roll(v[rows], count, axis=-1)))
+
+
+def put(rows, made):
+    return changed(lambda v: v.__setitem__(rows, made(v)))
+
+
+def wrapped(v):
+    half = 1.5 * v[0].std()
+    return (v[0] + half) % (2 * half) - half
+
+
+def held_row(row):
+    return changed(lambda v: v.__setitem__((row, slice(5000, 15000)), v[row, 5000]))
+
+
+NOISE = np.random.default_rng(1).standard_normal(20_000)
+# none of these was doubted
+SILENT = {
+    "samples missing": lambda r: replace(r, values=np.delete(r.values, np.s_[9000:9100], axis=1)),
+    "filled up with zeros": put(np.s_[:, -6000:], lambda v: 0.0),
+    "noise in place of a probe": put(1, lambda v: 1e-6 * NOISE),
+    "a converter that wraps": put(0, wrapped),
+    "a probe's gain three times": times(y0=3.0),
+    "excitations ten samples late": rolled(np.s_[12:16], 10),
+    "a stuck current": held_row(8),
+    "a stuck excitation": held_row(12),
+    "a quarter more rate": lambda r: replace(r, sample_rate_hz=1.25e4),
+    "a rate in kHz": lambda r: replace(r, sample_rate_hz=10.0),
+}
+SEEN = {
+    "swapped excitations": put([12, 13], lambda v: v[[13, 12]]),
+    "a turned excitation": times(e0=-1.0),
+    "a probe in mm": times(y0=1e3),
+    "all probes in km": times(y=1e-3),
+    "half of all displacements": times(y=0.5),
+    "all probes turned": times(y=-1.0),
+    "currents in mA": times(i=1e3),
+    "commands in mA": times(u=1e3),
+    "turned currents": times(i=-1.0),
+    "turned commands": times(u=-1.0),
+    "backwards": put(np.s_[:], lambda v: v[:, ::-1].copy()),
+    "a clipped probe": put(0, lambda v: np.clip(v[0], -v[0].std(), v[0].std())),
+    "every sample twice": put(np.s_[:], lambda v: np.repeat(v[:, ::2], 2, axis=1)),
+    "a dead probe": times(y2=0.0),
+    "a dead current": times(i1=0.0),
+    "one probe for four": put(np.s_[:4], lambda v: v[0].copy()),
+    "a command for a probe": put(0, lambda v: 1e-6 * v[4]),
+    "a probe's zero 1 mm off": put(0, lambda v: v[0] + 1e-3),
+    "a coarse converter": put(0, lambda v: np.round(v[0] / v[0].std()) * v[0].std()),
+    "velocities": put(np.s_[:4], lambda v: 10 * np.gradient(v[:4], axis=1)),
+    "a speed in rpm": lambda r: at(r, speed=9e3),
+    "a tenth of the rate": lambda r: replace(r, sample_rate_hz=1e3),
+    "bearings in the wrong place": put(
+        np.s_[:], lambda v: v.reshape(4, 4, -1)[:, [2, 3, 0, 1]].reshape(v.shape)
+    ),
+    "a tenth of the excitation": times(e=0.1),
+    "the excitation of another run": rolled(np.s_[12:16], 7001),
+    "a stuck command": held_row(4),
+}
+
+
+@pytest.mark.parametrize(
+    "name", [*SILENT, *(pytest.param(name, marks=pytest.mark.study) for name in SEEN)]
+)
+def test_a_record_that_something_is_wrong_with_is_refused_or_doubted(loop, name):
+    machine, whole = loop
+    check = amb.check_record({**SILENT, **SEEN}[name](whole), machine)
+    assert check.findings, name
+    assert all("; " in str(finding) for finding in check.findings)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.machine)
+def test_a_correct_record_of_another_rig_raises_no_doubt(case, seed):
+    """Magnets, seal and amplifier 3 % off the file's, on a rig that shares nothing with the model."""
+    rng = np.random.default_rng(seed)
+    machine, point, _, K = told(case, bool(seed % 2))
+    numbers = fresh(case, rng)
+    more = {"unbalance": unbalanced(numbers, point.speed, rng)} if point.speed else {}
+    rig = Rig(
+        numbers, case.rate, point.speed, saturation=2.0 * (seed % 3 > 0), **more, **CONVERTERS
+    )
+    found = rig.run(K, excited(case, rig, 2.0, 0.02, 4e-4, seed), seed=seed)
+    check = amb.check_record(as_record(case, rig, found, "yuie"), machine)
+    assert check.passed and not check.findings, [str(finding) for finding in check.findings]
+
+
 @pytest.mark.parametrize("name", [None, *MUTATIONS])
 @pytest.mark.parametrize("kinds", ["yuie", "yie"])
 def test_a_record_that_identify_would_refuse_is_refused_without_its_controller(loop, name, kinds):
@@ -124,6 +233,7 @@ def test_a_record_that_identify_would_refuse_is_refused_without_its_controller(l
     check = amb.check_record(record, machine)
     errors = [str(finding) for finding in check.findings if finding.severity == "error"]
     assert check.passed == (name is None) and bool(errors) == (name is not None), errors
+    assert name or not check.findings
     assert "not checked" not in dict(check.contents)
 
 
@@ -224,6 +334,16 @@ def test_one_axis_is_tried(tmp_path):
     np.savetxt(path, np.column_stack([time, y, u]), header="t y u", fmt="%.9g")
     run = CliRunner().invoke(main, ["record", "check", str(path)])
     assert run.exit_code == 1 and "drives the loop" in run.output
+
+
+@pytest.mark.parametrize("factor", [1e12, 1e-12])
+def test_times_of_no_clock_are_refused(tmp_path, factor):
+    """Sampled every four years, or 1e16 times a second, an axis was identified with status 0."""
+    time, y, u, r = levitate(seed=2)
+    path = tmp_path / "axis.txt"
+    np.savetxt(path, np.column_stack([factor * time, y, u, r]), header="t y u r", fmt="%.9g")
+    with pytest.raises(InvalidInput, match=r"sample_rate_hz is .*, but must be 0.0001 to 1e.07 Hz"):
+        amb.check_record(path)
 
 
 def test_a_file_that_cannot_be_read(tmp_path):

@@ -222,6 +222,74 @@ def test_tdms_channels_of_different_rates_are_refused(tmp_path):
         read_foreign(path, ColumnMap("rig", columns, OperatingPoint()))
 
 
+# what a channel says of its beginning, later by so many samples of 0.2 ms, or not at all
+STARTS = {
+    "offset": lambda late: {"wf_start_offset": late / RATE},
+    "time": lambda late: {"wf_start_time": STARTED + np.timedelta64(round(200 * late), "us")},
+    "both": lambda late: STARTS["time"](late - 10) | STARTS["offset"](10),
+    "LabVIEW's zero": lambda late: {
+        "wf_start_time": np.datetime64("1904-01-01T00:00:00", "us"),
+        **STARTS["offset"](late),
+    },
+}
+STARTED = np.datetime64("2026-01-02T03:04:05.000000", "us")
+
+
+def tdms_of_starts(path, kind, first, second, **more):
+    said = {
+        name: {"wf_increment": 1 / RATE, "unit_string": "A", **STARTS[kind](late)}
+        for name, late in (("a", first), ("b", second))
+    }
+    said["b"] |= more
+    write_tdms(path, {"a": CURRENT, "b": CURRENT}, said)
+    columns = (Column("i_A_zeta", "Rig/a"), Column("i_A_eta", "Rig/b"))
+    return ColumnMap("rig", columns, OperatingPoint())
+
+
+@pytest.mark.parametrize("kind", STARTS)
+@pytest.mark.parametrize(("first", "second"), [(0, 25), (25, 0), (3, 3), (0, 0.005)])
+def test_tdms_channels_that_begin_apart_come_onto_one_time(tmp_path, kind, first, second):
+    """The second began 5 ms later and was laid beside the first, start 0, without a word."""
+    path = tmp_path / "run.tdms"
+    record = read_foreign(path, tdms_of_starts(path, kind, first, second))
+    late = round(second - first)
+    cut = COUNT - abs(late)
+    shown = [CURRENT[max(late, 0) :][:cut], CURRENT[max(-late, 0) :][:cut]]
+    np.testing.assert_allclose(record.values, shown, rtol=1e-12)
+    assert ("begins 25 samples before" in dict(record.notes).get("shifted", "")) == bool(late)
+    if kind == "offset":
+        assert record.start_time == pytest.approx(max(first, second) / RATE)
+
+
+@pytest.mark.parametrize("kind", STARTS)
+@pytest.mark.parametrize("late", [2.5, 0.05, COUNT, 10**6])
+def test_tdms_channels_that_share_no_samples_are_refused(tmp_path, kind, late):
+    path = tmp_path / "run.tdms"
+    columns = tdms_of_starts(path, kind, 0, late)
+    with pytest.raises(InvalidInput, match=r"s \(Rig/a\) and .* s \(Rig/b\), but must be the same"):
+        read_foreign(path, columns)
+
+
+@pytest.mark.parametrize("said", [float("nan"), "soon", float("inf")])
+def test_a_start_of_tdms_that_is_no_number_is_refused(tmp_path, said):
+    path = tmp_path / "run.tdms"
+    columns = tdms_of_starts(path, "offset", 0, 0, wf_start_offset=said)
+    with pytest.raises(InvalidInput, match=r"run\.tdms: .*Rig/b"):
+        read_foreign(path, columns)
+
+
+@pytest.mark.parametrize("kind", SOURCES)
+def test_a_scale_that_overflows_is_named_with_its_sample(tmp_path, kind):
+    """It ended convert in a traceback."""
+    path = make(kind, tmp_path)
+    columns = map_for(kind, tmp_path, lambda text: text.replace("-0.125", "1e308"))
+    with (
+        np.errstate(all="raise"),
+        pytest.raises(InvalidInput, match=r"y_A_zeta at sample 0 .* inf"),
+    ):
+        read_foreign(path, columns)
+
+
 def without(word):
     return lambda text: "\n".join(line for line in text.splitlines() if not line.startswith(word))
 
@@ -436,6 +504,7 @@ def test_packed_numbers_of_hdf5_are_unpacked(tmp_path):
     found = of_hdf5(path, units=b"mm", scale_factor=np.array([2.0]))
     np.testing.assert_allclose(found.values[0], 2e-3 * raw, rtol=1e-12)
     for more, words in (
+        ({"scale_factor": 1e308}, "y at sample 3 .* is inf, but must be finite"),
         ({"_FillValue": np.int16(-1)}, "y at sample 0"),
         ({"missing_value": 7}, "y at sample 8"),
         ({"scale_factor": np.arange(3.0)}, "must be finite|no single numbers"),

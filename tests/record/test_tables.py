@@ -299,6 +299,16 @@ def test_channels_that_begin_apart_come_onto_one_time(tmp_path, later, start):
     assert record.start_time == pytest.approx(start) and "begins" in dict(record.notes)["shifted"]
 
 
+@pytest.mark.parametrize("later", ["nan", "inf"])
+def test_a_start_that_is_no_number_is_refused(tmp_path, later):
+    """It ended convert in a traceback."""
+    head, _, tail = UNIVERSAL.rpartition("0.00000e+00  1.00000e-04")
+    path = tmp_path / "run.unv"
+    path.write_text(f"{head}{later:>11}  1.00000e-04{tail}")
+    with pytest.raises(InvalidInput, match=r"run\.unv: .*(start of the channel current|'nan')"):
+        read_foreign(path, columns("y_A_zeta", "current"))
+
+
 @pytest.mark.parametrize("later", ["1.50000e-04", "2.00000e+00"])
 def test_channels_that_share_no_samples_are_refused_with_both_starts(tmp_path, later):
     head, _, tail = UNIVERSAL.rpartition("0.00000e+00  1.00000e-04")

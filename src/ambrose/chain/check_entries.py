@@ -11,6 +11,8 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
+import numpy as np
+
 from ambrose.core.checks import AmbroseError, InvalidInput
 from ambrose.law.pid import pid_controller
 from ambrose.machine.attachment import attached
@@ -37,6 +39,8 @@ _POWER, _IMPELLER = 1e3, 0.1
 # of its diameter, that a stage is wide at least: impellers for the smallest flow have 0.01, usual
 # ones and blades 0.02 to 0.2; centimetres written as millimetres are a tenth
 _NARROW = 0.006
+# between the largest and the least singular value of T: axes and bearings differ by ten
+_UNEVEN, _NOTHING = 1e4, 1e-12
 # between a stage's rated speed and the machine's: about the root of 9.55 rpm per rad/s, half way to
 # a mistaken unit
 _SPEEDS = 3.0
@@ -53,6 +57,7 @@ def entry_doubts(machine: Machine) -> Iterator[str]:
     yield from implausible(machine)
     yield from _mass_diameter(machine)
     yield from _sensors(machine)
+    yield from _uneven_blocks(machine)
     yield from _pressures(machine)
     for seal in machine.seals:
         if seal.geometry is not None and (cold := celsius_for_kelvin(seal.geometry)):
@@ -134,6 +139,25 @@ def block_doubts(machine: Machine) -> Iterator[str]:
                 f"[[controller.synchronous]] {i}: {item.mode} with this T drives away what it is "
                 f"to bring to zero at all of {', '.join(f'{w * _RPM:,.5g}' for w in speeds)} rpm; "
                 "check the sign and the angle of T, 180 degrees are a wrong sign"
+            )
+
+
+def _uneven_blocks(machine: Machine) -> Iterator[str]:
+    """T of a synchronous block that is far larger in one direction than in another."""
+    settings = machine.reference
+    for i, block in enumerate(() if settings is None else settings.synchronous or (), 1):
+        if block.real is None or block.speeds is None:
+            continue
+        imaginary = 0.0 if block.imaginary is None else np.asarray(block.imaginary)
+        T = np.asarray(block.real) + 1j * imaginary
+        sizes = np.linalg.svd(T, compute_uv=False)  # a direction without a block has 0
+        most, least = sizes.max(axis=-1), sizes.min(axis=-1)
+        uneven = np.flatnonzero((most > _UNEVEN * least) & (least > _NOTHING * most)).tolist()
+        if uneven:
+            at = f"{block.speeds[uneven[0]] * _RPM:,.5g} rpm"
+            yield (
+                f"[[controller.synchronous]] {i}: T at {at} is more than {_UNEVEN:g} times larger "
+                "in one direction than in another; check the exponents of real and imaginary"
             )
 
 

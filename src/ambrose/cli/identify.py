@@ -96,6 +96,7 @@ def identify(
     """
     from ambrose.identification.pipeline import Provenance, check_controller
     from ambrose.identification.pipeline import identify as run
+    from ambrose.identification.validation.agreement import check_comparable
     from ambrose.identification.validation.agreement import compare as agreement
     from ambrose.judge.controller_file import read_controller
     from ambrose.machine.atomic_write import write_text
@@ -106,6 +107,8 @@ def identify(
     check_controller(chosen, controller is not None, repeats, "--")
     description = load(machine)
     other = load(str(compare)) if compare is not None else None
+    if other is not None:  # before anything is computed
+        check_comparable(description.name, other)
     claim(machine_file=output, report=report)
     names = Provenance(tuple(path.name for path in records), controller.name if controller else "")
     with progress_shown(as_json) as progress:

@@ -104,8 +104,9 @@ def check_finite(x: ArrayLike, name: str) -> np.ndarray:
     if bad.any():
         index = tuple(int(i) for i in np.argwhere(bad)[0])
         where = f"{name}{list(index)}" if index else name
+        given = np.asarray(x)[index]  # None became NaN
         raise invalid(
-            where, array[index], "finite", "look for a missing value or a division by zero upstream"
+            where, given, "finite", "look for a missing value or a division by zero upstream"
         )
     return array
 

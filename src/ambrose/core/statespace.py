@@ -223,7 +223,7 @@ def as_statespace(system: Any) -> StateSpace:
         raise invalid(
             "the system", f"{system!r:.60}", "something with matrices A, B, C and D", remedy
         )
-    return static_gain(system)
+    return static_gain(check_finite(system, "the constant gain"))
 
 
 def static_gain(

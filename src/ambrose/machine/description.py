@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from numbers import Real
 from typing import Annotated, Any
 
-from ambrose.core.arguments import names_wrong_types
+from ambrose.core.arguments import names_wrong_types, unfit
 from ambrose.core.checks import check_positive, invalid
 from ambrose.machine.chain import ChainElement
 from ambrose.machine.controller import PidSettings
@@ -214,6 +214,9 @@ class OperatingPoint(Part):
     label: Annotated[Words, "its name in reports"] = ""
 
     def __post_init__(self) -> None:
+        if unfit(self.label, str):
+            kind = type(self.label).__name__
+            raise invalid("label of an operating point", kind, "a text", "write its name in quotes")
         for name, (largest, unit) in LARGEST_OF_A_POINT.items():
             value = getattr(self, name)
             if isinstance(value, str):

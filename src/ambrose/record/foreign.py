@@ -89,6 +89,10 @@ def _on_one_time(
     ]
     if not known:
         return variables, 0.0, ""
+    for begun, source in known:
+        if not np.isfinite(begun):
+            remedy = "correct it in the file, or export the channels as a text table"
+            raise invalid(f"the start of the channel {source}", f"{begun} s", "finite", remedy)
     (first, early), (last, late) = min(known), max(known)
     if (last - first) * rate <= _SAME:
         return variables, last, ""
@@ -156,9 +160,9 @@ def _converted(column: Column, variable: Variable) -> tuple[np.ndarray, str]:
             f"the signal {column.name} has no unit, neither in the file nor in the column map; "
             "add unit = ... to its [[signal]]"
         )
-    return si_values(
-        column.name, unit, column.scale * variable.values.astype(float) + column.offset
-    )
+    with np.errstate(over="ignore", invalid="ignore"):  # refused by the record, with its sample
+        scaled = column.scale * variable.values.astype(float) + column.offset
+        return si_values(column.name, unit, scaled)
 
 
 def _timing(

@@ -289,8 +289,23 @@ def _unpacked(node: Any, name: str, values: np.ndarray) -> np.ndarray:
             "unpacked"
         )
     missing = [values == stated[key] for key in ("_FillValue", "missing_value") if key in stated]
-    found = values * float(stated.get("scale_factor", 1.0)) + float(stated.get("add_offset", 0.0))
+    factor, added = (
+        float(stated.get(*key)) for key in (("scale_factor", 1.0), ("add_offset", 0.0))
+    )
+    with np.errstate(over="ignore", invalid="ignore"):  # named as not finite, with its sample
+        found = values * factor + added
     return np.where(np.any(missing, axis=0), np.nan, found) if missing else found
+
+
+def _stated(name: str, said: Mapping[str, Any], key: str) -> float | None:
+    """A number that a channel of LabVIEW states, None where it does not. Raises InvalidInput."""
+    try:
+        return None if said.get(key) is None else float(said[key])
+    except (TypeError, ValueError) as error:
+        raise InvalidInput(
+            f"{key} of the channel {name} is {said[key]!r}, but must be a number of seconds; "
+            "correct it in DIAdem, or export the channels as a text table"
+        ) from error
 
 
 @contextmanager
@@ -326,12 +341,13 @@ def _tdms(path: Path) -> Iterator[Callable[[str], Variable]]:
         if values.dtype.kind not in "fiub":
             raise InvalidInput(f"the channel {name} holds no real numbers; name another one")
         said = channel.properties
-        step, begun = said.get("wf_increment"), said.get("wf_start_time")
-        start = float(said.get("wf_start_offset") or 0.0) if step else None
+        begun = said.get("wf_start_time")
+        step, start = (_stated(name, said, f"wf_{key}") for key in ("increment", "start_offset"))
+        start = start or 0.0 if step else None
         if start is not None and begun is not None and begun > _NEVER:
             start += float((begun - first) / np.timedelta64(1, "ns")) * 1e-9
         unit = str(said.get("unit_string", "") or "")
-        return Variable(values, unit, 1 / float(step) if step else None, start)
+        return Variable(values, unit, 1 / step if step else None, start)
 
     log_manager.console_handler.addFilter(note)
     try:

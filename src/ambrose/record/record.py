@@ -82,15 +82,7 @@ class Record(Presented):
 
     @names_wrong_types
     def __post_init__(self) -> None:
-        check_positive(self.sample_rate_hz, "sample_rate_hz", "give the sampling frequency in Hz")
-        if not 1 / LONGEST_SAMPLE <= self.sample_rate_hz <= 1 / SAMPLE_TIME:
-            allowed = f"{1 / LONGEST_SAMPLE:g} to {1 / SAMPLE_TIME:g} Hz"
-            raise invalid(
-                "sample_rate_hz",
-                f"{self.sample_rate_hz:g}",
-                allowed,
-                "correct its unit or its exponent",
-            )
+        check_rate(self.sample_rate_hz)
         if abs(check_finite(self.start_time, "start_time")) > LARGEST_TIME:
             raise invalid(
                 "start_time",
@@ -323,6 +315,14 @@ def signal_dimension(name: str) -> Dimension:
             "rename the signal",
         )
     return DIMENSIONS[_PREFIXES[prefix]]
+
+
+def check_rate(rate: float) -> None:
+    """Raises InvalidInput for a sample rate [Hz] that no record has."""
+    check_positive(rate, "sample_rate_hz", "give the sampling frequency in Hz")
+    if not 1 / LONGEST_SAMPLE <= rate <= 1 / SAMPLE_TIME:
+        allowed = f"{1 / LONGEST_SAMPLE:g} to {1 / SAMPLE_TIME:g} Hz"
+        raise invalid("sample_rate_hz", f"{rate:g}", allowed, "correct its unit or its exponent")
 
 
 def si_values(name: str, unit: str, values: np.ndarray) -> tuple[np.ndarray, str]:

@@ -152,8 +152,7 @@ def test_all_that_can_be_done_shows_in_the_head(session, project):
     [
         None,
         [],
-        {"do": "__init__"},
-        {"do": "describe"},
+        *({"do": word} for word in ("__init__", "describe", ["knock"], {"knock": 1}, None, 1)),
         {"do": "knock", "station": "nowhere", "x": 1, "y": 1},
         {"do": "knock", "station": "A", "x": "1", "y": 1},
         {"do": "knock", "station": "A", "x": float("nan"), "y": 1},

@@ -29,6 +29,7 @@ from ambrose.record.record import Record
 KINDS = {"y": "displacement", "u": "controller output", "i": "coil current", "e": "excitation"}
 _LINES = 400  # of a response that are compared, at most
 _FLOOR = 1e-3  # share of power: leakage and noise below it decide nothing
+SEGMENT = 64  # samples of a segment, at least
 _ALL_UP_TO = 4  # axes for which every signed permutation is tried
 
 
@@ -117,7 +118,7 @@ def measured_responses(
     total = sum(record.values.shape[1] for record in records)
     dt = records[0].dt
     L = min(round(0.5 / dt), shortest, total // (2 * mix.shape[1] + 2))
-    if L < 64 or not kinds:
+    if L < SEGMENT or not kinds:
         return None
     try:
         estimate = frf.h1(
@@ -185,6 +186,12 @@ class OpenLoop:
     G: np.ndarray
     amplifier: np.ndarray
 
+    def command(self, values: Mapping[str, np.ndarray], excited: np.ndarray) -> np.ndarray:
+        """Responses (w, a, r) of what the amplifiers are told, from those of u or else of i."""
+        if "u" in values:
+            return values["u"] + excited
+        return np.linalg.solve(self.amplifier, values["i"])
+
 
 def open_loop_responses(plant: Plant, dt: float, omega: np.ndarray) -> OpenLoop:
     """Of the plant behind its hold every ``dt`` [s], at omega (w,) [rad/s]."""
@@ -216,18 +223,25 @@ def shares(measured: Responses, expected: Expected | OpenLoop, wiring: Wiring) -
     "u" against the model, "K": u against the controller, "i" against the amplifier; the mean over
     the axes. Of an open loop, "y" against the plant's answer to the commands, or to the currents.
     """
+    return {
+        relation: float(np.mean(share))
+        for relation, share in shares_by_axis(measured, expected, wiring).items()
+    }
+
+
+def shares_by_axis(
+    measured: Responses, expected: Expected | OpenLoop, wiring: Wiring
+) -> dict[str, np.ndarray]:
+    """The same of every axis (a,)."""
     a = len(measured.mix)
     excited = wiring.matrix("e", a).T @ measured.mix
     true = {kind: wiring.matrix(kind, a).T @ values for kind, values in measured.values.items()}
     noise = {
         kind: values @ np.abs(wiring.matrix(kind, a)) for kind, values in measured.noise.items()
     }
-    unexplained: dict[str, float] = {}
+    unexplained: dict[str, np.ndarray] = {}
     if isinstance(expected, OpenLoop):
-        if "u" in true:
-            command = true["u"] + excited
-        else:
-            command = np.linalg.solve(expected.amplifier, true["i"])
+        command = expected.command(true, excited)
         unexplained["y"] = _share(true["y"], expected.G @ command, noise["y"])
         if {"u", "i"} <= set(true):
             unexplained["i"] = _share(true["i"], expected.amplifier @ command, noise["i"])
@@ -244,12 +258,12 @@ def shares(measured: Responses, expected: Expected | OpenLoop, wiring: Wiring) -
     return unexplained
 
 
-def _share(measured: np.ndarray, model: np.ndarray, noise: np.ndarray) -> float:
+def _share(measured: np.ndarray, model: np.ndarray, noise: np.ndarray) -> np.ndarray:
     doubt = noise.sum(axis=0)
     left = np.sum(np.abs(measured - model) ** 2, axis=(0, 2)) - doubt
     size = np.sum(np.abs(measured) ** 2, axis=(0, 2))
     size = np.maximum(np.maximum(size - doubt, doubt), 1e-3 * float(size.max(initial=0.0)))
-    return float(np.mean(np.maximum(left, 0.0) / np.maximum(size, 1e-300)))
+    return np.asarray(np.maximum(left, 0.0) / np.maximum(size, 1e-300))
 
 
 def score(unexplained: Mapping[str, float]) -> float:

@@ -20,6 +20,7 @@ from ambrose.core.sampling import delayed
 from ambrose.core.statespace import StateSpace
 from ambrose.identification.data_quality.channels import (
     KINDS,
+    SEGMENT,
     Expected,
     OpenLoop,
     Responses,
@@ -31,6 +32,7 @@ from ambrose.identification.data_quality.channels import (
     ranked,
     score,
     shares,
+    shares_by_axis,
 )
 from ambrose.identification.data_quality.controller import (
     LAGS,
@@ -48,7 +50,7 @@ from ambrose.identification.output_error.problem import (
     deployed_controller,
     operating_points,
 )
-from ambrose.identification.parameters import plant_at, ratios
+from ambrose.identification.parameters import magnet_paths, nominal_values, plant_at, ratios
 from ambrose.identification.validation.operating_load import machine_at_load
 from ambrose.law.law import LawLike, law_of
 from ambrose.machine.machine import Machine
@@ -65,6 +67,10 @@ _COARSE = 1.5  # times what the steps of a coarse converter make of the controll
 # findings after which the loop is not the one that is modelled
 _OF_LAW = (Code.OTHER_CONTROLLER, Code.CONTROLLER_GAIN, Code.OTHER_DELAY, Code.CHANNEL_SKEW)
 _MODES = (1, 6)  # bending modes per plane that are tried beside the number asked for; assumed
+_JUMP = 4.0  # times what motion and noise make; noise alone stays within 1.3
+# of the power of the displacements at a line: how far a tenth of K_i or K_s may move it
+_TELLS = 0.1
+_SOME = 100  # samples, fewer tell no usual step
 _NEAR = 15  # lines over which a noise is alike
 _BESIDE = 1.5  # neighbouring lines of a Hann window that err together
 _LIKELIER = 12.0  # of a logarithm of likelihoods
@@ -238,17 +244,103 @@ def machine_findings(machine: Machine, record: Record) -> Iterator[Finding]:
     except AmbroseError as refusal:
         yield Finding(Code.OPERATING_POINT, ERROR, str(refusal))
         return
+    yield from _torn(record, plant.axes)
     measured = measured_responses([record], plant.axes)
+    if measured is None:
+        yield from _no_responses(record)
     if measured is None or "y" not in measured.values:
         return
     if not {"u", "i"} & set(measured.values):
-        yield from _no_trace(measured)
+        yield from _no_trace(measured) or _deaf(measured, plant.axes)
         return
 
     def expected(omega: np.ndarray, factor: float) -> OpenLoop:
         return open_loop_responses(plant, record.dt / factor, omega * factor)
 
-    yield from _wiring_findings(plant, measured, record, expected, _RATES)
+    measured = _kept(
+        measured, _telling(machine, plant, measured, expected(measured.omega, 1.0), record.dt)
+    )
+    if not len(measured.omega):
+        return
+    found = _wiring_findings(plant, measured, record, expected, _RATES)
+    yield from found or _deaf(measured, plant.axes)
+    if not found:
+        yield from _odd_axes(measured, expected(measured.omega, 1.0), plant.axes)
+
+
+def _telling(
+    machine: Machine, plant: Plant, measured: Responses, expected: OpenLoop, dt: float
+) -> np.ndarray:
+    """The lines (w,) at which the answer does not hang on what no file knows to a tenth: near a
+    pole of the free plant, as of precession, a little stiffness is many times the answer.
+    """
+    moved = np.zeros(len(measured.omega))
+    command = expected.command(measured.values, measured.mix)
+    for quantity in ("force_per_current", "negative_stiffness"):
+        paths = [path for path in magnet_paths(machine) if quantity in path]
+        begin = dict(zip(paths, (1.1 * nominal_values(plant, paths)).tolist(), strict=True))
+        other = plant_at(machine, plant.point, begin)
+        G = open_loop_responses(other, dt, measured.omega).G
+        moved += np.sum(np.abs((G - expected.G) @ command) ** 2, axis=(1, 2))
+    both = (measured.values["y"], expected.G @ command)
+    size = np.max([np.sum(np.abs(part) ** 2, axis=(1, 2)) for part in both], axis=0)
+    return np.asarray(moved <= _TELLS * size)
+
+
+def _torn(record: Record, axes: Sequence[str]) -> Iterator[Finding]:
+    """A sample at which several displacements jump at once, as no mass does: samples were lost."""
+    names = [f"y_{axis}" for axis in axes if f"y_{axis}" in record.signals]
+    if len(names) < 2 or record.values.shape[1] < _SOME:
+        return
+    steps = np.abs(np.diff([record[name] for name in names], axis=1))
+    # far above what noise and motion make, and alone: a lift-off has large steps before and after
+    usual = np.quantile(steps, 0.999, axis=1, keepdims=True)
+    alone = np.maximum(np.roll(steps, 2, axis=1), np.roll(steps, -2, axis=1))
+    jumps = (steps > _JUMP * usual) & (steps > _JUMP * alone)
+    places = np.flatnonzero(np.count_nonzero(jumps, axis=0) >= 2) + 1
+    if len(places):
+        times = ", ".join(f"{record.time[at]:.5g} s" for at in places[:5])
+        evidence = f"at t = {times} several displacements jump at once, which no mass does"
+        remedy = "find the gap in the logger, and use the stretches between as records of their own"
+        what = "samples are missing or inserted"
+        yield Finding(Code.LOST_SAMPLES, WARNING, what, evidence, remedy)
+
+
+def _no_responses(record: Record) -> Iterator[Finding]:
+    """An excited record whose rate leaves half a second too few samples to tell anything."""
+    driven = [name for name in record.signals if name[:2] == "e_" and np.ptp(record[name]) > 0]
+    few = record.sample_rate_hz / 2 < SEGMENT
+    if driven and few:
+        what = f"at {record.sample_rate_hz:g} Hz its channels cannot be checked"
+        evidence = f"half a second holds fewer than {SEGMENT} samples"
+        remedy = "correct sample_rate_hz (its unit), or record all samples"
+        yield Finding(Code.SAMPLE_RATE, WARNING, what, evidence, remedy)
+
+
+def _deaf(measured: Responses, axes: Sequence[str]) -> list[Finding]:
+    """Displacements without a trace of the excitation of their own axis, beside others with one."""
+    if "y" not in measured.coherence:
+        return []
+    traces = np.quantile(measured.coherence["y"], 0.98, axis=1)
+    own = measured.mix.any(axis=1)
+    deaf = [f"y_{axes[j]}" for j in np.flatnonzero((traces < measured.chance) & own).tolist()]
+    if not deaf:
+        return []
+    what = f"no trace of the excitation of its own axis in {', '.join(deaf)}"
+    evidence = "other displacements follow theirs"
+    remedy = "check sensor, cable and channel, or whether its amplifier got the excitation"
+    return [Finding(Code.NO_RESPONSE, WARNING, what, evidence, remedy)]
+
+
+def _odd_axes(measured: Responses, expected: OpenLoop, axes: Sequence[str]) -> Iterator[Finding]:
+    """Axes that answer otherwise than the model, where the mean over all axes does not."""
+    for relation, share in shares_by_axis(measured, expected, Wiring()).items():
+        odd = [f"{relation}_{axes[j]}" for j in np.flatnonzero(share > _SUSPECT[relation]).tolist()]
+        if odd:
+            what = f"another response than the model's in {', '.join(odd)}"
+            evidence = f"of its power {_percent(float(share.max()))} is unexplained"
+            remedy = "check its scale, its time and its cable, or that axis of the machine file"
+            yield Finding(Code.FAR_FROM_START, WARNING, what, evidence, remedy)
 
 
 def _wiring_findings(
@@ -301,7 +393,11 @@ def _thinned(measured: Responses, lines: int) -> Responses:
     strength = np.sum(
         np.abs(measured.values["y" if "y" in measured.values else "u"]) ** 2, axis=(1, 2)
     )
-    kept = np.sort(np.argsort(strength)[::-1][:lines])
+    return _kept(measured, np.sort(np.argsort(strength)[::-1][:lines]))
+
+
+def _kept(measured: Responses, kept: np.ndarray) -> Responses:
+    """Some of the lines, by their numbers or as flags (w,)."""
     values, noise = (
         {kind: of[kind][kept] for kind in of} for of in (measured.values, measured.noise)
     )

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from ambrose.core.checks import InvalidInput, check_path, check_positive, invalid
+from ambrose.core.checks import InvalidInput, check_path, invalid
 from ambrose.machine.ordinary_file import check_source
 from ambrose.machine.units import DIMENSIONS, in_si
 from ambrose.record.files import read_record
-from ambrose.record.record import Record, check_samples
+from ambrose.record.record import Record, check_rate, check_samples
 from ambrose.record.text_uff import text_table
 from ambrose.record.timing import uniform_rate
 
@@ -233,7 +233,7 @@ def _checked(
     start: float,
     columns: tuple[tuple[str, str], ...],
 ) -> AxisRecord:
-    check_positive(rate, "sample_rate_hz", "give the sampling frequency in Hz")
+    check_rate(rate)
     if "drive" not in rows:
         rows["drive"] = rows["current"]
         unit = unit or "A"

@@ -63,9 +63,7 @@ def compare(result: Estimate, other: Machine) -> tuple[Agreement, ...]:
 
     Raises InvalidInput for another machine's file.
     """
-    if other.name != result.machine:
-        remedy = "give the file that another method wrote for the same machine"
-        raise invalid("the machine to compare with", repr(other.name), repr(result.machine), remedy)
+    check_comparable(result.machine, other)
     plant = assemble(other, result.point)
     rows = []
     for path, value, deviation in zip(
@@ -83,6 +81,13 @@ def compare(result: Estimate, other: Machine) -> tuple[Agreement, ...]:
             "only delays were identified; a machine file holds nothing to compare them with"
         )
     return tuple(rows)
+
+
+def check_comparable(name: str, other: Machine) -> None:
+    """Raises InvalidInput for another machine's file than the one of a name."""
+    if other.name != name:
+        remedy = "give the file that another method wrote for the same machine"
+        raise invalid("the machine to compare with", repr(other.name), repr(name), remedy)
 
 
 def _half_width(machine: Machine, path: str, value: float) -> float:
