@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ambrose import __version__
 from ambrose.core.checks import InvalidInput
 from ambrose.judge.checks import Check, Checks, Curve
 from ambrose.judge.verification import Verification
@@ -123,7 +124,7 @@ def test_head_states_machine_source_date_version_and_verdicts(
         machine.source,
         machine.description,
         "2031-02-03",
-        "ambrose 0.",
+        f"ambrose {__version__}",
         "PID <reference>",
     ):
         assert expected in page.text
