@@ -178,7 +178,7 @@ WRONG = [
     (lambda m, c: amb.mu_bounds("x", [amb.RealBlock("k")]), "M"),
     (lambda m, c: amb.hinf_norm("x"), "system"),
     (lambda m, c: amb.run_up_steps(3, 4, ["y"]), "see help(run_up_steps)"),
-    (lambda m, c: amb.hinf_norm(10**400), "D is not numeric"),
+    (lambda m, c: amb.hinf_norm(10**400), "the constant gain is not numeric"),
     (lambda m, c: amb.mu_bounds([[1.0]], [amb.RealBlock("k")], seed=-1), "seed"),
     (lambda m, c: amb.study(m, 3), "directory is 3"),
     (lambda m, c: amb.study(m, progress="x"), "progress is 'x'"),

@@ -233,7 +233,7 @@ def test_operating_point_by_values():
         (None, {"pressure": 1e5}, r'unknown keyword "pressure"; did you mean "seal_pressure"'),
         (None, {"speed": -1.0}, r"speed is -1\.0, but must be zero or positive; give it in rad/s"),
         (None, {"speed": "fast"}, r"speed is .fast., but must be a number; give it in rad/s"),
-        (None, {"speed": None}, "speed is nan, but must be finite"),
+        (None, {"speed": None}, "speed is None, but must be finite"),
         (None, {"seal_pressure": float("nan")}, "seal_pressure is nan, but must be finite"),
         (None, {"bias_current": 0.0}, r"bias_current is 0\.0, but must be positive; give it in A"),
     ],
